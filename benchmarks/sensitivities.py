@@ -1,7 +1,8 @@
 """What derivatives with respect to the material cost: CPU of a simulated test with them over that without.
 
 The two run in turns on the same mesh. Printed are the whole extra cost per parameter, and what one parameter more costs
-(from the difference between all and one).
+(from the difference between all and one). ``--solid``: of the solid in space, of several materials, that weighs, and
+with adhesion.
 """
 
 # One thread each, before the libraries start.
@@ -12,11 +13,14 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["MKL_NUM_THREADS"] = "1"
 
 import statistics
+from dataclasses import replace
 
+import numpy as np
 from measure import about, cpu_seconds, option_parser, show, table, verdict
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
+from tissue_sim.fem.solid import discretisation as solid
 
 TARGET = 0.25
 STUDY = {"C10": 1404.9, "C20": 699.4}
@@ -40,12 +44,44 @@ def cases():
            RELAXING, time)
 
 
+def cases_in_space():
+    """The same of the solid."""
+    heavy, placed = (ts.Specimen(0.04, 0.05, density=1040.0, gravity=9.81, height_is=height)
+                     for height in ("moulded", "placed"))
+    ramp, flat, law = ts.Protocol.ramp(4e-3, 5), ts.Tool("flat", 8e-3), ["C10", "C20"]
+    lump = ts.Material("reduced_polynomial_2", {"C10": 2500.0, "C20": 500.0}, ts.Bulk("bulk_ratio", 1e3))
+    prony = ts.Prony((ts.PronyTerm(0.3, 2.0),))
+    ball = {"tool": ts.Tool("sphere", 8e-3), "friction": "frictionless"}
+    yield "bonded needle", ts.Experiment(ts.Specimen(0.04, 0.05), ramp, flat), ELASTIC, law
+    lumpy = replace(ELASTIC, regions={"lump": lump})
+    yield ("two materials", ts.Experiment(ts.Specimen(0.04, 0.05), ramp, flat), lumpy,
+           [*law, "regions.lump.C10", "regions.lump.C20"])
+    yield "weight", ts.Experiment(heavy, ramp, flat), ELASTIC, law
+    yield "weight, height as placed", ts.Experiment(placed, ramp, flat), ELASTIC, law
+    yield ("weight, a Prony term", ts.Experiment(heavy, ramp, flat), replace(ELASTIC, viscoelastic=prony),
+           [*law, "viscoelastic.terms[0].g", "viscoelastic.terms[0].tau"])
+    yield ("ball, adhesion", ts.Experiment(ts.Specimen(0.04, 0.05), ramp, adhesion=ts.Adhesion(0.02, 0.5e-3), **ball),
+           ELASTIC, law)
+    yield ("ball, adhesion, weight", ts.Experiment(heavy, ramp, adhesion=ts.Adhesion(0.02, 0.5e-3), **ball), ELASTIC,
+           law)
+
+
+def solid_mesh(model: ts.Model, resolution: str):
+    """With the region of the material on one side of the tool."""
+    mesh = solid.build_mesh(model.experiment, resolution)
+    middle = mesh.nodes[mesh.connectivity].mean(axis=1)
+    side = np.flatnonzero((middle[:, 0] > 0.0) & (middle[:, 2] > -0.02))
+    return replace(mesh, regions=dict.fromkeys(model.material.regions, side))
+
+
 def cost(name: str, experiment: ts.Experiment, material: ts.Material, names: list[str], resolution: str,
-         repeats: int) -> dict:
+         repeats: int, in_space: bool) -> dict:
     """Medians of alternating runs without, with one, and with all derivatives."""
-    model, mesh = ts.Model(experiment, material), build_mesh(experiment, resolution)
-    works = [lambda: ts.simulate(model, mesh=mesh), lambda: ts.sensitivities(model, names[:1], mesh=mesh),
-             lambda: ts.sensitivities(model, names, mesh=mesh)]
+    model = ts.Model(experiment, material)
+    options = {"mesh": solid_mesh(model, resolution) if in_space else build_mesh(experiment, resolution),
+               "solver": "solid" if in_space else "axisymmetric"}
+    works = [lambda: ts.simulate(model, **options), lambda: ts.sensitivities(model, names[:1], **options),
+             lambda: ts.sensitivities(model, names, **options)]
     for work in works:
         work()
     spent = [[cpu_seconds(work, 1)[0] for work in works] for _ in range(repeats)]
@@ -65,10 +101,13 @@ def draw(result: dict, console) -> None:
 
 
 def main() -> None:
-    arguments = option_parser(__doc__).parse_args()
+    parser = option_parser(__doc__)
+    parser.add_argument("--solid", action="store_true", help="of the solid in space")
+    arguments = parser.parse_args()
     result = about("sensitivities")
-    result["costs"] = [cost(*case, resolution, arguments.repeats) for case in cases()
-                       for resolution in ("fast", "accurate")]
+    tests, resolutions = (cases_in_space, ("realtime", "fast")) if arguments.solid else (cases, ("fast", "accurate"))
+    result["costs"] = [cost(*case, resolution, arguments.repeats, arguments.solid) for case in tests()
+                       for resolution in resolutions]
     show(result, draw, as_json=arguments.json)
 
 

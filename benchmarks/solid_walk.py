@@ -67,8 +67,10 @@ class Case:
     turn: float
     solver: str
     bulk_ratio: float
-    #: Not in the loop: models of the bulk come so long after they were asked for, s; None: when they are there.
+    #: Not in the loop: models of the bulk come so long after they were asked for, and tangents, s; None: when they are
+    #: there, and each model has its own.
     delay: float | None = None
+    tangent: float | None = None
 
     @property
     def holds(self) -> bool:
@@ -88,8 +90,8 @@ CASES = {
     "needle": Case(ts.Tool("flat", radius=8e-3), "bonded", TURN, "reduced", 1e3),
     "ball": Case(ts.Tool("round", radius=8e-3), 0.3, 0.0, "reduced", 1e3),
     "two_rates": Case(ts.Tool("round", radius=8e-3), 0.3, 0.0, "solid", 1e4),
-    "two_rates_16_ms": Case(ts.Tool("round", radius=8e-3), 0.3, 0.0, "solid", 1e4, 0.016),
     "two_rates_33_ms": Case(ts.Tool("round", radius=8e-3), 0.3, 0.0, "solid", 1e4, 0.033),
+    "two_rates_6_33_ms": Case(ts.Tool("round", radius=8e-3), 0.3, 0.0, "solid", 1e4, 0.006, 0.033),
 }
 
 
@@ -166,7 +168,7 @@ def stepped(case: Case, seconds: float, seed: int) -> tuple[np.ndarray, SolidMes
     says: the same on any computer, however busy it is."""
     mesh, motion = mesh_of(min(MESHES)), case.motion(seed)
     bulk = SolidLinearisation(make_solver(case.model(), mesh=mesh))
-    tissue = MultiRateTissue(case.model(), link=DelayedBulk(bulk, case.delay or 0.0))
+    tissue = MultiRateTissue(case.model(), link=DelayedBulk(bulk, case.delay or 0.0, case.tangent))
     tissue.warm_up()
     ticks = np.zeros(round(seconds / 1e-3), dtype=[(name, TICK[name]) for name in _KEPT])
     for number, tick in enumerate(ticks):
@@ -174,6 +176,7 @@ def stepped(case: Case, seconds: float, seed: int) -> tuple[np.ndarray, SolidMes
         began, seen = time.process_time(), tissue._link.linearising
         answer = tissue.step(pose, 1e-3)
         spent = time.process_time() - began - (tissue._link.linearising - seen)
+        tissue.prepare()
         for name, value in (("tick", number + 1), ("time", 1e-3 * number), ("status", answer.status),
                             ("tool_pose", pose.position + pose.orientation), ("tissue_wrench", answer.wrench),
                             ("compute_time", spent), ("age", answer.age)):

@@ -19,6 +19,7 @@ from calibration.campaign.digest import digest_of
 from calibration.campaign.measured import MeasuredCurve, read_measured, scale_offsets
 from calibration.diagnosis.confirmation import gap, region_gaps, unseen_replicates, unseen_tests
 from calibration.diagnosis.diagnosis import Diagnosis, Stage
+from calibration.diagnosis.duration import in_words, seconds_of_each
 from calibration.diagnosis.evidence import Evidence, Measured, gather, whole_campaign
 from calibration.diagnosis.next_experiment import next_experiments
 from calibration.diagnosis.proposals import Proposals, propose
@@ -107,6 +108,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solv
         effects = [] if after is None else found_effects(judgement, before, after)
         regions = region_gaps(before, after)
     with clock.stage("the next experiment"):
+        steps.say("what to measure next")
         further = next_experiments(before, proposals, judgement)
     gaps = gap(before), None if after is None else gap(after)
     noises = [curve.noise for curve in before.problem.measured]
@@ -117,8 +119,8 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solv
         campaign=campaign.name, law=campaign.fit.laws[0], verdict=judgement.verdict,
         message=message(judgement.verdict, effects, [titles.get(name, name) for name in judgement.indistinguishable],
                         regions, (*gaps, noise), sum(not row.testable for row in candidates), held_out,
-                        next(((row.title, row.explained_percent) for row in candidates
-                              if row.explained_percent is not None), None), before.repeated_in_words,
+                        next((row for row in candidates if row.explained_percent is not None), None),
+                        before.repeated_in_words,
                         stressed=all(curve.stressed for curve in before.problem.measured)),
         effects=effects, indistinguishable=judgement.indistinguishable, candidates=candidates, regions=regions,
         gap_before_N=gaps[0], gap_after_N=gaps[1], noise_N=noise,
@@ -190,7 +192,10 @@ class CampaignDiagnosis:
         self.steps.say("looking at the start")
         campaign = scale_offsets(self.campaign, self.measured)
         with self._clock.stage("look at the start"):
-            Generalised(campaign, self.measured, self.solves).check(campaign.fit.laws[0], 0)
+            estimator, law = Generalised(campaign, self.measured, self.solves), campaign.fit.laws[0]
+            estimator.check(law, 0)
+            if self.steps.announce is not None and (words := in_words(seconds_of_each(estimator.problem(law)))):
+                self.steps.announce(f"{campaign.name}: {words}")
 
     def run(self, *, figures: bool, figures_format: str | None = None) -> DiagnosisResult:
         """Diagnose it and write everything into the folder; ``diagnosis.json`` last, because it says that it is

@@ -73,7 +73,8 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
 
 def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool = False,
              progress: Progress | None = None, figures: bool = True, figures_format: str | None = None,
-             workers: Workers | None = None, law: str | None = None) -> list[DiagnosisResult]:
+             workers: Workers | None = None, law: str | None = None,
+             announce: Callable[[str], None] | None = None) -> list[DiagnosisResult]:
     """Find what a plain model misses in every campaign, name it, and write the results.
 
     ``diagnosis.json``, ``report.html``, ``residuals.csv`` and the files that carry what was found go into `output`, or
@@ -82,6 +83,7 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
     Args:
         paths: campaign files, of ``method = "inverse_fem"``. law: one of each campaign; None: its first.
         output, overwrite, progress, figures, figures_format, workers: as in `calibrate`.
+        announce: called with how long to expect, where tests in space make it a minute or more.
 
     Raises:
         InputError: anything wrong in a campaign or a recording, or `output` holds something else; nothing is written.
@@ -101,7 +103,7 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
 
     with open_tasks(workers or Workers()) as tasks:
         parts = [CampaignDiagnosis(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
-                                   Steps(campaign.name, tasks, progress))
+                                   Steps(campaign.name, tasks, progress, announce=announce))
                  for campaign, curves in zip(campaigns, measured, strict=True)]
         results, failures = _run(parts, output, read_diagnosis, overwrite, figures, figures_format, files_of_diagnosis)
     if failures:

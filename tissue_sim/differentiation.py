@@ -12,8 +12,9 @@ from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.fem.solver import Derivatives, Solver, SpatialDerivatives
 from tissue_sim.material.effect import ReducedEffect, TissueEffect
+from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.model import Model
-from tissue_sim.parameters import Parameter, find_parameters, parameters, with_values
+from tissue_sim.parameters import Parameter, find_parameters, parameters, value, with_values
 from tissue_sim.recording.recording import Recording
 from tissue_sim.simulation import simulate
 
@@ -41,21 +42,23 @@ class Sensitivities:
 
 
 def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolution: str = "fast",
-                  mesh: Any = None, solver: str = "axisymmetric", topology: Model | None = None) -> Sensitivities:
+                  mesh: Any = None, solver: str = "axisymmetric", topology: Model | None = None,
+                  one_sided: bool = False) -> Sensitivities:
     """Simulate a test with its derivatives.
 
     Those with the material are exact: the equations of every converged step are differentiated, history, slip and
     anchors included; bulk modulus as the material states it, so that `bulk.bulk_ratio` is held while the law changes
-    where the bulk response is a ratio, and `bulk.K_Pa` where it is a modulus. Where the start or the motion depends on
-    the material (self-weight, a rig that gives way), the tool adheres, leans or slips in part, an effect was added to
-    the material or a law to the contact, or the parameter is one of the experiment, the rig or the mesh, it is a
-    central difference of two simulations `SIMULATION_WIDTH` apart, one-sided at the end of its range. Geometry moves
-    the nodes of one mesh, so that such a difference has no jumps of remeshing.
+    where the bulk response is a ratio, and `bulk.K_Pa` where it is a modulus. Where the rig gives way, the tool leans
+    or slips in part, an effect was added to the material, the solver has none (the axisymmetric one of a specimen that
+    weighs, and with adhesion or another law of contact), or the parameter is one of the experiment, the rig or the
+    mesh, it is a central difference of two simulations `SIMULATION_WIDTH` apart, one-sided at the end of its range.
+    Geometry moves the nodes of one mesh, so that such a difference has no jumps of remeshing.
 
     Args:
         model: experiment, material, rig; forces are those on the tool, before the sensor of the rig reads them.
         names: parameters; None: all of the material.
         resolution, mesh, solver, topology: as `simulate`; of a solver that has no derivatives all are differences.
+        one_sided: differences are to the simulation that there is anyhow, which takes one less for each.
 
     Raises:
         ConvergenceError: as `simulate`; of differences also where a neighbouring simulation fails.
@@ -83,7 +86,7 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
         raise ConvergenceError("the tangent of a converged step is singular, so the force has no derivative there",
                                recording=recording, depth=float(recording.displacement[-1]))
     for k in np.flatnonzero(~exact):
-        values[:, k] = _difference(model, asked[k], options)
+        values[:, k] = _difference(model, asked[k], recording.force, options, one_sided=one_sided)
     return Sensitivities(recording, names, values, exact, np.array(watch.kinks, dtype=bool))
 
 
@@ -95,15 +98,14 @@ class _Watch:
         self._derivatives: Derivatives | None = None
         self.rates: list[np.ndarray] = []
         self.kinks: list[bool] = []
-
-    @property
-    def exact(self) -> bool:
-        return self._derivatives is not None
+        self.exact = False
 
     def begin(self, solver: Solver) -> None:
         derivatives = solver.differentiate(self._pairs)
         along_z = self._approach is None
-        self._derivatives = derivatives if along_z or isinstance(derivatives, SpatialDerivatives) else None
+        self.exact = along_z or isinstance(derivatives, SpatialDerivatives) if derivatives else False
+        # Without parameters it still tells where the force has kinks.
+        self._derivatives = derivatives if self.exact or not self._pairs else solver.differentiate([])
 
     def sample(self, solver: Solver, factor: float) -> None:
         derivatives = self._derivatives
@@ -115,16 +117,15 @@ class _Watch:
 
 
 def _exact(model: Model, parameter: Parameter) -> bool:
-    """Whether the solver differentiates its equations with respect to a parameter of the material."""
-    experiment, pores = model.experiment, model.material.poroelasticity
-    if (experiment.specimen.specific_weight or experiment.acting_laws or experiment.tilt or experiment.slip
-            or model.rig.compliance):
+    """Whether a solver may differentiate its equations with respect to a parameter of the material."""
+    if model.experiment.tilt or model.experiment.slip or model.rig.compliance:
         return False
     added = [effect for effect in model.material.effects.values() if not isinstance(effect, ReducedEffect)]
     if issubclass(parameter.part, TissueEffect) or added or parameter.declaration.shapes_mesh:
         return False
     # Pores of no share are a term that appears.
-    return not (pores is not None and pores.phi == 0 and parameter.part is type(pores))
+    share = f"{parameter.path.rpartition('.')[0]}.phi"
+    return not (issubclass(parameter.part, Poroelasticity) and value(model, share) == 0.0)
 
 
 def _pair(model: Model, parameter: Parameter):
@@ -149,10 +150,28 @@ def _neighbours(change: Callable, value: float, half: float):
     return more, less, high - low
 
 
-def _difference(model: Model, parameter: Parameter, options: dict) -> np.ndarray:
-    """Central difference of two simulations on one mesh, whose nodes move with the geometry."""
+def _difference(model: Model, parameter: Parameter, force: np.ndarray, options: dict, *, one_sided: bool) -> np.ndarray:
+    """Central difference of two simulations on one mesh, whose nodes move with the geometry; one-sided, against the
+    force of the model itself, N, where that is asked for or only one side is allowed.
+
+    Raises:
+        InputError: neither side is allowed.
+    """
     length = model.experiment.tool.radius or model.experiment.specimen.margin()
-    size = abs(parameter.value) or (length if parameter.declaration.unit == "m" else 1.0)
-    more, less, width = _neighbours(lambda new: with_values(model, {parameter.path: new}), parameter.value,
-                                    0.5 * SIMULATION_WIDTH * size)
-    return (simulate(more, **options).force - simulate(less, **options).force) / width
+    size, value = abs(parameter.value) or (length if parameter.declaration.unit == "m" else 1.0), parameter.value
+    half, sides = 0.5 * SIMULATION_WIDTH * size, []
+    for step in (2.0 * half, -2.0 * half) if one_sided else (half, -half):
+        try:
+            neighbour = with_values(model, {parameter.path: value + step})
+        except InputError as error:
+            refusal = error
+            continue
+        sides.append((simulate(neighbour, **options).force, value + step))
+        if one_sided:
+            break
+    if not sides:
+        raise refusal
+    if len(sides) == 1:
+        sides.append((force, value))
+    (more, high), (less, low) = sides
+    return (more - less) / (high - low)

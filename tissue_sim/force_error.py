@@ -32,27 +32,34 @@ class ForceError:
         there = displacement[self.first: self.last + 1] * 1e3
         places = f"{there[-1]:.3g} mm" if self.first == self.last else f"{there.min():.3g} to {there.max():.3g} mm"
         seen = "in steps half as long it differs by half as much" if self.shorter else \
-            "in longer steps it differs by so much"
+            "in other steps it differs by so much"
         return (f"the force may err by about {100 * self.share:.2g} % of its largest at {places}: on another mesh and "
                 f"{seen}; {remedy}")
 
 
-def every_second(displacement: np.ndarray) -> np.ndarray:
-    """Every second sample of a motion, with those at which it turns or begins or ends to rest, and the ends.
+def other_steps(displacement: np.ndarray) -> np.ndarray:
+    """Places along a motion to which a test goes that is compared with it.
+
+    Every second sample, in steps twice as long; those at which it turns or begins or ends to rest, and the ends; and
+    after each turn the middle of the first step and its end: what slips first there is right again a sample later, and
+    a longer step goes past it.
 
     Args:
         displacement: m, shape (n,).
 
     Returns:
-        Their numbers, ascending.
+        Numbers of samples, ascending; halves are in the middle between two.
     """
     way = np.sign(np.diff(displacement))
-    kept = [0]
-    for sample in range(1, displacement.size - 1):
-        if way[sample] != way[sample - 1] or sample - kept[-1] == 2:
-            kept.append(sample)
-    if displacement.size > 1:
-        kept.append(displacement.size - 1)
+    kept, turned = [0.0], False
+    for sample in range(1, displacement.size):
+        last = sample == displacement.size - 1
+        turns = not last and bool(way[sample] != way[sample - 1])
+        if turned:
+            kept.append(sample - 0.5)
+        if turned or turns or last or sample - kept[-1] >= 2:
+            kept.append(float(sample))
+        turned = turns and bool(way[sample] != 0)
     return np.array(kept)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.fem.solver import SOLVERS, Solver, Step, StepStatus
-from tissue_sim.force_error import WORTH_A_WARNING, ForceError, every_second, force_error
+from tissue_sim.force_error import WORTH_A_WARNING, ForceError, force_error, other_steps
 from tissue_sim.laws import check_stability
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.model import Model
@@ -169,21 +169,22 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
 
 def _compare(tissue: Solver, model: Model, force: np.ndarray, solver: str, resolution: str, topology: Model | None,
              most_solves: int) -> ForceError | None:
-    """By how much a force (N, of each sample) errs, from the same test with every second sample on another mesh; where
-    that is worth a warning, from one with steps half as long there too. None where the solver knows no other mesh, or
+    """By how much a force (N, of each sample) errs, from the same test in other steps on another mesh; where that is
+    worth a warning, from one with steps half as long there too. None where the solver knows no other mesh, or
     the tool does not get through to a sample there."""
-    comparison = tissue.comparison(resolution)
+    comparison, protocol = tissue.comparison(resolution), model.experiment.protocol
     if comparison is None:
         return None
 
-    def forces(model: Model, samples: np.ndarray) -> np.ndarray:
+    def forces(places: np.ndarray) -> np.ndarray:
         other, solves = [], 0
+        along = replace(model, experiment=replace(model.experiment, protocol=protocol.at(places)))
         try:
-            drive = _Drive(SOLVERS.find(solver, "solver")(model, resolution=comparison.resolution, topology=topology),
-                           model, tolerance=_ROUGH)
+            drive = _Drive(SOLVERS.find(solver, "solver")(along, resolution=comparison.resolution, topology=topology),
+                           along, tolerance=_ROUGH)
         except ConvergenceError:
             return np.zeros(0)
-        for _, dt, steps in drive.along(samples):
+        for _, dt, steps in drive.along(np.arange(places.size)):
             for step in steps:
                 solves += step.iterations
             if step.status is not StepStatus.CONVERGED or solves > most_solves:
@@ -191,15 +192,15 @@ def _compare(tissue: Solver, model: Model, force: np.ndarray, solver: str, resol
             other.append(model.experiment.resistance(drive.arrive(step.wrench, dt)))
         return np.array(other)
 
-    samples = every_second(model.experiment.protocol.displacement)
-    found = force_error(force, samples, forces(model, samples), comparison.share)
+    places = other_steps(protocol.displacement)
+    other = forces(places)
+    common = np.flatnonzero(places[:other.size] % 1.0 == 0.0)
+    found = force_error(force, places[common].astype(int), other[common], comparison.share)
     if found is None or found.share <= WORTH_A_WARNING:
         return found
     # A step in which contact begins anew may err by many times more than one half as long. An error that is in
     # proportion to the length, and that of the mesh, are no more than twice what steps half as long differ by.
-    protocol = model.experiment.protocol.halved
-    halved = replace(model, experiment=replace(model.experiment, protocol=protocol))
-    other = forces(halved, np.arange(protocol.time.size))[::2]
+    other = forces(0.5 * np.arange(2 * protocol.time.size - 1))[::2]
     again = force_error(force, np.arange(force.size), other, 2.0 * comparison.share, shorter=True)
     return again if again is not None and other.size == force.size and again.share < found.share else found
 

@@ -194,7 +194,8 @@ class ToolForce:
 
 
 class Tissue(Protocol):
-    """What answers a tool's motion with a force: a `Simulator`, or what stands in for one."""
+    """What answers a tool's motion with a force: a `Simulator`, or what stands in for one. It may have a `prepare()`,
+    which a loop calls between two ticks, when the force has gone out."""
 
     def step(self, pose: float | Pose, dt: float) -> ToolForce:
         """The force where the tool is now, a depth, m, or a pose, dt s after the last step."""

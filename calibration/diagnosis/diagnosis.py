@@ -23,6 +23,7 @@ class Number(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         path: in the model. symbol, unit: SI. value, standard_error: SI; the error is None where the tests leave it
             open. absent: value at which the effect is not there; None of a number that means nothing then.
+        bound: on which it ended, SI; None: on none.
     """
 
     path: str
@@ -31,6 +32,12 @@ class Number(msgspec.Struct, frozen=True, kw_only=True):
     value: float
     standard_error: float | None = None
     absent: float | None = None
+    bound: float | None = None
+
+    @property
+    def beyond(self) -> bool:
+        """Whether it is a size that ended on a bound, and so no estimate."""
+        return self.bound is not None and self.absent is not None
 
 
 class FoundEffect(msgspec.Struct, frozen=True, kw_only=True):

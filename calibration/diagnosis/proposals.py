@@ -127,14 +127,16 @@ def propose(evidence: Evidence, steps: Steps, words: str = "effects, one at a ti
         except NotTestableError as reason:
             silent[name] = str(reason)
     problem, evaluation = evidence.problem, evidence.evaluation
-    changes = steps.all_of(change_of, [(problem, evaluation, evidence.campaign, each) for each in candidates], words)
+    changes = steps.all_of(change_of, [(problem, evaluation, evidence.campaign, each) for each in candidates], words,
+                           names=[each.title for each in candidates])
     columns = {number: change for number, change in enumerate(changes) if not isinstance(change, str)}
     failures = {candidates[number].name: change for number, change in enumerate(changes) if isinstance(change, str)}
     directions = {number: _direction(candidates[number], change, evidence) for number, change in columns.items()}
     # Where the fit takes nearly all of it up, what is left may be how the change bends with the size.
     bent = [number for number, direction in directions.items() if direction.reach < _BENT * direction.length]
     halves = steps.all_of(change_of, [(problem, evaluation, evidence.campaign, candidates[number], 0.5)
-                                      for number in bent], words) if bent else []
+                                      for number in bent], words,
+                          names=[candidates[number].title for number in bent]) if bent else []
     for number, half in zip(bent, halves, strict=True):
         if not isinstance(half, str):
             columns[number] = 4.0 * half - columns[number]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.campaign.campaign import Campaign
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.extended import extend, unknowns
 from calibration.diagnosis.proposals import Proposal, Proposals, sharpened, step_of
@@ -47,6 +48,8 @@ _STARTS = (1.0, 0.3, 0.1)
 _SOUGHT, _AGAIN = (0.25, 0.5, 1.0, 2.0), 3
 #: Fits are compared by their sums of squares, which these ends of a descent tell to far less than matters.
 _ENOUGH, _TOLERANCE = 0.1, 2e-5
+#: A fit goes on while so many solves together gain more than that.
+_PATIENT = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,25 +83,16 @@ class Refit:
         return {each.name: values[each.name] for each in space.unknowns if each.path in mine}
 
     @property
-    def on_bound(self) -> list[str]:
-        """Names of its numbers that ended on a bound which is not that of its absence."""
-        space, held = self.problem.space, []
-        for name in self.numbers:
-            if name not in space.free:
-                continue
-            place = space.free.index(name)
-            absent = self.proposal.absent.get(space.unknown(name).path)
-            value = self.theta[place]
-            for bound in (space.low[place], space.high[place]):
-                near = np.isfinite(bound) and abs(value - bound) <= _ON_BOUND * max(abs(bound), abs(value))
-                if near and bound != absent:
-                    held.append(name)
-        return held
+    def bounds_met(self) -> dict[str, float]:
+        """Name -> bound, SI, of its numbers that ended on a bound which is not that of its absence."""
+        absent = {name: self.proposal.absent.get(self.problem.space.unknown(name).path) for name in self.numbers}
+        met = {name: bound_met(self.problem.space, self.theta, name, there) for name, there in absent.items()}
+        return {name: bound for name, bound in met.items() if bound is not None}
 
     @property
     def beyond(self) -> bool:
         """Whether a size of it ended on a bound, where it makes no physical sense any more."""
-        return any(self.problem.space.unknown(name).path in self.proposal.candidate.sizes for name in self.on_bound)
+        return any(self.problem.space.unknown(name).path in self.proposal.candidate.sizes for name in self.bounds_met)
 
     @property
     def absent(self) -> bool:
@@ -113,6 +107,22 @@ class Refit:
         estimate = Estimate(1, self.theta, self.error, True, "", (), {}, 0.0, problem=self.problem,
                             differences=before.estimate.differences, refreshes=before.estimate.refreshes)
         return Evidence(self.campaign, before.measured, estimate)
+
+
+def bound_met(space: ParameterSpace, theta: np.ndarray, name: str, absent: float | None) -> float | None:
+    """The bound, SI, that a number ended on and that is not the value at which it is absent; None: none, or held.
+
+    Args:
+        theta: free parameters at the minimum, shape (p,).
+    """
+    if name not in space.free:
+        return None
+    place = space.free.index(name)
+    for bound in (space.low[place], space.high[place]):
+        near = np.isfinite(bound) and abs(theta[place] - bound) <= _ON_BOUND * max(abs(bound), abs(theta[place]))
+        if near and bound != absent:
+            return float(bound)
+    return None
 
 
 def refit(evidence: Evidence, proposals: Proposals, steps: Steps, words: str = "fits with an effect",
@@ -138,7 +148,8 @@ def refit(evidence: Evidence, proposals: Proposals, steps: Steps, words: str = "
             ways = [sharpened(ways[0], evidence)]
         tasks += [(evidence.problem, evidence.campaign, way, evidence.values, error, evidence.samples)
                   for way in ways[:2] if way.improbability < ways[0].improbability + 0.5 * AS_GOOD]
-    fits = [each for each in steps.all_of(refit_one, tasks, words) if each is not None] if tasks else []
+    titles = [way.candidate.title for *_, way, _, _, _ in tasks]
+    fits = [each for each in steps.all_of(refit_one, tasks, words, names=titles) if each is not None] if tasks else []
     best: dict[str, Refit] = {}
     for each in sorted(fits, key=lambda one: -one.gain):
         # Tasks of other processes come with copies of what has been simulated.
@@ -152,7 +163,7 @@ def refit(evidence: Evidence, proposals: Proposals, steps: Steps, words: str = "
     if len(near) > 1:
         # What the accurate mesh has more depends on the effect, and may decide between two that are alike.
         again = steps.all_of(corrected, [(each, evidence.problem, error, evidence.samples) for each in near],
-                             "their mesh corrections")
+                             "their mesh corrections", names=[each.proposal.candidate.title for each in near])
         for each in again:
             each.problem.solves = evidence.problem.solves
             best[each.name] = each
@@ -212,13 +223,15 @@ def refit_one(problem: Problem, campaign: Campaign, proposal: Proposal, values: 
     theta = _near_enough(extended, [unknowns(extended.space, values, {**candidate.shape, **{
         path: proposal.absent[path] + share * (size - proposal.absent[path]) for path, size in start.items()}})
         for share in _STARTS], error)
-    descent = descend(extended, theta, corrected=True, enough=_ENOUGH, tolerance=_TOLERANCE)
+    descent = descend(extended, theta, corrected=True, enough=_ENOUGH, tolerance=_TOLERANCE,
+                      stalled=(_PATIENT, _ENOUGH))
     if not np.isfinite(descent.error):
         return Refit(proposal, extended, changed, descent.theta, descent.error, -np.inf, descent.failure)
     promised = -2.0 * proposal.improbability - (error - _error_of(extended, descent))
     if proposal.direction.freedom == 1 and promised > _SHORT:
         # Nearly dependent numbers: a step that gains little may be followed by one that gains more.
-        again = descend(extended, descent.theta, corrected=True, enough=0.0)
+        again = descend(extended, descent.theta, corrected=True, enough=0.0, tolerance=_TOLERANCE,
+                        stalled=(_PATIENT, _ENOUGH))
         descent = again if again.error < descent.error else descent
     for _ in range(_AGAIN if candidate.jump else 0):
         moved = _with_jump_moved(problem, campaign, proposal, extended, descent)

@@ -8,7 +8,7 @@ from calibration.diagnosis.diagnosis import CandidateStatement, FoundEffect, Num
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.pairs import acts_in
 from calibration.diagnosis.proposals import SEEN, Proposal, Proposals
-from calibration.diagnosis.refits import Refit, odds
+from calibration.diagnosis.refits import Refit, bound_met, odds
 from calibration.diagnosis.verdict import Judgement, share_explained
 from calibration.effects.effect import Candidate
 from calibration.fit.uncertainty import assess_uncertainty
@@ -48,6 +48,7 @@ def numbers_of(candidate: Candidate, evidence: Evidence) -> list[Number]:
         absent = candidate.absent_value(evidence.campaign, each.path) if each.path in candidate.sizes else None
         numbers.append(Number(path=each.name, symbol=space.symbols[each.name], unit=each.declaration.unit,
                               value=evidence.values[each.name], absent=absent,
+                              bound=bound_met(space, evidence.estimate.theta, each.name, absent),
                               standard_error=error if np.isfinite(error) else None))
     return numbers
 
@@ -85,5 +86,5 @@ def _testable(name: str, proposal: Proposal, proposals: Proposals, fitted: Refit
         explained_percent=None if after is None else 100.0 * share_explained(before.regions, after.regions),
         evidence_ratio=odds(best, fitted) if fitted is not None and best is not None and finite else None,
         parameters=[] if after is None else numbers_of(proposal.candidate, after),
-        on_bound=[] if fitted is None else [fitted.problem.space.symbols[held] for held in fitted.on_bound],
+        on_bound=[] if fitted is None else [fitted.problem.space.symbols[held] for held in fitted.bounds_met],
         note="" if fitted is None else fitted.failure)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from calibration.diagnosis.diagnosis import FoundEffect, HeldOut, Number, RegionGap, Verdict
+from msgspec.structs import replace
+
+from calibration.diagnosis.diagnosis import CandidateStatement, FoundEffect, HeldOut, Number, RegionGap, Verdict
 
 #: What a unit of SI is written in, and how many of these it is.
 _UNITS = {"m": ("mm", 1e3), "m/N": ("mm/N", 1e3), "m2/s": ("mm2/s", 1e6), "N s/m": ("N s/mm", 1e-3), "1": ("", 1.0)}
@@ -33,9 +35,29 @@ def effect_in_words(effect: FoundEffect) -> str:
     return f"{effect.title}{where} ({', '.join(map(number_in_words, effect.parameters))})"
 
 
+def bound_in_words(number: Number) -> str:
+    """``c = 2 mm/N, the largest that a fit may take`` of a number that ended on its bound."""
+    assert number.bound is not None
+    end = "smallest" if number.bound < (number.absent or 0.0) else "largest"
+    return f"{number_in_words(replace(number, standard_error=None))}, the {end} that a fit may take"
+
+
+def _comes_nearest(nearest: CandidateStatement) -> str:
+    """That an effect explains most and was not added, and why not where its size ended on a bound."""
+    title, share = f"{nearest.title[:1].upper()}{nearest.title[1:]}", f"{nearest.explained_percent:.0f} %"
+    beyond = [each for each in nearest.parameters if each.beyond]
+    if not beyond:
+        return f"{title} comes nearest and explains {share} of it."
+    told = f" (here: {nearest.separated_by})" if nearest.separated_by else ""
+    return (f"{title} comes nearest and explains {share} of it, but its size ran to its bound, "
+            f"{joined([bound_in_words(each) for each in beyond])}: that is where the fit was stopped and no estimate, "
+            f"so that it was not named. Either it is larger than is held for possible, which a measurement of it alone "
+            f"would show{told}, or something else acts like it.")
+
+
 def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[str], regions: Sequence[RegionGap],
             gaps: tuple[float, float | None, float], untestable: int, unseen: Sequence[HeldOut] = (),
-            nearest: tuple[str, float] | None = None, repeated: Sequence[str] = (), *,
+            nearest: CandidateStatement | None = None, repeated: Sequence[str] = (), *,
             stressed: bool = False) -> str:
     """What was found, in a few sentences.
 
@@ -43,7 +65,7 @@ def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[s
         verdict: in one word. effects: that were added. titles: of all that explain the gap as well.
         regions: of all tests. gaps: root mean square before and after, and noise, N.
         untestable: how many effects these tests could not show. unseen: data that the fits have not seen.
-        nearest: effect that explains most, and how much of the gap, %.
+        nearest: effect that explains most.
         repeated: tests whose recordings leave the same behind. stressed: whether stress was recorded, Pa.
     """
     before, after, noise = gaps
@@ -60,8 +82,8 @@ def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[s
         case "NONE":
             return f"Nothing is missing that these tests could show.{silent}"
         case "UNKNOWN":
-            near = "" if nearest is None or nearest[1] < _NEAR else \
-                f" {nearest[0][:1].upper()}{nearest[0][1:]} comes nearest and explains {nearest[1]:.0f} % of it."
+            worth = nearest is not None and (nearest.explained_percent or 0.0) >= _NEAR
+            near = f" {_comes_nearest(nearest)}" if nearest is not None and worth else ""
             return ("Something is missing that no known effect explains: " + "; ".join(where[:3])
                     + f".{near} Nothing was added.{silent}")
         case "SET":

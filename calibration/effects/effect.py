@@ -210,6 +210,11 @@ class Candidate:
         return f"{self.effect.name}@{self.mark}" if self.mark else self.effect.name
 
     @property
+    def title(self) -> str:
+        """Of the effect, for people, with the test where it acts in one only."""
+        return f"{self.effect.title} in {self.mark}" if self.mark else self.effect.title
+
+    @property
     def paths(self) -> frozenset[str]:
         """Of all of its numbers."""
         return frozenset({**self.sizes, **self.shape})

@@ -21,6 +21,8 @@ ENOUGH, ENOUGH_OF_A_START = 1e-3, 3e-2
 MOST_SOLVES = 60
 #: An unknown this near to its bound, relative to itself, is on it.
 _ON_BOUND = 1e-3
+#: Rounding of unknowns that become variables and unknowns again, relative.
+_ROUNDING = 1e-12
 #: Of scipy's test of the gradient, which the gain replaces.
 GRADIENT = 1e-14
 
@@ -50,25 +52,45 @@ class Descent:
 class _Outer:
     """The problem as scipy sees it."""
 
-    def __init__(self, problem: LeastSquares, theta: np.ndarray, note: Callable, enough: float):
-        self.problem, self.note, self.enough = problem, note, enough
+    def __init__(self, problem: LeastSquares, theta: np.ndarray, note: Callable, enough: float,
+                 stalled: tuple[int, float] | None):
+        self.problem, self.note, self.enough, self.stalled = problem, note, enough, stalled
+        #: Sums of squares so far, and unknowns of the least.
+        self.errors: list[float] = []
+        self.best = theta
         self.variables = problem.variables(theta)
         self.start = np.clip(self.variables.of(theta), *self.variables.bounds)
+        self.first = theta
         self.failure = ""
+
+    def unknowns(self, u: np.ndarray) -> np.ndarray:
+        """The unknowns of these variables, shape (k,); those that the descent starts from to the last digit, so that
+        what was simulated for them is not simulated again."""
+        unknowns = self.variables.unknowns(u)
+        same = np.array_equal(u, self.start) and np.allclose(unknowns, self.first, rtol=_ROUNDING, atol=0.0)
+        return self.first if same else unknowns
 
     def residual(self, u: np.ndarray) -> np.ndarray:
         try:
-            evaluation = self.problem.evaluate(self.variables.unknowns(u))
+            evaluation = self.problem.evaluate(self.unknowns(u))
         except InfeasibleError as error:
             self.failure = str(error)
             return np.full(self.size, np.inf)
         self.note(evaluation)
+        if evaluation.error < min(self.errors, default=np.inf):
+            self.best = evaluation.theta
+        self.errors.append(evaluation.error)
+        if self.stalled is not None:
+            solves, gain = self.stalled
+            before, best = self.errors[:-solves], min(self.errors)
+            if before and min(before) - best < gain * max(1.0, best / self.problem.samples):
+                raise _SettledError(self.best, best)
         residual = evaluation.projected[0]
         self.size = residual.size
         return residual
 
     def jacobian(self, u: np.ndarray) -> np.ndarray:
-        evaluation = self.problem.evaluate(self.variables.unknowns(u))
+        evaluation = self.problem.evaluate(self.unknowns(u))
         residual, jacobian = evaluation.projected
         jacobian = self.variables.times(jacobian, u)
         if self.enough:
@@ -90,7 +112,7 @@ class _Outer:
     def _settled(self, u: np.ndarray, evaluation: Evaluation) -> _SettledError:
         """The end of the descent: on the bounds that it would cross, unless that is no better."""
         try:
-            there = self.problem.evaluate(np.clip(self.variables.unknowns(u), *self.problem.bounds))
+            there = self.problem.evaluate(np.clip(self.unknowns(u), *self.problem.bounds))
         except InfeasibleError:
             there = evaluation
         best = there if there.error <= evaluation.error else evaluation
@@ -109,7 +131,8 @@ class _SettledError(Exception):
 
 def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, corrected: bool = False,
             enough: float = ENOUGH, tolerance: float = TOLERANCE, gradient: float = GRADIENT,
-            most_solves: int = MOST_SOLVES, listen: Listener | None = None, past: int = 0) -> Descent:
+            most_solves: int = MOST_SOLVES, stalled: tuple[int, float] | None = None, listen: Listener | None = None,
+            past: int = 0) -> Descent:
     """Trust-region Levenberg-Marquardt from `theta`.
 
     Where forces are proportional to the moduli and none is fixed, the first solve finds the factor that suits all of
@@ -120,6 +143,8 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, correct
         start: number for the history. corrected: whether the difference to the accurate mesh is in.
         enough: gain in the sum of squares, in units of the noise or the residuals, that is not worth a solve; 0: any
             gain is, and the tolerances alone end the descent. tolerance, gradient, most_solves: scipy's.
+        stalled: so many solves that lower the sum of squares by less than so much, all together and in the same units,
+            end it; None: none do.
         listen: called after each solve. past: solves of this start so far.
 
     Source: trust region reflective method of scipy.optimize.least_squares (Branch, Coleman, Li, SIAM J. Sci. Comput.
@@ -155,7 +180,7 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, correct
         return done(theta, np.inf, False, str(error))
     if not theta.size:
         return done(theta, evaluation.error, True, "")
-    outer = _Outer(problem, theta, note, enough)
+    outer = _Outer(problem, theta, note, enough, stalled)
     try:
         # Scaled by the columns of the Jacobian: Pa, exponents, metres and newtons stand side by side.
         result = least_squares(
@@ -163,7 +188,7 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, correct
             ftol=tolerance, xtol=tolerance, gtol=gradient, max_nfev=most_solves)
     except _SettledError as settled:
         return done(settled.theta, settled.error, True, "")
-    theta = outer.variables.unknowns(result.x)
+    theta = outer.unknowns(result.x)
     failure = "" if result.status > 0 else \
         f"no minimum after {most_solves} solves{f'; {outer.failure}' if outer.failure else ''}"
     return done(theta, float(2 * result.cost), result.status > 0, failure)

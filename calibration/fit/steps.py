@@ -23,6 +23,7 @@ class Steps:
     Attributes:
         campaign: its name. tasks: where they run.
         progress: called with a sentence before each part, and with the number of its tasks that are done and of all.
+        announce: called with what is to be expected of the whole, before it begins.
         listen: told every solve.
     """
 
@@ -30,6 +31,7 @@ class Steps:
     tasks: Tasks
     progress: Progress | None = None
     listen: IterationListener | None = None
+    announce: Callable[[str], None] | None = None
 
     def say(self, sentence: str, *counts: int) -> None:
         """What is done from now on; how many of its tasks are done, and of how many."""
@@ -54,15 +56,20 @@ class Steps:
         return self.all_of(function, arguments, what, replay)
 
     def all_of(self, function: Callable, arguments: Sequence[tuple], what: str,
-               on_done: OnDone | None = None) -> list:
-        """Results of a task for each of the arguments; how many are done is said."""
-        done = []
+               on_done: OnDone | None = None, names: Sequence[str] = ()) -> list:
+        """Results of a task for each of the arguments; how many are done is said, and of those that run one after the
+        other the name of the one that runs."""
+        done: list[int] = []
+
+        def say() -> None:
+            running = len(done) < len(names) and not self.tasks.parallel
+            self.say(f"{what}: {names[len(done)]}" if running else what, len(done), len(arguments))
 
         def note(index: int, answer: Any) -> None:
             if on_done is not None:
                 on_done(index, answer)
             done.append(index)
-            self.say(what, len(done), len(arguments))
+            say()
 
-        self.say(what, 0, len(arguments))
+        say()
         return self.tasks.run(function, arguments, note)

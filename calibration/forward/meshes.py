@@ -9,6 +9,11 @@ import numpy as np
 
 from calibration.forward.motion import spline
 from tissue_sim.experiment.experiment import Experiment
+from tissue_sim.mesh.grading import Grading
+from tissue_sim.mesh.hexahedra import HEX8P0
+from tissue_sim.mesh.solid import SolidMesh
+from tissue_sim.model import Model
+from tissue_sim.specimen.block import Block
 
 #: Standard deviation of the accurate mesh's own error relative to the force: what is left against independent
 #: solvers, see docs/simulation.md. Between plates, under a flat needle, under a round or pointed one.
@@ -23,6 +28,8 @@ LEFT_OF_DIFFERENCE = 0.5
 LEFT_OF_ORDER, COARSEST_REMAINDER = 0.1, 0.1
 #: A force below this share of the largest is too small to be divided by; knots that a course of shares needs.
 _FELT, _FEWEST = 1e-3, 4
+#: Longer than any specimen, m: an element of this size is cut to what there is.
+_WHOLE = 10.0
 
 
 class Meshes(NamedTuple):
@@ -33,6 +40,8 @@ class Meshes(NamedTuple):
             own error is found once, at the first parameters; None: it is not. finest_under: tools under which it is.
         elements: what they are, in words.
         remainder: error of either against that of the axisymmetric solver, see `REMAINDERS`.
+        slow: whether a simulation takes so long that derivatives by differences are one-sided, and the finest mesh
+            takes fewer steps.
     """
 
     fast: str
@@ -41,6 +50,7 @@ class Meshes(NamedTuple):
     remainder: float = 1.0
     finest_under: tuple[str, ...] = tuple(FINEST_REMAINDERS)
     elements: str = "axisymmetric nine-node finite elements"
+    slow: bool = False
 
     def shows_error(self, experiment: Experiment) -> bool:
         """Whether the finest mesh tells the accurate one's error; the elements of a file stay as large as they are."""
@@ -51,12 +61,22 @@ class Meshes(NamedTuple):
 #: By the name of the solver; of another one as of the axisymmetric.
 MESHES = {"axisymmetric": Meshes("fast", "accurate", "finest"),
           "solid": Meshes("realtime", "fast", "accurate", remainder=3.0, finest_under=("plate",),
-                           elements="finite elements in space of first order, corrected by ones of second order")}
+                           elements="finite elements in space of first order, corrected by ones of second order",
+                           slow=True)}
 
 
 def meshes_of(solver: str) -> Meshes:
     """What is used of a solver, by its name."""
     return MESHES.get(solver, MESHES["axisymmetric"])
+
+
+def exact_mesh(model: Model, solver: str) -> SolidMesh | None:
+    """Eight elements where every mesh of a block is exact; None where the deformation is not homogeneous."""
+    experiment = model.experiment
+    if (solver != "solid" or not isinstance(experiment.specimen, Block) or not experiment.homogeneous
+            or experiment.acting_laws or experiment.tilt or experiment.slip or model.material.layers):
+        return None
+    return experiment.specimen.solid_mesh(Grading(HEX8P0, _WHOLE, 1.0, _WHOLE, 1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,6 +65,13 @@ class Loading:
         """The same way in even steps."""
         return replace(self, depth=np.linspace(self.depth[0], self.depth[-1], self.depth.size))
 
+    def with_fewer_steps(self) -> tuple[Loading, np.ndarray]:
+        """The same way in about `SMOOTH_STEPS` steps, for what changes more slowly than the force, and the numbers of
+        the knots that it keeps."""
+        last = self.depth.size - 1
+        kept = np.unique([*range(0, last, max(last // SMOOTH_STEPS, 1)), last])
+        return replace(self, depth=self.depth[kept]), kept
+
     def at_knots(self, course: Course) -> np.ndarray:
         """A course at the knots, shape (k, m)."""
         # The rounded touch would leave something at rest.

@@ -15,6 +15,7 @@ from calibration.forward.contract import InfeasibleError, Reached
 from calibration.forward.meshes import MeshError, meshes_of
 from calibration.forward.motion import Course, Loading, Timed, spline
 from calibration.forward.placed import PlaceCurve, PlacedCourse, at_stage, is_of_course, leaves, loading_to, needs_way
+from calibration.forward.proportion import in_proportion, keeps_proportion
 from calibration.forward.reached import reached_at, reached_in
 from calibration.forward.reading import Left, Reading, SimulatedAnswer, away, depth_in_tissue, only_read
 from calibration.forward.solves import Solves, content_key, simulate_curve
@@ -81,8 +82,7 @@ class SimulatedTest:
 
     @property
     def proportional(self) -> bool:
-        """Whether force is proportional to the moduli: no weight and nothing elastic beside the tissue."""
-        return not self.specimen.specific_weight and not self.rig.compliance
+        return in_proportion(self.experiment, self.rig)
 
     @property
     def homogeneous(self) -> bool:
@@ -241,16 +241,17 @@ class SimulatedTest:
     def _find_mesh_error(self, space: ParameterSpace, values: dict[str, float], solves: Solves, way: Loading,
                          accurate: np.ndarray, *, rigid: bool) -> None:
         """Hold the accurate mesh's force at the knots, shape (k,), against the finest one's, where nobody did."""
-        if self.mesh_error is not None or not meshes_of(self.solver).shows_error(self.experiment):
+        meshes = meshes_of(self.solver)
+        if self.mesh_error is not None or not meshes.shows_error(self.experiment):
             return
+        fewer, kept = way.with_fewer_steps() if meshes.slow else (way, np.arange(way.depth.size))
         try:
-            finest, *_ = self._simulated(space, values, solves, way, "finest", rigid=rigid)
-            self.mesh_error = MeshError.between(way.depth, accurate, finest)
+            finest, *_ = self._simulated(space, values, solves, fewer, "finest", rigid=rigid)
+            self.mesh_error = MeshError.between(fewer.depth, accurate[kept], finest)
         except InfeasibleError:
             self.mesh_error = MeshError.unknown()
 
     def forget(self) -> None:
-        """As `ForwardTest.forget`."""
         self.correction, self.placed_correction = [], None
 
     def _accurate(self, space: ParameterSpace, values: dict[str, float], solves: Solves,
@@ -272,7 +273,9 @@ class SimulatedTest:
                    ) -> tuple[np.ndarray, np.ndarray, set[str]]:
         """Force, shape (k,), derivatives with the free parameters, shape (k, p), of the fast mesh alone, and the
         names of those that are differences; of a `rigid` rig the tool is where the motion says, and upright."""
-        factor, proportional = 1.0, self.proportional and space.of_material_alone
+        factor, proportional = 1.0, in_proportion(self.experiment, Rig() if rigid else self.rig) and all(
+            keeps_proportion(each, rigid=rigid) or self._reads(each, values) for each in space.unknowns
+            if each.is_modulus or each.acts_in(self.name, recording))
         if proportional:
             values, factor = space.normalised(values)
         def made(of: dict[str, float]) -> Model:
@@ -288,11 +291,12 @@ class SimulatedTest:
             place: each.path for place, each in enumerate(space.varied)
             if each.acts_in(self.name, recording) and not self._reads(each, values) and not left.owns(each.path)
             and not (rigid and is_of_course(each.path))}
-        named = getattr(meshes_of(self.solver), resolution)
-        key = content_key(model, topology, list(acting.values()), named, self.solver)
+        meshes, paths = meshes_of(self.solver), list(acting.values())
+        named = getattr(meshes, resolution)
+        key = content_key(model, topology, paths, named, self.solver)
         curve = solves.find(key)
         if curve is None:
-            curve = simulate_curve(model, topology, list(acting.values()), named, self.solver)
+            curve = simulate_curve(model, topology, paths, named, self.solver, one_sided=meshes.slow)
             solves.counts[self.name, resolution] += 1
             solves.keep(key, curve)
         if curve.problem:
@@ -318,10 +322,8 @@ class SimulatedTest:
 
     def _reads(self, unknown: Unknown, values: dict[str, float]) -> bool:
         """Whether it is a number of this test's rig that leaves the motion of the tool alone."""
-        if not unknown.path.startswith("rig.") or not any(unknown.acts_in(self.name, each.name)
-                                                          for each in self.measured):
-            return False
-        return only_read(self.rig, unknown.path.removeprefix("rig."), values[unknown.name])
+        mine = unknown.path.startswith("rig.") and any(unknown.acts_in(self.name, each.name) for each in self.measured)
+        return mine and only_read(self.rig, unknown.path.removeprefix("rig."), values[unknown.name])
 
     def evaluate(self, answer: SimulatedAnswer, recording: int, offset: float):
         """As `ForwardTest.evaluate`."""
@@ -364,7 +366,6 @@ class SimulatedTest:
         return scaled, share * rate
 
     def differences(self, answer: SimulatedAnswer) -> frozenset[str]:
-        """As `ForwardTest.differences`."""
         return answer.differences
 
     def scan(self, answer: SimulatedAnswer, recording: int, offsets: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 
 import tissue_sim
+from calibration.forward.meshes import exact_mesh
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
@@ -97,19 +98,23 @@ class Solves:
 
 
 def simulate_curve(model: Model, topology: Model | None, names: Sequence[str], resolution: str,
-                   solver: str = "axisymmetric") -> SimulatedCurve:
+                   solver: str = "axisymmetric", *, one_sided: bool = False) -> SimulatedCurve:
     """A simulation with the derivatives of these parameters; what does not get through says why.
 
     Args:
         model, topology, resolution, solver: as `tissue_sim.simulation.simulate`. names: paths of parameters.
+        one_sided: as `tissue_sim.differentiation.sensitivities`.
     """
     began = time.process_time()
     try:
+        mesh = exact_mesh(topology or model, solver)
         if names:
-            answer = sensitivities(model, names, resolution=resolution, topology=topology, solver=solver)
+            answer = sensitivities(model, names, resolution=resolution, mesh=mesh, topology=topology, solver=solver,
+                                   one_sided=one_sided)
             force, rates, exact = answer.recording.force, answer.values, answer.exact.tolist()
         else:
-            force = simulate(model, resolution=resolution, topology=topology, solver=solver, estimate_error=False).force
+            force = simulate(model, resolution=resolution, mesh=mesh, topology=topology, solver=solver,
+                             estimate_error=False).force
             rates = np.zeros((0, 0))
             exact = []
     except (ConvergenceError, InputError) as error:

@@ -16,6 +16,7 @@ from calibration.importing.grouping import group, same_motion
 from calibration.importing.imported import Imported, ImportedTest, Line, Part, Wishes
 from calibration.importing.motion import describe_motion
 from calibration.importing.picture import draw_imported
+from calibration.importing.sidecar import kind_said, read_sidecar, with_sidecar
 from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.bounded import bounded
 from tissue_sim.errors import InputError, located, shortened
@@ -25,7 +26,7 @@ from tissue_sim.frozen_mapping import read_only
 from tissue_sim.recording.formats.guesses import Reading, Understanding
 from tissue_sim.recording.formats.sizes import Size, find_sizes
 from tissue_sim.recording.formats.understanding import understand
-from tissue_sim.specimen import specimen_sizes
+from tissue_sim.specimen import SPECIMENS, specimen_sizes
 from tissue_sim.specimen.specimen import sizes_of
 
 _LAWS = {"analytical": ("neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "ogden_1"),
@@ -121,7 +122,11 @@ def _one(path: Path, wishes: Wishes) -> Understanding:
     stated = wishes.stated
     if stated.format in ("afm", "jpk", "bruker") or (not stated.format and bounded(is_afm, path, file=path)):
         return understand_afm(path)
-    found = bounded(understand, path, stated, file=path)
+    said = read_sidecar(path)
+    if stated.kind is None:
+        stated = replace(stated, kind=kind_said(said))
+    found = with_sidecar(bounded(understand, path, stated, file=path), said,
+                         kind_stated=wishes.stated.kind is not None)
     # Without the size of the specimen a force says nothing; where the file has stress and strain, these do.
     lacking = [reading for reading in found.readings if {"displacement", "force"} <= {
         column.channel for column in reading.columns} and not _sized(_sizes(reading, wishes))]
@@ -134,6 +139,8 @@ def _one(path: Path, wishes: Wishes) -> Understanding:
 
 def _sizes(reading: Reading, wishes: Wishes) -> dict[str, Size]:
     found = find_sizes(reading.stated, reading.kind.kind)
+    found |= {key: Size(key, float(value), "in the file beside it") for key, value in reading.specimen.items()
+              if key != "shape"}
     if any(key in wishes.specimen for key in ("radius_mm", "area_mm2")):
         found = {key: size for key, size in found.items() if key not in ("radius_mm", "area_mm2")}
     return found | {key: Size(key, float(value), "stated") for key, value in wishes.specimen.items() if key != "shape"}
@@ -184,8 +191,11 @@ def _tests(groups: Sequence[tuple[str, tuple[Part, ...], str]], wishes: Wishes
 
 def _specimen(reading: Reading, wishes: Wishes, kind: TestKind | None) -> tuple[tuple[Line, ...], list[str]]:
     sizes = _sizes(reading, wishes)
-    if (shape := wishes.specimen.get("shape")) is not None:
-        return _of_shape(str(shape), sizes)
+    shape, reason = wishes.specimen.get("shape"), "stated"
+    if not wishes.specimen and reading.specimen.get("shape") in SPECIMENS:
+        shape, reason = reading.specimen["shape"], "in the file beside it"
+    if shape is not None:
+        return _of_shape(str(shape), sizes, reason)
     lines, missing = [], []
     flat = "area_mm2" in sizes or (kind is not None and kind.gripped and "radius_mm" not in sizes)
     lines.append(Line("shape", "prism" if flat else "cylinder"))
@@ -202,9 +212,9 @@ def _specimen(reading: Reading, wishes: Wishes, kind: TestKind | None) -> tuple[
     return tuple(lines), missing
 
 
-def _of_shape(shape: str, sizes: Mapping[str, Size]) -> tuple[tuple[Line, ...], list[str]]:
-    """The same of a shape that somebody states."""
-    lines, missing = [Line("shape", shape, "stated")], []
+def _of_shape(shape: str, sizes: Mapping[str, Size], reason: str) -> tuple[tuple[Line, ...], list[str]]:
+    """The same of a shape that is stated."""
+    lines, missing = [Line("shape", shape, reason)], []
     for key, declared in sizes_of(shape).items():
         flag = f"--{key.replace('_', '-')}"
         if key in sizes:

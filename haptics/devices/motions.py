@@ -15,6 +15,8 @@ from tissue_sim.pose import Pose, turned
 
 #: Share of the depth by which a random or sine motion lifts off, where nothing else is said.
 _LIFT = 0.2
+#: Ways, m, and turns, rad, below this are none: half of the smallest numbers is 0.
+_NO_WAY = 1e-12
 #: Of a tool that leans more than this cosine says a depth is no way along its axis.
 _LEAST_COSINE = 0.1
 
@@ -272,9 +274,9 @@ class SpatialWalk(Motion):
         share = 1.0 / math.sqrt(3.0)
         self._depth = RandomWalk(f"{seed} depth", deepest, highest, share * speed)
         self._across = [RandomWalk(f"{seed} {axis}", sideways, -sideways, share * speed, 0.0) for axis in "xy"
-                        ] if sideways else []
+                        ] if sideways > _NO_WAY else []
         self._turns = [RandomWalk(f"{seed} about {axis}", share * turn, -share * turn, share * turn_speed, 0.0)
-                       for axis in "xyz"] if turn else []
+                       for axis in "xyz"] if turn > _NO_WAY else []
 
     def pose(self, time: float) -> Pose:
         depth = self._depth.depth(time)

@@ -9,16 +9,23 @@ import subprocess
 import sys
 import time
 import zlib
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
 
 from haptics.loop.shared_slots import SlotReader, SlotWriter, remove, unused_path
-from haptics.loop.slow_bulk import KIND_MODEL, KIND_STATE, Started, first_state, make_linearisation
+from haptics.loop.slow_bulk import KIND_CORRECTION, KIND_MODEL, KIND_STATE, Started, first_state, make_linearisation
 from haptics.loop.snapshot_board import SnapshotReader
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.foresight import ForesightedLinearisation
-from tissue_sim.fem.condensed.model import CondensedContact, ContactState, ContactSurface, packed_state_size
+from tissue_sim.fem.condensed.foresight import LEAD, ForesightedLinearisation
+from tissue_sim.fem.condensed.model import (
+    BulkLinearisation,
+    CondensedContact,
+    ContactState,
+    ContactSurface,
+    packed_state_size,
+)
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.packing import pack
@@ -71,6 +78,7 @@ class DelayedBulk:
     Args:
         linearisation: of the bulk.
         delay: from the state that a model is made of to the tick that takes it, s.
+        tangent: from the state that a tangent is of to the first model with it, s; None: each model has its own.
 
     Attributes:
         linearising: CPU time that went into models, s.
@@ -78,14 +86,24 @@ class DelayedBulk:
 
     alive = True
 
-    def __init__(self, linearisation: Any, delay: float):
+    def __init__(self, linearisation: BulkLinearisation, delay: float, tangent: float | None = None):
         self._bulk, self.surface, self._delay, self._epoch = linearisation, linearisation.surface, delay, 0
-        self._foresighted = ForesightedLinearisation(linearisation)
+        self._foresighted, self._now = ForesightedLinearisation(linearisation), 0.0
+        self._tangent = tangent
+        if tangent is not None:
+            linearisation.beside = self._later
         self.linearising = 0.0
         self._coming: tuple[float, CondensedContact | None] | None = None
 
+    def _later(self, compute: Callable[[], None]) -> Callable[[], bool]:
+        """Computed now, and there when its time has come; nobody waits for one of a specimen that is no more."""
+        assert self._tangent is not None
+        compute()
+        due, epoch = self._now + self._tangent, self._epoch
+        return lambda: self._epoch != epoch or self._now >= due - 1e-9
+
     def start(self) -> CondensedContact:
-        model = self._foresighted.linearise(first_state(self.surface), 0.0)
+        model = self._foresighted.linearise(first_state(self.surface), 0.0, 0.0)
         if model is None:
             raise RuntimeError("the untouched tissue has no linearisation")
         return model
@@ -95,8 +113,9 @@ class DelayedBulk:
             # What is on its way is of a specimen that is no more.
             self._epoch, self._coming = state.epoch, None
         if self._coming is None:
-            began = time.process_time()
-            self._coming = state.time + self._delay, self._foresighted.linearise(state, self._delay)
+            began, self._now = time.process_time(), state.time
+            serves = 2.0 * (self._delay if self._tangent is None else self._tangent)
+            self._coming = state.time + self._delay, self._foresighted.linearise(state, LEAD * self._delay, serves)
             self.linearising += time.process_time() - began
 
     def receive(self, now: float) -> CondensedContact | None:
@@ -126,7 +145,7 @@ class BulkProcess:
 
     def __init__(self, model: Model, *, solver: str = "solid", resolution: str = "realtime", mesh: Any = None):
         self._task = pack(make_linearisation, (model, solver, resolution, mesh))
-        self._paths = tuple(unused_path(ending) for ending in ("states", "models", "surface"))
+        self._paths = tuple(unused_path(ending) for ending in ("states", "models", "corrections", "surface"))
         self._process: subprocess.Popen[bytes] | None = None
         self._surface: ContactSurface | None = None
 
@@ -148,9 +167,11 @@ class BulkProcess:
         size = 8 * packed_state_size(self.surface)
         self._states = SlotWriter(self._paths[0], KIND_STATE, 4, size)
         self._models = SlotReader(self._paths[1], KIND_MODEL)
-        self._board = None if started.pattern is None else SnapshotReader(self._paths[2], started.pattern)
+        self._corrections, self._corrected = SlotReader(self._paths[2], KIND_CORRECTION), 0
+        self._board = None if started.pattern is None else SnapshotReader(self._paths[3], started.pattern)
         self._shown = started.pattern
         self._taken, self._reading, self._piece, self._check = 0, 0, 0, 0
+        self._model = started.model
         self._buffer = bytearray(self._models.size)
         self._say(b"go\n")
         return started.model
@@ -169,6 +190,13 @@ class BulkProcess:
         self._states.write(state.packed().tobytes())
 
     def receive(self, now: float) -> CondensedContact | None:
+        found = self._received_whole() or self._received_correction()
+        if found is not None:
+            self._model = found
+        return found
+
+    def _received_whole(self) -> CondensedContact | None:
+        """A model with a tangent of its own, read a piece at a time."""
         models = self._models
         if self._reading == 0:
             if models.written == self._taken:
@@ -186,7 +214,18 @@ class BulkProcess:
         if self._check != checksum or models.head(number) != (length, checksum):
             return None  # it was written while it was read: once more
         self._taken = number
-        return CondensedContact.unpacked(np.frombuffer(bytes(self._buffer[:length])))
+        return CondensedContact.unpacked(np.frombuffer(self._buffer, count=length // 8).copy())
+
+    def _received_correction(self) -> CondensedContact | None:
+        """A later state of the bulk on the tangent of the model that is here."""
+        corrections = self._corrections
+        if corrections.written == self._corrected:
+            return None
+        newest = corrections.newest()
+        if newest is None:
+            return None
+        self._corrected, content = newest
+        return CondensedContact.unpacked(np.frombuffer(content), self._model)
 
     def set_material(self, material: Material) -> None:
         self._say(pickle.dumps(material))
@@ -204,6 +243,7 @@ class BulkProcess:
         if self._surface is not None:
             self._states.close()
             self._models.close()
+            self._corrections.close()
             if self._board is not None:
                 self._board.close()
         if process.stdin is not None:

@@ -154,6 +154,8 @@ class Loop:
         self._force_limit = rendering.limits.force
         self._keep_to(device)
         self._settings, self._ring, self._listen = settings, ring, listen
+        #: What the tissue can do between two ticks; most have nothing.
+        self._prepare: Callable[[], None] | None = getattr(tissue, "prepare", None)
         self._shown = (tissue, snapshots) if snapshots is not None and isinstance(tissue, ShownTissue) else None
         self._ticker = Ticker(settings.period, spin=settings.spin, clock=clock, sleep=sleep)
         self._release = ForceRelease(settings.patience)
@@ -200,6 +202,8 @@ class Loop:
             while ticker.number < last and not self._ended_by:
                 lateness = ticker.wait()
                 self._tick(lateness * 1e-9, ring)
+                if self._prepare is not None:
+                    self._prepare()
                 if shown and every and ticker.number >= next_snapshot:
                     next_snapshot = ticker.number + every
                     tissue, board = shown

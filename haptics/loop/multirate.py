@@ -7,18 +7,21 @@ import time as clock
 from collections import deque
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
+
+import numpy as np
 
 from haptics.loop.bulk_link import BulkLink, BulkProcess
+from haptics.loop.model_drift import ModelDrift
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.model import LINEARISATIONS, CondensedContact
+from tissue_sim.fem.condensed.model import LINEARISATIONS
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStep
 from tissue_sim.live_material import require_same_layers, require_tissue
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.material.material import BULK_RATIOS
 from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
-from tissue_sim.pose import Pose, added, scaled
+from tissue_sim.pose import Pose, Screw, added, motion, scaled
 from tissue_sim.simulator import Simulator
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus, ToolForce, axial_stiffness, axial_wrench, pose_of, scaled_matrix
@@ -77,6 +80,7 @@ class MultiRateTissue:
         self.model, self.resolution, self.oldest = model, resolution if mesh is None else "own mesh", oldest
         self._link = link or BulkProcess(model, solver=solver, resolution=resolution, mesh=mesh)
         self._stepper: CondensedStepper | None = None
+        self._drift: ModelDrift | None = None
         self._epoch, self.models = 0, 0
         self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         self._untouched = self._reduced.history
@@ -88,6 +92,9 @@ class MultiRateTissue:
         self._step: ContactStep | None = None
         self._poses: deque[tuple[float, Pose]] = deque(maxlen=_LOOK_BACK)
         self._made, self._models_before = 0.0, self.models
+        self._prepared = False
+        #: Of the model before the one that has come since the last step.
+        self._known: Pose | None = None
 
     def warm_up(self) -> None:
         """Start the process of the bulk and compile what a tick needs.
@@ -101,6 +108,7 @@ class MultiRateTissue:
         self._first = self._link.start()
         self._stepper = CondensedStepper(self._link.surface)
         self._stepper.adopt(self._first)
+        self._drift = ModelDrift(self._link.surface.radius)
         surface = self._link.surface
         x, y, z = surface.start.position
         # Touch, so that all that a tick needs is there, and go back.
@@ -129,49 +137,65 @@ class MultiRateTissue:
                            compute_time=clock.perf_counter() - began)
         self._time += dt
         self._ticks += 1
-        model = self._link.receive(self._time)
-        news = model is not None and model.epoch == self._epoch
-        if model is not None and news:
-            self._change_to(model)
-        step = self._step = stepper.step(pose)
+        if not self._prepared:
+            self.prepare()
+        before, step = self._step, stepper.step(pose)
+        known, self._known, self._step, self._prepared = self._known, None, step, False
+        if known is not None and before is not None:
+            self._take_over(before, known, pose, step)
         self._poses.append((self._time, pose))
-        if news or self._ticks % _SEND_EVERY == 0:
-            earlier, before = self._poses[0]
-            self._link.send(stepper.state(self._time, pose, earlier, before, self._epoch))
+        if known is not None or self._ticks % _SEND_EVERY == 0:
+            earlier, there = self._poses[0]
+            self._link.send(stepper.state(self._time, pose, earlier, there, self._epoch))
         if any(self._offset):
             self._offset = _shorter(self._offset[:3], JUMP) + _shorter(self._offset[3:], TORQUE_JUMP)
         self._answer = self._found(step, pose, dt, began)
         return self._answer
 
-    def _change_to(self, model: CondensedContact) -> None:
-        """Take a model; what it changes at the pose of the last tick becomes an offset."""
-        stepper = self._stepper
-        assert stepper is not None
-        self.models, self._made = self.models + 1, model.time
-        if not self._poses:
-            stepper.adopt(model)
+    def prepare(self) -> None:
+        """Take the newest model, where one has come: between two ticks, or `step` does it."""
+        self._prepared, stepper = True, self._stepper
+        if stepper is None or stepper.model is None:
             return
-        assert self._step is not None
-        _, last = self._poses[-1]
-        before = self._step
-        stepper.adopt(model)
-        after = stepper.step(last)
-        self._offset = added(self._offset, added(before.wrench, scaled(-1.0, after.wrench)))
-        change = math.dist(before.wrench[:3], after.wrench[:3])
-        way = max(before.way, _SHORT * stepper.surface.radius)
-        self._growth = max(_MEMORY * self._growth, change / way**2)
+        model = self._link.receive(self._time)
+        if model is not None and model.epoch == self._epoch:
+            self.models, self._made, self._known = self.models + 1, model.time, stepper.model.pose
+            stepper.adopt(model)
+
+    def _take_over(self, before: ContactStep, of: Pose, pose: Pose, after: ContactStep) -> None:
+        """What a new model changes becomes an offset: the wrench goes on as it would have without it.
+
+        Args:
+            before: the last step, on the model of a pose `of`.
+            pose: of the tool. after: the step there on the new model.
+        """
+        assert self._stepper is not None and self._stepper.model is not None and self._drift is not None
+        new, (_, here), drift = self._stepper.model.pose, self._poses[-1], self._drift
+        slope = np.array(before.stiffness_matrix) @ np.array(motion(here, pose))
+        went_on = cast("Screw", tuple((np.array(before.wrench) - slope).tolist()))
+        missed, expected = added(after.wrench, scaled(-1.0, went_on)), drift.beyond(of, pose)
+        if any(after.wrench):
+            drift.learn(missed, of, new)
+        else:
+            drift.forget()
+        for part in (expected, scaled(-1.0, missed), scaled(-1.0, drift.beyond(new, pose))):
+            self._offset = added(self._offset, part)
+        way = max(before.way, _SHORT * self._stepper.surface.radius)
+        self._growth = max(_MEMORY * self._growth, math.dist(expected[:3], missed[:3]) / way**2)
 
     def _found(self, step: ContactStep, pose: Pose, dt: float, began: float) -> ToolForce:
         stepper = self._stepper
-        assert stepper is not None and stepper.model is not None
-        wrench = added(step.wrench, self._offset)
+        assert stepper is not None and stepper.model is not None and self._drift is not None
+        wrench, stiffness, drift = step.wrench, step.stiffness_matrix, self._drift
+        if any(wrench):
+            wrench, stiffness = added(wrench, drift.beyond(stepper.model.pose, pose)), drift.stiffness(stiffness)
+        wrench = added(wrench, self._offset)
         force, age = math.hypot(*wrench[:3]), self._time - self._made
         self.error = self._growth * step.way**2 * bool(force) + math.hypot(*self._offset[:3])
         # Before a second model of this specimen nobody knows how fast the first one goes wrong.
         known = self.models > self._models_before or step.way <= _SHORT * stepper.surface.radius
         good = (step.converged and known and self._link.alive and age <= self.oldest and not stepper.leaves(pose)
                 and self.error <= max(ERROR_FLOOR, ERROR_SHARE * force))
-        stiffness = step.stiffness_matrix
         self._left = self._reduced.go(pose.depth, dt)
         if self._left != 1.0:
             wrench, stiffness = scaled(self._left, wrench), scaled_matrix(self._left, stiffness)
@@ -183,8 +207,9 @@ class MultiRateTissue:
         self._epoch += 1
         self._begin()
         self._reduced.history = self._untouched
-        if self._stepper is not None:
+        if self._stepper is not None and self._drift is not None:
             self._stepper.reset()
+            self._drift.forget()
             self._stepper.adopt(self._first)
             surface = self._stepper.surface
             self._link.send(self._stepper.state(0.0, surface.start, 0.0, surface.start, self._epoch))

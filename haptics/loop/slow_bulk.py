@@ -1,4 +1,6 @@
-"""What runs in the process of a bulk: linearise where the contact is, publish, again; and end when the parent does."""
+"""What runs in the process of a bulk: linearise where the contact is, publish, again; and end when the parent does.
+
+Tangents are condensed in a thread beside, which holds no lock of Python's while the library works."""
 
 from __future__ import annotations
 
@@ -9,6 +11,7 @@ import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -18,7 +21,7 @@ import numpy as np
 from haptics.loop.shared_slots import SlotReader, SlotWriter, remove
 from haptics.loop.snapshot_board import SnapshotBoard
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
-from tissue_sim.fem.condensed.foresight import ForesightedLinearisation
+from tissue_sim.fem.condensed.foresight import LEAD, ForesightedLinearisation
 from tissue_sim.fem.condensed.model import (
     LINEARISATIONS,
     BulkLinearisation,
@@ -32,10 +35,12 @@ from tissue_sim.model import Model
 from tissue_sim.packing import run_packed
 from tissue_sim.snapshot import Snapshot, snapshot
 
-KIND_STATE, KIND_MODEL = b"tsSTATE\0", b"tsBULK\0\0"
+KIND_STATE, KIND_MODEL, KIND_CORRECTION = b"tsSTATE\0", b"tsBULK\0\0", b"tsCORR\0\0"
 _SLOTS = 4
 #: How long to sleep where there is nothing new, and between two publications of the surface, s.
 _NAP, _SHOW_EVERY = 0.5e-3, 0.05
+#: By how much the priority of the process is lower than the loop's.
+_NICE = 5
 
 
 class Started(NamedTuple):
@@ -58,6 +63,13 @@ def make_linearisation(model: Model, solver: str, resolution: str, mesh: Any) ->
     return LINEARISATIONS.find(solver, "solver")(model, resolution=resolution, mesh=mesh)
 
 
+def in_a_thread(compute: Callable[[], None]) -> Callable[[], bool]:
+    """A `tissue_sim.fem.condensed.model.Beside`."""
+    thread = threading.Thread(target=compute, daemon=True)
+    thread.start()
+    return lambda: not thread.is_alive()
+
+
 def first_state(surface: ContactSurface) -> ContactState:
     """Of a tool that has touched nothing."""
     nothing, count = np.zeros((len(surface.places), 3)), len(surface.places)
@@ -69,14 +81,15 @@ def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
 
     Args:
         task: that makes the linearisation.
-        orders: first the paths of states, models and surface; then, one after the other, materials.
+        orders: first the paths of states, models, corrections and surface; then, one after the other, materials.
         answers: gets a `Started`, or the error that prevented it.
     """
-    states_path, models_path, surface_path = pickle.load(orders)
+    paths = states_path, models_path, corrections_path, surface_path = pickle.load(orders)
     try:
         bulk = run_packed(task)
         foresighted = ForesightedLinearisation(bulk)
-        first = foresighted.linearise(first_state(bulk.surface), 0.0)
+        first = foresighted.linearise(first_state(bulk.surface), 0.0, 0.0)
+        bulk.beside = in_a_thread
         if first is None:
             raise InputError("the untouched tissue has no linearisation", field="specimen")
     except (InputError, ConvergenceError, MissingBackendError) as error:
@@ -84,21 +97,23 @@ def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
         answers.flush()
         return
     pattern = _snapshot(bulk, first)
-    with (SlotWriter(models_path, KIND_MODEL, _SLOTS, 8 * packed_size(bulk.surface)) as models,
+    whole, part = (8 * packed_size(bulk.surface, is_whole) for is_whole in (True, False))
+    with (SlotWriter(models_path, KIND_MODEL, _SLOTS, whole) as models,
+          SlotWriter(corrections_path, KIND_CORRECTION, _SLOTS, part) as corrections,
           SnapshotBoard(surface_path, pattern) as board):
         pickle.dump(Started(bulk.surface, first, pattern), answers)
         answers.flush()
         orders.readline()  # the parent has opened its files
         materials: deque[Material] = deque()
-        files = states_path, models_path, surface_path
-        threading.Thread(target=_listen, args=(orders, materials, files), daemon=True).start()
+        threading.Thread(target=_listen, args=(orders, materials, paths), daemon=True).start()
         with SlotReader(states_path, KIND_STATE) as states:
-            _linearise(bulk, foresighted, states, models, board, materials)
+            _linearise(bulk, foresighted, states, (models, corrections), board, materials)
 
 
-def _linearise(bulk: BulkLinearisation, foresighted: ForesightedLinearisation, states: SlotReader, models: SlotWriter,
-               board: SnapshotBoard, materials: deque[Material]) -> None:
-    seen, lead, shown = 0, 0.0, 0.0
+def _linearise(bulk: BulkLinearisation, foresighted: ForesightedLinearisation, states: SlotReader,
+               writers: tuple[SlotWriter, SlotWriter], board: SnapshotBoard, materials: deque[Material]) -> None:
+    models, corrections = writers
+    seen, lead, shown, changed, serves = 0, 0.0, 0.0, time.monotonic(), 0.0
     while True:
         while materials:
             try:
@@ -112,13 +127,16 @@ def _linearise(bulk: BulkLinearisation, foresighted: ForesightedLinearisation, s
             continue
         began = time.monotonic()
         seen, content = newest
-        model = foresighted.linearise(ContactState.unpacked(np.frombuffer(content)), lead)
+        model = foresighted.linearise(ContactState.unpacked(np.frombuffer(content)), lead, serves)
         if model is None:
             time.sleep(_NAP)  # the loop has not taken the last one yet
             continue
-        models.write(model.packed().tobytes())
+        (models if model.is_whole else corrections).write(model.packed().tobytes())
         now = time.monotonic()
-        lead = now - began
+        lead = LEAD * (now - began)
+        if model.is_whole:
+            # A tangent serves until the next one is there, which is begun when it comes.
+            changed, serves = now, 2.0 * (now - changed)
         if now - shown > _SHOW_EVERY:
             board.publish(model.time, _snapshot(bulk, model))
             shown = now
@@ -144,6 +162,8 @@ def main() -> None:
     orders = sys.stdin.buffer
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what is printed must not stand between the answers
+    if hasattr(os, "nice"):
+        os.nice(_NICE)  # the loop comes first where there are few cores
     size, = struct.unpack("<Q", orders.read(8))
     serve(orders.read(size), orders, answers)
 

@@ -241,13 +241,14 @@ class Trace:
                       self.inertial[part])
 
 
-def recording_csv(recording: Recording) -> bytes:
-    """The recording as the CSV that `tissue_sim.write_recording` makes of it, every digit kept; without the sidecar.
+def recording_files(recording: Recording, stem: str) -> dict[str, bytes]:
+    """Name -> content of the files that `tissue_sim.write_recording` makes of a recording: ``STEM.csv``, every digit
+    kept, and ``STEM.json``, its sidecar.
 
     Raises:
         InputError: labels or metadata that a file cannot hold.
     """
     with tempfile.TemporaryDirectory(prefix="tissue_sim_") as folder:
-        path = Path(folder) / "recording.csv"
+        path = Path(folder) / f"{stem}.csv"
         write_recording(recording, path)
-        return path.read_bytes()
+        return {each.name: each.read_bytes() for each in (path, path.with_suffix(".json"))}

@@ -309,9 +309,10 @@ class Reader:
 
     def enter(self, label: str, number: str) -> None:
         """Key by key: put in at once, a number that stood there before the program wrote another one is overlooked."""
-        self.field(label).press("Control+a")
-        self.page.keyboard.type(number)
-        self.page.keyboard.press("Enter")
+        field = self.field(label)
+        field.press("Control+a")
+        field.press_sequentially(number)
+        field.press("Enter")
 
     def choose(self, label: str, option: str) -> None:
         """From a list."""
@@ -330,6 +331,20 @@ class Reader:
         with self.page.expect_download() as coming:
             self.press(button)
         return coming.value
+
+    def downloads(self, button: str, count: int) -> list:
+        """Press a button and take the files that come, in their order."""
+        files: list = []
+
+        def take(download) -> None:
+            files.append(download)
+
+        self.page.on("download", take)
+        try:
+            self.press(button)
+            return self.until(lambda: files, lambda come: len(come) == count)
+        finally:
+            self.page.remove_listener("download", take)
 
     def curves(self) -> list[dict]:
         """Of each plot, from the top: the finite values of each series by its label."""

@@ -96,10 +96,13 @@ def test_curve_is_downloaded_as_the_recording_of_what_was_felt(shown, reader, tm
     reader.phase("paused")
     reader.tab("Save")
     trace = shown.frame.curves.trace
-    file = reader.download("Save curve (CSV)")
+    file, beside = reader.downloads("Save curve (CSV)", 2)
     assert file.suggested_filename == "needle_indentation.csv"
+    assert beside.suggested_filename == "needle_indentation.json"
     file.save_as(tmp_path / "curve.csv")
+    beside.save_as(tmp_path / "curve.json")
     felt = ts.read_recording(tmp_path / "curve.csv")
+    assert felt.metadata["specimen"]["shape"] == "cylinder" and felt.metadata["tool"]["shape"] == "flat"
     found = ~trace.late
     # To the last bit but for the way from m to mm and back.
     for read, expected in ((felt.displacement, trace.depth[found]), (felt.force, trace.force[found]),

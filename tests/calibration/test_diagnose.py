@@ -94,6 +94,34 @@ def test_nothing_hidden_is_nothing_missing(diagnosed):
     assert seen.reason if not seen.testable else seen.seen_from["rig.compliance"] > 0
 
 
+def test_a_size_on_its_bound_is_named_with_it(tmp_path):
+    """A load train that takes up a third of the way, where a fit may go to a fifth of it."""
+    time, depth = np.linspace(0.0, 15.0, 31), np.linspace(0.0, 3e-3, 31)
+    material = ts.Material("neo_hooke", {"C10": 1404.9}, ts.Bulk("bulk_ratio", 1e4))
+    text = CAMPAIGN.replace("force_N = 0.01", "force_N = 0.002").partition("[[test]]")
+    tests, stiffness = "", 0.0
+    for number, kind in enumerate(("lubricated_compression", "bonded_compression")):
+        experiment = ts.KINDS[kind].experiment(specimen=ts.Specimen(0.020, 0.030), protocol=ts.Protocol(time, depth))
+        stiffness = stiffness or ts.simulate(ts.Model(experiment, material)).force[-1] / depth[-1]
+        force = ts.simulate(ts.Model(experiment, material, ts.Rig(compliance=0.6 / stiffness))).force
+        for each in (1, 2):
+            noise = np.random.default_rng(10 * number + each).normal(0, 0.002, time.size)
+            ts.write_recording(ts.Recording({"time": time, "displacement": depth, "force": force + noise}),
+                               tmp_path / f"{kind}_{each}.csv")
+        tests += f'[[test]]\nname = "{kind}"\nkind = "{kind}"\nrecordings = ["{kind}_*.csv"]\n'
+    path = tmp_path / "train.toml"
+    path.write_text(text[0] + tests + text[2][text[2].index("[fit]"):], encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calibration.diagnosis.proposals.CATALOGUE", {"machine_compliance": MachineCompliance})
+        found = calibration.diagnose([path], tmp_path / "out", figures=False)[0].diagnosis
+    (row,) = found.candidates
+    (number,) = row.parameters
+    assert found.verdict == "UNKNOWN" and row.on_bound == ["c"]
+    assert number.bound == pytest.approx(number.value, rel=1e-4) and number.bound > 0
+    assert f"c = {1e3 * number.value:.4g} mm/N, the largest that a fit may take" in found.message
+    assert "c on a bound" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
 def plain_data(content):
     return json.loads(json.dumps(content))
 

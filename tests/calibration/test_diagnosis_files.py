@@ -13,7 +13,7 @@ import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.planned import read_planned
 from calibration.diagnosis.design import design
-from calibration.diagnosis.diagnosis import FoundEffect, HeldOut, Number, RegionGap
+from calibration.diagnosis.diagnosis import CandidateStatement, FoundEffect, HeldOut, Number, RegionGap
 from calibration.diagnosis.evidence import doubted, whole_campaign
 from calibration.diagnosis.next_experiment import plans
 from calibration.diagnosis.words import message
@@ -190,8 +190,19 @@ def test_sentences():
                      "(5 to 0.5 of the noise).")
     several = message("SET", [compliance], ["machine compliance", "height"], [region], (0.1, 0.01, 0.02), 3)
     assert several.startswith("Machine compliance or height is missing, and these tests do not tell which")
-    unknown = message("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=("softening", 49.0))
-    assert "the force falls by 0.1 N" in unknown and "Softening comes nearest and explains 49 %" in unknown
+    softening = CandidateStatement(name="softening", effect="softening", room="tissue", title="softening",
+                                   testable=True, explained_percent=49.0)
+    unknown = message("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=softening)
+    assert "the force falls by 0.1 N" in unknown and "Softening comes nearest and explains 49 % of it." in unknown
+    train = CandidateStatement(
+        name="machine_compliance", effect="machine_compliance", room="rig", title="machine compliance", testable=True,
+        explained_percent=100.0, separated_by="pressing on steel", parameters=[Number(
+            path="rig.compliance", symbol="c", unit="m/N", value=2e-3, standard_error=1e-6, absent=0.0, bound=2e-3)])
+    bounded = message("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=train)
+    assert ("Machine compliance comes nearest and explains 100 % of it, but its size ran to its bound, c = 2 mm/N, the "
+            "largest that a fit may take: that is where the fit was stopped and no estimate, so that it was not named. "
+            "Either it is larger than is held for possible, which a measurement of it alone would show (here: pressing "
+            "on steel), or something else acts like it.") in bounded
     worse = [HeldOut(name="later", kind="test", before_N=0.1, after_N=0.2)]
     assert "predicted worse" in message("NAMED", [compliance], [], [region], (0.1, 0.01, 0.02), 3, worse)
     assert message("NONE", [], [], [], (0.0, None, 0.02), 3).startswith("Nothing is missing")

@@ -134,6 +134,60 @@ def test_a_rig_takes_the_tool_without_a_simulation(tmp_path, name, value, place)
     assert rates[:, list(space.free).index("C10")] == pytest.approx((more - less) / (2 * half), rel=1e-3, abs=1e-6)
 
 
+def test_one_loading_serves_every_modulus_behind_a_load_train(tmp_path):
+    """The load train gives way to a force; the tissue that it pushes is still proportional to its modulus."""
+    test, space, solves = study(tmp_path, start=', "rig.compliance" = 0.0')
+    evaluated(test, space, solves, {"rig.compliance": 2e-5})
+    counted = solves.counts.total()
+    force, *_ = evaluated(test, space, solves, {"rig.compliance": 3e-5, "C10": 1.25 * C10})
+    assert solves.counts.total() == counted
+    assert np.abs(force - 1.25 * squeezed(behind(1.25 * 3e-5))).max() < 2e-4 * squeezed(DEEPEST)
+
+
+def test_what_pulls_beside_the_tissue_is_no_modulus(tmp_path):
+    """A ball that is known to cling: what pulls does not grow with the modulus."""
+    tool = ('tool = "sphere"\ntool_radius_mm = 6.0\nfriction = "frictionless"\n'
+            "contact_laws = { adhesion = { adhesion_N = 0.3, adhesion_length_mm = 0.5 } }")
+    test, space, solves = study(tmp_path, "needle_indentation", tool)
+    assert not test.proportional
+    force, *_ = evaluated(test, space, solves, {"C10": 4000.0})
+    experiment = replace(test.experiment, protocol=ts.Protocol(TIME, DEPTH))
+    clinging, plain = (ts.simulate(ts.Model(replace(experiment, **more), ts.Material(
+        "neo_hooke", {"C10": 4000.0}, ts.Bulk("bulk_ratio", 1e5))), estimate_error=False).force
+        for more in ({}, {"adhesion": None, "contact_laws": {}}))
+    away = TIME > 34
+    assert (plain - clinging)[away].min() > 0.02
+    assert np.abs(force - clinging)[away].max() < 0.003
+
+
+def test_a_descent_does_not_simulate_its_start_again(tmp_path):
+    """Variables are unknowns over their sizes, and back they are others in the last digit."""
+    test, space, solves = study(tmp_path, start=', "experiment.friction" = 0.05')
+    problem = Problem(space, (test,), solves, Jitter(0.0, 0.005, None), (0.0,))
+    start = np.array([{"C10": C10}.get(name, 0.06131956364938239) for name in space.free])
+    variables = problem.variables(start)
+    assert not np.array_equal(variables.unknowns(variables.of(start)), start)
+    problem.evaluate(start)
+    counted = solves.counts.total()
+    end = descend(problem, start, corrected=True, enough=1e30)
+    assert solves.counts.total() == counted and np.array_equal(end.theta, start)
+
+
+def test_a_descent_that_gains_nothing_more_ends(tmp_path):
+    """After so many solves, at the best of all of them."""
+    test, space, solves = study(tmp_path, start=', "experiment.friction" = 0.05')
+    problem = Problem(space, (test,), solves, Jitter(0.0, 0.005, None), (0.0,))
+    start = np.array([{"C10": 0.9 * C10}.get(name, 0.06) for name in space.free])
+    whole = descend(problem, start, corrected=True, enough=0.0)
+    assert len(whole.history) > 6
+    short = descend(problem, start, corrected=True, enough=0.0, stalled=(2, 0.1))
+    errors = [each.error for each in short.history]
+    assert len(errors) < len(whole.history) and short.error == min(errors) and short.converged
+    assert min(errors[:-2]) - min(errors) < 0.1 < min(errors[:-3]) - min(errors)
+    assert short.error - whole.error < 0.2
+    assert [each.error for each in whole.history[:len(errors)]] == errors
+
+
 def test_a_face_that_leans_is_averaged_at_every_sample(tmp_path):
     test, space, solves = study(tmp_path, start=', "experiment.tilt" = 0.1')
     tilt = 0.4e-3

@@ -13,8 +13,8 @@ import tissue_sim as ts
 from calibration.campaign.digest import digest_of
 from calibration.campaign.named_files import whole_path, with_files_named
 from calibration.forward.forms import build_test, remainder
-from calibration.forward.meshes import MESHES, REMAINDERS, Meshes
-from calibration.forward.solves import content_key
+from calibration.forward.meshes import MESHES, REMAINDERS, Meshes, exact_mesh
+from calibration.forward.solves import content_key, simulate_curve
 from scenes.cli import main
 from tissue_sim.fem.solid.discretisation import RESOLUTIONS, Resolution, build_mesh
 from tissue_sim.mesh.grading import Grading
@@ -180,6 +180,30 @@ def test_the_force_on_a_block_follows_its_sizes():
     assert answer.values[-1, 2] == pytest.approx(slope, rel=2e-3)
 
 
+@pytest.mark.parametrize("more", [{}, {"viscoelastic": ts.Prony((ts.PronyTerm(0.3, 5.0),))},
+                                  {"softening": ts.Softening(loss=0.3, modulus=10.0)}])
+def test_where_any_mesh_is_exact_eight_elements_are_enough(more):
+    """A block between plates without friction: force and derivatives of the mesh that a fit would take else."""
+    time = np.array([0.0, 5.0, 10.0, 20.0, 25.0])
+    experiment = ts.KINDS["lubricated_compression"].experiment(
+        specimen=ts.Block(0.020, 0.030, 0.015), protocol=ts.Protocol(time, 1e-3 * np.array([0.0, 1.0, 2.0, 2.0, 0.5])))
+    model = ts.Model(experiment, replace(MATERIAL, **more))
+    assert exact_mesh(model, "solid").connectivity.shape[0] == 8
+    few = simulate_curve(model, None, ["C10"], "realtime", "solid")
+    many = ts.sensitivities(model, ["C10"], resolution="realtime", solver="solid")
+    # Steps end where forces balance to 1e-6.
+    for found, expected in ((few.force, many.recording.force), (few.rates, many.values)):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=2e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("change", [
+    {"friction": 0.1}, {"specimen": ts.Cylinder(0.020, 0.015)}, {"tilt": 1e-4}, {"friction": "bonded"},
+    {"specimen": ts.Block(0.020, 0.030, 0.015, density=1000.0, gravity=9.81)}])
+def test_where_a_mesh_matters_it_is_that_of_the_resolution(change):
+    experiment = replace(pressed(ts.Block(0.020, 0.030, 0.015), kind="lubricated_compression"), **change)
+    assert exact_mesh(ts.Model(experiment, MATERIAL), "solid") is None
+
+
 def test_a_moved_block_keeps_its_circle_and_its_sides():
     needle = ts.Experiment(ts.Block(0.03, 0.02, 0.015), ts.Protocol.ramp(1e-3, 2), tool=ts.Tool("flat", radius=3e-3),
                            approach=ts.Approach(5e-3))
@@ -231,6 +255,20 @@ def test_a_glued_cube_of_another_program(tmp_path, coarse):
     assert mesh.parameters["C10"] == pytest.approx(block.parameters["C10"], rel=1e-3)
     assert mesh.standard_errors["C10"] > block.standard_errors["C10"]
     assert abs(mesh.parameters["C10"] - 450.0) < 3.0 * mesh.standard_errors["C10"]
+
+
+def test_a_block_that_weighs_is_fitted_with_exact_derivatives(tmp_path, coarse, monkeypatch):
+    """No simulation is done for a difference; those of the start, which depends on the modulus, would be many."""
+    weight = {"density": 1040.0, "gravity": 9.81, "height_is": "placed"}
+    block = ts.Block(0.02, 0.02, 0.02, **weight)
+    recording = ts.simulate(ts.Model(pressed(block), MATERIAL), solver="solid", resolution="coarse, second order")
+    write_run(tmp_path, recording.displacement, recording.force)
+    differences = []
+    monkeypatch.setattr("tissue_sim.differentiation._difference", lambda *asked: differences.append(asked))
+    stated = BLOCK + '\nheight_is = "placed"\ngravity = true\ndensity_kg_m3 = 1040.0'
+    best = calibrated(tmp_path, specimen=stated)
+    assert best.parameters["C10"] == pytest.approx(450.0, abs=3.0 * best.standard_errors["C10"])
+    assert best.standard_errors["C10"] < 2.0 and not differences
 
 
 def test_what_a_mesh_of_a_file_errs_by_is_told_from_two_orders(folder, coarse):

@@ -33,9 +33,10 @@ def model(tool="round", friction=0.3, **changes):
                                   tool=ts.Tool(tool, radius=8e-3), **changes), PHANTOM)
 
 
-def delayed(delay=0.016, **settings):
+def delayed(delay=0.016, tangent=None, **settings):
     tested = model(**settings)
-    tissue = MultiRateTissue(tested, link=DelayedBulk(SolidLinearisation(make_solver(tested, mesh=MESH)), delay))
+    bulk = SolidLinearisation(make_solver(tested, mesh=MESH))
+    tissue = MultiRateTissue(tested, link=DelayedBulk(bulk, delay, tangent))
     tissue.warm_up()
     return tissue
 
@@ -74,6 +75,22 @@ def test_a_random_walk_has_a_force_in_every_tick_and_no_jump():
     assert tissue.models > 50
 
 
+@pytest.mark.parametrize(("tool", "friction", "gain"), [("round", 0.3, 3.0), ("flat", "bonded", 8.0)])
+def test_forces_of_now_on_a_tangent_of_then_are_nearer_than_models_as_late_as_the_tangent(tool, friction, gain):
+    """60 ms for a tangent, 8 ms for an iterate: against the whole solid, in rms."""
+    tested = model(tool, friction)
+    aside = [Pose((1e-3 * x, 0.0, -1e-3 * z)) for x, z in [*((0.0, 0.04 * k) for k in range(50)),
+                                                           *((0.04 * k, 2.0) for k in range(100))]]
+    solver, off = make_solver(tested, mesh=MESH), {}
+    exact = np.array([solver.step(pose, tolerance=1e-7, max_iterations=40).wrench[:3] for pose in aside[::5]])
+    for name, delays in (("then", (0.06, None)), ("now", (0.008, 0.06))):
+        tissue = delayed(*delays, tool=tool, friction=friction)
+        found = np.array([tissue.step(pose, DT).wrench[:3] for pose in aside])[::5]
+        off[name] = np.sqrt(((found - exact) ** 2).sum(axis=1).mean())
+    assert off["now"] < off["then"] / gain
+    assert off["now"] < 0.02 * np.linalg.norm(exact, axis=1).max()
+
+
 def test_the_same_motion_gives_the_same_forces_also_after_a_reset():
     poses, tissue = hand(5, 150), delayed()
     first = [tissue.step(pose, DT).wrench for pose in poses]
@@ -102,8 +119,9 @@ def test_before_a_second_model_a_long_way_is_no_equilibrium():
     assert tissue.models == 0 and answers[-1].status is ForceStatus.LATE
 
 
-def test_after_a_reset_models_come_as_at_first():
-    tissue, pose = delayed(), Pose((0.0, 0.0, -1e-3))
+@pytest.mark.parametrize("delays", [(0.016, None), (0.008, 0.06)])
+def test_after_a_reset_models_come_as_at_first(delays):
+    tissue, pose = delayed(*delays), Pose((0.0, 0.0, -1e-3))
     for _ in range(200):
         tissue.step(pose, DT)
     tissue.reset()

@@ -233,6 +233,8 @@ def test_what_is_left_follows_from_the_tasks_that_are_done(monkeypatch):
     assert "about 1:00 left of this part" in shown()
     now[0] = 130.0
     assert "about 0:50 left of this part" in shown(), "time goes on between tasks"
+    progress.say("study: profiles: C20", 2, 8)
+    assert "about 1:30 left of this part" in shown(), "what is worked on is named in it"
     progress.say("study: tests left out, one at a time", 0, 3)
     assert "left of this part" not in shown(), "another part"
 

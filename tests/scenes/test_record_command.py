@@ -208,6 +208,23 @@ def test_what_makes_no_sense_is_one_sentence(protocol, tmp_path, capsys, change,
     assert not (tmp_path / "run" / "run.json").exists()
 
 
+@pytest.mark.parametrize(("change", "said"), [
+    ({"[fit]": '[defaults]\nrig = "frame.rig.json"\n\n[fit]'}, "defaults.rig: does not belong to the analytical"),
+    ({"contact_jitter_mm = 0.03": 'contact_jitter_mm = "estimate"'}, 'noise.contact_jitter_mm: "estimate" needs'),
+    ({'["neo_hooke"]': '["neo_hook"]'}, "fit.laws[0]: unknown law 'neo_hook'"),
+])
+def test_what_calibrate_would_refuse_is_not_recorded(protocol, tmp_path, capsys, change, said):
+    """As `calibrate` refuses the campaign that would have come out, before a folder is made or anything moves."""
+    ts.write_rig(ts.Rig(zero_offset=0.25), tmp_path / "frame.rig.json")
+    path = protocol(replace=change)
+    for words in (["--dry-run"], ["-o", str(tmp_path / "run")]):
+        assert main(["record", str(path), *words]) == 2
+        error = capsys.readouterr().err
+        assert said in error and "calibrate would refuse what is recorded with it" in error and error.count("\n") == 1
+        assert error.startswith(f"tissue-sim: {path}: ")
+    assert not (tmp_path / "run").exists()
+
+
 def test_an_unknown_test_names_the_nearest(protocol, tmp_path, capsys):
     assert main(["record", str(protocol()), "-o", str(tmp_path / "run"), "--test", "plate"]) == 2
     assert "did you mean 'plates'" in capsys.readouterr().err

@@ -94,14 +94,14 @@ def test_a_drag_with_lift_off_and_touch_is_that_of_the_whole_solid():
              for pose in drag(start, end, round(20 * np.linalg.norm(np.subtract(end, start))))]
     bulk, stepper = two_rates()
     foresighted, solver = ForesightedLinearisation(bulk), make_solver(model(), mesh=MESH)
-    stepper.adopt(foresighted.linearise(stepper.state(0.0, poses[0], 0.0, poses[0]), 0.0))
+    stepper.adopt(foresighted.linearise(stepper.state(0.0, poses[0], 0.0, poses[0]), 0.0, 0.0))
     coming, found, exact = None, [], []
     for tick, pose in enumerate(poses):
         if tick % 8 == 0:
             if coming is not None:
                 stepper.adopt(coming)
             before = max(0, tick - 8)
-            coming = foresighted.linearise(stepper.state(1e-3 * tick, pose, 1e-3 * before, poses[before]), 8e-3)
+            coming = foresighted.linearise(stepper.state(1e-3 * tick, pose, 1e-3 * before, poses[before]), 8e-3, 16e-3)
         step = stepper.step(pose)
         assert step.converged
         if tick % 4 == 0:

@@ -344,6 +344,31 @@ def test_a_material_with_layers_is_refused(held):
         ts.Simulator(replace(held.model, material=layered), solver="reduced", mesh=held)
 
 
+def test_a_smooth_motion_needs_few_further_looks(held):
+    """What the last step left and what its prediction missed are in the next one, and go back with the state."""
+    def pose(tick: int) -> ts.Pose:
+        angle = 0.003 * tick
+        place = 1e-3 * math.sin(angle), 0.8e-3 * math.sin(1.3 * angle), -1.5e-3 * (1.0 - math.cos(angle))
+        return turned(ts.Pose(place), (0.02 * math.sin(angle), 0.02 * math.sin(0.7 * angle), 0.0))
+
+    plain, close = ReducedSolver(held, MATERIAL), ReducedSolver(held, MATERIAL)
+    close.least_tolerance = 1e-8
+    further, missed = [], []
+    for tick in range(1, 401):
+        step = plain.step(pose(tick), 1e-3)
+        exact = close.step(pose(tick), 1e-3, tolerance=1e-8, max_iterations=60)
+        assert step.status is exact.status is StepStatus.CONVERGED
+        further.append(step.iterations)
+        missed.append(np.linalg.norm(np.subtract(step.wrench, exact.wrench)[:3]) / np.linalg.norm(exact.wrench[:3]))
+    assert np.mean(further[50:]) < 0.1
+    assert max(missed[50:]) < 1e-3
+    saved = plain.save()
+    first = [plain.step(pose(tick), 1e-3).wrench for tick in range(401, 404)]
+    plain.restore(saved)
+    assert np.array([plain.step(pose(tick), 1e-3).wrench for tick in range(401, 404)]) == pytest.approx(
+        np.array(first), rel=1e-3, abs=1e-6)
+
+
 def test_a_state_that_is_put_back_is_stepped_as_a_fresh_one(held):
     """Whatever was done between."""
     fresh, used = ReducedSolver(held, MATERIAL), ReducedSolver(held, MATERIAL)

@@ -151,6 +151,23 @@ def test_by_difference_where_it_must_be():
     assert answer.values[-1, 2] == pytest.approx(2 * 3.467 / 0.040, rel=0.1)
 
 
+def test_one_sided_differences_take_a_simulation_less(monkeypatch):
+    counted = []
+    monkeypatch.setattr("tissue_sim.differentiation.simulate",
+                        lambda *given, **options: counted.append(1) or ts.simulate(*given, **options))
+    model = ts.Model(experiment(friction=0.1, friction_base=0.1), elastic())
+    path = "experiment.specimen.height"
+    central = ts.sensitivities(model, [path])
+    assert len(counted) == 3
+    one_sided = ts.sensitivities(model, [path], one_sided=True)
+    assert len(counted) == 5
+    np.testing.assert_allclose(one_sided.values, central.values, rtol=5e-3, atol=1e-3 * np.abs(central.values).max())
+    # At the end of a range only one side is there, and the other is the model itself.
+    at_end = ts.Model(experiment(friction=0.0, friction_base=0.1), elastic())
+    assert ts.sensitivities(at_end, ["experiment.friction"]).values[-1, 0] > 0.0
+    assert len(counted) == 7
+
+
 @pytest.mark.parametrize(("path", "options", "material"), [
     ("experiment.specimen.radius", {}, {}), ("experiment.specimen.height", {"tool": ts.Tool("flat", radius=8e-3)}, {}),
     ("experiment.tool.radius", {"tool": ts.Tool("flat", radius=8e-3)}, {}),

@@ -44,9 +44,10 @@ def test_tangent_is_the_derivative_of_the_forces(element, name, past):
     batches, x = tissue.batches, tissue.x
     if history:
         # It has been loaded higher before, and stresses are left.
-        tissue.memory.prepare(0.1)
-        tissue.memory.largest[:] = rng.uniform(0.0, 2000.0, tissue.memory.largest.shape)
-        tissue.memory.inherited[:] = rng.normal(0.0, 300.0, tissue.memory.inherited.shape)
+        memory = tissue.tissue.memory
+        memory.prepare(0.1)
+        memory.largest[:] = rng.uniform(0.0, 2000.0, memory.largest.shape)
+        memory.inherited[:] = rng.normal(0.0, 300.0, memory.inherited.shape)
     x[:] = rng.normal(0.0, 0.03 * 0.01 / element.order, x.size)
     batches.pressures[: batches.count * tissue.mesh.element.pressure_modes] = rng.normal(0.0, 300.0)
     tissue._assemble()

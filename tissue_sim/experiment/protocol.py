@@ -63,12 +63,13 @@ class Protocol:
         array.flags.writeable = False
         object.__setattr__(self, name, array)
 
-    @property
-    def halved(self) -> Protocol:
-        """The same motion with another sample in the middle between each two; without labels."""
-        time, displacement = (np.interp(np.arange(2 * each.size - 1) / 2.0, np.arange(each.size), each)
-                              for each in (self.time, self.displacement))
-        return Protocol(time, displacement)
+    def at(self, places: np.ndarray) -> Protocol:
+        """The same motion with samples at these places, numbers of its own samples, whole or between two, ascending; a
+        sample between two has the labels of the later one."""
+        samples, later = np.arange(self.time.size), np.ceil(places).astype(int)
+        segment, cycle = (None if each is None else each[later] for each in (self.segment, self.cycle))
+        return Protocol(np.interp(places, samples, self.time), np.interp(places, samples, self.displacement), segment,
+                        cycle)
 
     @classmethod
     def ramp(cls, depth: float, points: int = 21, speed: float = STUDY_SPEED) -> Protocol:

@@ -33,7 +33,8 @@ def run(arguments) -> int:
     try:
         with CampaignProgress(progress_console(quiet=arguments.json), len(arguments.campaigns)) as progress:
             results = diagnose(arguments.campaigns, arguments.output, overwrite=arguments.overwrite,
-                               progress=progress.say, figures_format=arguments.figures_format, law=arguments.law,
+                               progress=progress.say, announce=progress.announce,
+                               figures_format=arguments.figures_format, law=arguments.law,
                                workers=Workers(arguments.workers, arguments.dask))
     except KeyboardInterrupt:
         if not arguments.overwrite or claim_on(arguments.output) != before:

@@ -163,8 +163,30 @@ def read_protocol_file(path: Path) -> ProtocolFile:
         plans = {test.name: _plan(test, tables.record, lag, number, content,
                                   prism=test.specimen is not None and test.specimen.name in campaign.prisms)
                  for number, test in enumerate(campaign.tests)}
-        return ProtocolFile(path, hashlib.sha256(text.encode()).hexdigest(), campaign, plans, _limits(tables.limits),
-                            tables.devices, tables.virtual, tables.record, content)
+        protocol = ProtocolFile(path, hashlib.sha256(text.encode()).hexdigest(), campaign, plans,
+                                _limits(tables.limits), tables.devices, tables.virtual, tables.record, content)
+        if "fit" in content:
+            _check_calibrates(protocol)
+        return protocol
+
+
+def _check_calibrates(protocol: ProtocolFile) -> None:
+    """Read the campaign that the recordings will be in, as ``tissue-sim calibrate`` will.
+
+    Raises:
+        InputError: what that refuses, before anything was measured for it.
+    """
+    with tempfile.TemporaryDirectory(prefix="tissue_sim_") as folder:
+        recordings = {name: [f"{number}.csv"] for number, name in enumerate(protocol.plans)}
+        for name, in recordings.values():
+            Path(folder, name).touch()
+        path = Path(folder, "campaign.toml")
+        path.write_text(protocol.campaign_text(recordings, lambda file: str(file.resolve())), encoding="utf-8")
+        try:
+            load_campaign(path)
+        except InputError as error:
+            raise InputError(f"{error.problem} (calibrate would refuse what is recorded with it)",
+                             field=error.field) from None
 
 
 def _campaign(path: Path, content: Mapping[str, Any]) -> Campaign:

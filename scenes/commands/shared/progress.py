@@ -61,13 +61,18 @@ class CampaignProgress:
     def say(self, sentence: str, done: int = 0, of: int = 0) -> None:
         """Show what is done from now on, and how many of its tasks are done, of how many."""
         now = time.monotonic()
-        if (sentence, of) != (self._sentence, self._of) or done < self._done:
+        # Of one part the sentence names what is worked on.
+        if of != self._of or done < self._done or (not done and sentence != self._sentence):
             self._part_began = now
         self._sentence, self._said, self._done, self._of = sentence, now, done, of
         self._worked = self._worked or done > 0
         if self._live.is_started:
             # At once: a kernel that is compiled, or runs, keeps the refreshing thread waiting.
             self._live.refresh()
+
+    def announce(self, sentence: str) -> None:
+        """Say something that stays, above what is done."""
+        self._console.print(sentence, style="dim", markup=False, emoji=False, highlight=False)
 
     def listen(self, campaign: str, law: str, iteration: Iteration) -> None:
         """Add a solve to the table; another law, or campaign, begins a new one."""

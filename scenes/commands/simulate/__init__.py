@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from scenes.catalogue import SCENES
 from scenes.commands.shared.console import print_json, progress_console, results_console
@@ -15,10 +13,8 @@ from scenes.commands.shared.tissue_flags import add_solver_flags, check_solver
 from scenes.commands.simulate.replicates import add_rig_flags, make_rig, output_files, read_replicates
 from scenes.commands.simulate.report import as_json, print_curve, print_solver
 from scenes.field_labels import LABELS
+from scenes.what_was_done import what_was_done
 from tissue_sim.errors import ConvergenceError, InputError
-
-if TYPE_CHECKING:
-    import tissue_sim as ts
 
 SUMMARY = "simulate a test and print force against displacement"
 EXAMPLE = ("tissue-sim simulate needle_indentation --material m.material.json --friction 0.7 --edge-radius-mm 0.25 "
@@ -107,18 +103,6 @@ def run(arguments) -> int:
         kept = f"; the curve up to there is in {' and '.join(map(str, outputs))}" if outputs else ""
         raise ConvergenceError(f"{failure}{kept}")
     return 0
-
-
-def what_was_done(scene: str, experiment: ts.Experiment) -> dict[str, Any]:
-    """Of the sidecar: the kind of test, specimen and tool, so that none compares a cone with a flat punch unawares."""
-    tool = experiment.tool
-    sizes = {} if tool.is_plate or tool.radius is None else {"radius_mm": tool.radius * 1e3}
-    approach = experiment.approach
-    way = {} if approach is None else {"approach": {"offset_mm": approach.offset * 1e3,
-                                                    "tilt_deg": math.degrees(approach.angle)}}
-    specimen = experiment.specimen
-    return {"kind": scene, "specimen": {"shape": specimen.shape, **specimen.stated},
-            "tool": {"shape": tool.shape, **sizes}, **way}
 
 
 def describe(done: int, samples: int, again: bool) -> str:

@@ -109,7 +109,8 @@ class MaterialControls:
             self._make_sliders(material)
         for name, slider in self._sliders.items():
             value = _on_slider(values[name] * self._factors[name], slider.min, slider.max, slider.step)
-            if abs(slider.value - value) > 0.01 * slider.step:
+            # One outside of the range may lack its last digit.
+            if abs(_on_slider(slider.value, slider.min, slider.max, slider.step) - value) > 0.01 * slider.step:
                 set_value(slider, value)
 
     def _make_sliders(self, material: ts.Material) -> None:
@@ -142,7 +143,8 @@ class MaterialControls:
                 answer(problem)
 
             self._entered += 1
-            self._session.post("set_parameters", reply=reply, values={name: slider.value / factor})
+            entered = min(max(slider.value, slider.min), slider.max)
+            self._session.post("set_parameters", reply=reply, values={name: entered / factor})
 
         return edit
 

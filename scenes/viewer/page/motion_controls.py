@@ -22,6 +22,39 @@ PROTOCOLS = {
 }
 
 
+class FollowedSlider:
+    """A slider in mm that people move, and that follows the tool where somebody else moves that.
+
+    Attributes:
+        slider: viser's.
+    """
+
+    def __init__(self, slider: viser.GuiSliderHandle[float]):
+        self.slider = slider
+        #: What was entered or written last. viser takes a value before it tells of it: another one is news to come.
+        self._known = slider.value
+
+    def on_entry(self, go: Callable[[viser.GuiEvent], None]) -> None:
+        """Call this for each value that people enter, not for what the program has written."""
+
+        @self.slider.on_update
+        async def _(event: viser.GuiEvent) -> None:  # a coroutine: it runs before another value is written
+            if event.client is not None:
+                self._known = self.slider.value
+                go(event)
+
+    def clipped(self, place: float) -> float:
+        """The nearest place in its range, mm."""
+        return min(max(place, self.slider.min), self.slider.max)
+
+    def follow(self, place: float) -> None:
+        """Show a place of the tool, mm. A number outside of the range that somebody types stays while its last digit
+        may be missing, where the tool has gone as far as it can: the field names the end that was gone to."""
+        if self.slider.value == self._known and abs(place - self.clipped(self._known)) >= 0.01:
+            self._known = place
+            set_value(self.slider, place)
+
+
 class MotionControls:
     """The tab with depth, play, pause, reset, step, and the protocol."""
 
@@ -32,14 +65,14 @@ class MotionControls:
         self._entered = self._obeyed = 0
         #: Where the next key goes on from, mm.
         self._aimed = 0.0
-        self._depth = gui.add_slider("depth [mm]", min=-CLEARANCE * 1e3, max=deepest * 1e3, step=0.01,
-                                     initial_value=0.0,
-                                     hint="or drag the tool; keys: PageDown and PageUp, with Shift ten times as far")
+        self._depth = FollowedSlider(gui.add_slider(
+            "depth [mm]", min=-CLEARANCE * 1e3, max=deepest * 1e3, step=0.01, initial_value=0.0,
+            hint="or drag the tool; keys: PageDown and PageUp, with Shift ten times as far"))
         #: Of tissue in space.
         reach = 1e3 * frame.scene.half_width
-        self._across = [gui.add_slider(f"{name} [mm]", min=-reach, max=reach, step=0.01, initial_value=0.0,
-                                       visible=False, hint="where the tool's axis meets the height of the touch")
-                        for name in "xy"]
+        self._across = [FollowedSlider(gui.add_slider(
+            f"{name} [mm]", min=-reach, max=reach, step=0.01, initial_value=0.0, visible=False,
+            hint="where the tool's axis meets the height of the touch")) for name in "xy"]
         self._drags = gui.add_dropdown("mouse moves it", tuple(DRAGS), visible=False)
         self.on_drag_way: Callable[[str], None] = lambda _: None
         self._buttons = gui.add_button_group("run", ("Play", "Pause", "Step", "Reset"),
@@ -58,16 +91,9 @@ class MotionControls:
         #: Why a depth was refused the last time: a slider that is dragged asks many times.
         self._refusal: str | None = None
 
-        @self._depth.on_update
-        async def _(event: viser.GuiEvent) -> None:  # a coroutine: it runs before another value is written
-            if event.client is not None:  # not what the program has written itself
-                self._go(self._depth.value, event)
-
-        for handle in self._across:
-            @handle.on_update
-            async def _(event: viser.GuiEvent) -> None:
-                if event.client is not None:
-                    self._ask(event, across=(1e-3 * self._across[0].value, 1e-3 * self._across[1].value))
+        self._depth.on_entry(lambda event: self._go(self._depth.slider.value, event))
+        for one in self._across:
+            one.on_entry(self._go_across)
 
         @self._drags.on_update
         def _(_: viser.GuiEvent) -> None:
@@ -106,8 +132,12 @@ class MotionControls:
 
     def _go(self, depth: float, event: Any) -> None:
         """Let the tool go to a depth, mm."""
-        self._aimed = min(max(depth, self._depth.min), self._depth.max)
+        self._aimed = self._depth.clipped(depth)
         self._ask(event, depth=self._aimed * 1e-3)
+
+    def _go_across(self, event: Any) -> None:
+        x, y = (one.clipped(one.slider.value) * 1e-3 for one in self._across)
+        self._ask(event, across=(x, y))
 
     def _ask(self, event: Any, **place: Any) -> None:
         """Let the tool go to a place, as `Session.aim` takes it."""
@@ -148,15 +178,11 @@ class MotionControls:
         depth = frame.target if frame.motion == "hand" or frame.readouts is None else frame.readouts.depth
         depth = round(depth * 1e3, 2)
         in_space = frame.snapshot is not None and frame.snapshot.in_space
-        for handle in (*self._across, self._drags):
+        for handle in (*(one.slider for one in self._across), self._drags):
             if handle.visible != in_space:
                 handle.visible = in_space
-        if self._entered == self._obeyed:
-            for slider, place in zip(self._across, frame.across, strict=True):
-                if abs(round(place * 1e3, 2) - slider.value) >= 0.01:
-                    set_value(slider, round(place * 1e3, 2))
-        if self._entered == self._obeyed:
+        if self._entered == self._obeyed:  # What was entered a moment ago is newer than the frame.
             self._aimed = depth
-        # What was entered a moment ago is newer than the frame.
-        if self._entered == self._obeyed and abs(depth - self._depth.value) >= 0.01:
-            set_value(self._depth, depth)
+            self._depth.follow(depth)
+            for one, place in zip(self._across, frame.across, strict=True):
+                one.follow(round(place * 1e3, 2))

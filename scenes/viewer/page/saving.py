@@ -18,7 +18,9 @@ from scenes.viewer.page.notices import answer_to, notify, send_file
 from scenes.viewer.page.solid import Solid
 from scenes.viewer.picture_file import Curve, compose_png
 from scenes.viewer.plots import LIGHT, depth_grid
-from scenes.viewer.trace import recording_csv
+from scenes.viewer.scene import Scene
+from scenes.viewer.trace import Trace, recording_files
+from scenes.what_was_done import what_was_done
 
 #: How long a browser may take to draw the picture that is saved, s, and how often it is asked: a busy one sometimes
 #: leaves a request unanswered.
@@ -45,7 +47,8 @@ class Saving:
         self._recorded, self._last = 0.0, 0.0
         #: A replay that waits to be fetched.
         self._finished: bytes | None = None
-        curve = gui.add_button("Save curve (CSV)", icon=viser.Icon.DOWNLOAD)
+        curve = gui.add_button("Save curve (CSV)", icon=viser.Icon.DOWNLOAD,
+                               hint="and beside it, as JSON, which test it is: keep the two in one folder")
         picture = gui.add_button("Save picture (PNG)", icon=viser.Icon.PHOTO)
         self._replay = gui.add_button("Record replay", icon=viser.Icon.PLAYER_RECORD,
                                       hint="a page of its own that plays the picture without a server")
@@ -82,10 +85,8 @@ class Saving:
         if frame is None or trace is None or len(trace) < 5:
             answer_to(event)("nothing was felt yet; move the tool first")
             return
-        scene = frame.scene
-        recording = trace.recording({"name": scene.kind.name, "kind": scene.kind.name, "material": scene.source,
-                                     "simulated": True})
-        send_file(event.client, f"{scene.kind.name}.csv", recording_csv(recording))
+        for name, content in curve_files(frame.scene, trace).items():
+            send_file(event.client, name, content)
 
     def _save_picture(self, event: viser.GuiEvent) -> None:
         frame, client = self._frame, event.client
@@ -119,6 +120,17 @@ class Saving:
 
     def _finish_replay(self, recorder: viser.infra.StateSerializer) -> None:
         self._finished, self._recorder = recorder.as_html(dark_mode=False).encode(), None
+
+
+def curve_files(scene: Scene, trace: Trace) -> dict[str, bytes]:
+    """Name -> content of the recording of what was felt, and of its sidecar, which says what `simulate -o` says.
+
+    Raises:
+        InputError: fewer than two points were felt.
+    """
+    name = scene.kind.name
+    about = {"name": name, **what_was_done(name, scene.experiment), "material": scene.source, "simulated": True}
+    return recording_files(trace.recording(about), name)
 
 
 def _rendered(client: viser.ClientHandle, height: int, width: int) -> np.ndarray | None:

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from device_contracts import MotionContract
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
@@ -136,6 +136,7 @@ def turned_by(pose):
 
 
 @settings(max_examples=10, deadline=None)
+@example(seed=0, deepest=0.015625, lift=0.0, aside=5e-324, turn=2.2e-309, speed=0.5, turn_speed=1.0)
 @given(seed=st.integers(0, 2**32), deepest=st.floats(1e-3, 20e-3), lift=st.floats(0, 5e-3), aside=st.floats(0, 20e-3),
        turn=st.floats(0, 1.0), speed=st.floats(0.01, 0.5), turn_speed=st.floats(0.1, 3.0))
 def test_a_walk_in_space_keeps_its_bounds(seed, deepest, lift, aside, turn, speed, turn_speed):

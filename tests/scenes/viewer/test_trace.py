@@ -1,5 +1,6 @@
 """What has been felt: which ticks are kept, where the motion turns, and the recording of it."""
 
+import tomllib
 from itertools import pairwise
 
 import numpy as np
@@ -8,8 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
+from calibration.campaign.campaign import load_campaign
 from haptics.loop.ring import PAUSED, TICK
-from scenes.viewer.trace import DEPTH_STEP, LONGEST, SHORTEST, Trace, on_grid, recording_csv
+from scenes.catalogue import SCENES
+from scenes.cli import main
+from scenes.viewer.page.saving import curve_files
+from scenes.viewer.scene import Scene
+from scenes.viewer.trace import DEPTH_STEP, LONGEST, SHORTEST, Trace, on_grid, recording_files
+from scenes.what_was_done import what_was_done
 from tissue_sim.recording.segmentation import HYSTERESIS, one_way
 from tissue_sim.tool_force import ForceStatus
 
@@ -177,13 +184,37 @@ def test_recording_has_segments_and_cycles():
 
 def test_recording_reads_back_equal(tmp_path):
     record = fed(played(CYCLE, 14, noise=0.01e-3)).recording({"name": "felt", "kind": "needle_indentation"})
-    (tmp_path / "felt.csv").write_bytes(recording_csv(record))
+    for name, content in recording_files(record, "felt").items():
+        (tmp_path / name).write_bytes(content)
     again = ts.read_recording(tmp_path / "felt.csv", kind="needle_indentation")
     assert set(again.channels) == set(record.channels) == {"time", "displacement", "force"}
     for name in record.channels:  # mm in the file: the last digit of a metre may change
         np.testing.assert_allclose(again.channel(name), record.channel(name), rtol=4e-16, atol=0)
     for name in ("segment", "cycle"):
         assert again.labels[name].tolist() == record.labels[name].tolist()
+
+
+@pytest.mark.parametrize(("kind", "specimen", "tool", "stated"), [
+    ("needle_indentation", ts.Specimen(0.040, 0.070), ts.Tool("sphere", radius=6e-3),
+     {"shape": "cylinder", "radius_mm": 40.0, "height_mm": 70.0, "tool": "sphere", "tool_radius_mm": 6.0}),
+    ("bonded_compression", ts.Block(0.020, 0.024, 0.015), None,
+     {"shape": "block", "length_mm": 20.0, "width_mm": 24.0, "height_mm": 15.0})])
+def test_a_saved_curve_says_what_a_simulated_one_does(tmp_path, kind, specimen, tool, stated):
+    """So that `import` asks for nothing, and what it writes is read."""
+    tests = {} if tool is None else {"tool": tool}
+    experiment = ts.KINDS[kind].experiment(specimen=specimen, protocol=ts.Protocol.ramp(4e-3, 5), **tests)
+    scene = Scene(SCENES[kind], experiment, ts.Material("neo_hooke", {"C10": 1000.0}))
+    for name, content in curve_files(scene, fed(played([(0, 0), (5, 4e-3), (10, 0)], 10))).items():
+        (tmp_path / name).write_bytes(content)
+    felt = ts.read_recording(tmp_path / f"{kind}.csv")
+    assert {key: felt.metadata[key] for key in ("kind", "specimen", "tool")} == what_was_done(kind, experiment)
+    assert felt.metadata["simulated"] is True
+    assert main(["import", str(tmp_path / f"{kind}.csv"), "-o", str(tmp_path / "campaign.toml")]) == 0
+    text = (tmp_path / "campaign.toml").read_text(encoding="utf-8")
+    content = tomllib.loads(text)
+    said = {**content["specimen"][0], **content["test"][0]}
+    assert said["kind"] == kind and {key: said[key] for key in stated} == stated
+    assert load_campaign(tmp_path / "campaign.toml").tests[0].specimen == specimen
 
 
 def test_nothing_felt_is_no_recording():

@@ -178,8 +178,11 @@ class AxisymmetricSolver(Solver):
         return RESOLUTIONS[resolution].comparison if resolution in RESOLUTIONS else None
 
     def differentiate(self, neighbours: Neighbours) -> Sensitivity | None:
-        """Carry exact derivatives along from now on, before the first step; there are none with effects at points."""
-        if neighbours and self.equations.effects.formulas:
+        """Carry exact derivatives along from now on, before the first step; there are none with effects at points, laws
+        of contact or weight."""
+        equations = self.equations
+        if neighbours and (equations.effects.formulas or equations.specific_weight
+                           or (equations.contact is not None and equations.contact.laws)):
             return None
         from tissue_sim.fem.axisymmetric.sensitivity import Sensitivity
 

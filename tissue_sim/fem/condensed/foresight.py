@@ -8,8 +8,13 @@ from tissue_sim.fem.condensed.model import BulkLinearisation, CondensedContact, 
 from tissue_sim.fem.condensed.stepper import CondensedStepper
 from tissue_sim.pose import Pose, between, motion
 
+#: A model is made for the pose so many times the time that it takes ahead: it comes after once that time and serves for
+#: as long again; farther ahead costs more at corners than it gains on the way.
+LEAD = 1.25
 #: A tool is not followed further ahead than this share of the contact's radius.
 _FARTHEST = 1.0
+#: Its way is gone in parts of this share of that: friction is not remembered.
+_PART = 0.12
 
 
 class ForesightedLinearisation:
@@ -25,15 +30,16 @@ class ForesightedLinearisation:
 
     def __init__(self, linearisation: BulkLinearisation):
         self._linearisation = linearisation
-        self._stepper = CondensedStepper(linearisation.surface)
+        self._stepper = CondensedStepper(linearisation.surface, _PART)
         self._epoch = 0
 
-    def linearise(self, state: ContactState, lead: float) -> CondensedContact | None:
+    def linearise(self, state: ContactState, lead: float, serves: float) -> CondensedContact | None:
         """The next model.
 
         Args:
             state: of the contact, newest.
             lead: how long after it the middle of the time is for which the model serves, s.
+            serves: how long after it a tangent of now still serves, s.
 
         Returns:
             None as of `BulkLinearisation.linearise`.
@@ -45,7 +51,7 @@ class ForesightedLinearisation:
             stepper.take(state)
             if stepper.step(ahead).converged:
                 then = replace(state, pose=ahead, forces=stepper.forces.copy())
-        model = self._linearisation.linearise(then, (state.pose, self.pose_after(state, 2.0 * lead)))
+        model = self._linearisation.linearise(then, (state.pose, self.pose_after(state, serves)))
         if model is not None:
             stepper.adopt(model)
             self._epoch = state.epoch

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,7 +17,7 @@ from tissue_sim.registry import Registry
 #: How a node is bound to the tool, as in `tissue_sim.fem.solid.contact`.
 FREE, HELD, TOUCHED = range(3)
 #: Numbers before the arrays of a model and of a state.
-_MODEL_HEAD, _STATE_HEAD = 16, 18
+_MODEL_HEAD, _STATE_HEAD = 15, 18
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +67,7 @@ class CondensedContact:
 
     Attributes:
         number: of the linearisation, from 1.
+        base: number of the one with whose tangent it was made, whose nodes, compliance, drive and stiffness it has.
         time: when the tool was there, s. pose: of the tool then.
         nodes: numbers in the `ContactSurface`, shape (n,).
         middle: displacements without forces, m, shape (n, 3).
@@ -79,6 +80,7 @@ class CondensedContact:
     """
 
     number: int
+    base: int
     epoch: int
     time: float
     pose: Pose
@@ -92,30 +94,43 @@ class CondensedContact:
     modulus: float
     residual: float
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether it has a tangent of its own."""
+        return self.base == self.number
+
     def packed(self) -> np.ndarray:
-        """All of it as one array of numbers."""
-        head = np.zeros(_MODEL_HEAD)
-        head[:14] = (self.number, self.epoch, self.time, len(self.nodes), self.reach, self.modulus, self.residual,
-                     *self.pose.position, *self.pose.orientation)
-        return np.concatenate([head, self.wrench, self.stiffness.ravel(), self.nodes, self.middle.ravel(),
-                               self.drive.ravel(), self.compliance.ravel()])
+        """As one array of numbers: all of a whole one, of others what they do not have from their base."""
+        n = len(self.nodes)
+        own = [np.array([self.number, self.base, self.epoch, self.time, n, self.reach, self.modulus, self.residual,
+                         *self.pose.position, *self.pose.orientation]), self.wrench, self.middle.ravel()]
+        if self.is_whole:
+            own += [self.nodes, self.stiffness.ravel(), self.drive.ravel(), self.compliance.ravel()]
+        return np.concatenate(own)
 
     @classmethod
-    def unpacked(cls, numbers: np.ndarray) -> CondensedContact:
-        """What `packed` gave; its arrays are parts of the one given."""
-        number, epoch, time, count, reach, modulus, residual, *where = numbers[:14].tolist()
-        n = int(count)
-        sizes = [_MODEL_HEAD, 6, 36, n, 3 * n, 18 * n, 9 * n * n]
-        _, wrench, stiffness, nodes, middle, drive, compliance = np.split(numbers, np.cumsum(sizes)[:-1])
-        return cls(int(number), int(epoch), time, _pose(where), nodes.astype(np.intp), middle.reshape(n, 3),
-                   compliance.reshape(3 * n, 3 * n), drive.reshape(3 * n, 6), wrench, stiffness.reshape(6, 6), reach,
-                   modulus, residual)
+    def unpacked(cls, numbers: np.ndarray, base: CondensedContact | None = None) -> CondensedContact | None:
+        """What `packed` gave, beside its base where it is not whole; None where that is another one.
+
+        Its arrays are parts of the one given.
+        """
+        number, of, epoch, time, count, reach, modulus, residual, *where = numbers[:_MODEL_HEAD].tolist()
+        n, rest = int(count), numbers[_MODEL_HEAD:]
+        own = {"number": int(number), "base": int(of), "epoch": int(epoch), "time": time, "pose": _pose(where),
+               "wrench": rest[:6], "middle": rest[6 : 6 + 3 * n].reshape(n, 3), "reach": reach, "modulus": modulus,
+               "residual": residual}
+        if number != of:
+            return None if base is None or base.base != of else replace(base, **own)
+        nodes, stiffness, drive, compliance = np.split(rest[6 + 3 * n :], np.cumsum([n, 36, 18 * n]))
+        return cls(nodes=nodes.astype(np.intp), stiffness=stiffness.reshape(6, 6), drive=drive.reshape(3 * n, 6),
+                   compliance=compliance.reshape(3 * n, 3 * n), **own)
 
 
-def packed_size(surface: ContactSurface) -> int:
+def packed_size(surface: ContactSurface, whole: bool = True) -> int:
     """The most numbers that a packed model of a surface has."""
-    n = surface.candidates
-    return _MODEL_HEAD + 42 + 22 * n + 9 * n * n
+    n = 3 * surface.candidates
+    own = _MODEL_HEAD + 6 + n
+    return own + n // 3 + 36 + 6 * n + n * n if whole else own
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,8 +177,24 @@ def packed_state_size(surface: ContactSurface) -> int:
     return _STATE_HEAD + 9 * len(surface.places)
 
 
+#: Computes something, here and now or beside other things; what it answers says whether that is done.
+Beside = Callable[[Callable[[], None]], Callable[[], bool]]
+
+
+def at_once(compute: Callable[[], None]) -> Callable[[], bool]:
+    """The `Beside` of who waits."""
+    compute()
+    return lambda: True
+
+
 class BulkLinearisation(Protocol):
-    """Newton's iteration of a tissue's bulk, to whose linearisation another solver adds the contact."""
+    """Newton's iteration of a tissue's bulk, to whose linearisation another solver adds the contact.
+
+    Attributes:
+        beside: where tangents are condensed. While one is, iterates go on with the tangent of before.
+    """
+
+    beside: Beside
 
     @property
     def surface(self) -> ContactSurface:
@@ -174,7 +205,7 @@ class BulkLinearisation(Protocol):
 
         Args:
             state: of the contact.
-            ahead: poses to which the tool may go until the next model.
+            ahead: poses to which the tool may go while the next tangent serves.
 
         Returns:
             None where the state is not of the last model, or no linearisation was found; the next call tries again.

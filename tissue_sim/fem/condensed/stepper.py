@@ -49,7 +49,7 @@ _FORESEEN = 0.5
 _STEPS = 8
 #: A step is made in parts of no more than this share of the contact's radius, which are cut down to the other share of
 #: it where they fail; that no part is made for.
-_LARGEST, _SHORTEST, _ROUNDING = 0.03, 2.0**-1, 1e-9
+LARGEST, _SHORTEST, _ROUNDING = 0.03, 2.0**-1, 1e-9
 #: Share of the surface's tolerance: that is for longer steps.
 _FINER = 0.5
 
@@ -89,13 +89,14 @@ class CondensedStepper:
 
     Args:
         surface: of the tissue, and the tool.
+        largest: part of a step, over the contact's radius.
 
     Attributes:
         model: the newest; None before the first.
         forces: of the nodes on the tool, N, shape (s, 3).
     """
 
-    def __init__(self, surface: ContactSurface):
+    def __init__(self, surface: ContactSurface, largest: float = LARGEST):
         self.surface = surface
         s, n = len(surface.places), surface.candidates
         self.forces, self._anchors, self._met_at = np.zeros((3, s, 3))
@@ -125,7 +126,7 @@ class CondensedStepper:
         self._settings[[TOLERANCE, NEGLIGIBLE]] = self._tolerance, _NO_FRICTION * surface.floor
         self._widest = float((surface.chains[:, :, 0] + surface.shapes[:, :1]).max())
         self._others = surface.places[:0]
-        self._largest = _LARGEST * surface.radius
+        self._largest = largest * surface.radius
         self._first_height = surface.start.position[2]
         self.model: CondensedContact | None = None
         self._last = _REST
@@ -156,18 +157,22 @@ class CondensedStepper:
 
     def adopt(self, model: CondensedContact) -> None:
         """Go on with another model of the same surface."""
-        n = len(model.nodes)
-        dropped = np.ones(len(self.forces), dtype=bool)
-        dropped[model.nodes] = False
-        self.forces[dropped], self._pressed[dropped], self._met[dropped], self._slips[dropped] = 0.0, 0, 0, 0
-        self._others = self.surface.places[dropped]
-        self._bound[dropped & (self._bound != HELD)] = 0
-        self._nodes[:n], self._middle[:n] = model.nodes, model.middle
-        self._drive[:3 * n], self._compliance[:3 * n, :3 * n] = model.drive, model.compliance
-        self._signature[:] = -1
-        self._settings[[COUNT, MODULUS, ANEW]] = n, model.modulus, 1.0
-        self._stiffest = _STIFFEST / float(np.abs(np.diag(model.compliance)).min(initial=math.inf))
-        self.model, self._columns = model, self._columns[:0]
+        n, known = len(model.nodes), self.model
+        if known is None or (model.base, model.epoch) != (known.base, known.epoch):
+            dropped = np.ones(len(self.forces), dtype=bool)
+            dropped[model.nodes] = False
+            self.forces[dropped], self._pressed[dropped], self._met[dropped], self._slips[dropped] = 0.0, 0, 0, 0
+            self._others = self.surface.places[dropped]
+            self._bound[dropped & (self._bound != HELD)] = 0
+            self._nodes[:n], self._drive[:3 * n], self._compliance[:3 * n, :3 * n] = (
+                model.nodes, model.drive, model.compliance)
+            self._signature[:] = -1
+            self._settings[COUNT] = n
+            self._stiffest = _STIFFEST / float(np.abs(np.diag(model.compliance)).min(initial=math.inf))
+            self._columns, self._settings[ANEW] = self._columns[:0], 1.0
+        self._middle[:n] = model.middle
+        self._settings[MODULUS] = model.modulus
+        self.model = model
 
     def step(self, pose: Pose, exact: bool = False) -> ContactStep:
         """Go where the tool is now.

@@ -45,7 +45,7 @@ class PardisoPattern:
 
         self._solver = PyPardisoSolver(mtype=kind)
         os.environ.setdefault(_LIBRARY, self._solver.libmkl._name)
-        self.indices, self._kind, self._size = matrix.indices, kind, matrix.shape[0]
+        self.indices, self._kind, self.size = matrix.indices, kind, matrix.shape[0]
         numbered = sparse.csc_array((np.arange(1.0, matrix.nnz + 1.0), matrix.indices, matrix.indptr),
                                     shape=matrix.shape)
         rows = sparse.csr_array(numbered if kind == OTHER else sparse.triu(numbered))
@@ -56,7 +56,7 @@ class PardisoPattern:
         parameters = self._solver.iparm
         self.interface = interface
         if interface is not None:
-            self._solver.perm = np.zeros(self._size, dtype=np.int32)
+            self._solver.perm = np.zeros(self.size, dtype=np.int32)
             self._solver.perm[interface] = 1
             parameters[[_USE, _ORDERING, _SMALLEST, _SCHUR]] = 1, 2, 8, 2
         else:
@@ -74,7 +74,7 @@ class PardisoPattern:
         """
         self._data[:] = matrix.data[self._places]
         left = None if self.interface is None else np.zeros((self.interface.size, self.interface.size))
-        nothing = np.zeros((self._size, 1), dtype=self._data.dtype)
+        nothing = np.zeros((self.size, 1), dtype=self._data.dtype)
         if not self._analysed:
             self._run(_ANALYSE, nothing, nothing)
             self._analysed = True
@@ -118,7 +118,7 @@ class PardisoPattern:
         return self._solved(_BACKWARD, reduced)
 
     def _solved(self, phase: int, right: np.ndarray) -> np.ndarray:
-        columns = np.asfortranarray(right.reshape(self._size, -1), dtype=self._data.dtype)
+        columns = np.asfortranarray(right.reshape(self.size, -1), dtype=self._data.dtype)
         answer = np.zeros_like(columns, order="F")
         self._run(phase, columns, answer)
         return np.ascontiguousarray(answer, dtype=np.float64).reshape(right.shape)
@@ -130,7 +130,7 @@ class PardisoPattern:
         solver._mkl_pardiso(
             solver.pt.ctypes.data_as(ctypes.POINTER(solver._pt_type[0])), one, one,
             ctypes.byref(ctypes.c_int32(self._kind)), ctypes.byref(ctypes.c_int32(phase)),
-            ctypes.byref(ctypes.c_int32(self._size)), self._data.ctypes.data_as(reals),
+            ctypes.byref(ctypes.c_int32(self.size)), self._data.ctypes.data_as(reals),
             self._row_starts.ctypes.data_as(numbers), self._columns.ctypes.data_as(numbers),
             solver.perm.ctypes.data_as(numbers), ctypes.byref(ctypes.c_int32(right.shape[1])),
             solver.iparm.ctypes.data_as(numbers), ctypes.byref(ctypes.c_int32(0)), right.ctypes.data_as(reals),

@@ -42,6 +42,9 @@ class CondensedFactor(Factor, Protocol):
 
     compliance: np.ndarray
 
+    def push(self, forces: np.ndarray) -> np.ndarray:
+        """The solution for a right-hand side that is 0 but in these equations, shape (m,)."""
+
 
 class SparseSolver:
     """Factors of matrices that have their entries in the same places. What does not depend on the numbers is found once
@@ -124,8 +127,8 @@ class _SuperLU:
 class _CondensedSuperLU:
     definite = True
 
-    def __init__(self, factor: _SuperLU, compliance: np.ndarray):
-        self._factor, self.compliance = factor, compliance
+    def __init__(self, factor: _SuperLU, compliance: np.ndarray, interface: np.ndarray, size: int):
+        self._factor, self.compliance, self._interface, self._size = factor, compliance, interface, size
 
     @classmethod
     def of(cls, matrix: Any, interface: np.ndarray) -> _CondensedSuperLU | None:
@@ -134,9 +137,14 @@ class _CondensedSuperLU:
             return None
         unit = np.zeros((matrix.shape[0], interface.size))
         unit[interface, np.arange(interface.size)] = 1.0
-        return cls(factor, np.ascontiguousarray(factor.solve(unit)[interface]))
+        return cls(factor, np.ascontiguousarray(factor.solve(unit)[interface]), interface, matrix.shape[0])
 
     def solve(self, right: np.ndarray) -> np.ndarray:
+        return self._factor.solve(right)
+
+    def push(self, forces: np.ndarray) -> np.ndarray:
+        right = np.zeros(self._size)
+        right[self._interface] = forces
         return self._factor.solve(right)
 
 
@@ -187,4 +195,10 @@ class _CondensedPardiso:
     def solve(self, right: np.ndarray) -> np.ndarray:
         reduced, interface = self._pattern.reduce(right), self._pattern.require_interface()
         reduced[interface] = self.compliance @ reduced[interface]
+        return self._pattern.expand(reduced)
+
+    def push(self, forces: np.ndarray) -> np.ndarray:
+        # The first half of the solution leaves such a right-hand side as it is.
+        reduced = np.zeros(self._pattern.size)
+        reduced[self._pattern.require_interface()] = self.compliance @ forces
         return self._pattern.expand(reduced)

@@ -12,9 +12,12 @@ from tissue_sim.errors import InputError
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.fields import reduced_fields
+from tissue_sim.fem.reduced.lifting import Lifting
+from tissue_sim.fem.reduced.linear import size, solution
 from tissue_sim.fem.reduced.model import ReducedModel, require_one_material
+from tissue_sim.fem.reduced.prediction import Prediction
 from tissue_sim.fem.solid.discretisation import tool_contact
-from tissue_sim.fem.solid.frame import Frame, turned_with
+from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solid.tissue import bulk_modulus
 from tissue_sim.fem.solver import Fields, Solver, Step, StepStatus
@@ -77,14 +80,13 @@ class ReducedSolver(Solver):
         self._reach = experiment.contact_radius
         self.contact = LayerContact(bodies, mesh.nodes, mesh.node_areas, reduced.basis, reach=self._reach,
                                     softness=reduced.softness)
-        self._first = Frame(self._start, self.datum)
+        self._lifted = Lifting(reduced.lifting, Frame(self._start, self.datum))
         modes = reduced.basis.shape[1]
         self._lifting = reduced.lifting
         #: The modes that are solved for.
         self._free = slice(reduced.lifting, modes - reduced.watched)
         self.amplitudes = np.zeros(modes)
-        #: How they follow the tool at the last equilibrium.
-        self._answer = np.zeros((modes, 6))
+        self._prediction = Prediction(modes, self._reach)
         self._committed = self.amplitudes.copy(), self.elements.pressures.copy()
         #: Of the elements on the modes there; and steps in which stiffness was computed since it came to rest.
         self._forces, self._rested, self._largest_force = np.zeros(modes), 0, 0.0
@@ -101,6 +103,7 @@ class ReducedSolver(Solver):
         self.contact.set_stiffness(material.mu0)
         for pressures in (self._committed[1], self.elements.pressures):
             pressures *= material.mu0 / before
+        self._prediction.forget_what_was_missed()
         self._floor = 1e-3 * material.mu0 * self._reach**2
         self._renew()
 
@@ -121,7 +124,7 @@ class ReducedSolver(Solver):
         if not resumes:
             self._go_back()
         frame, box = Frame(pose, self.datum), self.reduced.box
-        pressed_in = bool(frame.origin[2] <= self._first.origin[2])
+        pressed_in = bool(frame.origin[2] <= self._lifted.first.origin[2])
         inside = box.holds(pose, self._start)
         clear = not inside and self._is_clear_of(frame)
         # A tool that goes up out of the box takes leave of the tissue within the width of the layer.
@@ -136,10 +139,11 @@ class ReducedSolver(Solver):
         elements.memory.prepare(dt)
         held, free = self._lifting, self._free
         # It begins by going with the tool as it would if the contact did not change, or where the last step ended.
-        way = np.array(motion(self._pose, pose)) if (
-            predictor_order and inside and not resumes) else np.zeros(6)
-        here = self.amplitudes + self._answer @ way
-        here[:held] = self._lifted(frame)
+        follows = predictor_order and inside and not resumes
+        way = np.array(motion(self._pose, pose)) if follows else np.zeros(6)
+        # What touches is balanced below, from the forces that were left.
+        here = self.amplitudes + (self._prediction.change(way) if held and follows else self._prediction.answer @ way)
+        here[:held] = self._lifted.amplitudes(frame)
         iterations, ratio, last, anew, halvings, status = 0, 0.0, np.inf, 1, 0, None
         base = self.amplitudes.copy(), elements.pressures.copy()
         if elements.are_known and inside and not (held or resumes):
@@ -151,7 +155,7 @@ class ReducedSolver(Solver):
         while status is None:
             elements.evaluate(here, change, anew)
             residual = elements.forces + pushed
-            unbalanced = float(np.linalg.norm(residual[free]))
+            unbalanced = size(residual[free])
             balanced = self._balanced(pushed)
             ratio = unbalanced / self._scale(balanced)
             bad = not (elements.least > _LEAST and np.isfinite(ratio))
@@ -162,7 +166,7 @@ class ReducedSolver(Solver):
                 # Half of the way back.
                 halvings += 1
                 here = 0.5 * (here + base[0])
-                here[:held] = self._lifted(frame)
+                here[:held] = self._lifted.amplitudes(frame)
                 elements.pressures[:] = 0.5 * (elements.pressures + base[1])
                 change = None
                 pushed, rates = self._press(here, frame, pressed_in)
@@ -183,8 +187,9 @@ class ReducedSolver(Solver):
         self.amplitudes[:] = here
         stiffness, error, wrench = None, None, np.zeros(6)
         if status is StepStatus.CONVERGED:
-            wrench = contact.wrench(frame) - self._lifted_rates(frame).T @ residual[:held]
-            self._answer[:] = self._follows(frame, rates)
+            wrench = contact.wrench(frame) - self._lifted.rates(frame).T @ residual[:held]
+            self._prediction.learn(np.array(motion(self._pose, pose)), here - self._committed[0],
+                                   *self._follows(frame, rates, residual))
             error = self._force_error(frame, rates, residual, wrench)
             if self._asked:
                 stiffness = self._stiffness(frame, rates)
@@ -205,7 +210,8 @@ class ReducedSolver(Solver):
             self._rested += 1
             self.elements.evaluate(self.amplitudes, None, 1)
         self._committed, self._forces = (self.amplitudes.copy(), self.elements.pressures.copy()), 0.0 * self._forces
-        self._answer[:], self._pose = 0.0, pose
+        self._prediction.forget()
+        self._pose = pose
         self.contact.forget()
         stiffness = ((0.0,) * 6,) * 6 if self._asked else None
         error = 0.0 if self.reduced.watched else None
@@ -218,7 +224,7 @@ class ReducedSolver(Solver):
 
     def _balanced(self, pushed: np.ndarray) -> float:
         """What the contact and the held face are pressed with."""
-        return float(np.linalg.norm(pushed)) + float(np.linalg.norm(self.elements.forces[: self._lifting]))
+        return size(pushed) + size(self.elements.forces[: self._lifting])
 
     def _scale(self, balanced: float) -> float:
         """What unbalanced forces are measured against."""
@@ -241,7 +247,7 @@ class ReducedSolver(Solver):
         while True:
             pushed, rates = self._press(at, frame, pressed_in)
             residual = (forces + tangent @ (at - known) + pushed)[free]
-            unbalanced = float(np.linalg.norm(residual))
+            unbalanced = size(residual)
             if unbalanced <= goal * self._scale(self._balanced(pushed)) or solves >= _MOST_SOLVES:
                 return at, pushed, rates
             if unbalanced > (1.0 - _DESCENT) * last and halvings < _MOST_HALVINGS:
@@ -249,7 +255,7 @@ class ReducedSolver(Solver):
                 continue
             before, last, halvings = at, unbalanced, 0
             at = at.copy()
-            at[free] -= np.linalg.solve((tangent + rates)[free, free], residual)
+            at[free] -= solution((tangent + rates)[free, free], residual)
             solves += 1
 
     def _is_clear_of(self, frame: Frame) -> bool:
@@ -272,27 +278,18 @@ class ReducedSolver(Solver):
         """To the last committed state."""
         self.amplitudes[:], self.elements.pressures[:] = self._committed
 
-    def _lifted(self, frame: Frame) -> np.ndarray:
-        """Amplitudes of the modes that the tool's pose says, shape (lifting,): its way, and how its axes turned."""
-        return frame.motion_from(self._first)[: self._lifting]
-
-    def _lifted_rates(self, frame: Frame) -> np.ndarray:
-        """How these change with the position and a rotation of the tool, shape (lifting, 6)."""
-        rates = np.zeros((self._lifting, 6))
-        if self._lifting:
-            rates[:3, :3] = np.eye(3)
-            rates[3:, 3:] = turned_with(frame.rotation.T).transpose(1, 0, 2).reshape(9, 6)[:, 3:]
-        return rates
-
-    def _follows(self, frame: Frame, rates: np.ndarray) -> np.ndarray:
-        """How the amplitudes follow the position and a rotation of the tool, shape (modes, 6)."""
+    def _follows(self, frame: Frame, rates: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How the amplitudes follow the position and a rotation of the tool, shape (modes, 6), and what is left
+        unbalanced, (modes,)."""
         held, free = self._lifting, self._free
         tangent = self.elements.tangent + rates
-        answer = np.zeros((tangent.shape[0], 6))
-        answer[:held] = self._lifted_rates(frame)
-        pushed = self.contact.rates_of_modes(frame)
-        answer[free] = -np.linalg.solve(tangent[free, free], pushed[free] + tangent[free, :held] @ answer[:held])
-        return answer
+        answer = np.zeros((tangent.shape[0], 7))
+        answer[:held, :6] = self._lifted.rates(frame)
+        right = np.empty((free.stop - held, 7), order="F")
+        right[:, :6] = self.contact.rates_of_modes(frame)[free] + tangent[free, :held] @ answer[:held, :6]
+        right[:, 6] = residual[free]
+        answer[free] = -solution(tangent[free, free], right)
+        return answer[:, :6], answer[:, 6]
 
     def _force_error(self, frame: Frame, rates: np.ndarray, residual: np.ndarray, wrench: np.ndarray) -> float | None:
         """How far the force may be off, N: shares of it, and of its change if what is watched were made, too.
@@ -303,15 +300,17 @@ class ReducedSolver(Solver):
             return None
         held, rest = self._lifting, slice(self._lifting, None)
         tangent = self.elements.tangent + rates
-        change = np.zeros(len(residual))
-        change[rest] = -np.linalg.solve(tangent[rest, rest], residual[rest])
-        force = self.contact.force_of(change) - (self._lifted_rates(frame).T @ (tangent[:held] @ change))[:3]
+        change, unbalanced = np.zeros(len(residual)), residual.copy()
+        unbalanced[self._free] = 0.0  # what the iteration has left says nothing of the modes
+        change[rest] = -solution(tangent[rest, rest], unbalanced[rest])
+        force = self.contact.force_of(change) - (self._lifted.rates(frame).T @ (tangent[:held] @ change))[:3]
         changed, own = self.reduced.error_factors
-        return changed * float(np.linalg.norm(force)) + own * float(np.linalg.norm(wrench[:3]))
+        return changed * size(force) + own * size(wrench[:3])
 
     def _stiffness(self, frame: Frame, rates: np.ndarray) -> np.ndarray:
         """Minus the derivative of the wrench with the tool's pose, shape (6, 6)."""
-        stiffness, held = self.contact.stiffness(frame, self._answer), self._lifting
+        answer, held = self._prediction.answer, self._lifting
+        stiffness = self.contact.stiffness(frame, answer)
         if not held:
             # Where the box has no size the modes know no answer: what would be left is the layer.
             box = self.reduced.box
@@ -319,15 +318,15 @@ class ReducedSolver(Solver):
             stiffness = np.where(known[:, None] & known, stiffness, 0.0)
         if held:
             # Of the contact only what the lifted modes move beside the held face is in the residual.
-            forces = (self.elements.tangent + rates)[:held] @ self._answer + self.contact.rates_of_modes(frame)[:held]
-            stiffness = stiffness + self._answer[:held].T @ forces
+            forces = (self.elements.tangent + rates)[:held] @ answer + self.contact.rates_of_modes(frame)[:held]
+            stiffness = stiffness + answer[:held].T @ forces
         return stiffness
 
     def lift_off(self) -> None:
         """Take the tool away at once; see `Solver.lift_off`."""
         for array in self._committed:
             array[:] = 0.0
-        self._answer[:] = 0.0
+        self._prediction.forget()
         self.contact.forget()
         self._pose = self._start
         self._renew()
@@ -345,7 +344,7 @@ class ReducedSolver(Solver):
 
     @property
     def _kept(self) -> tuple[np.ndarray, ...]:
-        return (*self._committed, self._answer, *self.contact.kept, *self.elements.memory.kept)
+        return (*self._committed, *self._prediction.kept, *self.contact.kept, *self.elements.memory.kept)
 
     def displacement(self) -> np.ndarray:
         """Of all nodes at the last committed state, m, shape (nodes, 3)."""

@@ -88,7 +88,7 @@ class ElementBatches:
         self.count, self.batches = count, len(self._elements)
         self.moduli = np.ones((self.batches, LANES))
         self.pressures, self.gaps = np.zeros((2, self.batches * self._modes, LANES))
-        self.volume_rates, self._known_rates = np.zeros((2, 3 * self.batches * self._modes * nodes, LANES))
+        self.volume_rates, self.known_rates = np.zeros((2, 3 * self.batches * self._modes * nodes, LANES))
         self.residual = np.zeros(3 * len(mesh.nodes) + 1)
         self._forces = np.zeros((3 * self.batches * nodes, LANES))
         self._dofs = 3 * mesh.connectivity.astype(np.int32)
@@ -181,6 +181,13 @@ class ElementBatches:
         """Of each element on its freedoms, N, shape (elements, freedoms of an element), as the kernel left them."""
         return self._of_elements(self._forces, 3 * self._dofs.shape[1])
 
+    @property
+    def stretch_rates(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Arrays that the kernel reads, to be written in place, and their rates with the logarithm of the height of the
+        undeformed mesh."""
+        return [(self._gradients[2], -self._gradients[2]), (self._weights, self._weights.copy()),
+                (self._mode_values, -0.5 * self._mode_values)]
+
     def set_moduli(self, ratios: np.ndarray) -> None:
         """Of each element's moduli to those of its material, shape (elements,)."""
         self.moduli[:] = ratios[self._elements]
@@ -194,25 +201,24 @@ class ElementBatches:
         the bulk modulus, or those of the batches, Pa."""
         nodes = self._dofs.shape[1]
         moved = motion[self._equations_of_nodes].reshape(self.batches, 1, 3 * nodes, LANES)
-        rates = self._known_rates.reshape(self.batches, self._modes, 3 * nodes, LANES)
+        rates = self.known_rates.reshape(self.batches, self._modes, 3 * nodes, LANES)
         change = self.gaps.reshape(self.batches, self._modes, LANES) + (rates * moved).sum(axis=2)
         self.pressures += ((np.reshape(kappa, (-1, 1)) * self.moduli)[:, None] * change).reshape(-1, LANES)
 
     def keep_volume_rates(self) -> None:
         """Those of the volumes with the nodes are those that the matrix holds."""
-        self._known_rates[:] = self.volume_rates
+        self.known_rates[:] = self.volume_rates
 
     def add_known_volumes(self, forces: np.ndarray, kappa: np.ndarray) -> None:
         """Add to forces, shape (freedoms,), N, what eliminating the pressures with the rates that the matrix holds
         makes of them, instead of with those of now; `kappa` are the bulk moduli of the batches, Pa."""
         shape = self.batches, self._modes, -1, LANES
         missed = (kappa[:, None] * self.moduli)[:, None] * self.gaps.reshape(self.batches, self._modes, LANES)
-        more = (missed[:, :, None] * (self._known_rates - self.volume_rates).reshape(shape)).sum(axis=1)
-        whole = np.append(forces, 0.0)
-        np.add.at(whole, self._equations.reshape(more.shape), more)
-        forces[:] = whole[:-1]
+        more = (missed[:, :, None] * (self.known_rates - self.volume_rates).reshape(shape)).sum(axis=1)
+        # The equation after the last one is that of lanes which are left over.
+        forces += np.bincount(self._equations.ravel(), more.ravel(), minlength=forces.size + 1)[:-1]
 
-    @property
+    @cached_property
     def _equations_of_nodes(self) -> np.ndarray:
         # Of lanes that are left over those of the last element, so that they stay its copies.
         own = (self._dofs[:, :, None] + np.arange(3, dtype=np.int32)).reshape(self.count, -1)

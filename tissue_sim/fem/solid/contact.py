@@ -158,8 +158,8 @@ class ContactNodes:
         bound: `FREE`, `HELD` or `TOUCHED`; anchors: where, as a displacement in the body's frame, m, shape (n, 3).
         pressed, slips: states of a step, shape (n,); slipped: which slipped at the last equilibrium.
         forces: of contact and friction on the bodies, N, in the frame of the mesh, shape (n, 3).
-        rates: of all forces with the motion of the nodes against their bodies, N/m, shape (n, 3, 3); known_rates: in
-            the matrix, without laws. missed: by how much the constraints are, m, shape (n, 3).
+        rates: of all forces with the motion of the nodes against their bodies, N/m, shape (n, 3, 3); law_rates: of laws
+            alone; known_rates: in the matrix, without them. missed: by how much the constraints are, m, shape (n, 3).
         state: what each does where it was looked at last.
     """
 
@@ -191,7 +191,7 @@ class ContactNodes:
         self.pressed, self.slips, self.slipped = np.zeros((3, n), dtype=bool)
         self._ways, self.ways_before = np.zeros((2, n, 3))
         self.forces, self.missed, self.normals, self._law_forces = np.zeros((4, n, 3))
-        self.rates, self.known_rates, self._law_rates = np.zeros((3, n, 3, 3))
+        self.rates, self.known_rates, self.law_rates = np.zeros((3, n, 3, 3))
         self.laws = laws or NodeLaws()
 
     @property
@@ -242,7 +242,7 @@ class ContactNodes:
         self.held[:], self.held_at[:] = self.bound, self.anchors
         self.pressed[:], self.slips[:], self._ways[:] = False, self.slipped, self.ways_before
 
-    def _measure(self, displacement: np.ndarray, frame: Frame) -> tuple[np.ndarray, ...]:
+    def measure(self, displacement: np.ndarray, frame: Frame) -> tuple[np.ndarray, ...]:
         """How far each node has come in the frame of its body since the tool touched, gap, curvature, whether the shaft
         is near, turn of that frame, meridian; notes the normals."""
         n = len(self.nodes)
@@ -278,7 +278,7 @@ class ContactNodes:
         """
         n = len(self.nodes)
         self.rates[:], self.missed[:] = 0.0, 0.0
-        travel, gap, curved, shaft, turn, meridians = self._measure(displacement, frame)
+        travel, gap, curved, shaft, turn, meridians = self.measure(displacement, frame)
         normals, forces, springs = self.normals, self.forces, self.springs
         mu = np.where(shaft, self._friction[:, 1], self._friction[:, 0])
         held = self.held == HELD
@@ -346,13 +346,13 @@ class ContactNodes:
         for noted, found in ((self.rates, rates), (self.missed, missed), (found_forces, pushed)):
             noted[pressed] = found[pressed]
         forces[:] = found_forces
-        near = self.moves & (self.held == TOUCHED) & (gap < self.laws.reach)
+        near = self.moves & (self.held == TOUCHED) & (gap < self.laws.reach) & bool(self.laws)
         if self.laws:
-            self._law_forces[:], self._law_rates[:] = 0.0, 0.0
-            self._law_forces[near], self._law_rates[near] = self.laws.act(
+            self._law_forces[:], self.law_rates[:] = 0.0, 0.0
+            self._law_forces[near], self.law_rates[near] = self.laws.act(
                 self.nodes[near], gap[near], normal[near], along[near], normals[near], meridians[near], curved[near],
                 bending)
-            self.rates += self._law_rates
+            self.rates += self.law_rates
         # What it would be bound to at an equilibrium here.
         surface = travel - np.einsum("nji,nj->ni", turn, gap[:, None] * normals)
         touches = pressed | ((mu > 0.0) & (gap <= 1e-3 * tolerance))
@@ -364,13 +364,13 @@ class ContactNodes:
             self._met[others] = TOUCHED
             keeps = keeps | (others & (mu == 0.0) & (self.held == TOUCHED))
         self._met_at[:] = np.where(keeps[:, None], self.held_at, surface)
-        self.state = ContactState(held, pressed, sticks, sliding, goes, keeps, self._met != FREE, normal, limit, mu,
-                                  springs, HOLD * springs, normals, slip, ways, curved, turn)
+        self.state = ContactState(held, pressed, sticks, sliding, goes, keeps, self._met != FREE, near, gap, normal,
+                                  limit, mu, springs, HOLD * springs, normals, slip, ways, curved, turn)
         return Look(float(violation), int(sliding.sum()), switched, wanting)
 
     def keep_rates(self) -> None:
         """Those of now, without those of laws, are those that the matrix holds of the contact."""
-        self.known_rates[:] = self.rates - self._law_rates
+        self.known_rates[:] = self.rates - self.law_rates
 
     def follow(self, motion: np.ndarray) -> None:
         """Let the forces follow a linear solution in which the nodes moved so against their bodies, m, shape (n, 3)."""

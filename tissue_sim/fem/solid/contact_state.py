@@ -13,8 +13,8 @@ class ContactState(NamedTuple):
     Attributes:
         held, pressed, sticks, slides, goes, keeps, met: held where they touched; pressed against a body; of these,
             stuck by friction, slipping, and slipping far enough to have a way; whether their anchor stays, and whether
-            they are bound to a body from now on; shape (n,).
-        normal: force along the normal, N; limit: of friction, N; friction: its coefficient, shape (n,).
+            they are bound to a body from now on; near: near enough for laws beside contact and friction; shape (n,).
+        gap: m; normal: force along the normal, N; limit: of friction, N; friction: its coefficient, shape (n,).
         springs: of gaps, and holds: of slip, N/m, shape (n,).
         normals: out of the bodies; slip: since the last equilibrium, m; ways: of slip, shape (n, 3).
         curved: how the normals turn with the place, 1/m; turn: from the frame of the body to that of the mesh, shape
@@ -28,6 +28,8 @@ class ContactState(NamedTuple):
     goes: np.ndarray
     keeps: np.ndarray
     met: np.ndarray
+    near: np.ndarray
+    gap: np.ndarray
     normal: np.ndarray
     limit: np.ndarray
     friction: np.ndarray
@@ -75,13 +77,14 @@ class ContactState(NamedTuple):
     def anchor_rates(self, motion: np.ndarray, anchors: np.ndarray) -> np.ndarray:
         """Rates of where the nodes are bound after this equilibrium; arguments as of `force_rates`."""
         n = self.normals[:, :, None]
-        surface = self.turn.swapaxes(1, 2) @ (motion - _along(n, motion) * n)
+        beside = self.gap[:, None, None] * (self.curved @ motion)
+        surface = self.turn.swapaxes(1, 2) @ (motion - _along(n, motion) * n - beside)
         return np.where(_wide(self.held | self.keeps), anchors, np.where(_wide(self.met), surface, 0.0))
 
     @property
     def kinds(self) -> np.ndarray:
-        """What each node does, to be compared with another equilibrium, shape (4, n)."""
-        return np.stack([self.held, self.pressed, self.sticks, self.slides])
+        """What each node does, to be compared with another equilibrium, shape (5, n)."""
+        return np.stack([self.held, self.pressed, self.sticks, self.slides, self.near])
 
 
 def _along(direction: np.ndarray, vectors: np.ndarray) -> np.ndarray:

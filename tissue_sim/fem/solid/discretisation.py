@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -15,9 +16,11 @@ from tissue_sim.fem.solid.contact import STICK, Body
 from tissue_sim.fem.solid.contact import nearest as nearest_surface
 from tissue_sim.fem.solid.contact_laws import NodeLaws
 from tissue_sim.fem.solid.frame import Frame
-from tissue_sim.fem.solid.settling import settle
+from tissue_sim.fem.solid.sensitivity import StartRates
+from tissue_sim.fem.solid.settling import Settling, settle
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solid.tissue import element_layers
+from tissue_sim.fem.solver import Neighbours
 from tissue_sim.material.layer import Layer
 from tissue_sim.mesh.grading import PLATE_RING, Grading
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
@@ -31,6 +34,8 @@ from tissue_sim.specimen.specimen import with_article
 _NEEDLE_TOLERANCE, _PLATE_TOLERANCE = 1e-4, 1e-7
 #: Elements far from a needle need not be smaller than this share of the specimen.
 _LEAST_LARGEST = 0.17
+#: Way of the top, in heights of the specimen, by which it is seen how the place of the first touch follows it.
+_TOUCHING_STEP = 1e-5
 #: Steps of a tool on its way down to the tissue.
 _MOST_APPROACHES = 1000
 
@@ -78,9 +83,10 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
         mesh = build_mesh(origin.experiment, resolution, origin.material.layers)
     if topology is not None:
         mesh = _moved(mesh, topology, experiment)
-    layers, weight, settled = element_layers(mesh, model.material.layers), experiment.specimen.specific_weight, None
+    layers, weight = element_layers(mesh, model.material.layers), experiment.specimen.specific_weight
+    settled = settling = None
     if weight:
-        settled = settle(lambda moulded: _standing(model, moulded, layers), mesh, experiment.specimen)
+        settled, settling = settle(lambda moulded: _standing(model, moulded, layers), mesh, experiment.specimen)
         mesh = settled.mesh
     tool = experiment.tool
     bonded = mesh.sets["top" if tool.is_plate else "face"] if experiment.friction == "bonded" else np.zeros(0, int)
@@ -95,17 +101,41 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
     laws = NodeLaws(experiment.acting_laws, np.pi * experiment.contact_radius**2, _law_areas(experiment, mesh))
     return SolidSolver(mesh, model.material, _fixed(experiment), bonded, bodies=bodies, laws=laws, tolerance=tolerance,
                        start=start, datum=datum, contact_radius=experiment.contact_radius,
-                       pins=_pins(experiment, mesh), element_layers=layers, specific_weight=weight, settled=settled,
-                       lift=_lift(mesh, top, datum) if weight and tool.is_plate else None)
+                       pins=_pins(experiment, mesh), element_layers=layers, specific_weight=weight,
+                       settled=settled, lift=_lifted(mesh, top[:, 2] - datum) if weight and tool.is_plate else None,
+                       start_rates=settling and partial(_start_rates, settling, experiment, bodies, top))
 
 
-def _lift(mesh: SolidMesh, top: np.ndarray, datum: float) -> np.ndarray:
-    """How much of the places of the nodes a plate does not mind: it meets a top that has settled unevenly, places
-    `top`, all at once, as if it had been cut level as it stands."""
+def _lifted(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray:
+    """How much of the places of the nodes a plate does not mind: it meets a top that has settled unevenly, these
+    heights above the plate's place, shape (n, ...), all at once, as if it had been cut level as it stands."""
     from scipy.spatial import cKDTree
 
     _, beside = cKDTree(mesh.nodes[mesh.sets["top"], :2]).query(mesh.nodes[:, :2])
-    return (top[:, 2] - datum)[beside]
+    return heights[beside]
+
+
+def _start_rates(settling: Settling, experiment: Experiment, bodies: list[Body], top: np.ndarray,
+                 neighbours: Neighbours) -> StartRates | None:
+    """How the state in which the tool touches, places `top`, m, changes with parameters; None where that is not
+    known."""
+    mesh, start = settling.mesh, experiment.tool_pose(0.0)
+    specimen, over_sides = experiment.specimen, experiment.tool.is_plate or not experiment.specimen.is_flat
+    if specimen.height_is == "placed" and experiment.acting_laws and over_sides:
+        return None  # areas for tractions would change with the height, too
+    found = settling.repeat(neighbours)
+    if found is None:
+        return None
+    numbers, height = mesh.sets["top"], float(np.ptp(mesh.nodes[:, 2]))
+    ways = found.settled[0].reshape(len(neighbours), -1, 3)[:, numbers]
+    ways[:, :, 2] += np.multiply.outer(found.stretch, mesh.nodes[numbers, 2])
+    datum = np.zeros(len(neighbours))
+    for k, way in enumerate(ways):
+        step = _TOUCHING_STEP * height / max(float(np.abs(way).max()), 1e-300)
+        high, low = (_touching_height(top + side * step * way, bodies, start, height) for side in (1.0, -1.0))
+        datum[k] = (high - low) / (2.0 * step)
+    lift = _lifted(mesh, ways[:, :, 2].T - datum) if experiment.tool.is_plate else None
+    return StartRates(found.stretch, found.settled, found.resting, datum, lift)
 
 
 def _fixed(experiment: Experiment) -> dict[str, str]:

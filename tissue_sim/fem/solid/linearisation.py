@@ -3,18 +3,21 @@
 Each call takes the forces of the contact that were found on the last linearisation, makes the step that they give the
 bulk, and linearises there: one iteration for each model of the loop, as in the real-time iteration of optimal control
 (Diehl, Bock and Schlöder, SIAM J. Control Optim. 43 (2005) 1714). Where the tool stands, a few of them are an
-equilibrium.
+equilibrium. A tangent takes ten times as long to condense as forces take to assemble: where it is condensed beside,
+iterates go on with the one of before, so that forces are those of now and only their rates of then.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.model import CondensedContact, ContactState, ContactSurface
-from tissue_sim.fem.linear.sparse import CondensedFactor
+from tissue_sim.fem.condensed.model import Beside, CondensedContact, ContactState, ContactSurface, at_once
+from tissue_sim.fem.linear.sparse import library
+from tissue_sim.fem.solid.condensed_tangent import CondensedTangent
 from tissue_sim.fem.solid.contact import STIFFNESS, Body, nearest
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.frame import Frame
@@ -22,15 +25,39 @@ from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
-from tissue_sim.pose import Pose
+from tissue_sim.pose import Pose, between
 
-#: Most nodes onto which the bulk is condensed; and share of them, the nearest, of which all must be there, or others
-#: are chosen: another choice costs an analysis.
-CANDIDATES, _NEEDED = 100, 0.6
+#: Most nodes that are published. The bulk is condensed onto so many times as many by Pardiso, whose cost hardly depends
+#: on it; of them the nearest share must be there, or others are chosen: another choice costs an analysis.
+CANDIDATES, _MORE, _NEEDED = 100, 3, 0.6
 #: Shares of a step that are tried where the whole of it turns elements inside out.
 _SHARES = (1.0, 0.5, 0.25)
+#: The same with the tangent of an earlier iterate, which would overshoot where tissue has become more than twice as
+#: stiff. Motions below the other share of the displacement are none.
+_OLD_SHARES, _ROUNDING = (0.8, 0.4, 0.2), 1e-5
 #: A radius below this share of a line's length is none.
 _ON_AXIS = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A step of the free freedoms, m: all of it, and its shares by the forces of the contact and by what the tool
+    holds."""
+
+    motion: np.ndarray
+    pushed: np.ndarray
+    carried: np.ndarray
+
+    def leads_on(self, settles: np.ndarray, share: float, rounding: float) -> bool:
+        """Whether a share of it led towards the equilibrium: the next step is shorter (the restricted monotonicity
+        test: Deuflhard, Newton Methods for Nonlinear Problems, 2011, section 3.3).
+
+        Args:
+            settles: motion that now balances the tissue without contact, m.
+            share: that was made. rounding: length that is none, m.
+        """
+        following = settles + self.pushed + (1.0 - share) * self.carried
+        return float(np.linalg.norm(following)) <= (1.0 - 0.25 * share) * float(np.linalg.norm(self.motion)) + rounding
 
 
 class SolidLinearisation:
@@ -65,12 +92,20 @@ class SolidLinearisation:
         self._equations = equation[self._freedoms]
         self._meets = np.flatnonzero((self._equations >= 0).all(axis=1))
         self._count = min(candidates, self._meets.size)
+        self._most = min(self._count * (_MORE if library() == "pardiso" else 1), self._meets.size)
         self.surface = self._describe(self._count)
         self._untouched = solver.save()
         self._epoch, self._number, self._time = 0, 0, 0.0
-        self._factor: CondensedFactor | None = None
-        self._chosen = self._meets[:0]
+        self._interface = self._meets[:0]
         self._none = np.zeros_like(contact.rates)
+        self._tangents = [CondensedTangent(solver._matrix, solver._moved) for _ in range(2)]
+        # The one in use, the one that is being made, and the motion that balances the tissue without contact.
+        self._tangent: CondensedTangent | None = None
+        self._coming: CondensedTangent | None = None
+        # Whether the one in use is that of an earlier iterate.
+        self._stale = False
+        self._settles = np.zeros(solver._free.size)
+        self.beside: Beside = at_once
         self.residual = 0.0
 
     def _describe(self, candidates: int) -> ContactSurface:
@@ -94,6 +129,7 @@ class SolidLinearisation:
     def set_material(self, material: Material) -> None:
         """See `SolidSolver.set_material`."""
         self._solver.set_material(material)
+        self._tangent = None
         self._untouched = self._solver.save() if self._number == 0 else self._untouched
 
     @property
@@ -105,93 +141,156 @@ class SolidLinearisation:
         """See `BulkLinearisation.linearise`."""
         solver = self._solver
         if state.epoch != self._epoch:
-            solver.restore(self._untouched)
-            for array, rest in zip(solver._committed, solver._rest, strict=True):
-                array[:] = rest  # of the material as it is now
-            solver.tissue.prepare(0.0)
-            self._epoch, self._factor, self._time = state.epoch, None, state.time
-        if self._factor is None:
-            solver._go_back()
-            if not self._condense(state, solver.pose, ahead):
-                return None
-            return self._model(state, solver.pose if self._holds else state.pose)
+            self._rest()
+            self._epoch, self._tangent, self._time = state.epoch, None, state.time
+        if self._tangent is None:
+            return self._begin_anew(state, ahead)
         if state.model != self._number:
             return None
-        way, before = self._step(state), tuple(array.copy() for array in solver._state)
-        solver.tissue.prepare(max(0.0, state.time - self._time))
-        self._take(way)
+        due = self._coming is None or self._coming.is_done
+        if due and self._change(state, state.pose, ahead):
+            self._settle()
+        before, here = tuple(array.copy() for array in solver._state), solver.pose
+        step = self._step(state)
         after = tuple(array.copy() for array in solver._state)
-        for share in _SHARES:
-            for array, old, new in zip(solver._state, before, after, strict=True):
-                array[:] = old + share * (new - old)
-            if self._condense(state, state.pose, ahead):
-                self._settle(state.pose)
-                self._time = state.time
-                return self._model(state, state.pose)
-        for array, old in zip(solver._state, before, strict=True):
-            array[:] = old
-        self._factor = None
+        solver.tissue.prepare(max(0.0, state.time - self._time))
+        settles, old = self._settles, self._stale
+        for share in _OLD_SHARES if old else _SHARES:
+            for array, one, other in zip(solver._state, before, after, strict=True):
+                array[:] = one + share * (other - one)
+            if not self._assembled(due):
+                continue
+            pose, self._stale = between(here, state.pose, share), True
+            if old:
+                self._settle()
+                if not step.leads_on(self._settles, share, _ROUNDING * float(np.linalg.norm(solver.x))):
+                    continue
+            begun = self._begin(state, pose, ahead, self.beside) if due else None
+            if begun is not None and begun.is_done:
+                if not self._change(state, pose, ahead):
+                    continue  # who waits for a tangent does not go where there is none
+                self._stale = False
+            if not (old and self._stale):
+                self._settle()
+            self._note_residual(state)
+            self._commit(pose)
+            self._time = state.time
+            return self._model(state, pose)
+        for array, old_one in zip(solver._state, before, strict=True):
+            array[:] = old_one
+        self._settles, self._stale = settles, old
+        if self._coming is None or not self._assembled(False):
+            self._tangent = None
         return None
 
-    def _step(self, state: ContactState) -> np.ndarray:
-        """Motion of all freedoms to the pose of a state, with its forces, m."""
-        solver, factor = self._solver, self._factor
-        assert factor is not None
-        motion = np.zeros_like(solver.x)
-        motion[solver._moved] = solver.held_displacement(Frame(state.pose, solver.datum)) - solver.x[solver._moved]
-        right = self._unbalanced(state)
-        if self._holds:
-            right += solver._matrix.all @ motion
-        motion[solver._free] = -factor.solve(right[solver._free])
-        return motion
-
-    def _take(self, motion: np.ndarray) -> None:
+    def _rest(self) -> None:
+        """Back to the tissue that nobody touches, of the material as it is now."""
         solver = self._solver
+        solver.restore(self._untouched)
+        for array, rest in zip(solver._committed, solver._rest, strict=True):
+            array[:] = rest
+        solver.tissue.prepare(0.0)
+        solver._go_back()
+
+    def _begin_anew(self, state: ContactState, ahead: Sequence[Pose]) -> CondensedContact | None:
+        """The linearisation where the tissue stands, or where it is at rest if there is none."""
+        solver, self._coming = self._solver, None
+        for go_back in (solver._go_back, self._rest):
+            go_back()
+            pose = solver.pose if self._holds else state.pose
+            if not self._assembled(True):
+                continue
+            self._begin(state, pose, ahead, at_once)
+            if self._change(state, pose, ahead):
+                self._stale = False
+                self._settle()
+                self._note_residual(state)
+                return self._model(state, pose)
+        return None
+
+    def _step(self, state: ContactState) -> _Step:
+        """Go to the pose of a state, with its forces."""
+        solver, tangent = self._solver, self._tangent
+        assert tangent is not None
+        motion, carried = np.zeros_like(solver.x), np.zeros(solver._free.size)
+        if self._holds:
+            motion[solver._moved] = solver.held_displacement(Frame(state.pose, solver.datum)) - solver.x[solver._moved]
+            carried = -tangent.solve((tangent.held @ motion[solver._moved])[solver._free])
+        loaded = np.flatnonzero(state.forces.any(axis=1))
+        if np.isin(loaded, tangent.interface).all():
+            pushed = -tangent.push(state.forces[tangent.interface])
+        else:
+            right = np.zeros_like(solver.x)
+            right[self._freedoms[loaded]] = state.forces[loaded]
+            pushed = -tangent.solve(right[solver._free])
+        free = motion[solver._free] = self._settles + pushed + carried
         solver.x += motion
         solver.tissue.follow(motion)
+        return _Step(free, pushed, carried)
 
-    def _assembled(self) -> bool:
-        """Forces and tangent without contact; whether no element is turned inside out."""
+    def _settle(self) -> None:
+        """Note the motion of the free freedoms that balances the tissue as it was assembled last, without contact."""
+        solver, tangent, right = self._solver, self._tangent, self._solver.batches.residual[:-1].copy()
+        assert tangent is not None
+        if self._stale:
+            solver.tissue.add_known_volumes(right)
+        self._settles = -tangent.solve(right[solver._free])
+        self._reactions = right[solver._moved] + tangent.held[solver._free].T @ self._settles
+
+    def _assembled(self, tangent: bool) -> bool:
+        """Forces, and if asked for the tangent, without contact; whether no element is turned inside out."""
         solver = self._solver
-        solver._assemble()
+        solver._least = solver.tissue.assemble(tangent)
+        if tangent:
+            solver._matrix.add(self._none)
         return 0.0 < solver._least < 1e30
 
-    def _settle(self, pose: Pose) -> None:
-        """Commit the iterate."""
+    def _commit(self, pose: Pose) -> None:
+        """Keep the iterate."""
         solver = self._solver
         solver.tissue.commit()
         solver._committed = solver.x.copy(), solver.batches.pressures.copy(), solver.contact.forces.copy()
         solver._pose = pose
 
-    def _unbalanced(self, state: ContactState) -> np.ndarray:
-        right = self._solver.batches.residual[:-1].copy()
-        np.add.at(right, self._freedoms, state.forces)
-        return right
-
-    def _condense(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> bool:
-        """Assemble where the solver stands, and condense there; whether that is possible."""
-        solver = self._solver
-        if not self._assembled():
-            return False
-        unbalanced = self._unbalanced(state)
+    def _note_residual(self, state: ContactState) -> None:
+        solver, unbalanced = self._solver, self._solver.batches.residual[:-1].copy()
+        unbalanced[self._freedoms] += state.forces
         held = float(np.linalg.norm(unbalanced[solver._reacting]))
         self.residual = float(np.linalg.norm(unbalanced[solver._free])) / max(held, solver._floor)
-        self._choose(state, pose, ahead)
-        solver._matrix.add(self._none)
-        self._order = np.argsort(self._equations[self._chosen].ravel())
-        self._factor = solver._sparse.condense(solver._matrix.free, self._equations[self._chosen].ravel()[self._order])
-        return self._factor is not None
 
-    def _choose(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> None:
-        """The nodes that the tool can meet first."""
+    def _begin(self, state: ContactState, pose: Pose, ahead: Sequence[Pose],
+               beside: Beside) -> CondensedTangent | None:
+        """Condense the tangent that was assembled last; None where one is still made."""
+        # It may be one that nobody needs any more.
+        spare = next((each for each in self._tangents if each is not self._tangent and each.is_done), None)
+        if spare is None or self._coming is not None:
+            return None
+        solver, order, loaded = self._solver, *self._nearest(state, pose, ahead)
+        if not np.isin(order[:max(int(_NEEDED * self._most), loaded)], self._interface).all():
+            self._interface = np.sort(order[:self._most])
+        spare.begin(solver._matrix, self._interface, self._equations[self._interface], solver.batches.volume_rates,
+                    beside)
+        self._coming = spare
+        return spare
+
+    def _change(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> bool:
+        """Go on with the tangent that is done, if there is one and it could be condensed."""
+        coming, self._coming = self._coming, None
+        if coming is None or coming.factor is None:
+            return False
+        order, _ = self._nearest(state, pose, ahead)
+        nodes = np.sort(order[np.isin(order, coming.interface)][:self._count])
+        coming.choose(nodes, self._equations[nodes])
+        self._tangent, self._base = coming, self._number + 1
+        self._solver.batches.known_rates[:] = coming.volume_rates
+        return True
+
+    def _nearest(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> tuple[np.ndarray, int]:
+        """The nodes that the tool can meet, those that are loaded and those that it meets first in front, and how many
+        are loaded."""
         meets, loaded = self._meets, np.abs(state.forces).sum(axis=1) > 0.0
         gaps = np.stack([self._gaps(each) for each in (pose, *ahead)])[:, meets]
-        order = meets[np.lexsort((gaps.min(axis=0), ~loaded[meets]))]
-        needed = order[:max(int(_NEEDED * self._count), int(loaded.sum()))]
-        if not np.isin(needed, self._chosen).all():
-            self._chosen = np.sort(order[:self._count])
-        left = np.setdiff1d(meets, self._chosen)
-        self._reach = float(np.maximum(0.0, self._gaps(pose)[left]).min(initial=np.inf))
+        return meets[np.lexsort((gaps.min(axis=0), ~loaded[meets]))], int(loaded.sum())
 
     def _gaps(self, pose: Pose) -> np.ndarray:
         """Distances of the surface from the tool at a pose, m, shape (s,)."""
@@ -206,33 +305,42 @@ class SolidLinearisation:
 
     def _model(self, state: ContactState, pose: Pose) -> CondensedContact:
         """The linearisation at the last iterate."""
-        solver, factor, chosen = self._solver, self._factor, self._chosen
-        assert factor is not None
-        n, free = chosen.size, solver._free
-        back = np.argsort(self._order)
-        compliance = factor.compliance[np.ix_(back, back)]
-        residual = solver.batches.residual[:-1]
+        solver, tangent = self._solver, self._tangent
+        assert tangent is not None
         settles = np.zeros_like(solver.x)
-        settles[free] = -factor.solve(residual[free])
-        middle = (solver.x + settles)[self._freedoms[chosen]]
-        wrench, stiffness, drive = np.zeros(6), np.zeros((6, 6)), np.zeros((3 * n, 6))
+        settles[solver._free] = self._settles
+        middle = (solver.x + settles)[self._freedoms[tangent.nodes]]
+        wrench = np.zeros(6)
         if self._holds:
             levers = Frame(pose, solver.datum).rates(solver._places_of(solver._bonded))
-            moved = np.zeros((solver.x.size, 6))
-            moved[solver._moved] = levers.reshape(-1, 6)
-            answer = moved.copy()
-            answer[free] = -factor.solve((solver._matrix.all @ moved)[free])
-            drive = answer[self._freedoms[chosen]].reshape(3 * n, 6)
-            forces = -(residual + solver._matrix.all @ settles)[solver._moved].reshape(-1, 3)
+            forces = -self._reactions.reshape(-1, 3)
             wrench = np.einsum("nik,ni->k", levers, forces)
-            reactions = (solver._matrix.all @ answer)[solver._moved].reshape(-1, 3, 6)
-            rate = -np.einsum("nia,nib->ab", levers, reactions)
-            apart = levers - np.concatenate([np.eye(3), np.zeros((3, 3))], axis=1)
-            rate[3:] += np.cross(apart, forces[:, :, None], axisa=1, axisb=1, axisc=1).sum(axis=0)
-            stiffness = -rate
+            if self._number + 1 == self._base:
+                self._hold(tangent, levers, forces)
+        left = np.setdiff1d(self._meets, tangent.nodes)
+        reach = float(np.maximum(0.0, self._gaps(pose)[left]).min(initial=np.inf))
         self._number += 1
-        return CondensedContact(self._number, self._epoch, state.time, pose, chosen.copy(), middle, compliance,
-                                drive, wrench, stiffness, self._reach, solver.material.mu0, self.residual)
+        return CondensedContact(self._number, self._base, self._epoch, state.time, pose, tangent.nodes, middle,
+                                tangent.compliance, tangent.drive, wrench, tangent.stiffness, reach,
+                                solver.material.mu0, self.residual)
+
+    def _hold(self, tangent: CondensedTangent, levers: np.ndarray, forces: np.ndarray) -> None:
+        """Note how the nodes and the wrench follow what the tool holds.
+
+        Args:
+            tangent: where.
+            levers: how its nodes go with the tool, shape (n, 3, 6). forces: of theirs on it, N, shape (n, 3).
+        """
+        solver = self._solver
+        answer = np.zeros((solver.x.size, 6))
+        answer[solver._moved] = levers.reshape(-1, 6)
+        answer[solver._free] = -tangent.solve((tangent.held @ answer[solver._moved])[solver._free])
+        tangent.drive = answer[self._freedoms[tangent.nodes]].reshape(-1, 6)
+        reactions = (tangent.held.T @ answer).reshape(-1, 3, 6)
+        rate = -np.einsum("nia,nib->ab", levers, reactions)
+        apart = levers - np.concatenate([np.eye(3), np.zeros((3, 3))], axis=1)
+        rate[3:] += np.cross(apart, forces[:, :, None], axisa=1, axisb=1, axisc=1).sum(axis=0)
+        tangent.stiffness = -rate
 
 
 def make_linearisation(model: Model, *, resolution: str = "realtime", mesh: SolidMesh | None = None,

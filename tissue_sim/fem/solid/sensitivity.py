@@ -10,17 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
-from tissue_sim.fem.history import INSTANT, Memory
-from tissue_sim.fem.linear.sparse import factorise
-from tissue_sim.fem.solid.batches import ElementBatches
+from tissue_sim.fem.linear.sparse import SparseSolver
 from tissue_sim.fem.solid.contact import ContactNodes
+from tissue_sim.fem.solid.contact_law_rates import LawRates
+from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.free_part import FreePart
+from tissue_sim.fem.solid.memory_rates import MemoryRates
+from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.material.material import Material
-from tissue_sim.material.viscoelasticity import Prony
 
 #: Half width of the differences, in those of the neighbours, which are a millionth of the parameter apart.
 _WIDTH = 10.0
@@ -33,21 +35,46 @@ class SolidParts:
     """What a sensitivity sees of its solver.
 
     Attributes:
+        nodes: where those of the mesh are, undeformed, m, shape (nodes, 3).
         x: displacements, m, shape (freedoms,). free, moved: numbers of those that are free, and that the tool holds.
-        batches, contact, memory, matrix: of the solver.
-        inputs: arrays that the material sets and the assembly reads, written in place.
-        assemble: forces at the state as it is, and the matrix, if asked for.
+        tissue, contact, matrix: of the solver.
+        first: the tool where it first touches.
+        assemble: forces and the matrix of the tissue at the state as it is.
     """
 
+    nodes: np.ndarray
     x: np.ndarray
     free: np.ndarray
     moved: np.ndarray
-    batches: ElementBatches
+    tissue: Tissue
     contact: ContactNodes
-    memory: Memory
     matrix: FreePart
-    inputs: tuple[np.ndarray, ...]
-    assemble: Callable[[bool], None]
+    first: Frame
+    assemble: Callable[[], None]
+
+
+@dataclass(frozen=True, eq=False)
+class StartRates:
+    """How the state in which the tool touches changes with m parameters.
+
+    Attributes:
+        stretch: of the logarithm of the height of the undeformed mesh, shape (m,).
+        settled: what `SolidSensitivity.carried` was of the specimen that has settled; None: it has not moved.
+        resting: numbers of the nodes of its contact.
+        datum: of the height of the scene's origin in the frame of the mesh, m, shape (m,).
+        lift: of how much higher nodes stand than the tool takes them to, m, shape (nodes, m); None: of nothing.
+    """
+
+    stretch: np.ndarray
+    settled: Sequence[np.ndarray] | None
+    resting: np.ndarray
+    datum: np.ndarray
+    lift: np.ndarray | None
+
+    @classmethod
+    def moulded(cls, stretch: np.ndarray) -> StartRates:
+        """Of a specimen as moulded."""
+        return cls(stretch, None, np.zeros(0, dtype=np.intp), np.zeros_like(stretch), None)
 
 
 class SolidSensitivity:
@@ -55,173 +82,233 @@ class SolidSensitivity:
 
     Args:
         parts: of a solver before its first step.
-        input_rates: of `parts.inputs` with each parameter, in their order. past_rates: of `Memory.past`, shape (m, 5).
-        relaxations: of each parameter what relaxes with a little more and a little less of it.
-        widths: difference of the two, shape (m,).
+        input_rates: of each region's inputs, in their order, with the parameters, shape (m, ...).
+        memories: of each region.
+        widths: difference of each parameter's neighbours, shape (m,).
 
     Attributes:
         force: of the force along z, N per unit, shape (m,). vector: of all three components, shape (m, 3).
     """
 
-    def __init__(self, parts: SolidParts, input_rates: Sequence[Sequence[np.ndarray]], past_rates: np.ndarray,
-                 relaxations: Sequence[tuple[Prony | None, Prony | None]], widths: np.ndarray):
-        self._parts, self._input_rates, self._past_rates = parts, input_rates, past_rates
-        self._relaxations, self._half = relaxations, _WIDTH * widths
-        self._widths, m = widths, widths.size
-        memory, n = parts.memory, parts.contact.nodes.size
+    def __init__(self, parts: SolidParts, input_rates: Sequence[Sequence[np.ndarray]], memories: Sequence[MemoryRates],
+                 widths: np.ndarray):
+        self._parts, self._memories, self._half = parts, memories, _WIDTH * widths
+        self._regions = range(len(memories))
+        m, n = widths.size, parts.contact.nodes.size
+        #: Of each parameter and region, what it does to the region's inputs.
+        self._inputs = [[[(array, rate[k]) for array, rate in zip(region.inputs, rates, strict=True) if rate[k].any()]
+                         for region, rates in zip(parts.tissue.regions, input_rates, strict=True)] for k in range(m)]
         self.vector = np.zeros((m, 3))
         self.force = self.vector[:, 2]
-        self._anchors = np.zeros((n, 3, m))
-        shape = (m, *memory.stresses.shape) if memory.works else (m, 0)
-        self._before, self._largest = np.zeros(shape), np.zeros(shape[:-1])
-        self._internal = np.zeros((m, *memory.internal.shape))
-        self._kinds, self._changed = np.zeros((4, n), dtype=bool), False
+        #: Of where nodes are bound, in the frames of their bodies; of their undeformed places against the bodies;
+        #: of where those that the tool holds are in its frame, and of its origin and these in the frame of the mesh.
+        self._anchors, self._apart = np.zeros((2, n, 3, m))
+        self._held = np.zeros((parts.moved.size // 3, 3, m))
+        self._origin, self._undeformed = np.zeros((3, m)), np.zeros((*parts.nodes.shape, m))
+        self._stretch, self._motion = np.zeros(m), np.zeros((parts.x.size, m))
+        self._laws: LawRates | None = None
+        self._added, self._sparse = np.zeros((n, 3, 3)), SparseSolver()
+        self._stretched: list[tuple[np.ndarray, np.ndarray]] = []
+        self._kinds, self._changed = np.zeros((5, n), dtype=bool), False
 
     @classmethod
-    def of(cls, parts: SolidParts, neighbours: Neighbours, here: Material, set_material: Callable[[Material], None],
-           contact_radius: float) -> SolidSensitivity:
+    def of(cls, parts: SolidParts, neighbours: Neighbours, here: Material,
+           set_material: Callable[[Material], None]) -> SolidSensitivity:
         """With what the solver's `set_material` makes of the neighbours of its material, which it has again afterwards.
 
         Args:
             parts: of a solver before its first step. neighbours: see `tissue_sim.fem.solver.Neighbours`.
-            here: its material. contact_radius: m; how fast the pores drain.
+            here: its material.
         """
-        def inputs(material: Material) -> list[np.ndarray]:
+        def inputs(material: Material) -> list[list[np.ndarray]]:
             set_material(material)
-            return [array.copy() for array in (*parts.inputs, parts.memory.past)]
+            return [[array.copy() for array in (*region.inputs, region.memory.past)] for region in regions]
 
+        regions = parts.tissue.regions
         try:
             sides = [(inputs(more), inputs(less)) for more, less, _ in neighbours]
         finally:
             set_material(here)
         widths = np.array([width for *_, width in neighbours])
-        rates = [[(a - b) / width for a, b in zip(*both, strict=True)]
-                 for both, width in zip(sides, widths, strict=True)]
-        relaxations = [(more.relaxation(contact_radius), less.relaxation(contact_radius))
-                       for more, less, _ in neighbours]
-        past = np.array([rate[-1] for rate in rates]).reshape(-1, parts.memory.past.size)
-        past[:, INSTANT] = 0.0
-        return cls(parts, [rate[:-1] for rate in rates], past, relaxations, widths)
+        rates, memories = [], []
+        for number, region in enumerate(regions):
+            arrays = (*region.inputs, region.memory.past)
+            found = [np.zeros((widths.size, *array.shape)) for array in arrays]
+            for k, (more, less) in enumerate(sides):
+                for rate, above, below in zip(found, more[number], less[number], strict=True):
+                    rate[k] = (above - below) / widths[k]
+            rates.append(found[:-1])
+            relaxations = [(region.relaxation(more), region.relaxation(less)) for more, less, _ in neighbours]
+            memories.append(MemoryRates(region.memory, found[-1], relaxations, widths))
+        return cls(parts, rates, memories, widths)
+
+    def begin(self, start: StartRates) -> None:
+        """Before the first step, where the state in which the tool touches depends on the parameters."""
+        parts, contact, first = self._parts, self._parts.contact, self._parts.first
+        self._stretch[:] = start.stretch
+        self._stretched = parts.tissue.batches.stretch_rates if start.stretch.any() else []
+        self._undeformed[:, 2] = parts.nodes[:, 2, None] * start.stretch
+        self._origin[2] = start.datum
+        self._apart[:] = self._undeformed[contact.nodes]
+        if start.lift is not None:
+            self._apart[contact.moves, 2] -= start.lift[contact.nodes[contact.moves]]
+        # What rests stands under the lowest nodes.
+        self._apart[contact.moves] -= self._origin
+        self._apart[~contact.moves, 2] -= parts.nodes[:, 2].min() * start.stretch
+        if start.settled is not None:
+            motion, anchors, *remembered = start.settled
+            self._motion[:] = motion.T
+            for array, left in zip([array for each in self._memories for array in each.kept], remembered, strict=True):
+                array[:] = left
+        met, turned = self._at_contact(self._motion) + self._apart, first.rotation.T
+        self._anchors[:] = np.where(contact.moves[:, None, None], turned @ met, met)
+        if start.settled is not None:
+            _, here, there = np.intersect1d(np.where(contact.moves, -1, contact.nodes), start.resting,
+                                            return_indices=True)
+            self._anchors[here] = np.moveaxis(anchors, 0, -1)[there]
+        places = self._undeformed + self._motion.reshape(self._undeformed.shape)
+        self._held[:] = turned @ (places[parts.moved[::3] // 3] - self._origin)
+
+    @property
+    def carried(self) -> list[np.ndarray]:
+        """Rates of displacements, of where nodes of the contact are bound, and of what the regions remember, parameters
+        first, at the last committed step."""
+        return [self._motion.T, np.moveaxis(self._anchors, -1, 0), *(array for each in self._memories
+                                                                     for array in each.kept)]
 
     def pop_changed(self) -> bool:
         """Whether since the last call the contact changed; see `tissue_sim.fem.solver.Derivatives`."""
         changed, self._changed = self._changed, False
         return changed
 
-    def advance(self) -> None:
-        """At an equilibrium whose contact was looked at with the bonds of the step, before it binds anew and anything
-        is committed. The matrix is that of the tissue, and gets the rates of contact."""
-        parts, m = self._parts, self._widths.size
+    def advance(self, frame: Frame) -> None:
+        """At an equilibrium with the tool there, whose contact was looked at with the bonds of the step, before it
+        binds anew and anything is committed. The matrix is that of the tissue, and gets the rates of contact."""
+        parts, m = self._parts, self._half.size
         state = parts.contact.state
         self._changed |= not np.array_equal(state.kinds, self._kinds)
         self._kinds = state.kinds
         if not m:
             return
-        inherited, decays, gains = self._inherited_rates()
-        rates = np.empty((parts.x.size, m))
-        for k in range(m):
-            rates[:, k] = self._difference(k, inherited[k], None)[0]
-        motion, forces = self._solve(rates)
+        residual = parts.tissue.batches.residual.copy()
+        aside = [each for each in self._memories if each.begin_aside()]
+        if aside:
+            parts.assemble()
+        for each in self._memories:
+            each.begin_step()
+        rates = np.stack([self._forces(k) for k in range(m)], axis=1)
+        follows = frame.rotation @ self._held + self._origin - self._undeformed[parts.moved[::3] // 3]
+        self._laws = LawRates.of(parts.contact, parts.x.reshape(-1, 3)[parts.contact.nodes], frame)
+        motion, forces = self._solve(rates, follows.reshape(-1, m))
         held = -(rates + self._product(motion))[parts.moved].reshape(-1, 3, m)
         self.vector[:] = held.sum(axis=0).T + forces[parts.contact.moves].sum(axis=0).T
-        if parts.memory.works:
-            self._remember(motion, inherited, decays, gains)
-        self._anchors = state.anchor_rates(self._at_contact(motion), self._anchors)
+        self._remember(motion)
+        self._anchors = state.anchor_rates(self._at_contact(motion) + self._apart, self._anchors)
+        self._motion = motion
+        for each in aside:
+            each.end_aside()
+        parts.tissue.batches.residual[:] = residual
 
-    def _inherited_rates(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of what is left of earlier stresses, nothing moving now, shape (m, elements, q, 6), and of decay and gain of
-        the terms, (m, terms)."""
-        memory, m = self._parts.memory, self._widths.size
-        terms = len(memory.internal)
-        decays, gains = np.zeros((2, m, terms))
-        inherited = np.zeros_like(self._before)
-        if not terms:
-            return inherited, decays, gains
-        decay, gain = memory.step
-        for k, ((more, less), width) in enumerate(zip(self._relaxations, self._widths, strict=True)):
-            if more is not None and less is not None and more != less:
-                self._past_rates[k, INSTANT], decays[k], gains[k] = (
-                    (np.asarray(a) - np.asarray(b)) / width
-                    for a, b in zip(more.increment(memory.dt), less.increment(memory.dt), strict=True))
-            else:
-                self._past_rates[k, INSTANT] = 0.0
-            inherited[k] = (np.tensordot(decay, self._internal[k], 1) + np.tensordot(decays[k], memory.internal, 1)
-                            - gain.sum() * self._before[k] - gains[k].sum() * memory.before)
-        return inherited, decays, gains
+    def _forces(self, k: int) -> np.ndarray:
+        """Rates with parameter k of the forces of tissue that does not move, N per unit, shape (freedoms,)."""
+        acting = {number: [(array, rate) for array, rate in self._directions(k, number) if rate.any()]
+                  for number in self._regions}
+        stretched, tissue = self._stretches(k), self._parts.tissue
+        regions = [number for number in self._regions if acting[number] or stretched]
+        forces, = self._difference(k, regions, [*stretched, *chain(*acting.values())], [tissue.batches.residual])
+        forces[2:-1:3] += tissue.specific_weight * self._stretch[k] * tissue.batches.volumes
+        return forces[:-1]
 
-    def _difference(self, k: int, inherited: np.ndarray, motion: np.ndarray | None) -> list[np.ndarray]:
-        """Rates with parameter k of the forces, shape (freedoms,), and of stresses and energies of the law at the
-        points; without motion at a fixed place. All of these are as they were afterwards."""
-        parts, memory = self._parts, self._parts.memory
-        arrays = [*parts.inputs, memory.past, parts.x]
-        rates = [*self._input_rates[k], self._past_rates[k], np.zeros_like(parts.x) if motion is None else motion]
-        if memory.works:
-            arrays += [memory.inherited, memory.largest]
-            rates += [inherited, self._largest[k]]
-        results = [parts.batches.residual, memory.stresses, memory.energies]
-        here = [array.copy() for array in arrays + results]
-        found = []
+    def _remember(self, motion: np.ndarray) -> None:
+        """What the memories make of it when the step is committed."""
+        for number, each in enumerate(self._memories):
+            memory = each.memory
+            for k in range(motion.shape[1] if memory.works else 0):
+                directions = [*self._stretches(k), *self._directions(k, number), (self._parts.x, motion[:, k])]
+                each.commit(k, *self._difference(k, [number], directions, [memory.stresses, memory.energies]))
+
+    def _directions(self, k: int, number: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        """What the assembly of a region reads, and its rates with parameter k, nothing moving."""
+        return self._inputs[k][number] + self._memories[number].directions(k)
+
+    def _stretches(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        """What the assembly of all regions reads of the undeformed mesh, and its rates with parameter k."""
+        return [(array, self._stretch[k] * rate) for array, rate in self._stretched] if self._stretch[k] else []
+
+    def _difference(self, k: int, regions: Sequence[int], directions: Sequence[tuple[np.ndarray, np.ndarray]],
+                    results: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Rates of what the assembly of these regions makes, along directions of arrays that it reads, a step of
+        parameter k wide. Everything is as it was afterwards."""
+        arrays = [array for array, _ in directions]
+        written: list[np.ndarray] = [self._parts.tissue.batches.residual]
+        for number in regions:
+            written += [self._memories[number].memory.stresses, self._memories[number].memory.energies]
+        kept = [(array, array.copy()) for array in arrays + written]
+        here, found = [value for _, value in kept], []
         try:
             for step in (self._half[k], -self._half[k]):
-                for array, value, rate in zip(arrays, here, rates, strict=False):
+                for (array, rate), value in zip(directions, here, strict=False):
                     array[:] = value + step * rate
-                parts.assemble(False)
+                self._parts.tissue.assemble_regions(regions)
                 found.append([result.copy() for result in results])
         finally:
-            for array, value in zip(arrays + results, here, strict=True):
+            for array, value in kept:
                 array[:] = value
-        forces, *others = [(more - less) / (2.0 * self._half[k]) for more, less in zip(*found, strict=True)]
-        return [forces[:-1], *others]
+        return [(more - less) / (2.0 * self._half[k]) for more, less in zip(*found, strict=True)]
 
-    def _solve(self, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How the tissue moves, m per unit, shape (freedoms, m), and how forces of its contact change, (n, 3, m)."""
+    def _solve(self, rates: np.ndarray, follows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How the tissue moves, m per unit, shape (freedoms, m), and how forces of its contact change, (n, 3, m), where
+        what the tool holds moves so, (3 held nodes, m)."""
         parts, contact = self._parts, self._parts.contact
-        state, m = contact.state, rates.shape[1]
+        state, m, own = contact.state, rates.shape[1], contact.rates - contact.law_rates
         motion, forces = np.zeros_like(rates), np.zeros((contact.nodes.size, 3, m))
-        parts.matrix.add(contact.rates)
-        factor = factorise(parts.matrix.free, symmetric=not state.slides.any())
+        motion[parts.moved] = follows
+        self._added = own if self._laws is None else own + self._laws.with_motion(own)
+        parts.matrix.add(self._added)
+        symmetric = not state.slides.any() and _are_symmetric(self._added)
+        factor = self._sparse.factorise(parts.matrix.free, symmetric=symmetric)
         if factor is None:
             return np.full_like(motion, np.nan), np.full_like(forces, np.nan)
         # Measured by forces of tissue and contact; those of the springs that hold the contact are larger by far.
         size = np.linalg.norm(rates, axis=0)
         for _ in range(_SOLUTIONS):
-            found, missing = state.force_rates(self._at_contact(motion), self._anchors, forces)
+            found, missing, acting = self._contact_forces(motion, forces)
             right = rates + self._product(motion)
-            np.add.at(right.reshape(-1, 3, m), contact.nodes, found + missing)
+            np.add.at(right.reshape(-1, 3, m), contact.nodes, acting)
             left = np.linalg.norm(right[parts.free], axis=0)
             size = np.maximum(size, np.linalg.norm(found.reshape(-1, m), axis=0))
             if (left <= _LEFT * size).all():
-                return motion, found
+                return motion, acting - missing
             change = np.zeros_like(motion)
             change[parts.free] = -factor.solve(np.asfortranarray(right[parts.free])).reshape(-1, m)
             motion += change
-            forces = found + missing + contact.rates @ self._at_contact(change)
-        found, _ = state.force_rates(self._at_contact(motion), self._anchors, forces)
+            forces = found + missing + own @ self._at_contact(change)
+        _, missing, acting = self._contact_forces(motion, forces)
         if not (left <= _ENOUGH * size).all():
-            return np.full_like(motion, np.nan), np.full_like(found, np.nan)
-        return motion, found
+            return np.full_like(motion, np.nan), np.full_like(acting, np.nan)
+        return motion, acting - missing
+
+    def _contact_forces(self, motion: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rates of the forces that the contact allows, what its constraints still miss, and all that acts then, laws
+        included, N, shape (n, 3, m)."""
+        state, against = self._parts.contact.state, self._at_contact(motion) + self._apart
+        found, missing = state.force_rates(against, self._anchors, forces)
+        acting = found + missing
+        if self._laws is not None:
+            acting = acting + self._laws.forces(against, against - state.turn @ self._anchors, acting)
+        return found, missing, acting
 
     def _product(self, motion: np.ndarray) -> np.ndarray:
         """Forces of the tissue alone for a motion, the rates of contact being in the matrix."""
-        parts, contact = self._parts, self._parts.contact
-        product = parts.matrix.all @ motion
-        at = self._at_contact(motion)
-        np.add.at(product.reshape(-1, 3, motion.shape[1]), contact.nodes, -(contact.rates @ at))
+        product = self._parts.matrix.all @ motion
+        np.add.at(product.reshape(-1, 3, motion.shape[1]), self._parts.contact.nodes,
+                  -(self._added @ self._at_contact(motion)))
         return product
 
     def _at_contact(self, motion: np.ndarray) -> np.ndarray:
         return motion.reshape(-1, 3, motion.shape[1])[self._parts.contact.nodes]
 
-    def _remember(self, motion: np.ndarray, inherited: np.ndarray, decays: np.ndarray, gains: np.ndarray) -> None:
-        """What the memory makes of it when the step is committed."""
-        memory = self._parts.memory
-        for k in range(motion.shape[1]):
-            _, stress, energy = self._difference(k, inherited[k], motion[:, k])
-            if len(memory.internal):
-                decay, gain = memory.step
-                wide = (slice(None), None, None, None)
-                self._internal[k] = (decay[wide] * self._internal[k] + decays[k][wide] * memory.internal
-                                     + gain[wide] * (stress - self._before[k])
-                                     + gains[k][wide] * (memory.stresses - memory.before))
-            self._before[k] = stress
-            self._largest[k] = np.where(memory.energies > memory.largest, energy, self._largest[k])
+
+def _are_symmetric(blocks: np.ndarray) -> bool:
+    """Whether matrices, shape (n, 3, 3), are, but for the rounding of differences."""
+    return bool(np.abs(blocks - blocks.swapaxes(1, 2)).max(initial=0.0) <= 1e-7 * np.abs(blocks).max(initial=0.0))

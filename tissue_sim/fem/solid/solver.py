@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 
-from tissue_sim.fem.history import Memory
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
 from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Look
 from tissue_sim.fem.solid.contact_laws import NodeLaws
@@ -16,7 +15,7 @@ from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.free_part import FreePart, staying
 from tissue_sim.fem.solid.mass import Mass
-from tissue_sim.fem.solid.sensitivity import SolidParts, SolidSensitivity
+from tissue_sim.fem.solid.sensitivity import SolidParts, SolidSensitivity, StartRates
 from tissue_sim.fem.solid.state import Sample, SavedState
 from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solid.tangent import Tangent
@@ -60,6 +59,7 @@ class SolidSolver(Solver):
         settled: a solver on the same mesh without a tool, whose last state is the one in which the tool touches; None:
             the undeformed mesh.
         lift: how much higher nodes stand than what meets the tool is taken to, m, shape (nodes,); None: nothing.
+        start_rates: how `settled` and what follows from it change with parameters; None: not at all.
 
     Raises:
         InputError: what it does not take of a material, or a bulk ratio outside `BULK_RATIOS`.
@@ -72,7 +72,8 @@ class SolidSolver(Solver):
                  bodies: Sequence[Body] = (), laws: NodeLaws | None = None, tolerance: float = 0.0, start: Pose,
                  datum: float = 0.0, contact_radius: float = 1.0, pins: Sequence[tuple[int, str]] = (),
                  element_layers: np.ndarray | None = None, specific_weight: float = 0.0,
-                 settled: SolidSolver | None = None, lift: np.ndarray | None = None):
+                 settled: SolidSolver | None = None, lift: np.ndarray | None = None,
+                 start_rates: Callable[[Neighbours], StartRates | None] | None = None):
         self.mesh, self.datum, self._tolerance = mesh, datum, tolerance
         self.x = np.zeros(3 * len(mesh.nodes))
         self.tissue = Tissue(mesh, self.x, contact_radius, element_layers)
@@ -100,6 +101,7 @@ class SolidSolver(Solver):
         self._largest_force, self._asked, self._modulus, self._least = 0.0, False, 0.0, 0.0
         self._committed, self._rest = (tuple(array.copy() for array in self._state) for _ in range(2))
         self._derivatives: SolidSensitivity | None = None
+        self._start_rates = start_rates
         self._mass: Mass | None = None
         self._last: Step | None = None
         # How everything goes with the tool at the last equilibrium whose stiffness was asked for, shape (freedoms, 6).
@@ -122,11 +124,6 @@ class SolidSolver(Solver):
         self.contact.set_stiffness(material.mu0)
         top = self.mesh.nodes[self.mesh.sets["top"]]
         self._floor = 1e-6 * material.mu0 * float(np.prod(np.ptp(top[:, :2], axis=0)))
-
-    @property
-    def memory(self) -> Memory:
-        """See `Tissue.memory`."""
-        return self.tissue.memory
 
     @property
     def pose(self) -> Pose:
@@ -215,7 +212,7 @@ class SolidSolver(Solver):
                 if self._derivatives is not None:
                     # They are those of this step, whose bonds are the earlier ones.
                     contact.look(displacement, frame, 0, 0.0, 1.0, _FRICTION_FLOOR * floor, self._tolerance)
-                    self._derivatives.advance()
+                    self._derivatives.advance(frame)
                     if self._asked:
                         self._assemble()
                 contact.hold()
@@ -270,8 +267,7 @@ class SolidSolver(Solver):
 
     def _places(self) -> np.ndarray:
         """Where the nodes of the contact are, m, shape (n, 3)."""
-        nodes = self.contact.nodes
-        return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
+        return self._places_of(self.contact.nodes)
 
     def _assemble(self, tangent: bool = True) -> None:
         self._least = self.tissue.assemble(tangent)
@@ -322,16 +318,20 @@ class SolidSolver(Solver):
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
 
     def differentiate(self, neighbours: Neighbours) -> SolidSensitivity | None:
-        """Carry exact derivatives along from now on; see `Solver.differentiate`. There are none of a mesh of several
-        materials, of tissue that weighs, nor with laws of contact."""
-        tissue = self.tissue
-        inputs = tissue.inputs
-        if inputs is None or tissue.specific_weight or self.contact.laws:
+        """Carry exact derivatives along from now on; see `Solver.differentiate`. There are none with effects at
+        points."""
+        begins = self._start_rates if neighbours else None
+        start = None if begins is None else begins(neighbours)
+        if self.tissue.effects or (begins is not None and start is None):
             return None
-        parts = SolidParts(self.x, self._free, self._moved, self.batches, self.contact, self.memory, self._matrix,
-                           inputs, self._assemble)
-        self._derivatives = SolidSensitivity.of(parts, neighbours, self.material, self.set_material,
-                                                tissue.contact_radius)
+        parts = SolidParts(self.mesh.nodes, self.x, self._free, self._moved, self.tissue, self.contact, self._matrix,
+                           Frame(self._start, self.datum), self._assemble)
+        saved = self.save()
+        self._derivatives = SolidSensitivity.of(parts, neighbours, self.material, self.set_material)
+        self.restore(saved)
+        self._go_back()
+        if start is not None:
+            self._derivatives.begin(start)
         return self._derivatives
 
     def lift_off(self) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
 import numpy as np
 
 from tissue_sim.errors import InputError, nearest
@@ -14,7 +17,22 @@ from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.material import BULK_RATIOS, Material, incompressible_ratio
+from tissue_sim.material.viscoelasticity import Prony
 from tissue_sim.mesh.solid import SolidMesh
+
+
+class RegionParts(NamedTuple):
+    """What derivatives see of the elements of one material.
+
+    Attributes:
+        inputs: arrays that the material sets and the assembly reads, written in place.
+        memory: what these elements remember.
+        relaxation: what relaxes in them, of a material of the whole.
+    """
+
+    inputs: tuple[np.ndarray, ...]
+    memory: Memory
+    relaxation: Callable[[Material], Prony | None]
 
 
 class _Region:
@@ -75,13 +93,14 @@ class Tissue:
         return np.repeat(self.bulk_moduli, LANES)[self.batches.lane_of]
 
     @property
-    def inputs(self) -> tuple[np.ndarray, ...] | None:
-        """What a material sets and the forces depend on; None where there are several materials, or effects at the
-        points."""
-        if len(self._regions) > 1 or self.effects:
-            return None
-        region = self._regions[0]
-        return region.settings[KAPPA : KAPPA + 1], region.coefficients, self.batches.moduli
+    def regions(self) -> tuple[RegionParts, ...]:
+        """Of each region, what its material sets and its forces depend on."""
+        def relaxation(name: str) -> Callable[[Material], Prony | None]:
+            return lambda material: material.regions.get(name, material).relaxation(self.contact_radius)
+
+        return tuple(RegionParts((region.settings[KAPPA : KAPPA + 1], region.coefficients, self.batches.moduli[part]),
+                                 region.memory, relaxation(region.name))
+                     for region, part in zip(self._regions, self.batches.parts, strict=True))
 
     def set_material(self, material: Material) -> None:
         """Change parameters, bulk responses or laws.
@@ -109,7 +128,6 @@ class Tissue:
             memory = region.memory
             memory.set_material(own.relaxation(self.contact_radius), own.softening, own.instantaneous_factor)
             region.settings[KAPPA], region.settings[REMEMBERS] = bulk, memory.works or bool(self.effects)
-            region.settings[ADDS] = region is not self._regions[0]
             self.bulk_moduli[part] = bulk
             with LOCK:
                 kernel = assembly_kernel(self._mesh.element.name, own.energy_law.kernel_energy)
@@ -121,15 +139,23 @@ class Tissue:
 
     def assemble(self, tangent: bool = True) -> float:
         """Forces, and if asked for stiffness, of the state as it is; returns the smallest J."""
-        with LOCK:
-            for region in self._regions:
-                region.settings[TANGENT] = tangent
-                region.kernel()
+        self._run(self._regions, tangent)
         if self.effects:
             self.effects.add(self._x, tangent)
         if self.specific_weight:
             self.batches.residual[2:-1:3] += self.specific_weight * self.batches.volumes
         return min(float(region.least[0]) for region in self._regions)
+
+    def assemble_regions(self, numbers: Sequence[int]) -> None:
+        """Forces of the elements of these regions alone, without weight and effects."""
+        self.batches.residual[:] = 0.0
+        self._run([self._regions[number] for number in numbers], False)
+
+    def _run(self, regions: Sequence[_Region], tangent: bool) -> None:
+        with LOCK:
+            for region in regions:
+                region.settings[TANGENT], region.settings[ADDS] = tangent, region is not regions[0]
+                region.kernel()
 
     def element_forces(self, bulk: float) -> np.ndarray:
         """Of each element on its nodes at the displacements as they are, without the weight and with the pressures that

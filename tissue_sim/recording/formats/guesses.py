@@ -76,6 +76,7 @@ class Reading:
         kind: of test, as far as it shows.
         line: of the header, or of the first numbers. sheets: names of those that are read.
         stated: key -> value of what stands above the numbers. remarks: sentences on what was left out.
+        specimen: key of ``[[specimen]]`` -> value, as the sidecar of the recording states them.
     """
 
     name: str
@@ -88,6 +89,7 @@ class Reading:
     sheets: tuple[str, ...] = ()
     stated: Mapping[str, str] = field(default_factory=lambda: read_only({}))
     remarks: tuple[str, ...] = ()
+    specimen: Mapping[str, float | str] = field(default_factory=lambda: read_only({}))
 
     @property
     def missing(self) -> tuple[str, ...]:

@@ -1,0 +1,61 @@
+"""What the sidecar of one of our own recordings says of its test, so that nobody is asked for it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from tissue_sim.decode import read_json
+from tissue_sim.errors import InputError
+from tissue_sim.experiment.kinds.kind import KINDS
+from tissue_sim.files import read_bytes
+from tissue_sim.frozen_mapping import read_only
+from tissue_sim.recording.formats.guesses import KindGuess, Reading, Understanding
+
+
+def read_sidecar(path: Path) -> Mapping[str, Any]:
+    """The metadata of ``NAME.json`` beside ``NAME.csv``; empty where there is none, or one of another file."""
+    beside = path.with_suffix(".json")
+    if path.suffix.lower() != ".csv" or not beside.is_file():
+        return {}
+    with suppress(InputError):
+        said = read_json(beside, "the sidecar of a recording")
+        digest = hashlib.sha256(read_bytes(path, "a recording")).hexdigest()
+        if isinstance(said, Mapping) and said.get("sha256") == digest:
+            return said
+    return {}
+
+
+def kind_said(said: Mapping[str, Any]) -> str | None:
+    """Kind of test that a sidecar states; None: none that is known."""
+    kind = said.get("kind")
+    return kind if isinstance(kind, str) and kind in KINDS else None
+
+
+def with_sidecar(found: Understanding, said: Mapping[str, Any], *, kind_stated: bool) -> Understanding:
+    """What a file is taken for, with the kind of test, the specimen and the tool that its sidecar states.
+
+    Args:
+        said: see `read_sidecar`. kind_stated: whether a person has stated the kind.
+    """
+    if not said:
+        return found
+    reason, kind = f"in {found.file.with_suffix('.json').name}", kind_said(said)
+    specimen = said.get("specimen")
+    sizes = {key: value for key, value in specimen.items() if key == "shape" or isinstance(value, int | float)} \
+        if isinstance(specimen, Mapping) else {}
+    tool = said.get("tool")
+    about = {"tool": tool.get("shape"), "tool_radius_mm": tool.get("radius_mm")} if isinstance(tool, Mapping) else \
+        {"tool": tool, "tool_radius_mm": said.get("tool_radius_mm")}
+    about = {key: value for key, value in about.items() if value is not None}
+
+    def told(reading: Reading) -> Reading:
+        guess = reading.kind if kind is None or kind_stated else KindGuess(kind, reason)
+        return replace(reading, kind=guess, specimen=read_only(sizes),
+                       recordings=tuple(each.with_metadata(**about) for each in reading.recordings))
+
+    return replace(found, readings=tuple(map(told, found.readings)))

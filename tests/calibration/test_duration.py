@@ -1,0 +1,112 @@
+"""What a diagnosis says while it goes and before: what is tried, and minutes where tests are in space."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+import calibration
+import tissue_sim as ts
+from calibration.diagnosis import duration
+from calibration.diagnosis.duration import in_words, seconds_of_each
+from calibration.diagnosis.evidence import whole_campaign
+from calibration.effects.machine_compliance import MachineCompliance
+from calibration.effects.viscoelasticity import Viscoelasticity
+from calibration.fit.campaign_problem import build_problem
+from calibration.fit.steps import Steps
+from calibration.forward.meshes import MESHES, Meshes
+from calibration.forward.solves import Solves
+from calibration.tasks.executors import Tasks
+from tissue_sim.fem.solid.discretisation import RESOLUTIONS, Resolution
+from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
+
+CAMPAIGN = """
+[[specimen]]
+shape = "block"
+length_mm = 20.0
+width_mm = 20.0
+height_mm = 20.0
+[[test]]
+name = "glued"
+kind = "bonded_compression"
+recordings = ["run_*.csv"]
+[fit]
+method = "inverse_fem"
+laws = ["neo_hooke"]
+bulk_ratio = 1000.0
+starts = 1
+start = { C10 = 450.0 }
+[noise]
+force_N = 0.001
+correlation_time_s = 0
+contact_jitter_mm = 0.01
+zero_jitter_N = 0.001
+"""
+
+
+@pytest.fixture
+def glued(tmp_path, monkeypatch):
+    """A glued cube on two orders of one mesh of 64 elements, with a load train that takes up a sixth of the way."""
+    monkeypatch.setitem(RESOLUTIONS, "coarse", Resolution(HEX8P0, 0.6, 2.5, 3.8, 2))
+    monkeypatch.setitem(RESOLUTIONS, "coarse, second order", Resolution(HEX27P1, 0.6, 2.5, 3.8, 2))
+    monkeypatch.setitem(MESHES, "solid", Meshes("coarse", "coarse, second order", remainder=3.0, slow=True))
+    monkeypatch.setattr("calibration.diagnosis.proposals.CATALOGUE", {
+        "viscoelasticity": Viscoelasticity, "machine_compliance": MachineCompliance})
+    experiment = ts.KINDS["bonded_compression"].experiment(
+        specimen=ts.Block(0.020, 0.020, 0.020), protocol=ts.Protocol.ramp(3e-3, 9))
+    curve = ts.simulate(ts.Model(experiment, ts.Material("neo_hooke", {"C10": 450.0}, ts.Bulk("bulk_ratio", 1e3))),
+                        solver="solid", resolution="coarse, second order")
+    way = np.linspace(0.0, 3e-3, 41)
+    for number in (1, 2, 3):
+        noise = 0.001 * np.random.default_rng(number).normal(size=way.size)
+        force = CubicSpline(curve.displacement, curve.force)(way)
+        given_way = way + 0.6e-3 * force / force[-1]
+        ts.write_recording(ts.Recording({"time": way / 2e-4, "displacement": given_way, "force": force + noise}),
+                           tmp_path / f"run_{number}.csv")
+    path = tmp_path / "cube.toml"
+    path.write_text(CAMPAIGN, encoding="utf-8")
+    return path
+
+
+def test_it_says_what_it_tries_and_how_long_to_expect(glued, tmp_path, monkeypatch):
+    monkeypatch.setattr(duration, "_WORTH_A_WORD", 0.0)
+    said, announced = [], []
+    result, = calibration.diagnose([glued], tmp_path / "out", figures=False, announce=announced.append,
+                                   progress=lambda sentence, *counts: said.append((sentence, counts)))
+    sentence, = announced
+    assert sentence.startswith("cube: expect ") and "a simulation of its test in space takes" in sentence
+    tried = {text.removeprefix("cube: effects, one at a time: ") for text, _ in said if "at a time: " in text}
+    assert tried == {"viscoelasticity", "machine compliance"}
+    assert [text for text, _ in said].index("cube: what to measure next") > 0
+    fitted = {text for text, _ in said if "fits with an effect: " in text}
+    assert fitted and {f"cube: fits with an effect: {each.title}" for each in result.diagnosis.candidates
+                       if each.refitted} == fitted
+
+
+def test_on_the_axis_there_is_nothing_to_wait_for(glued):
+    campaign = whole_campaign(calibration.load_campaign(glued))
+    problem = build_problem("neo_hooke", campaign, calibration.read_measured(campaign), Solves())
+    seconds = seconds_of_each(problem)
+    assert list(seconds) == ["glued"] and seconds["glued"] > 0.0
+    problem.tests = tuple(replace(test, solver="axisymmetric") for test in problem.tests)
+    assert seconds_of_each(problem) == {}
+
+
+@pytest.mark.parametrize(("seconds", "words"), [
+    ({}, ""), ({"plates": 0.1}, ""), ({"plates": 0.2, "glued": 1.0}, "expect up to 6 minutes on one processor"),
+    ({"plates": 3.0}, "expect 2 to 15 minutes on one processor")])
+def test_what_to_expect_in_words(seconds, words):
+    said = in_words(seconds)
+    assert said.startswith(words) and bool(said) == bool(words)
+
+
+def test_parallel_tasks_have_no_single_name():
+    """Several run at a time; one after the other the one that runs is named."""
+    for parallel, expected in ((False, ["c: fits: a", "c: fits: b", "c: fits"]), (True, ["c: fits"] * 3)):
+        tasks = Tasks()
+        tasks.parallel = parallel
+        said: list[str] = []
+        steps = Steps("c", tasks, lambda sentence, *counts, said=said: said.append(sentence))
+        assert steps.all_of(abs, [(-1,), (2,)], "fits", names=["a", "b"]) == [1, 2]
+        assert said == expected
