@@ -111,6 +111,20 @@ def test_a_tool_that_is_taken_away_leaves_a_specimen_that_has_settled():
     np.testing.assert_allclose(solver.x, sagged, atol=1e-9)
 
 
+def test_what_slips_goes_on_where_nothing_moves():
+    """All of a specimen's base but its middle slips as it settles. A plate that begins to press it holds nothing aside;
+    where some of the base were taken to stick it would be the roundings that choose them."""
+    m = model(0.2)
+    solver = make_solver(m, mesh=coarse(None))
+    slipped = solver.contact.slipped.copy()
+    assert slipped.sum() > 30
+    for _ in range(2):
+        step = solver.step(solver.pose)
+        assert step.status is StepStatus.CONVERGED and step.iterations == 0 and step.slipping == slipped.sum()
+        np.testing.assert_array_equal(solver.contact.slipped, slipped)
+    assert solver.step(Pose.at_depth(1e-3), max_iterations=7).status is StepStatus.CONVERGED
+
+
 @pytest.mark.parametrize(("tool", "layers", "precision"), [
     (FLAT, (ts.Layer(2e-3, 5.0),), 0.03), (FLAT, (ts.Layer(4e-3, 3.0), ts.Layer(10e-3, 0.4)), 0.02),
     (None, (ts.Layer(20e-3, 3.0),), 0.01)])

@@ -319,7 +319,8 @@ class ContactNodes:
         tried = tangential + (TRIAL * HOLD * springs)[:, None] * along
         size = np.linalg.norm(tried, axis=1)
         if changeable and rubs.any():
-            onwards = np.einsum("ni,ni->n", self._ways, along) > 0.0
+            # Where nothing has slipped yet rounding would decide: what slipped goes on.
+            onwards = (np.einsum("ni,ni->n", self._ways, along) > 0.0) | (length <= 1e-3 * tolerance)
             slips = np.where(self.slips, onwards, size > mu * np.maximum(-trial, 0.0))
             differs = (slips != self.slips) & rubs
             switched += int((differs & drawn).sum())
