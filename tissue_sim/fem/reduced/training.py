@@ -140,7 +140,12 @@ def _singular(states: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     values, vectors = np.linalg.eigh(states @ states.T)
     singular = np.sqrt(np.maximum(values[::-1], 0.0))
     count = min(count, int((singular > 1e-9 * singular[0]).sum()))
-    return singular, (vectors[:, ::-1][:, :count] / singular[:count]).T @ states
+    vectors = vectors[:, ::-1][:, :count]
+    # Nor must rounding choose their signs: the first of the largest components is positive.
+    sizes = np.abs(vectors)
+    first = (sizes >= 0.99 * sizes.max(axis=0)).argmax(axis=0)
+    vectors = vectors * np.sign(vectors[first, np.arange(count)])
+    return singular, (vectors / singular[:count]).T @ states
 
 
 def samples(states: np.ndarray, poses: Sequence[Pose], wrenches: np.ndarray, group: Sequence[Symmetry],
