@@ -5,7 +5,6 @@ Formulas: Johnson, Contact Mechanics, 1985.
 
 import importlib.util
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -47,7 +46,7 @@ def test_a_mesh_has_no_direction_of_its_own(solid_checks):
 @pytest.mark.parametrize(("mu", "points", "sizes"), [
     (0.15, 7, (0.2, 1.8, 1.9, 4)), (0.3, 31, (0.6, 2.5, 3.8, 2))], ids=["as in real time", "coarse"])
 def test_plates_with_friction_turn_round_without_a_cut(mu, points, sizes):
-    """What begins to slip after a turn has the way of its force, not that of the force's change, which is against it."""
+    """What begins to slip after a turn has the way of its force, not of the force's change, which is against it."""
     specimen = ts.Block(0.02, 0.02, 0.02)
     way = np.linspace(0.0, 3e-3, points)
     way = np.concatenate([way, way[-2::-1]])
@@ -59,8 +58,6 @@ def test_plates_with_friction_turn_round_without_a_cut(mu, points, sizes):
     recording = ts.simulate(model, solver="solid", mesh=mesh)
     found = recording.metadata["solver"]
     assert found["cuts"] == 0 and found["newton_iterations"] < 8.0 * way.size
-    # Friction resists both ways, at a third of the depth.
+    # What friction takes, at a third of the depth.
     third = (points - 1) // 3
-    pressed, released = recording.force[[third, way.size - 1 - third]]
-    free = ts.simulate(replace(model, experiment=experiment.with_free_faces()), solver="solid", mesh=mesh)
-    assert released < free.force[third] < pressed
+    assert recording.force[-1 - third] < 0.97 * recording.force[third]
