@@ -329,7 +329,8 @@ def _approach(solver: Solver, target: Pose, dt: float = 0.0, **options: Any) -> 
     Time passes evenly along the way, `dt` (s) in all. `options`: of each of the solver's steps.
     """
     start = solver.pose
-    done, length, order = 0.0, 1.0, 2
+    most = min(2, solver.highest_order)
+    done, length, order = 0.0, 1.0, most
     while True:
         share = min(length, 1.0 - done)
         last = done + share >= 1.0 - 1e-9
@@ -343,9 +344,9 @@ def _approach(solver: Solver, target: Pose, dt: float = 0.0, **options: Any) -> 
         if step.status is StepStatus.CONVERGED:
             if last:
                 return
-            done, length, order = done + share, length * 2.0, 2
+            done, length, order = done + share, length * 2.0, most
         else:
             # The same step without extrapolation first.
-            length, order = (length, 0) if order else (length / 2.0, 2)
+            length, order = (length, 0) if order else (length / 2.0, most)
             if length < _SMALLEST_CUT:
                 return

@@ -6,9 +6,12 @@ Formulas: Johnson, Contact Mechanics, 1985.
 import importlib.util
 import sys
 
+import numpy as np
 import pytest
 
-from tissue_sim.mesh.hexahedra import HEX27P1
+import tissue_sim as ts
+from tissue_sim.mesh.grading import Grading
+from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid import needle_solid
 
 
@@ -38,3 +41,23 @@ def test_a_mesh_has_no_direction_of_its_own(solid_checks):
     found = solid_checks.dragged(mesh, 3e-3, 4e-3)
     assert found["vertical_changes"] < 0.005
     assert found["radial_changes"] < 0.005 and found["around_over_radial"] < 0.005
+
+
+@pytest.mark.parametrize(("mu", "points", "sizes"), [
+    (0.15, 7, (0.2, 1.8, 1.9, 4)), (0.3, 31, (0.6, 2.5, 3.8, 2))], ids=["as in real time", "coarse"])
+def test_plates_with_friction_turn_round_without_a_cut(mu, points, sizes):
+    """What begins to slip after a turn has the way of its force, not of the force's change, which is against it."""
+    specimen = ts.Block(0.02, 0.02, 0.02)
+    way = np.linspace(0.0, 3e-3, points)
+    way = np.concatenate([way, way[-2::-1]])
+    experiment = ts.KINDS["lubricated_compression"].experiment(
+        specimen=specimen, protocol=ts.Protocol(np.arange(way.size, dtype=float), way), friction=mu)
+    model = ts.Model(experiment, ts.Material("neo_hooke", {"C10": 450.0}, ts.Bulk("bulk_ratio", 1e3)))
+    smallest, growth, largest, around = sizes
+    mesh = specimen.solid_mesh(Grading(HEX8P0, 0.01 * smallest, growth, 0.01 * largest, around))
+    recording = ts.simulate(model, solver="solid", mesh=mesh)
+    found = recording.metadata["solver"]
+    assert found["cuts"] == 0 and found["newton_iterations"] < 8.0 * way.size
+    # What friction takes, at a third of the depth.
+    third = (points - 1) // 3
+    assert recording.force[-1 - third] < 0.97 * recording.force[third]

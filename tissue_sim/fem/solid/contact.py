@@ -94,11 +94,8 @@ def nearest(body: Body, points: np.ndarray, pressed_in: bool) -> Nearest:
     t = way / length[:, None]
     offset = np.stack([r, points[:, 2]], axis=-1)[:, None] - start  # (n, lines, 2)
     along = np.einsum("nsi,si->ns", offset, t)
-    share = np.minimum(along, length)
-    lower = np.zeros(len(length))
-    if closed:
-        lower[0] = -np.inf
-    share = np.maximum(share, lower)
+    lower = np.where(closed & (np.arange(len(length)) == 0), -np.inf, 0.0)
+    share = np.maximum(np.minimum(along, length), lower)
     arrow = offset - share[..., None] * t
     distance = np.linalg.norm(arrow, axis=-1)
     front = arrow[..., 0] * t[:, 1] - arrow[..., 1] * t[:, 0]
@@ -190,6 +187,7 @@ class ContactNodes:
         self._met, self._met_at = self.bound.copy(), self.anchors.copy()
         self.pressed, self.slips, self.slipped = np.zeros((3, n), dtype=bool)
         self._ways, self.ways_before = np.zeros((2, n, 3))
+        self._about = np.zeros(n)  # how far what begins to slip is about to, m; 0: it does not just begin
         self.forces, self.missed, self.normals, self._law_forces = np.zeros((4, n, 3))
         self.rates, self.known_rates, self.law_rates = np.zeros((3, n, 3, 3))
         self.laws = laws or NodeLaws()
@@ -240,7 +238,7 @@ class ContactNodes:
     def begin(self) -> None:
         """Before a step: bonds as they are at the last equilibrium."""
         self.held[:], self.held_at[:] = self.bound, self.anchors
-        self.pressed[:], self.slips[:], self._ways[:] = False, self.slipped, self.ways_before
+        self.pressed[:], self.slips[:], self._ways[:], self._about[:] = False, self.slipped, self.ways_before, 0.0
 
     def measure(self, displacement: np.ndarray, frame: Frame) -> tuple[np.ndarray, ...]:
         """How far each node has come in the frame of its body since the tool touched, gap, curvature, whether the shaft
@@ -300,8 +298,8 @@ class ContactNodes:
         # Slip since the last equilibrium, along the surface, in the frame of the mesh.
         slip = np.einsum("nij,nj->ni", turn, travel - self.held_at)
         along = slip - np.einsum("ni,ni->n", slip, normals)[:, None] * normals
-        violation = max(np.linalg.norm(slip[held], axis=1).max(initial=0.0), np.abs(gap[pressed]).max(initial=0.0),
-                        (-gap[~(pressed | held)]).max(initial=0.0))
+        violation = np.concatenate([np.linalg.norm(slip[held], axis=1), np.abs(gap[pressed]), -gap[~(pressed | held)],
+                                    [0.0]]).max()
         eye, nn = np.eye(3), normals[:, :, None] * normals[:, None]
         found_forces = np.zeros((n, 3))
         # Held where they touched.
@@ -328,19 +326,22 @@ class ContactNodes:
             wanting += int((differs & ~drawn & off).sum())
             begins = differs & drawn & slips
             self._ways[begins] = tried[begins] / np.maximum(size[begins], 1e-300)[:, None]
+            self._about = np.where(begins, np.maximum(size - limit, 1e-300) / (TRIAL * HOLD * springs), 0.0)
             self.slips = np.where(differs & drawn, slips, self.slips)
         sticks, sliding = rubs & ~self.slips, rubs & self.slips
-        # What slips is dragged along its way.
-        goes = sliding & (length > 1e-3 * tolerance)
+        # What slips is dragged along its way, what begins to along its force: its slip is still the error of the spring
+        # that held it, along the change of the force, which at a turn of the motion is against the force.
+        far = np.where(self._about > 0.0, self._about, length)
+        goes = sliding & (self._about == 0.0) & (length > 1e-3 * tolerance)
         self._ways[goes] = along[goes] / length[goes, None]
         ways = self._ways
         tangent = eye - nn
-        rates = np.where(sticks[:, None, None], rates + (HOLD * springs)[:, None, None] * tangent, rates)
-        missed = np.where(sticks[:, None], missed + along, missed)
-        pushed = np.where(sticks[:, None], pushed + tangential, pushed)
+        stuck = sticks[:, None]
+        rates = np.where(stuck[..., None], rates + (HOLD * springs)[:, None, None] * tangent, rates)
+        missed, pushed = np.where(stuck, missed + along, missed), np.where(stuck, pushed + tangential, pushed)
         dragged = -(mu * springs)[:, None, None] * ways[:, :, None] * normals[:, None]
-        steer = np.minimum(limit / np.maximum(length, 1e-300), HOLD * springs)
-        dragged = dragged + steer[:, None, None] * (tangent - ways[:, :, None] * ways[:, None])
+        steer = np.minimum(limit / np.maximum(far, 1e-300), HOLD * springs)[:, None, None]
+        dragged = dragged + steer * (tangent - ways[:, :, None] * ways[:, None])
         rates = np.where(sliding[:, None, None], rates + dragged, rates)
         pushed = np.where(sliding[:, None], pushed + limit[:, None] * ways, pushed)
         violation = max(violation, length[sticks].max(initial=0.0))
@@ -359,8 +360,7 @@ class ContactNodes:
         touches = pressed | ((mu > 0.0) & (gap <= 1e-3 * tolerance))
         self._met[:] = np.where(touches & (mu < 0.0) & pressed, HELD, np.where(touches & (mu > 0.0), TOUCHED, FREE))
         keeps = sticks | (touches & ~pressed & (self.held == TOUCHED))
-        if self.laws:
-            # What has touched the tool remembers it up to the reach of the laws, and slips on from there.
+        if self.laws:  # what has touched the tool remembers it up to their reach, and slips on from there
             others = self.moves & ~held & (self._met == FREE) & (pressed | near)
             self._met[others] = TOUCHED
             keeps = keeps | (others & (mu == 0.0) & (self.held == TOUCHED))
@@ -376,6 +376,7 @@ class ContactNodes:
     def follow(self, motion: np.ndarray) -> None:
         """Let the forces follow a linear solution in which the nodes moved so against their bodies, m, shape (n, 3)."""
         self.forces += np.einsum("nij,nj->ni", self.known_rates, self.missed + motion)
+        self._about[:] = 0.0
 
     def release(self) -> int:
         """Let go of nodes that are held and pull at an equilibrium; returns how many there are."""
