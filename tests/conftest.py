@@ -86,7 +86,8 @@ class Compilation:
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, config: pytest.Config, items: list[pytest.Item]) -> None:
-        items.sort(key=may_use_kernels)
+        # Pages stay together, see below, and take minutes: begun last, they would leave all processes but one idle.
+        items.sort(key=lambda item: (may_use_kernels(item), not item.nodeid.startswith("tests/browser/")))
         both_kinds = {may_use_kernels(item) for item in items} == {False, True}
         if both_kinds and not config.option.collectonly and not hasattr(config, "workerinput"):
             self._begin()

@@ -3,7 +3,7 @@
 import importlib.util
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -18,9 +18,20 @@ PATIENCE = 300.0
 NOISE = 0.02
 
 
-def pytest_collection_modifyitems(items):
-    """Pages come last: while Playwright runs, the main thread has a running event loop, which other tests may not."""
-    items.sort(key=lambda item: HERE in item.path.parents)
+#: What all tests of pages share, to be closed after the last of them.
+SHARED = ExitStack()
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item, nextitem):
+    """While Playwright runs, the main thread has a running event loop, which the tests that follow may not find."""
+    if nextitem is None or HERE not in nextitem.path.parents:
+        SHARED.close()
+
+
+def pytest_sessionfinish():
+    """Where tests were broken off."""
+    SHARED.close()
 
 
 @pytest.fixture(scope="session")
@@ -38,8 +49,7 @@ def browser(chromium):
     if chromium.chromium_path() is None:
         pytest.skip("looks at the page in a real browser, which pip cannot install: there is no chromium or "
                     "chromium-browser on PATH (Debian: apt install chromium fonts-dejavu-core; .ci/run does so)")
-    with chromium.chromium() as running:
-        yield running
+    return SHARED.enter_context(chromium.chromium())
 
 
 @dataclass
@@ -192,10 +202,8 @@ def shown(browser, tmp_path_factory):
     softer = MaterialFile.of(with_values(scene.material, {"C10": 1200.0}), provenance={"method": "written by hand"})
     ts.write_material_file(softer, folder / "softer.material.json")
     shown = Shown(replace(scene, measurements={NEEDLE.name: measurement(replicates)}), folder)
-    try:
-        yield shown
-    finally:
-        shown.close()
+    SHARED.callback(shown.close)
+    return shown
 
 
 @pytest.fixture(scope="module")
@@ -372,9 +380,9 @@ class Reader:
 @pytest.fixture(scope="session")
 def desk(shown, browser, chromium):
     """A browser that stays open from test to test."""
-    with pages_of(browser, chromium) as open_one:
-        page = open_one(shown, width=1200, height=760, triangles=100)
-        yield Reader(page, shown, chromium, open_one.traffic(page))
+    open_one = SHARED.enter_context(pages_of(browser, chromium))
+    page = open_one(shown, width=1200, height=760, triangles=100)
+    return Reader(page, shown, chromium, open_one.traffic(page))
 
 
 @pytest.fixture
