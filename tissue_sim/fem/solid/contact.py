@@ -334,8 +334,7 @@ class ContactNodes:
         far = np.where(self._about > 0.0, self._about, length)
         goes = sliding & (self._about == 0.0) & (length > 1e-3 * tolerance)
         self._ways[goes] = along[goes] / length[goes, None]
-        ways = self._ways
-        tangent = eye - nn
+        ways, tangent = self._ways, eye - nn
         stuck = sticks[:, None]
         rates = np.where(stuck[..., None], rates + (HOLD * springs)[:, None, None] * tangent, rates)
         missed, pushed = np.where(stuck, missed + along, missed), np.where(stuck, pushed + tangential, pushed)
