@@ -155,6 +155,7 @@ class TestRecordingOfASimulation:
         """A stand-in for the solver that manages 3 mm at a time shows the order of the trials."""
         class Slow:
             pose = ts.Pose.at_depth(0.0)
+            highest_order = 2
             crept = 0
 
             def step(self, trial, dt, predictor_order, max_iterations):
@@ -167,6 +168,14 @@ class TestRecordingOfASimulation:
             trials.append(solver.pose.depth)
         # 10 and 5 fail with and without extrapolation, 2.5 succeeds, 5 more fail, 2.5 succeeds, ...
         assert trials == [0.0] * 4 + [2.5] * 3 + [5.0] * 3 + [7.5, 10.0]
+
+        class Plain(Slow):
+            highest_order = 0
+
+        solver = Plain()
+        trials = [solver.pose.depth for _step in _approach(solver, ts.Pose.at_depth(10.0))]
+        # Where nothing is extrapolated, nothing is tried twice alike.
+        assert trials == [0.0] * 2 + [2.5] * 2 + [5.0] * 2 + [7.5, 10.0]
 
         class Stuck(Slow):
             def step(self, trial, dt, predictor_order, max_iterations):
@@ -184,6 +193,7 @@ class TestRecordingOfASimulation:
     def test_what_creeps_goes_on_from_there(self):
         class Snaps:
             pose = ts.Pose.at_depth(0.0)
+            highest_order = 2
 
             def step(self, trial, dt, predictor_order, max_iterations):
                 return Step.axial(StepStatus.SLOW, 1, 0.0, 0.0)
