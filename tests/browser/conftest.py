@@ -301,6 +301,7 @@ class Reader:
         self.page.get_by_role("tab", name=name, exact=True).click()
 
     def press(self, name: str) -> None:
+        self._rest()
         self.page.get_by_role("button", name=name, exact=True).click()
 
     def field(self, label: str):
@@ -311,19 +312,37 @@ class Reader:
         """The thumb of a slider."""
         return self.page.locator(f'xpath=//label[normalize-space(.)="{label}"]/following::*[@role="slider"][1]')
 
+    def _rest(self) -> None:
+        """Until viser's page has sent what was done before.
+
+        It sends one message in 50 ms, the newest of whatever control: two that are changed faster than a person can,
+        while one more is under way, lose the first. By the page's own clock, as a busy browser's timers come late: the
+        first of these comes after the one that sends, the second after the one that this sets.
+        """
+        for _ in range(2):
+            self.page.evaluate("() => new Promise(done => setTimeout(done, 60))")
+
     def fill(self, label: str, text: str) -> None:
+        self._rest()
         self.field(label).fill(text)
         self.field(label).press("Enter")
 
     def enter(self, label: str, number: str) -> None:
         """Key by key: put in at once, a number that stood there before the program wrote another one is overlooked."""
+        self._rest()
         field = self.field(label)
         field.press("Control+a")
         field.press_sequentially(number)
         field.press("Enter")
 
+    def tick(self, label: str) -> None:
+        """A box, or take its tick away."""
+        self._rest()
+        self.field(label).click()
+
     def choose(self, label: str, option: str) -> None:
         """From a list."""
+        self._rest()
         self.field(label).click()
         self.page.get_by_role("option", name=option, exact=True).click()
 

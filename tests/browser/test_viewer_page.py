@@ -183,7 +183,7 @@ def test_page_turns_dark_and_light_again(reader):
     stroke = "() => Object.values(window.__viserTestpoints.uplots)[0].chart.series.at(-1)._stroke"
     light = reader.page.evaluate(stroke)
     for expected in ("dark", "light"):
-        reader.field("dark page").click()
+        reader.tick("dark page")
         reader.until(lambda: reader.page.evaluate(scheme), lambda seen, expected=expected: seen == expected)
         reader.until(lambda: reader.page.evaluate(stroke),
                      lambda seen, expected=expected: (seen == light) == (expected == "light"))
