@@ -56,12 +56,12 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
     # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi, four times slower here.
 
     @ti.func
-    def at_point(b, q, tangent, remembers, H, J, p, weights: ti.template(), moduli: ti.template(),
+    def at_point(b, q, tangent: ti.template(), remembers, H, J, p, weights: ti.template(), moduli: ti.template(),
                  coefficients: ti.template(), elements: ti.template(), past: ti.template(), inherited: ti.template(),
                  largest: ti.template(), stresses: ti.template(), energies: ti.template()):
         """Note stress, tangent and dJ/dF of a point, times its weight."""
         F = [H[m] + ti.static(float(m % 4 == 0)) for m in ti.static(range(9))]
-        W, P, T = stress_and_tangent(F, J, inverse_root(ti.max(J, 1e-6)), coefficients)
+        W, P, T = stress_and_tangent(F, J, inverse_root(ti.max(J, 1e-6)), coefficients, tangent)
         cof = cofactor(F)
         if remembers > 0.0:
             f = past[FACTOR]
@@ -91,7 +91,7 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
         for m in ti.static(range(9)):
             s[STRESS + 9 * q + m] = wm * P[m] + wp * cof[m]
             s[COF + 9 * q + m] = w * cof[m]
-        if tangent > 0.0:
+        if ti.static(tangent):
             for n in ti.static(range(45)):
                 s[A + 45 * q + n] = wm * T[n]
             for m, n in ti.static(tuple(COFACTOR)):
@@ -138,8 +138,13 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
                 s[MODE + modes * q + m] = phi
                 p = p + phi * s[PRESSURE + m]
                 s[GAP + m] = s[GAP + m] + weights[b * points + q] * phi * dilation
-            at_point(b, q, tangent, remembers, H, 1.0 + dilation, p, weights, moduli, coefficients, elements, past,
-                     inherited, largest, stresses, energies)
+            # Compiled twice: forces alone take three quarters of the time.
+            if tangent > 0.0:
+                at_point(b, q, True, remembers, H, 1.0 + dilation, p, weights, moduli, coefficients, elements, past,
+                         inherited, largest, stresses, energies)
+            else:
+                at_point(b, q, False, remembers, H, 1.0 + dilation, p, weights, moduli, coefficients, elements, past,
+                         inherited, largest, stresses, energies)
         for a in range(nodes):
             f = [vec(0.0) for _k in ti.static(range(3))]
             for q in range(points):

@@ -114,12 +114,13 @@ def relax_function():
 
 @cache
 def function(energy: KernelEnergy):
-    """Taichi function ``stress_and_tangent(F, J, root, coefficients) -> (W, P, A)`` for one kernel energy.
+    """Taichi function ``stress_and_tangent(F, J, root, coefficients, tangent) -> (W, P, A)`` for one kernel energy.
 
     Args of the Taichi function:
         F: deformation gradient, 9 components; its determinant J must be positive.
         root: J^(-1/3).
         coefficients: array of the energy's coefficients.
+        tangent: True or False, when the kernel is compiled; without it A is zero.
 
     Returns of the Taichi function:
         W: isochoric energy density; P (9): its first Piola stress; A (45): the derivative of that, symmetric, packed
@@ -137,7 +138,7 @@ def _of_invariants(energy: KernelEnergy):
     cofactor = cofactor_function()
 
     @ti.func
-    def stress_and_tangent(F, J, root, coefficients: ti.template()):
+    def stress_and_tangent(F, J, root, coefficients: ti.template(), tangent: ti.template()):
         scale = root * root
         # Of F' F and F F'.
         right = [[F[i] * F[k] + F[3 + i] * F[3 + k] + F[6 + i] * F[6 + k] for k in ti.static(range(3))]
@@ -162,7 +163,7 @@ def _of_invariants(energy: KernelEnergy):
         y = [d[4] * first[m] + d[5] * second[m] + d[7] * cof[m] for m in ti.static(range(9))]
         z = [d[6] * first[m] + d[7] * second[m] + d[8] * cof[m] for m in ti.static(range(9))]
         A = [0.0 * J for _n in ti.static(range(45))]
-        for m, n in ti.static(PACKED):
+        for m, n in ti.static(PACKED if tangent else ()):
             i, I, k, K = ti.static(m // 3, m % 3, n // 3, n % 3)
             a = x[m] * first[n] + y[m] * second[n] + z[m] * cof[n] + d[1] * (
                 4.0 * F[m] * F[n] - 2.0 * F[ti.static(3 * i + K)] * F[ti.static(3 * k + I)])
@@ -188,7 +189,7 @@ def _of_stretches(energy: KernelEnergy):
     derivatives = stretch_derivatives(energy)
 
     @ti.func
-    def stress_and_tangent(F, J, root, coefficients: ti.template()):
+    def stress_and_tangent(F, J, root, coefficients: ti.template(), tangent: ti.template()):
         # Jacobi's rotations make F' F diagonal, V its directions; F V then has orthogonal columns.
         zero = 0.0 * J
         C = [[F[i] * F[k] + F[3 + i] * F[3 + k] + F[6 + i] * F[6 + k] for k in ti.static(range(3))]
@@ -241,8 +242,10 @@ def _of_stretches(energy: KernelEnergy):
         P = [w1[0] * N[0][m] + w1[1] * N[1][m] + w1[2] * N[2][m] for m in ti.static(range(9))]
         Q = [[w2[k][0] * N[0][m] + w2[k][1] * N[1][m] + w2[k][2] * N[2][m] for m in ti.static(range(9))]
              for k in ti.static(range(3))]
-        A = [N[0][m] * Q[0][n] + N[1][m] * Q[1][n] + N[2][m] * Q[2][n] for m, n in ti.static(PACKED)]
-        for p, q in ti.static(_PAIRS):
+        A = [zero for _n in ti.static(range(45))]
+        for m, n in ti.static(PACKED if tangent else ()):
+            A[ti.static(PLACE[m][n])] = N[0][m] * Q[0][n] + N[1][m] * Q[1][n] + N[2][m] * Q[2][n]
+        for p, q in ti.static(_PAIRS if tangent else ()):
             # What turns and what shears a pair of directions.
             twist = (w1[p] + w1[q]) / (stretch[p] + stretch[q])
             apart = ti.abs(stretch[p] - stretch[q]) > 1e-5 * stretch[p]
