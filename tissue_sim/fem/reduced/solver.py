@@ -187,7 +187,7 @@ class ReducedSolver(Solver):
         self.amplitudes[:] = here
         stiffness, error, wrench = None, None, np.zeros(6)
         if status is StepStatus.CONVERGED:
-            wrench = contact.wrench(frame) - self._lifted.rates(frame).T @ residual[:held]
+            wrench = contact.wrench - self._lifted.rates(frame).T @ residual[:held]
             self._prediction.learn(np.array(motion(self._pose, pose)), here - self._committed[0],
                                    *self._follows(frame, rates, residual))
             error = self._force_error(frame, rates, residual, wrench)
@@ -286,7 +286,7 @@ class ReducedSolver(Solver):
         answer = np.zeros((tangent.shape[0], 7))
         answer[:held, :6] = self._lifted.rates(frame)
         right = np.empty((free.stop - held, 7), order="F")
-        right[:, :6] = self.contact.rates_of_modes(frame)[free] + tangent[free, :held] @ answer[:held, :6]
+        right[:, :6] = self.contact.rates_of_modes[free] + tangent[free, :held] @ answer[:held, :6]
         right[:, 6] = residual[free]
         answer[free] = -solution(tangent[free, free], right)
         return answer[:, :6], answer[:, 6]
@@ -310,7 +310,7 @@ class ReducedSolver(Solver):
     def _stiffness(self, frame: Frame, rates: np.ndarray) -> np.ndarray:
         """Minus the derivative of the wrench with the tool's pose, shape (6, 6)."""
         answer, held = self._prediction.answer, self._lifting
-        stiffness = self.contact.stiffness(frame, answer)
+        stiffness = self.contact.stiffness(answer)
         if not held:
             # Where the box has no size the modes know no answer: what would be left is the layer.
             box = self.reduced.box
@@ -318,7 +318,7 @@ class ReducedSolver(Solver):
             stiffness = np.where(known[:, None] & known, stiffness, 0.0)
         if held:
             # Of the contact only what the lifted modes move beside the held face is in the residual.
-            forces = (self.elements.tangent + rates)[:held] @ answer + self.contact.rates_of_modes(frame)[:held]
+            forces = (self.elements.tangent + rates)[:held] @ answer + self.contact.rates_of_modes[:held]
             stiffness = stiffness + answer[:held].T @ forces
         return stiffness
 
