@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, cast
@@ -16,6 +17,7 @@ from tissue_sim.fem.reduced.lifting import Lifting
 from tissue_sim.fem.reduced.linear import size, solution
 from tissue_sim.fem.reduced.model import ReducedModel, require_one_material
 from tissue_sim.fem.reduced.prediction import Prediction
+from tissue_sim.fem.reduced.response import Response
 from tissue_sim.fem.solid.discretisation import tool_contact
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.surface import SolidSurface
@@ -40,6 +42,8 @@ _INNER, _MOST_SOLVES = 0.3, 12
 _GROUPS, _FAST = 8, 0.3
 #: Groups that are computed anew in a slow iteration, and iterations from which on all are.
 _OLDEST, _PATIENT = 2, 4
+#: Tissue bends away from its tangent by less than so many times what its last change lets expect.
+_DOUBT = 2.0
 #: Smallest J of an element that is not about to turn inside out.
 _LEAST = 0.02
 
@@ -89,7 +93,7 @@ class ReducedSolver(Solver):
         self._prediction = Prediction(modes, self._reach)
         self._committed = self.amplitudes.copy(), self.elements.pressures.copy()
         #: Of the elements on the modes there; and steps in which stiffness was computed since it came to rest.
-        self._forces, self._rested, self._largest_force = np.zeros(modes), 0, 0.0
+        self._forces, self._known, self._rested, self._largest_force = np.zeros(modes), self.amplitudes, 0, 0.0
         self._asked, self._modulus = False, 0.0
         self.set_material(material)
 
@@ -145,18 +149,25 @@ class ReducedSolver(Solver):
         here = self.amplitudes + (self._prediction.change(way) if held and follows else self._prediction.answer @ way)
         here[:held] = self._lifted.amplitudes(frame)
         iterations, ratio, last, anew, halvings, status = 0, 0.0, np.inf, 1, 0, None
-        base = self.amplitudes.copy(), elements.pressures.copy()
+        # Where the elements were looked at last, and their forces there.
+        base, forces = (self._known, elements.pressures.copy()), self._forces
+        if resumes:
+            base, forces = (self.amplitudes.copy(), base[1]), elements.forces.copy()
         if elements.are_known and inside and not (held or resumes):
             # First the contact on the tissue as the last step left it: lift-off, touch and friction are what changes.
-            here, pushed, rates = self._balance(here, base[0], self._forces, frame, pressed_in, tolerance)
+            here, pushed, rates = self._balance(here, base[0], forces, frame, pressed_in, tolerance)
         else:
             pushed, rates = self._press(here, frame, pressed_in)
         change: np.ndarray | None = here - base[0] if inside else None
         while status is None:
+            drawn = elements.tangent @ (here - base[0])
+            went = float((here - base[0]) @ drawn)
+            foreseen, is_foreseen = forces + drawn, elements.are_known and change is not None
             elements.evaluate(here, change, anew)
-            residual = elements.forces + pushed
+            forces, looked = elements.forces.copy(), here
+            residual = forces + pushed
             unbalanced = size(residual[free])
-            balanced = self._balanced(pushed)
+            balanced = self._balanced(pushed, forces)
             ratio = unbalanced / self._scale(balanced)
             bad = not (elements.least > _LEAST and np.isfinite(ratio))
             if ratio <= max(tolerance, self.least_tolerance) and not bad:
@@ -181,21 +192,32 @@ class ReducedSolver(Solver):
                 # The stiffness is that of other states: the oldest of it, or all where it led astray.
                 elements.evaluate(here, None, _GROUPS if halvings > 1 or iterations > _PATIENT else _OLDEST)
             last, halvings, base = unbalanced, 0, (here, elements.pressures.copy())
-            here, pushed, rates = self._balance(here, here, elements.forces.copy(), frame, pressed_in, tolerance)
+            here, pushed, rates = self._balance(here, here, forces, frame, pressed_in, tolerance)
             change, anew = here - base[0], 0
             iterations += 1
+            if is_foreseen and not elements.memory.works:
+                # Tissue bends away from its tangent as it just has, or less, where it goes less far.
+                added = elements.tangent @ change
+                residual, balanced = forces + added + pushed, self._balanced(pushed, forces + added)
+                doubt = _DOUBT * _bend((forces - foreseen)[free], went, float(change @ added))
+                ratio = (size(residual[free]) + doubt) / self._scale(balanced)
+                if ratio <= max(tolerance, self.least_tolerance):
+                    status = StepStatus.CONVERGED
         self.amplitudes[:] = here
         stiffness, error, wrench = None, None, np.zeros(6)
         if status is StepStatus.CONVERGED:
-            wrench = contact.wrench - self._lifted.rates(frame).T @ residual[:held]
-            self._prediction.learn(np.array(motion(self._pose, pose)), here - self._committed[0],
-                                   *self._follows(frame, rates, residual))
-            error = self._force_error(frame, rates, residual, wrench)
+            lifted = self._lifted.rates(frame)
+            wrench = contact.wrench - lifted.T @ residual[:held]
+            response = Response(elements.tangent + rates, contact, lifted, free, residual)
+            self._prediction.learn(np.array(motion(self._pose, pose)), here - self._committed[0], response.answer,
+                                   response.left)
+            if self.reduced.watched:
+                error = response.force_error(self.reduced.error_factors, wrench[:3])
             if self._asked:
-                stiffness = self._stiffness(frame, rates)
+                stiffness = response.stiffness(box)
             contact.commit()
             elements.memory.commit()
-            self._committed, self._forces = (here.copy(), elements.pressures.copy()), elements.forces.copy()
+            self._committed, self._known, self._forces = (here.copy(), elements.pressures.copy()), looked, forces
             self._pose = pose
             self._largest_force = max(self._largest_force, balanced)
         return Step(status, iterations, ratio, cast("Screw", tuple(wrench.tolist())),
@@ -210,6 +232,7 @@ class ReducedSolver(Solver):
             self._rested += 1
             self.elements.evaluate(self.amplitudes, None, 1)
         self._committed, self._forces = (self.amplitudes.copy(), self.elements.pressures.copy()), 0.0 * self._forces
+        self._known = self.amplitudes.copy()
         self._prediction.forget()
         self._pose = pose
         self.contact.forget()
@@ -222,9 +245,9 @@ class ReducedSolver(Solver):
         self.contact.evaluate(amplitudes, frame, pressed_in)
         return self.contact.on_modes()
 
-    def _balanced(self, pushed: np.ndarray) -> float:
-        """What the contact and the held face are pressed with."""
-        return size(pushed) + size(self.elements.forces[: self._lifting])
+    def _balanced(self, pushed: np.ndarray, forces: np.ndarray) -> float:
+        """What the contact and, by the forces of the elements, the held face are pressed with."""
+        return size(pushed) + size(forces[: self._lifting])
 
     def _scale(self, balanced: float) -> float:
         """What unbalanced forces are measured against."""
@@ -246,9 +269,10 @@ class ReducedSolver(Solver):
         at, before, last, halvings, solves = guess, guess, np.inf, 0, 0
         while True:
             pushed, rates = self._press(at, frame, pressed_in)
-            residual = (forces + tangent @ (at - known) + pushed)[free]
+            resisted = forces + tangent @ (at - known)
+            residual = (resisted + pushed)[free]
             unbalanced = size(residual)
-            if unbalanced <= goal * self._scale(self._balanced(pushed)) or solves >= _MOST_SOLVES:
+            if unbalanced <= goal * self._scale(self._balanced(pushed, resisted)) or solves >= _MOST_SOLVES:
                 return at, pushed, rates
             if unbalanced > (1.0 - _DESCENT) * last and halvings < _MOST_HALVINGS:
                 at, halvings = 0.5 * (at + before), halvings + 1
@@ -273,54 +297,11 @@ class ReducedSolver(Solver):
         self._rested = 0
         self._go_back()
         self.elements.renew(self.amplitudes)
+        self._known, self._forces = self.amplitudes.copy(), self.elements.forces.copy()
 
     def _go_back(self) -> None:
         """To the last committed state."""
         self.amplitudes[:], self.elements.pressures[:] = self._committed
-
-    def _follows(self, frame: Frame, rates: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How the amplitudes follow the position and a rotation of the tool, shape (modes, 6), and what is left
-        unbalanced, (modes,)."""
-        held, free = self._lifting, self._free
-        tangent = self.elements.tangent + rates
-        answer = np.zeros((tangent.shape[0], 7))
-        answer[:held, :6] = self._lifted.rates(frame)
-        right = np.empty((free.stop - held, 7), order="F")
-        right[:, :6] = self.contact.rates_of_modes[free] + tangent[free, :held] @ answer[:held, :6]
-        right[:, 6] = residual[free]
-        answer[free] = -solution(tangent[free, free], right)
-        return answer[:, :6], answer[:, 6]
-
-    def _force_error(self, frame: Frame, rates: np.ndarray, residual: np.ndarray, wrench: np.ndarray) -> float | None:
-        """How far the force may be off, N: shares of it, and of its change if what is watched were made, too.
-
-        Source: hierarchical estimates, Bank and Weiser, Math. Comp. 44 (1985) 283; calibrated by `training.verify`.
-        """
-        if not self.reduced.watched:
-            return None
-        held, rest = self._lifting, slice(self._lifting, None)
-        tangent = self.elements.tangent + rates
-        change, unbalanced = np.zeros(len(residual)), residual.copy()
-        unbalanced[self._free] = 0.0  # what the iteration has left says nothing of the modes
-        change[rest] = -solution(tangent[rest, rest], unbalanced[rest])
-        force = self.contact.force_of(change) - (self._lifted.rates(frame).T @ (tangent[:held] @ change))[:3]
-        changed, own = self.reduced.error_factors
-        return changed * size(force) + own * size(wrench[:3])
-
-    def _stiffness(self, frame: Frame, rates: np.ndarray) -> np.ndarray:
-        """Minus the derivative of the wrench with the tool's pose, shape (6, 6)."""
-        answer, held = self._prediction.answer, self._lifting
-        stiffness = self.contact.stiffness(answer)
-        if not held:
-            # Where the box has no size the modes know no answer: what would be left is the layer.
-            box = self.reduced.box
-            known = np.array([box.sideways > 0.0] * 2 + [True] + [box.turn > 0.0] * 3)
-            stiffness = np.where(known[:, None] & known, stiffness, 0.0)
-        if held:
-            # Of the contact only what the lifted modes move beside the held face is in the residual.
-            forces = (self.elements.tangent + rates)[:held] @ answer + self.contact.rates_of_modes[:held]
-            stiffness = stiffness + answer[:held].T @ forces
-        return stiffness
 
     def lift_off(self) -> None:
         """Take the tool away at once; see `Solver.lift_off`."""
@@ -370,6 +351,13 @@ class ReducedSolver(Solver):
         if self.contact.has_friction:
             report["slipping_points"] = 0
         return report
+
+
+def _bend(off: np.ndarray, before: float, now: float) -> float:
+    """How far forces may be off after a linear change, N, by how far they were off after the last one; of both the work
+    that they would do, J."""
+    share = math.sqrt(now / before) if 0.0 < now and 0.0 < before else math.inf
+    return size(off) * share * max(1.0, share)
 
 
 def make_solver(model: Model, *, resolution: str = "realtime", mesh: SolidMesh | ReducedModel | None = None,
