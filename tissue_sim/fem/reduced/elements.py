@@ -98,7 +98,7 @@ class SampledElements:
             "settings": self._settings, "least": self._least, "x": self._x, "motion": self._motion,
             "coefficients": self._coefficients, "past": memory.past, "inherited": memory.inherited,
             "largest": memory.largest, "stresses": memory.stresses, "energies": memory.energies,
-            "groups": self._groups, "wanted": self._wanted, "blocks": self._blocks}
+            "groups": self._groups, "wanted": self._wanted, "blocks": self._blocks.reshape(-1)}
         with LOCK:
             kernel = elements_kernel(self._element.name, material.energy_law.kernel_energy)
             self._kernel = BoundKernel.of(kernel, named)

@@ -17,7 +17,7 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
     """Kernel of the forces of the nodes, and of the stiffness of those groups of batches that are wanted.
 
     ``x`` and ``motion`` are displacements of the nodes and their last change, ``residual`` gets their forces,
-    ``blocks`` the stiffness of each lane's element, shape (lanes, freedoms, freedoms); ``least`` gets the smallest J.
+    ``blocks`` the stiffness of each lane's element, row by row; ``least`` gets the smallest J.
     """
     ti = initialise()
     element = SOLID_ELEMENTS[element_name]
@@ -50,12 +50,14 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
             for a in range(c + 1):
                 # The force on a along i for a motion of c along k stands at 3 k + i.
                 pair = 9 * (c * (c + 1) // 2 + a)
-                for k in ti.static(range(3)):
-                    for i in ti.static(range(3)):
-                        K = stiffness[pair + 3 * k + i]
-                        for l in ti.static(range(LANES)):
-                            blocks[b * LANES + l, 3 * a + i, 3 * c + k] = K[l]
-                            blocks[b * LANES + l, 3 * c + k, 3 * a + i] = K[l]
+                for l in ti.static(range(LANES)):
+                    first = (b * LANES + l) * freedoms * freedoms
+                    below, above = first + freedoms * 3 * a + 3 * c, first + freedoms * 3 * c + 3 * a
+                    for k in ti.static(range(3)):
+                        for i in ti.static(range(3)):
+                            K = stiffness[pair + 3 * k + i][l]
+                            blocks[below + freedoms * i + k] = K
+                            blocks[above + freedoms * k + i] = K
 
     @ti.kernel
     def evaluate(settings: real1, least: real1, x: real1, motion: real1, residual: real1, pressures: vector1,
@@ -63,7 +65,7 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
                  weights: vector1, mode_values: vector1, moduli: vector1, coefficients: real1, elements: int2,
                  past: real1, inherited: real3, largest: real2, stresses: real3, energies: real2,
                  volume_rates: vector1, gaps: vector1, forces: vector1, stiffness: vector1, groups: int1,
-                 wanted: real1, blocks: real3):
+                 wanted: real1, blocks: real1):
         ti.loop_config(serialize=True)
         for _ in range(1):
             kappa, remembers = settings[KAPPA], settings[REMEMBERS]

@@ -356,7 +356,7 @@ class ReducedSolver(Solver):
 def _bend(off: np.ndarray, before: float, now: float) -> float:
     """How far forces may be off after a linear change, N, by how far they were off after the last one; of both the work
     that they would do, J."""
-    share = math.sqrt(now / before) if 0.0 < now and 0.0 < before else math.inf
+    share = math.sqrt(now / before) if now > 0.0 and before > 0.0 else math.inf
     return size(off) * share * max(1.0, share)
 
 

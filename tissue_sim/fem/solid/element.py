@@ -22,10 +22,11 @@ from tissue_sim.mesh.solid import SOLID_ELEMENTS
 KAPPA, TANGENT, REMEMBERS, ADDS = range(4)
 #: Most nodes, points and pressure modes of an element.
 _NODES, _POINTS, _MODES = 27, 27, 4
-#: Where things of the batch that is worked on stand in the scratch field: motion of nodes, pressure amplitudes, gaps,
-#: rates of the volume, and at each point stress, tangent, dJ/dF, modes, and stress rates.
-_sizes = (("U", 3 * _NODES), ("PRESSURE", _MODES), ("GAP", _MODES), ("V", 3 * _MODES * _NODES), ("STRESS", 9 * _POINTS),
-          ("A", 45 * _POINTS), ("COFACTOR", 9 * _POINTS), ("MODE", _MODES * _POINTS), ("RATE", 27 * _POINTS))
+#: Where things of the batch that is worked on stand in the scratch field: motion and forces of nodes, pressure
+#: amplitudes, gaps, rates of the volume, and at each point the tangent; of one node stress rates at one point, and
+#: stiffness with all others.
+_sizes = (("U", 3 * _NODES), ("FORCE", 3 * _NODES), ("PRESSURE", _MODES), ("GAP", _MODES), ("V", 3 * _MODES * _NODES),
+          ("A", 45 * _POINTS), ("RATE", 27), ("PAIRS", 9 * _NODES))
 _AT = {name: sum(size for _, size in _sizes[:i]) for i, (name, _) in enumerate(_sizes)}
 #: Where others go on in the scratch field.
 SCRATCH = sum(size for _, size in _sizes)
@@ -49,17 +50,19 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
     inverse_root, cofactor = inverse_root_function(), point.cofactor_function()
     soften, relax = soften_function(9), point.relax_function()
     vec = ti.types.vector(LANES, ti.f64)
-    U, PRESSURE, GAP, V, STRESS = (_AT[name] for name in ("U", "PRESSURE", "GAP", "V", "STRESS"))
-    A, COF, MODE, RATE = (_AT[name] for name in ("A", "COFACTOR", "MODE", "RATE"))
+    U, FORCE, PRESSURE, GAP = (_AT[name] for name in ("U", "FORCE", "PRESSURE", "GAP"))
+    V, A, RATE, PAIRS = (_AT[name] for name in ("V", "A", "RATE", "PAIRS"))
     PLACE, COFACTOR = point.PLACE, point.COFACTOR
 
-    # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi, four times slower here.
+    # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi, four times slower here. And what is
+    # added up over points is added up in the scratch field, not in variables: vectors that are stored in a loop tell
+    # LLVM what belongs together, where it else loads and packs number by number.
 
     @ti.func
     def at_point(b, q, tangent: ti.template(), remembers, H, J, p, weights: ti.template(), moduli: ti.template(),
                  coefficients: ti.template(), elements: ti.template(), past: ti.template(), inherited: ti.template(),
                  largest: ti.template(), stresses: ti.template(), energies: ti.template()):
-        """Note stress, tangent and dJ/dF of a point, times its weight."""
+        """Stress and dJ/dF of a point, times its weight; its tangent is noted."""
         F = [H[m] + ti.static(float(m % 4 == 0)) for m in ti.static(range(9))]
         W, P, T = stress_and_tangent(F, J, inverse_root(ti.max(J, 1e-6)), coefficients, tangent)
         cof = cofactor(F)
@@ -88,15 +91,13 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
                 T[n] = T3[n]
         w = weights[b * points + q]
         wm, wp = w * moduli[b], w * p
-        for m in ti.static(range(9)):
-            s[STRESS + 9 * q + m] = wm * P[m] + wp * cof[m]
-            s[COF + 9 * q + m] = w * cof[m]
         if ti.static(tangent):
             for n in ti.static(range(45)):
                 s[A + 45 * q + n] = wm * T[n]
             for m, n in ti.static(tuple(COFACTOR)):
                 at = A + 45 * q + ti.static(PLACE[m][n])
                 s[at] = s[at] + ti.static(COFACTOR[m, n][1]) * wp * F[ti.static(COFACTOR[m, n][0])]
+        return [wm * P[m] + wp * cof[m] for m in ti.static(range(9))], [w * cof[m] for m in ti.static(range(9))]
 
     @ti.func
     def integrate(b, kappa, tangent, remembers, x: ti.template(), pressures: ti.template(), dofs: ti.template(),
@@ -111,6 +112,9 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
             i = b * nodes + a
             for k in ti.static(range(3)):
                 s[U + 3 * a + k] = ti.Vector([x[dofs[i, l] + k] for l in ti.static(range(LANES))])
+                s[FORCE + 3 * a + k] = vec(0.0)
+        for i in range(3 * modes * nodes):
+            s[V + i] = vec(0.0)
         bulk = kappa * moduli[b]
         for m in range(modes):
             s[PRESSURE + m] = pressures[b * modes + m]
@@ -135,36 +139,36 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
             p = vec(0.0)
             for m in range(modes):
                 phi = mode_values[(b * points + q) * modes + m]
-                s[MODE + modes * q + m] = phi
                 p = p + phi * s[PRESSURE + m]
                 s[GAP + m] = s[GAP + m] + weights[b * points + q] * phi * dilation
+            P, cof = [vec(0.0) for _m in ti.static(range(9))], [vec(0.0) for _m in ti.static(range(9))]
             # Compiled twice: forces alone take three quarters of the time.
             if tangent > 0.0:
-                at_point(b, q, True, remembers, H, 1.0 + dilation, p, weights, moduli, coefficients, elements, past,
-                         inherited, largest, stresses, energies)
+                P1, cof1 = at_point(b, q, True, remembers, H, 1.0 + dilation, p, weights, moduli, coefficients,
+                                    elements, past, inherited, largest, stresses, energies)
+                for m in ti.static(range(9)):
+                    P[m], cof[m] = P1[m], cof1[m]
             else:
-                at_point(b, q, False, remembers, H, 1.0 + dilation, p, weights, moduli, coefficients, elements, past,
-                         inherited, largest, stresses, energies)
-        for a in range(nodes):
-            f = [vec(0.0) for _k in ti.static(range(3))]
-            for q in range(points):
+                P1, cof1 = at_point(b, q, False, remembers, H, 1.0 + dilation, p, weights, moduli, coefficients,
+                                    elements, past, inherited, largest, stresses, energies)
+                for m in ti.static(range(9)):
+                    P[m], cof[m] = P1[m], cof1[m]
+            for a in range(nodes):
                 g = (b * points + q) * nodes + a
-                x0, y0, z0, at = gx[g], gy[g], gz[g], STRESS + 9 * q
+                x0, y0, z0 = gx[g], gy[g], gz[g]
                 for k in ti.static(range(3)):
-                    f[k] = f[k] + s[at + 3 * k] * x0 + s[at + 3 * k + 1] * y0 + s[at + 3 * k + 2] * z0
+                    at = FORCE + 3 * a + k
+                    s[at] = s[at] + P[3 * k] * x0 + P[3 * k + 1] * y0 + P[3 * k + 2] * z0
+                    rate = cof[3 * k] * x0 + cof[3 * k + 1] * y0 + cof[3 * k + 2] * z0
+                    for m in ti.static(range(modes)):
+                        at_rate = V + 3 * (m * nodes + a) + k
+                        s[at_rate] = s[at_rate] + mode_values[(b * points + q) * modes + m] * rate
+        for i in range(3 * nodes):
+            f = s[FORCE + i]
             for m in range(modes):
-                v = [vec(0.0) for _k in ti.static(range(3))]
-                for q in range(points):
-                    g = (b * points + q) * nodes + a
-                    x0, y0, z0, at, phi = gx[g], gy[g], gz[g], COF + 9 * q, s[MODE + modes * q + m]
-                    for k in ti.static(range(3)):
-                        v[k] = v[k] + phi * (s[at + 3 * k] * x0 + s[at + 3 * k + 1] * y0 + s[at + 3 * k + 2] * z0)
-                missed = bulk * s[GAP + m]
-                for k in ti.static(range(3)):
-                    f[k] = f[k] + missed * v[k]
-                    s[V + 3 * (m * nodes + a) + k] = v[k]
-            for k in ti.static(range(3)):
-                forces[3 * (b * nodes + a) + k] = f[k]
+                f = f + bulk * s[GAP + m] * s[V + 3 * m * nodes + i]
+            at = 3 * b * nodes + i
+            forces[at] = f
         for i in range(3 * modes * nodes):
             at = 3 * b * modes * nodes + i
             volume_rates[at] = s[V + i]
@@ -180,28 +184,31 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
         3 k + i of their nine."""
         bulk = kappa * moduli[b]
         for c in range(nodes):
+            for i in range(9 * (c + 1)):
+                s[PAIRS + i] = vec(0.0)
             for q in range(points):
-                g = (b * points + q) * nodes + c
-                x0, y0, z0, t, at = gx[g], gy[g], gz[g], A + 45 * q, RATE + 27 * q
+                g_c, t = (b * points + q) * nodes + c, A + 45 * q
+                x, y, z = gx[g_c], gy[g_c], gz[g_c]
                 for k in ti.static(range(3)):
                     for m in ti.static(range(9)):
-                        s[at + 9 * k + m] = (s[t + ti.static(PLACE[m][3 * k])] * x0
-                                             + s[t + ti.static(PLACE[m][3 * k + 1])] * y0
-                                             + s[t + ti.static(PLACE[m][3 * k + 2])] * z0)
-            for a in range(c + 1):
-                K = [vec(0.0) for _n in ti.static(range(9))]
-                for q in range(points):
+                        s[RATE + 9 * k + m] = (s[t + ti.static(PLACE[m][3 * k])] * x
+                                               + s[t + ti.static(PLACE[m][3 * k + 1])] * y
+                                               + s[t + ti.static(PLACE[m][3 * k + 2])] * z)
+                for a in range(c + 1):
                     g = (b * points + q) * nodes + a
-                    x0, y0, z0, at = gx[g], gy[g], gz[g], RATE + 27 * q
+                    x0, y0, z0 = gx[g], gy[g], gz[g]
                     for n in ti.static(range(9)):
-                        K[n] = K[n] + s[at + 3 * n] * x0 + s[at + 3 * n + 1] * y0 + s[at + 3 * n + 2] * z0
-                for m in range(modes):
-                    for k in ti.static(range(3)):
-                        moved = bulk * s[V + 3 * (m * nodes + c) + k]
+                        at = PAIRS + 9 * a + n
+                        s[at] = s[at] + s[RATE + 3 * n] * x0 + s[RATE + 3 * n + 1] * y0 + s[RATE + 3 * n + 2] * z0
+            for m in range(modes):
+                for k in ti.static(range(3)):
+                    moved = bulk * s[V + 3 * (m * nodes + c) + k]
+                    for a in range(c + 1):
                         for i in ti.static(range(3)):
-                            K[3 * k + i] = K[3 * k + i] + moved * s[V + 3 * (m * nodes + a) + i]
-                at_pair = 9 * (c * (c + 1) // 2 + a)
-                for n in ti.static(range(9)):
-                    stiffness[at_pair + n] = K[n]
+                            at = PAIRS + 9 * a + 3 * k + i
+                            s[at] = s[at] + moved * s[V + 3 * (m * nodes + a) + i]
+            for i in range(9 * (c + 1)):
+                at = 9 * (c * (c + 1) // 2) + i
+                stiffness[at] = s[PAIRS + i]
 
     return ElementFunctions(integrate, stiffen)
