@@ -7,6 +7,7 @@ import tissue_sim as ts
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.solid.contact import Body
 from tissue_sim.fem.solid.frame import Frame
+from tissue_sim.pose import turned
 
 
 class TestLayer:
@@ -61,3 +62,38 @@ class TestLayer:
                 sides.append(layer.on_modes()[0])
             np.testing.assert_allclose(rates[:, axis], (sides[0] - sides[1]) / (2 * width), rtol=1e-4,
                                        atol=1e-3 * np.abs(rates).max())
+
+    # With friction they leave out how the force along the surface bends with it.
+    @pytest.mark.parametrize(("mu", "close"), [(0.0, 1e-4), (0.3, 5e-3)])
+    @pytest.mark.parametrize("follows", [False, True])
+    def test_its_answers_to_the_tool_are_derivatives(self, mu, close, follows):
+        """Of forces and wrench with place and rotation of the tool, on tissue that stays or follows."""
+        layer, at, answer = self.contact(ts.Tool("round", radius=8e-3), mu), np.array([2e-3, 1e-3, 0.0]), np.zeros((3, 6))
+        pose = turned(ts.Pose((1e-4, 0.0, -3e-3)), (0.1, -0.05, 0.02))
+        layer.evaluate(at, Frame(pose, 0.0), True)
+        layer.commit()
+        at = at + [3e-6, -1e-6, 2e-6]
+        if follows:
+            answer[:] = 0.1 * np.random.default_rng(0).standard_normal((3, 6)) * [1.0, 1.0, 1.0, 5e-3, 5e-3, 5e-3]
+        layer.evaluate(at, Frame(pose, 0.0), True)
+        rates, stiffness = layer.rates_of_modes + layer.on_modes()[1] @ answer, layer.stiffness(answer)
+        for axis in range(6):
+            width = 1e-9 if axis < 3 else 1e-7
+            pushes, wrenches = [], []
+            for change in (width * np.eye(6)[axis], -width * np.eye(6)[axis]):
+                there = turned(ts.Pose(tuple(pose.position + change[:3]), pose.orientation), tuple(change[3:]))
+                layer.evaluate(at + answer @ change, Frame(there, 0.0), True)
+                pushes.append(layer.on_modes()[0])
+                wrenches.append(layer.wrench)
+            for found, sides, sign in ((rates, pushes, 1.0), (stiffness, wrenches, -1.0)):
+                np.testing.assert_allclose(found[:, axis], sign * (sides[0] - sides[1]) / (2.0 * width), rtol=close,
+                                           atol=close * np.abs(found).max())
+
+    def test_its_force_follows_the_tissue(self):
+        layer, at, change = self.contact(ts.Tool("round", radius=8e-3), 0.0), np.array([2e-3, 1e-3, 0.0]), np.array(
+            [1e-9, -2e-9, 3e-9])
+        sides = []
+        for place in (at + change, at - change, at):
+            layer.evaluate(place, self.frame(0.0, 0.0, -3e-3), True)
+            sides.append(layer.wrench[:3])
+        np.testing.assert_allclose(layer.force_of(2.0 * change), sides[0] - sides[1], rtol=1e-5)
