@@ -96,6 +96,28 @@ def test_the_last_part_is_spun():
     assert max(clock.slept) < 0.8e-3
 
 
+@pytest.mark.parametrize("work", [0.0, 0.5, 0.88])
+def test_one_that_watches_the_clock_sleeps_all_the_same(work):
+    """Or else Linux stops it for 50 ms in each second."""
+    clock = FakeClock(reading=1000)
+    ticker = clock.ticker(spin=0.95e-3)
+    for _ in range(1000):
+        clock.now += round(work * MS)
+        assert ticker.wait() <= 1000
+    assert sum(clock.slept) == pytest.approx(max(0.1, 1.0 - 0.95 - work), rel=0.35)
+
+
+def test_sleep_is_made_up_for():
+    """Ticks that leave no time are not made late by it; those that follow sleep longer."""
+    clock = FakeClock(reading=1000)
+    ticker = clock.ticker(spin=0.95e-3)
+    for tick in range(1000):
+        clock.now += round((0.99 if tick % 50 < 40 else 0.4) * MS)
+        assert ticker.wait() <= 1000
+    assert sum(clock.slept) == pytest.approx(0.1, rel=0.1)
+    assert max(clock.slept) < 0.56e-3
+
+
 def test_a_sleep_that_ends_early_is_continued():
     clock = FakeClock()
     clock.sleep = lambda seconds: setattr(clock, "now", clock.now + max(round(seconds * 0.6e9), 1))
