@@ -393,7 +393,7 @@ def test_what_is_not_looked_at_again_is_in_equilibrium(held):
                 continue
             beside.restore(solver.save())
             # Pressures follow what the volumes there miss.
-            beside.elements.evaluate(solver.amplitudes, np.zeros_like(solver.amplitudes), 0)
+            beside.elements.evaluate(solver.amplitudes, True, 0)
             pushed, _ = beside._press(solver.amplitudes, Frame(to, solver.datum), True)
             residual = beside.elements.forces + pushed
             scale = solver._scale(np.linalg.norm(residual[:held.lifting]) + np.linalg.norm(pushed))

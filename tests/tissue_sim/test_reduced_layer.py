@@ -68,11 +68,12 @@ class TestLayer:
     @pytest.mark.parametrize("follows", [False, True])
     def test_its_answers_to_the_tool_are_derivatives(self, mu, close, follows):
         """Of forces and wrench with place and rotation of the tool, on tissue that stays or follows."""
-        layer, at, answer = self.contact(ts.Tool("round", radius=8e-3), mu), np.array([2e-3, 1e-3, 0.0]), np.zeros((3, 6))
+        layer, at = self.contact(ts.Tool("round", radius=8e-3), mu), np.array([2e-3, 1e-3, 0.0])
+        answer = np.zeros((3, 6))
         pose = turned(ts.Pose((1e-4, 0.0, -3e-3)), (0.1, -0.05, 0.02))
         layer.evaluate(at, Frame(pose, 0.0), True)
         layer.commit()
-        at = at + [3e-6, -1e-6, 2e-6]
+        at = np.add(at, [3e-6, -1e-6, 2e-6])
         if follows:
             answer[:] = 0.1 * np.random.default_rng(0).standard_normal((3, 6)) * [1.0, 1.0, 1.0, 5e-3, 5e-3, 5e-3]
         layer.evaluate(at, Frame(pose, 0.0), True)

@@ -30,6 +30,7 @@ class SampledElements:
 
     Attributes:
         memory: what the tissue remembers.
+        at: amplitudes at the last evaluation, shape (modes,).
     """
 
     def __init__(self, mesh: SolidMesh, basis: np.ndarray, elements: np.ndarray, shares: np.ndarray, *,
@@ -48,10 +49,12 @@ class SampledElements:
         basis = basis.reshape(-1, 3, modes)
         #: What the modes move: of all nodes, and of the elements in the lanes; those that are left over stay at rest.
         self._rows = np.ascontiguousarray(basis[used].reshape(-1, modes))
-        self._x, self._motion = np.zeros((2, len(self._rows)))
-        self._lanes = np.zeros((count * LANES, freedoms, modes))
+        self._x, self._x_before, self._motion = np.zeros((3, len(self._rows)))
+        self.at = np.zeros(modes)
+        # The stiffness is that of other steps in part: in single precision it takes half of the time.
+        self._lanes = np.zeros((count * LANES, freedoms, modes), dtype=np.float32)
         self._lanes[batches.lane_of] = basis[connectivity].reshape(-1, freedoms, modes)
-        self._blocks = np.zeros((count * LANES, freedoms, freedoms))
+        self._blocks = np.zeros((count * LANES, freedoms, freedoms), dtype=np.float32)
         groups = min(groups, count)
         self._groups = (np.arange(count) * groups // count).astype(np.int32)
         #: Lanes of each group.
@@ -104,18 +107,18 @@ class SampledElements:
             self._kernel = BoundKernel.of(kernel, named)
         self._next = -1
 
-    def evaluate(self, amplitudes: np.ndarray, change: np.ndarray | None, anew: int) -> None:
+    def evaluate(self, amplitudes: np.ndarray, follows: bool, anew: int) -> None:
         """Find the forces at these amplitudes.
 
         Args:
             amplitudes: shape (modes,).
-            change: since the last evaluation, which the pressures follow; None: they stay as they are.
+            follows: whether the pressures follow what has changed since the last evaluation, or stay as they are.
             anew: how many groups of the stiffness to compute anew; all after a change of the material.
         """
         np.dot(self._rows, amplitudes, out=self._x)
-        self._settings[FOLLOWS] = change is not None
-        if change is not None:
-            np.dot(self._rows, change, out=self._motion)
+        self._settings[FOLLOWS] = follows
+        np.subtract(self._x, self._x_before, out=self._motion)
+        self._x_before[:], self.at[:] = self._x, amplitudes
         groups = self._wanted.size
         if self._next < 0:
             anew, self._next = groups, 0
@@ -133,12 +136,12 @@ class SampledElements:
             lanes = self._lanes[self._ends[group] : self._ends[group + 1]]
             pushed = np.matmul(self._blocks[self._ends[group] : self._ends[group + 1]], lanes)
             flat = lanes.reshape(-1, self.modes)
-            np.dot(flat.T, pushed.reshape(flat.shape), out=self._tangents[group])
+            self._tangents[group] = np.dot(flat.T, pushed.reshape(flat.shape))
 
     def renew(self, amplitudes: np.ndarray) -> None:
         """Evaluate a state that was put in place: its volumes; all of the stiffness is due next."""
         self._next = -1
-        self.evaluate(amplitudes, None, 0)
+        self.evaluate(amplitudes, False, 0)
         self._next = -1
 
     @property

@@ -26,6 +26,7 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
     integrate, stiffen = element_functions(element_name, energy)
     vec = ti.types.vector(LANES, ti.f64)
     real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
+    single1 = ti.types.ndarray(ti.f32, ndim=1)
     int1, int2 = (ti.types.ndarray(ti.i32, ndim=n) for n in (1, 2))
     vector1 = ti.types.ndarray(vec, ndim=1)
 
@@ -55,7 +56,7 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
                     below, above = first + freedoms * 3 * a + 3 * c, first + freedoms * 3 * c + 3 * a
                     for k in ti.static(range(3)):
                         for i in ti.static(range(3)):
-                            K = stiffness[pair + 3 * k + i][l]
+                            K = ti.cast(stiffness[pair + 3 * k + i][l], ti.f32)
                             blocks[below + freedoms * i + k] = K
                             blocks[above + freedoms * k + i] = K
 
@@ -65,7 +66,7 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
                  weights: vector1, mode_values: vector1, moduli: vector1, coefficients: real1, elements: int2,
                  past: real1, inherited: real3, largest: real2, stresses: real3, energies: real2,
                  volume_rates: vector1, gaps: vector1, forces: vector1, stiffness: vector1, groups: int1,
-                 wanted: real1, blocks: real1):
+                 wanted: real1, blocks: single1):
         ti.loop_config(serialize=True)
         for _ in range(1):
             kappa, remembers = settings[KAPPA], settings[REMEMBERS]

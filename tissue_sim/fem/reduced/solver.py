@@ -144,10 +144,10 @@ class ReducedSolver(Solver):
         elements.memory.prepare(dt)
         held, free = self._lifting, self._free
         # It begins by going with the tool as it would if the contact did not change, or where the last step ended.
-        follows = predictor_order and inside and not resumes
-        way = np.array(motion(self._pose, pose)) if follows else np.zeros(6)
+        predicts = predictor_order and inside and not resumes
+        way = np.array(motion(self._pose, pose)) if predicts else np.zeros(6)
         # What touches is balanced below, from the forces that were left.
-        here = self.amplitudes + (self._prediction.change(way) if held and follows else self._prediction.answer @ way)
+        here = self.amplitudes + (self._prediction.change(way) if held and predicts else self._prediction.answer @ way)
         here[:held] = self._lifted.amplitudes(frame)
         iterations, ratio, last, anew, halvings, status = 0, 0.0, np.inf, 1, 0, None
         # Where the elements were looked at last, and their forces there.
@@ -159,12 +159,12 @@ class ReducedSolver(Solver):
             here, pushed, rates = self._balance(here, base[0], forces, frame, pressed_in, tolerance)
         else:
             pushed, rates = self._press(here, frame, pressed_in)
-        change: np.ndarray | None = here - base[0] if inside else None
+        follows = inside and np.array_equal(elements.at, base[0])
         while status is None:
-            drawn = elements.tangent @ (here - base[0])
-            went = float((here - base[0]) @ drawn)
-            foreseen, is_foreseen = forces + drawn, elements.are_known and change is not None
-            elements.evaluate(here, change, anew)
+            change = here - base[0]
+            drawn = elements.tangent @ change
+            went, foreseen, is_foreseen = float(change @ drawn), forces + drawn, elements.are_known and follows
+            elements.evaluate(here, follows, anew)
             forces, looked = elements.forces.copy(), here
             residual = forces + pushed
             unbalanced = size(residual[free])
@@ -180,7 +180,7 @@ class ReducedSolver(Solver):
                 here = 0.5 * (here + base[0])
                 here[:held] = self._lifted.amplitudes(frame)
                 elements.pressures[:] = 0.5 * (elements.pressures + base[1])
-                change = None
+                follows = False
                 pushed, rates = self._press(here, frame, pressed_in)
                 continue
             if bad:
@@ -191,13 +191,14 @@ class ReducedSolver(Solver):
                 break
             if iterations and (unbalanced > _FAST * last or halvings):
                 # The stiffness is that of other states: the oldest of it, or all where it led astray.
-                elements.evaluate(here, None, _GROUPS if halvings > 1 or iterations > _PATIENT else _OLDEST)
+                elements.evaluate(here, False, _GROUPS if halvings > 1 or iterations > _PATIENT else _OLDEST)
             last, halvings, base = unbalanced, 0, (here, elements.pressures.copy())
             here, pushed, rates = self._balance(here, here, forces, frame, pressed_in, tolerance)
-            change, anew = here - base[0], 0
+            follows, anew = True, 0
             iterations += 1
             if is_foreseen and not elements.memory.works:
                 # Tissue bends away from its tangent as it just has, or less, where it goes less far.
+                change = here - base[0]
                 added = elements.tangent @ change
                 residual, balanced = forces + added + pushed, self._balanced(pushed, forces + added)
                 doubt = _DOUBT * _bend((forces - foreseen)[free], went, float(change @ added))
@@ -231,7 +232,7 @@ class ReducedSolver(Solver):
             self._rested = 0
         if self._rested < _GROUPS:
             self._rested += 1
-            self.elements.evaluate(self.amplitudes, None, 1)
+            self.elements.evaluate(self.amplitudes, False, 1)
         self._committed, self._forces = (self.amplitudes.copy(), self.elements.pressures.copy()), 0.0 * self._forces
         self._known = self.amplitudes.copy()
         self._prediction.forget()
