@@ -33,10 +33,12 @@ from tissue_sim.pose import turned
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))
 TICK, WHOLE_EVERY = 1e-3, 8
-#: Name -> tool, interface, box, resolution, modes.
+#: Name -> tool, interface, box, resolution, modes; strokes and bulk modulus over mu0 where they are other than usual.
 CASES = {
     "needle that holds, 16 modes": (ts.Tool("flat", radius=8e-3), "bonded", (3e-3, 4e-3, 0.087), "realtime", 16),
     "needle that holds, 24 modes": (ts.Tool("flat", radius=8e-3), "bonded", (3e-3, 4e-3, 0.087), "realtime", 24),
+    "needle that holds, 40 modes": (ts.Tool("flat", radius=8e-3), "bonded", (3e-3, 4e-3, 0.087), "realtime", 40, 12,
+                                    450.0),
     "ball on the axis, mu 0.3": (ts.Tool("round", radius=8e-3), 0.3, (0.0, 4e-3, 0.0), "realtime", 16),
     "ball aside, mu 0.3": (ts.Tool("round", radius=8e-3), 0.3, (3e-3, 4e-3, 0.0), "realtime", 64),
 }
@@ -80,7 +82,8 @@ def factor_time() -> float:
 
 def measure(name: str, case: tuple, seconds: float, seeds: range, folder: Path | None) -> tuple[dict, tuple]:
     """One row of the table, and forces of the last walk: of the whole solid and of the reduced one."""
-    tool, friction, sizes, resolution, modes = case
+    tool, friction, sizes, resolution, modes, *more = case
+    strokes, bulk_ratio = more or (None, None)
     box, holds = ts.PoseBox(*sizes), friction == "bonded"
     experiment = ts.KINDS["needle_indentation"].experiment(
         specimen=ts.Specimen(0.040, 0.070), protocol=ts.Protocol.ramp(box.depth, points=2), tool=tool,
@@ -88,7 +91,8 @@ def measure(name: str, case: tuple, seconds: float, seeds: range, folder: Path |
     model = ts.Model(experiment, MATERIAL)
     started = time.process_time()
     kept = None if folder is None else folder / f"{name.partition(',')[0].replace(' ', '_')}_{resolution}"
-    reduced = reduce_solid(model, box, resolution=resolution, modes=modes, folder=kept)
+    reduced = reduce_solid(model, box, resolution=resolution, strokes=strokes, modes=modes, bulk_ratio=bulk_ratio,
+                           folder=kept)
     offline = time.process_time() - started
     whole = training.whole_solver(model, reduced.mesh)
     small = ReducedSolver(reduced, MATERIAL)

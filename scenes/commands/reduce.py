@@ -39,6 +39,9 @@ def add_arguments(parser: Parser) -> None:
                              "60; 6 and 30 of a cylinder under an upright tool on its axis, whose mirror images count)")
     effort.add_argument("--modes", type=at_least(2, 400), metavar="N",
                         help="motions of the tissue that are kept (default: 24, of a tool that only touches 64)")
+    effort.add_argument("--bulk-ratio", type=between(1.0, 1e6), metavar="N",
+                        help="bulk modulus at most, over the shear modulus: the more modes and strokes, the stiffer it "
+                             "may be (default: 300, of a tool that slides 50)")
     effort.add_argument("--sampling", type=positive, metavar="N", default=6e-3,
                         help="error of the forces of the sampled elements (default: %(default)g)")
     effort.add_argument("--tried", type=at_least(1, 1000), metavar="N", default=3,
@@ -75,7 +78,8 @@ def run(arguments) -> int:
 
         reduced = ts.reduce_solid(
             ts.Model(experiment, material), box, resolution=arguments.resolution, strokes=arguments.strokes,
-            modes=arguments.modes, sampling=arguments.sampling, tried=arguments.tried, folder=folder, progress=tell)
+            modes=arguments.modes, sampling=arguments.sampling, bulk_ratio=arguments.bulk_ratio,
+            tried=arguments.tried, folder=folder, progress=tell)
     ts.write_reduced(reduced, output)
     forget_strokes(folder)
     report = reduced.report

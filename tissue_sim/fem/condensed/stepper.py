@@ -325,25 +325,27 @@ class CondensedStepper:
         if k:
             active = self._active[:k // 3]
             forces, arms = self.forces[self._nodes[active]], self._levers[active]
-            drive = self._drive.reshape(-1, 3, 6)[active].reshape(k, 6)
-            lever = np.zeros((k, 6))
-            for axis in range(3):
-                lever[axis::3, axis] = 1.0
-            x, y, z = arms.T
-            lever[0::3, 4], lever[0::3, 5], lever[1::3, 3] = z, -y, -z
-            lever[1::3, 5], lever[2::3, 3], lever[2::3, 4] = x, y, -x
-            lever -= drive
-            wrench = wrench + forces.ravel() @ lever
-            rate = rate + lever.T @ columns
+            drive = self._drive.reshape(-1, 18)[active]
+            follows = drive - (self._block[:k * k].reshape(k, k).T @ columns).reshape(-1, 18)
+            drive, changes = drive.reshape(k, 6), columns.reshape(-1, 18)
+            # Nodes hand their forces on to the tool, but for what the tissue is driven by itself.
+            total, pairs = forces.sum(axis=0), (arms.T @ changes).reshape(3, 3, 6)
+            wrench = wrench + np.concatenate([total, _cross_sum(arms.T @ forces)]) - forces.ravel() @ drive
+            rate = rate - drive.T @ columns
+            rate[:3] += changes.sum(axis=0).reshape(3, 6)
             # The levers of the torque change, too: a node goes its way, and the tool's deepest point the tool's.
-            block = self._block[:k * k].reshape(k, k).T
-            apart = drive - block @ columns
-            for axis in range(3):
-                apart[axis::3, axis] -= 1.0
-            rate[3:] += np.cross(apart.reshape(-1, 3, 6), forces[:, :, None], axisa=1, axisb=1, axisc=1).sum(axis=0)
+            turned = (follows.reshape(-1, 3, 6).transpose(1, 2, 0) @ forces).transpose(0, 2, 1)
+            turned[[0, 1, 2], :, [0, 1, 2]] -= total
+            rate[3:] += _cross_sum(pairs) + _cross_sum(turned)
         if k and not columns.any():
             rate = -np.array(self._last.stiffness_matrix)  # the equations had no sane solution
         a, b, c, d, e, f = map(tuple, (-rate).tolist())
         x, y, z, u, v, w = wrench.tolist()
         return ContactStep(True, iterations, (x, y, z, u, v, w), (a, b, c, d, e, f), self.distance(way), change,
                            k // 3, slipping)
+
+
+def _cross_sum(pairs: np.ndarray) -> np.ndarray:
+    """Sum of cross products a x b of many vectors, by the sums of their components' products a_i b_k, shape (3, 3) or, of
+    several right ones, (3, 3, m)."""
+    return np.stack([pairs[1, 2] - pairs[2, 1], pairs[2, 0] - pairs[0, 2], pairs[0, 1] - pairs[1, 0]])

@@ -21,9 +21,11 @@ from tissue_sim.fem.reduced.symmetry import symmetries
 from tissue_sim.files import read_text
 from tissue_sim.model import Model
 
-#: Strokes without images, modes and largest bulk modulus over mu0, of a tool that holds tissue and of one that touches
-#: it.
-STROKES, MODES, BULK_RATIO = {True: 24, False: 60}, {True: 24, False: 64}, {True: 300.0, False: 100.0}
+#: Strokes without images, and modes, of a tool that holds tissue and of one that touches it.
+STROKES, MODES = {True: 24, False: 60}, {True: 24, False: 64}
+#: Largest bulk modulus over mu0, of a tool that presses the same nodes all the time, and of one that slides: its modes
+#: change the tissue's volume more.
+BULK_RATIO = {True: 300.0, False: 50.0}
 #: Error of the sampled forces, share of the contact's reach by which the layer gives way, and unseen strokes on which
 #: the result is tried.
 SAMPLING, SOFTNESS, TRIED = 6e-3, 1e-3, 3
@@ -39,8 +41,9 @@ class Progress(Protocol):
 
 
 def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", strokes: int | None = None,
-                 modes: int | None = None, sampling: float = SAMPLING, softness: float = SOFTNESS, tried: int = TRIED,
-                 folder: Path | None = None, progress: Progress | None = None) -> ReducedModel:
+                 modes: int | None = None, sampling: float = SAMPLING, bulk_ratio: float | None = None,
+                 softness: float = SOFTNESS, tried: int = TRIED, folder: Path | None = None,
+                 progress: Progress | None = None) -> ReducedModel:
     """Make a solid that is stepped a thousand times a second for a tool that stays in a box.
 
     Args:
@@ -51,6 +54,8 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
             solid under its tool.
         modes: motions of the tissue that are kept.
         sampling: error of the forces of the sampled elements.
+        bulk_ratio: most that the bulk modulus may be, over mu0. A softer one than the tissue's makes forces too small,
+            a stiffer one than what the modes can represent too large.
         softness: see `ReducedModel`.
         tried: strokes that it was not made of, on which it is tried.
         folder: where the strokes are kept; one that holds strokes of the same model is gone on with. `forget_strokes`
@@ -58,11 +63,15 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
         progress: told of the stages ``"strokes"``, ``"elements"`` and ``"trial"``.
 
     Raises:
-        InputError: what a reduced solid does not take, or a folder of another model.
+        InputError: what a reduced solid does not take, a bulk modulus below the shear modulus, or a folder of another
+            model.
         ConvergenceError: the whole solid did not come through a stroke.
     """
     experiment = model.experiment
     holds = experiment.friction == "bonded"
+    bulk_ratio = BULK_RATIO[holds or not box.sideways] if bulk_ratio is None else bulk_ratio
+    if not bulk_ratio >= 1.0:
+        raise InputError(f"{bulk_ratio:g} is no bulk modulus over mu0; give one of at least 1", field="bulk_ratio")
     tell: Callable[..., None] = progress or (lambda *_, **__: None)
     require_reducible(model)
     mesh = training.training_mesh(model, box, resolution)
@@ -84,7 +93,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     count = len(mesh.connectivity)
     reduced = training.assemble(
         model, mesh, box, taken, poses, count=modes, tolerance=sampling, softness=softness,
-        bulk_ratio=BULK_RATIO[holds], group=group,
+        bulk_ratio=bulk_ratio, group=group,
         progress=lambda elements, error: tell("elements", elements, count, note=f"error {100 * error:.2g} %"))
     numbers = range(training.UNSEEN, training.UNSEEN + tried)
     report, factors = training.verify(reduced, solver, numbers, lambda done, of: tell("trial", done, of))

@@ -42,7 +42,7 @@ _INNER, _MOST_SOLVES = 0.3, 12
 _GROUPS, _FAST = 8, 0.3
 #: Groups that are computed anew in a slow iteration, and iterations from which on all are.
 _OLDEST, _PATIENT = 2, 4
-#: Tissue bends away from its tangent by less than so many times what its last change lets expect (of 5400 that were
+#: Tissue bends away from its tangent by less than so many times what its last change lets expect (of 5700 that were
 #: looked at, none by more than 8 times, and none of those that five times would have let pass).
 _DOUBT = 5.0
 #: Smallest J of an element that is not about to turn inside out.
