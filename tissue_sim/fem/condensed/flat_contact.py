@@ -9,7 +9,8 @@ round the nodes one after the other (Jean, ibid. 177 (1999) 235) takes a thousan
 
 import numpy as np
 
-from tissue_sim.fem.condensed.kernel import COUNT, ENOUGH, FORCES, LEFT, UNKNOWN, flat_kernel
+from tissue_sim.fem.condensed.flat_kernel import ENOUGH, FORCES, LEFT, UNKNOWN, flat_kernel
+from tissue_sim.fem.condensed.kernel import COUNT
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 

@@ -1,4 +1,4 @@
-"""The contact on a condensed bulk as Taichi kernels: displacements, states, and the equations of the next iteration.
+"""The contact on a condensed bulk as a Taichi kernel: displacements, states, and the equations of the next iteration.
 
 The method is that of `tissue_sim.fem.solid.contact`, node by node, with the same springs and the same states; the
 equations hold the nodes that are pressed only.
@@ -7,6 +7,7 @@ equations hold the nodes that are pressed only.
 from functools import cache
 
 from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.scratch import LANES, VECTORS, scratch
 
 #: Stiffness of a held node over that of the springs; see `tissue_sim.fem.solid.contact`.
 HOLD = 3.0
@@ -19,10 +20,8 @@ SETTINGS = 27
 #: Places in `results`.
 VIOLATION, PULLING, UNBALANCED, SIZE, ACTIVE, REBUILT, SLIPPING = range(7)
 RESULTS = 7
-#: Places in `found`, of the flat contact: what is left of the equation and the forces, squared; unknown nodes.
-LEFT, FORCES, UNKNOWN = range(3)
-#: Places in `limits`: nearer nodes take part, m; what may be left over the forces; forces that are none, N.
-NEAR, ENOUGH, NONE = range(3)
+#: Displacements of nodes at most, three of each.
+MOST_FREEDOMS = LANES * VECTORS
 #: Right-hand sides: of the iteration, and of the six motions of the tool.
 COLUMNS = 7
 
@@ -48,22 +47,36 @@ def contact_kernel():
     ti = initialise()
     real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
     int1 = ti.types.ndarray(ti.i32, ndim=1)
+    vector1 = ti.types.ndarray(ti.types.vector(LANES, ti.f64), ndim=1)
     eases = eases_function()
+    move = scratch(LANES, MOST_FREEDOMS // LANES)
 
     @ti.func
-    def displace(i, settings: ti.template(), nodes: ti.template(), forces: ti.template(), middle: ti.template(),
-                 drive: ti.template(), compliance: ti.template(), loaded: ti.template(), many, u: ti.template()):
-        """Displacement of a node under the forces of the loaded ones."""
-        for k in range(3):
-            value = middle[i, k]
-            for a in range(6):
-                value = value + drive[3 * i + k, a] * settings[MOTION + a]
-            for l in range(many):
-                j = loaded[l]
-                s = nodes[j]
-                for m in ti.static(range(3)):
-                    value = value - compliance[3 * i + k, 3 * j + m] * forces[s, m]
-            u[i, k] = value
+    def displace(n, many, settings: ti.template(), nodes: ti.template(), forces: ti.template(), middle: ti.template(),
+                 drive: ti.template(), rows: ti.template(), loaded: ti.template(), u: ti.template()):
+        """Displacements of all nodes under the forces of the loaded ones, by whole rows of the compliance, which is
+        symmetric: what is stored as a vector in a loop is vectorised."""
+        width = u.shape[0] // LANES
+        used = (3 * n + LANES - 1) // LANES
+        for q in range(used):
+            move[q] = ti.Vector.zero(ti.f64, LANES)
+        for l in range(many):
+            j = loaded[l]
+            s = nodes[j]
+            for m in range(3):
+                force = forces[s, m]
+                for q in range(used):
+                    at = (3 * j + m) * width + q
+                    move[q] = move[q] - rows[at] * force
+        for q in range(used):
+            for l in ti.static(range(LANES)):
+                u[LANES * q + l] = move[q][l]
+        for i in range(n):
+            for k in range(3):
+                value = middle[i, k]
+                for a in ti.static(range(6)):
+                    value = value + drive[3 * i + k, a] * settings[MOTION + a]
+                u[3 * i + k] = u[3 * i + k] + value
 
     @ti.func
     def meet(i, s, settings: ti.template(), results: ti.template(), chains: ti.template(), shapes: ti.template(),
@@ -75,7 +88,7 @@ def contact_kernel():
              compliance: ti.template()):
         """Where a node is against the tool, what state it takes, and its force."""
         R = ti.Matrix([[settings[ROTATION + 3 * a + b] for b in ti.static(range(3))] for a in ti.static(range(3))])
-        arm = ti.Vector([places[s, a] + u[i, a] - settings[ORIGIN + a] for a in ti.static(range(3))])
+        arm = ti.Vector([places[s, a] + u[3 * i + a] - settings[ORIGIN + a] for a in ti.static(range(3))])
         at = R.transpose() @ arm
         # The nearest place of the outline.
         body = outlines[s]
@@ -198,9 +211,9 @@ def contact_kernel():
     def iterate(settings: real1, results: real1, chains: real3, shapes: real2, places: real2, springs: real1,
                 friction: real2, outlines: int1, bound: int1, anchors: real2, pressed: int1, slips: int1,
                 forces: real2, met: int1, met_at: real2, nodes: int1, middle: real2, drive: real2, compliance: real2,
-                u: real2, guess: real2, rates: real2, turns: real2, intercept: real2, levers: real2, signature: int1,
-                geometry: real2,
-                loaded: int1, active: int1, matrix: real1, block: real1, right: real1):
+                rows: vector1, u: real1, guess: real2, rates: real2, turns: real2, intercept: real2, levers: real2,
+                signature: int1, geometry: real2, loaded: int1, active: int1, matrix: real1, block: real1,
+                right: real1):
         ti.loop_config(serialize=True)
         for _ in range(1):
             n = ti.cast(settings[COUNT], ti.i32)
@@ -216,8 +229,7 @@ def contact_kernel():
                     many = many + 1
             for k in range(RESULTS):
                 results[k] = 0.0
-            for i in range(n):
-                displace(i, settings, nodes, forces, middle, drive, compliance, loaded, many, u)
+            displace(n, many, settings, nodes, forces, middle, drive, rows, loaded, u)
             for i in range(n):
                 meet(i, nodes[i], settings, results, chains, shapes, places, springs, friction, outlines, bound,
                      anchors, pressed, slips, forces, met, met_at, u, guess, rates, turns, intercept, levers,
@@ -281,114 +293,3 @@ def contact_kernel():
                                 block[column * k + 3 * p + a] = compliance[3 * i + a, 3 * j + b]
 
     return iterate
-
-
-@cache
-def flat_kernel():
-    """Kernel of what is left of the equation of a `FlatContact`, and of the linear one for nodes that carry a force."""
-    ti = initialise()
-    real1, real2 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2))
-    int1 = ti.types.ndarray(ti.i32, ndim=1)
-    eases = eases_function()
-
-    @ti.kernel
-    def look(settings: real1, found: real1, limits: real1, nodes: int1, bound: int1, pressed: int1, slips: int1,
-             forces: real2, compliance: real2, geometry: real2, guess: real2, moved: real2, near: int1,
-             unknown: int1, slopes: real2, matrix: real1, right: real1):
-        ti.loop_config(serialize=True)
-        for _ in range(1):
-            many, count, left, size = 0, 0, 0.0, 0.0
-            for i in range(ti.cast(settings[COUNT], ti.i32)):
-                s = nodes[i]
-                loaded = 0.0
-                for a in ti.static(range(3)):
-                    moved[i, a] = 0.0
-                    loaded = loaded + ti.abs(forces[s, a]) + ti.abs(guess[i, a])
-                if bound[s] == 1 or loaded > 0.0 or geometry[i, 6] < limits[NEAR]:
-                    near[many] = i
-                    many = many + 1
-            # Displacements of the last look at the tool belong to the guesses.
-            for q in range(many):
-                j = near[q]
-                change = ti.Vector([forces[nodes[j], b] - guess[j, b] for b in ti.static(range(3))])
-                if change.norm() > 0.0:
-                    for p in range(many):
-                        i = near[p]
-                        for a in ti.static(range(3)):
-                            moved[i, a] = moved[i, a] - (compliance[3 * j, 3 * i + a] * change[0]
-                                                         + compliance[3 * j + 1, 3 * i + a] * change[1]
-                                                         + compliance[3 * j + 2, 3 * i + a] * change[2])
-            for p in range(many):
-                i = near[p]
-                s = nodes[i]
-                n = ti.Vector([geometry[i, a] for a in ti.static(range(3))])
-                F = ti.Vector([forces[s, a] for a in ti.static(range(3))])
-                move = ti.Vector([moved[i, a] for a in ti.static(range(3))])
-                slip = ti.Vector([geometry[i, 3 + a] for a in ti.static(range(3))]) + move
-                gap, mu = geometry[i, 6] + n.dot(move), geometry[i, 7]
-                give = eases(i, n, compliance)
-                along, aside = give[0], give[1]
-                nn, eye = n.outer_product(n), ti.Matrix.identity(ti.f64, 3)
-                D, E, new = ti.Matrix.zero(ti.f64, 3, 3), ti.Matrix.zero(ti.f64, 3, 3), ti.Vector.zero(ti.f64, 3)
-                carries = bound[s] == 1
-                if carries:
-                    stiff = 1.0 / ti.max(along, aside)
-                    new, D, E = F + stiff * slip, stiff * eye, eye
-                else:
-                    N = F.dot(n) + gap / along
-                    carries = N < 0.0
-                    pressed[s], slips[s] = 0, 0
-                    if carries:
-                        flat = eye - nn
-                        q = flat @ (F + slip / aside)
-                        length, most = q.norm(), -mu * N
-                        pressed[s] = 1
-                        new, D, E = N * n + q, nn / along + flat / aside, eye
-                        if length > most:
-                            slips[s] = 1
-                            way, part = q / length, most / length
-                            turn = part * (flat - way.outer_product(way))
-                            new = N * n + most * way
-                            D = nn / along - (mu / along) * way.outer_product(n) + turn / aside
-                            E = nn - mu * way.outer_product(n) + turn
-                rest = new - F
-                left, size = left + rest.dot(rest), size + F.dot(F)
-                if carries:
-                    for a in ti.static(range(3)):
-                        right[3 * count + a] = -rest[a]
-                        for b in ti.static(range(3)):
-                            slopes[count, 3 * a + b] = D[a, b]
-                            slopes[count, 9 + 3 * a + b] = E[a, b]
-                    unknown[count] = i
-                    count = count + 1
-            found[LEFT], found[FORCES], found[UNKNOWN] = left, size, count
-            k, rows = 3 * count, count
-            if ti.sqrt(left) <= limits[ENOUGH] * ti.max(ti.sqrt(size), limits[NONE]):
-                rows = 0
-            for p in range(rows):
-                i = unknown[p]
-                D = ti.Matrix([[slopes[p, 3 * a + b] for b in ti.static(range(3))] for a in ti.static(range(3))])
-                # What the nodes that are let go no longer push away.
-                e = ti.Vector.zero(ti.f64, 3)
-                for q in range(many):
-                    j = near[q]
-                    s = nodes[j]
-                    if bound[s] != 1 and pressed[s] == 0:
-                        for a in ti.static(range(3)):
-                            for b in ti.static(range(3)):
-                                e[a] = e[a] + compliance[3 * j + b, 3 * i + a] * forces[s, b]
-                released = D @ e
-                for a in ti.static(range(3)):
-                    right[3 * p + a] = right[3 * p + a] - released[a]
-                for q in range(count):
-                    j = unknown[q]
-                    for b in ti.static(range(3)):
-                        for a in ti.static(range(3)):
-                            value = 0.0
-                            if p == q:
-                                value = slopes[p, 9 + 3 * a + b] - ti.static(1.0 if a == b else 0.0)
-                            for c in ti.static(range(3)):
-                                value = value - D[a, c] * compliance[3 * i + c, 3 * j + b]
-                            matrix[(3 * q + b) * k + 3 * p + a] = value
-
-    return look

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.flat_contact import FlatContact
 from tissue_sim.fem.condensed.kernel import (
     ANEW,
@@ -15,6 +16,7 @@ from tissue_sim.fem.condensed.kernel import (
     COLUMNS,
     COUNT,
     MODULUS,
+    MOST_FREEDOMS,
     MOTION,
     NEGLIGIBLE,
     ORIGIN,
@@ -29,6 +31,7 @@ from tissue_sim.fem.condensed.kernel import (
 from tissue_sim.fem.condensed.model import HELD, CondensedContact, ContactState, ContactSurface
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
+from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.tool_force import Matrix
 
@@ -91,6 +94,9 @@ class CondensedStepper:
         surface: of the tissue, and the tool.
         largest: part of a step, over the contact's radius.
 
+    Raises:
+        InputError: more nodes than it takes.
+
     Attributes:
         model: the newest; None before the first.
         forces: of the nodes on the tool, N, shape (s, 3).
@@ -105,7 +111,12 @@ class CondensedStepper:
         self._signature = np.zeros(n, dtype=np.int32)
         self._matrix, self._block = np.zeros((2, 9 * n * n))
         self._right, self._levers, self._drive = np.zeros(3 * n * COLUMNS), np.zeros((n, 3)), np.zeros((3 * n, 6))
-        self._compliance, self._middle = np.zeros((3 * n, 3 * n)), np.zeros((n, 3))
+        # Rows of whole vectors.
+        width = -(-3 * n // LANES) * LANES
+        if width > MOST_FREEDOMS:
+            raise InputError(f"a tool that may touch {n} nodes at a time is more than two rates take "
+                             f"({MOST_FREEDOMS // 3}); use a coarser mesh", field="resolution")
+        self._compliance, self._middle = np.zeros((3 * n, width)), np.zeros((n, 3))
         self._nodes, self._active = np.zeros((2, n), dtype=np.int32)
         arrays = {
             "settings": self._settings, "results": self._results, "chains": surface.chains, "shapes": surface.shapes,
@@ -113,7 +124,8 @@ class CondensedStepper:
             "outlines": surface.outlines.astype(np.int32), "bound": self._bound, "anchors": self._anchors,
             "pressed": self._pressed, "slips": self._slips, "forces": self.forces,
             "met": self._met, "met_at": self._met_at, "nodes": self._nodes, "middle": self._middle,
-            "drive": self._drive, "compliance": self._compliance, "u": np.zeros((n, 3)), "guess": np.zeros((n, 3)),
+            "drive": self._drive, "compliance": self._compliance, "rows": self._compliance.reshape(-1, LANES),
+            "u": np.zeros(width), "guess": np.zeros((n, 3)),
             "rates": np.zeros((n, 9)), "turns": np.zeros((n, 9)), "intercept": np.zeros((n, 3)), "levers": self._levers,
             "signature": self._signature, "geometry": np.zeros((n, 8)),
             "loaded": np.zeros(n, dtype=np.int32), "active": self._active,
@@ -346,6 +358,6 @@ class CondensedStepper:
 
 
 def _cross_sum(pairs: np.ndarray) -> np.ndarray:
-    """Sum of cross products a x b of many vectors, by the sums of their components' products a_i b_k, shape (3, 3) or, of
-    several right ones, (3, 3, m)."""
+    """Sum of cross products a x b of many vectors, by the sums of the products a_i b_k, shape (3, 3) or, of several on
+    either side, (3, 3, m)."""
     return np.stack([pairs[1, 2] - pairs[2, 1], pairs[2, 0] - pairs[0, 2], pairs[0, 1] - pairs[1, 0]])

@@ -9,7 +9,7 @@ from functools import cache
 from tissue_sim.fem.taichi.runtime import initialise
 
 #: Numbers in each vector, one of an element each, and vectors.
-_LANES, _SIZE = 4, 3200
+LANES, VECTORS = 4, 3200
 
 
 def scratch(lanes: int, size: int):
@@ -18,12 +18,12 @@ def scratch(lanes: int, size: int):
     Raises:
         ValueError: it has fewer, or vectors of another length.
     """
-    if lanes != _LANES or size > _SIZE:
-        raise ValueError(f"{size} vectors of {lanes} asked for, and the scratch field has {_SIZE} of {_LANES}")
+    if lanes != LANES or size > VECTORS:
+        raise ValueError(f"{size} vectors of {lanes} asked for, and the scratch field has {VECTORS} of {LANES}")
     return _field()
 
 
 @cache
 def _field():
     ti = initialise()
-    return ti.Vector.field(_LANES, ti.f64, shape=_SIZE)
+    return ti.Vector.field(LANES, ti.f64, shape=VECTORS)
