@@ -35,7 +35,8 @@ class LoopSettings:
 
     Attributes:
         period: s.
-        spin: how long before a deadline to watch the clock instead of sleeping, s. It keeps a core busy.
+        spin: how long before a deadline to watch the clock instead of sleeping, s. It keeps a core busy
+            but for a tenth of the time.
         seconds: how long it runs; None: until it is stopped.
         real_time: ask the system for what `haptics.loop.real_time` knows.
         snapshot_rate: how often the whole tissue is published, for viewers that draw it, Hz; 0: never.

@@ -77,6 +77,8 @@ def _middle(index: int) -> float:
 #: Share of the time that a watching ticker sleeps all the same, and of the period that it keeps for waking up: Linux
 #: stops a process of a real-time priority that takes more than 0.95 s of a second (sched_rt_runtime_us) for the rest.
 _REST, _WAKING = 0.1, 0.05
+#: Most of it that ticks without time leave to later ones, ns: what Linux lets nobody take in a second.
+_MOST_OWED = 50_000_000
 
 
 class Ticker:
@@ -110,9 +112,9 @@ class Ticker:
         if not 0 <= spin < period:
             raise InputError(f"{spin:g} s; give 0 or more, but less than the period of {period:g} s", field="spin")
         self._period, self._spin, self._late = round(period * 1e9), round(spin * 1e9), round(late * 1e9)
-        self._rest, self._waking = (round(share * self._period) for share in (_REST, _WAKING))
-        #: Sleep that earlier ticks left no time for, ns.
-        self._owed = 0
+        self._waking = round(_WAKING * self._period)
+        #: Sleep that earlier ticks left no time for, ns, as it was counted last.
+        self._owed = self._counted = 0
         self._clock, self._sleep = clock, sleep
         self._start = 0
         self.number = self.ticks = self.late = self.missed = 0
@@ -120,14 +122,16 @@ class Ticker:
 
     def start(self) -> None:
         """Set the first deadline one period from now."""
-        self._start, self._owed = self._clock(), 0
+        self._start = self._counted = self._clock()
+        self._owed = 0
 
     def wait(self) -> int:
         """Wait for the next deadline; returns how late it is, ns."""
         clock = self._clock
         deadline = self._start + (self.number + 1) * self._period
         now = clock()
-        self._owed += self._rest
+        self._owed = min(self._owed + round(_REST * (now - self._counted)), _MOST_OWED)
+        self._counted = now
         wake = max(deadline - self._spin, min(now + self._owed, deadline - self._waking))
         began = now
         while now < wake:

@@ -39,7 +39,7 @@ def add_arguments(parser: Parser) -> None:
                              "60; 6 and 30 of a cylinder under an upright tool on its axis, whose mirror images count)")
     effort.add_argument("--modes", type=at_least(2, 400), metavar="N",
                         help="motions of the tissue that are kept (default: 24, of a tool that only touches 64)")
-    effort.add_argument("--bulk-ratio", type=between(1.0, 1e6), metavar="N",
+    effort.add_argument("--bulk-ratio", type=between(1.0, 1000.0), metavar="N",
                         help="bulk modulus at most, over the shear modulus: the more modes and strokes, the stiffer it "
                              "may be (default: 300, of a tool that slides 50)")
     effort.add_argument("--sampling", type=positive, metavar="N", default=6e-3,

@@ -118,6 +118,20 @@ def test_sleep_is_made_up_for():
     assert max(clock.slept) < 0.56e-3
 
 
+def test_little_is_made_up_for():
+    """What a long time without sleep has left over is no reason to sleep as long."""
+    clock = FakeClock(reading=1000)
+    ticker = clock.ticker(spin=0.95e-3)
+    for _ in range(3000):
+        clock.now += round(0.99 * MS)
+        ticker.wait()
+    clock.slept.clear()
+    for _ in range(500):
+        clock.now += round(0.4 * MS)
+        ticker.wait()
+    assert sum(clock.slept) == pytest.approx(0.05 + 500 * 0.1e-3, rel=0.1)
+
+
 def test_a_sleep_that_ends_early_is_continued():
     clock = FakeClock()
     clock.sleep = lambda seconds: setattr(clock, "now", clock.now + max(round(seconds * 0.6e9), 1))

@@ -41,6 +41,10 @@ def touched():
                         modes=12, tried=1)
 
 
+def test_a_tool_that_presses_the_same_nodes_has_a_stiffer_bulk(held, touched):
+    assert (held.bulk_ratio, touched.bulk_ratio) == (300.0, 300.0)
+
+
 class TestSampling:
     def test_few_weights_that_add_up(self):
         rng = np.random.default_rng(0)
@@ -370,7 +374,8 @@ def test_a_smooth_motion_needs_few_further_looks(held):
         np.array(first), rel=1e-3, abs=1e-6)
 
 
-def test_what_is_not_looked_at_again_is_in_equilibrium(held):
+@pytest.mark.parametrize(("between_steps", "at_least"), [("nothing", 20), ("one that fails", 1), ("there and back", 1)])
+def test_what_is_not_looked_at_again_is_in_equilibrium(held, between_steps, at_least):
     """A linear solution of small remainder is believed; here each is looked at, by a solver beside it."""
     solver, beside = ReducedSolver(held, MATERIAL), ReducedSolver(held, MATERIAL)
     looks, evaluate = [], solver.elements.evaluate
@@ -381,25 +386,40 @@ def test_what_is_not_looked_at_again_is_in_equilibrium(held):
 
     solver.elements.evaluate = looked
     start = held.model.experiment.tool_pose(0.0)
-    believed = []
-    for pose in stroke(training.UNSEEN + 5, held.box, start, holds=True, reach=8e-3)[:20]:
+    ways = [stroke(training.UNSEEN + number, held.box, start, holds=True, reach=8e-3)[:20] for number in (5, 6)]
+    believed, off = [], []
+    for pose, elsewhere in zip(*ways, strict=False):
         before = solver.pose
-        for part in np.linspace(0.05, 1.0, 20):
-            looks.clear()
+        for number, part in enumerate(np.linspace(0.05, 1.0, 20)):
             to = between(before, pose, part)
-            step = solver.step(to)
+            if number % 7 == 0 and between_steps != "nothing":
+                failed = solver.step(elsewhere, max_iterations=1 if between_steps == "one that fails" else 60)
+                assert failed.status in (StepStatus.SLOW, StepStatus.INVERTED, StepStatus.CONVERGED)
+                solver.step(between(before, to, 0.99), max_iterations=60)
+            looks.clear()
+            step = solver.step(to, max_iterations=60)
             assert step.status is StepStatus.CONVERGED and step.residual <= TOLERANCE
             if len(looks) > step.iterations:
                 continue
             beside.restore(solver.save())
             # Pressures follow what the volumes there miss.
             beside.elements.evaluate(solver.amplitudes, True, 0)
-            pushed, _ = beside._press(solver.amplitudes, Frame(to, solver.datum), True)
+            pushed, _ = beside._press(solver.amplitudes, frame := Frame(to, solver.datum), True)
             residual = beside.elements.forces + pushed
             scale = solver._scale(np.linalg.norm(residual[:held.lifting]) + np.linalg.norm(pushed))
             believed.append(np.linalg.norm(residual[held.lifting:len(residual) - held.watched]) / scale)
-    assert len(believed) > 20
+            wrench = beside.contact.wrench - beside._lifted.rates(frame).T @ residual[:held.lifting]
+            off.append(np.linalg.norm(np.subtract(step.wrench, wrench)[:3]) / max(np.linalg.norm(wrench[:3]), scale))
+    assert len(believed) >= at_least
     assert max(believed) <= TOLERANCE
+    assert max(off) < 1e-3
+
+
+@pytest.mark.parametrize("ratio", [0.5, 2e3, math.nan])
+def test_a_bulk_that_no_modes_can_bear_is_refused(ratio):
+    with pytest.raises(ts.InputError, match="1 to 1000") as refused:
+        reduce_solid(model(ts.Tool("flat", radius=8e-3), friction="bonded"), ts.PoseBox(0.0, DEPTH), bulk_ratio=ratio)
+    assert refused.value.field == "bulk_ratio"
 
 
 def test_a_state_that_is_put_back_is_stepped_as_a_fresh_one(held):

@@ -71,7 +71,7 @@ class CondensedContact:
         time: when the tool was there, s. pose: of the tool then.
         nodes: numbers in the `ContactSurface`, shape (n,).
         middle: displacements without forces, m, shape (n, 3).
-        compliance: m/N, shape (3 n, 3 n). drive: shape (3 n, 6).
+        compliance: m/N, symmetric, shape (3 n, 3 n). drive: shape (3 n, 6).
         wrench: of what the tool holds, N, N m, shape (6,). stiffness: of it, shape (6, 6).
         reach: how far the tool may go from the pose before it can meet a node that is not here, m.
         modulus: shear modulus of the material, Pa.

@@ -31,7 +31,8 @@ class LayerContact:
         softness: share of the way by which the layer gives way.
 
     Attributes:
-        nodes: numbers, shape (n,). forces: on the tissue, N, shape (n, 3). touched: which of them press.
+        nodes: numbers, shape (n,). forces: on the tissue, of those that touch, N, shape (n, 3). touched:
+            which of them press.
     """
 
     def __init__(self, bodies: Sequence[Body], places: np.ndarray, areas: np.ndarray, basis: np.ndarray, *,

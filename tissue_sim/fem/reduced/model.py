@@ -106,8 +106,8 @@ class ReducedModel:
         lifting: modes whose amplitudes the tool's pose says: 12 where it holds tissue, else 0.
         elements: numbers of those that are looked at, shape (n,); shares: how many each stands for.
         box: of poses.
-        bulk_ratio: bulk modulus at most, over mu0. What is added up of modes changes its volume a little, and a stiffer
-            bulk would make that resist; the force itself hardly depends on it.
+        bulk_ratio: bulk modulus at most, over mu0. What is added up of modes changes its volume a little, which a
+            stiffer bulk would make resist; under a softer one the force is too small.
         softness: share of the contact's reach by which the layer between tool and tissue gives way.
         watched: the last so many modes are none that it makes: what is unbalanced on them says how far it is off.
         error_factors: of what the force would change by with what is watched, and of the force itself; their sum

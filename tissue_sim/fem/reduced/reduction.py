@@ -26,6 +26,8 @@ STROKES, MODES = {True: 24, False: 60}, {True: 24, False: 64}
 #: Largest bulk modulus over mu0, of a tool that presses the same nodes all the time, and of one that slides: its modes
 #: change the tissue's volume more.
 BULK_RATIO = {True: 300.0, False: 50.0}
+#: The smallest and the largest that may be asked for: with stiffer ones steps find no equilibrium.
+BULK_RATIOS = (1.0, 1000.0)
 #: Error of the sampled forces, share of the contact's reach by which the layer gives way, and unseen strokes on which
 #: the result is tried.
 SAMPLING, SOFTNESS, TRIED = 6e-3, 1e-3, 3
@@ -63,15 +65,18 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
         progress: told of the stages ``"strokes"``, ``"elements"`` and ``"trial"``.
 
     Raises:
-        InputError: what a reduced solid does not take, a bulk modulus below the shear modulus, or a folder of another
+        InputError: what a reduced solid does not take, a bulk modulus outside of `BULK_RATIOS`, or a folder of another
             model.
         ConvergenceError: the whole solid did not come through a stroke.
     """
     experiment = model.experiment
     holds = experiment.friction == "bonded"
-    bulk_ratio = BULK_RATIO[holds or not box.sideways] if bulk_ratio is None else bulk_ratio
-    if not bulk_ratio >= 1.0:
-        raise InputError(f"{bulk_ratio:g} is no bulk modulus over mu0; give one of at least 1", field="bulk_ratio")
+    slides = not holds and box.sideways + box.turn > 0.0
+    bulk_ratio = BULK_RATIO[not slides] if bulk_ratio is None else bulk_ratio
+    low, high = BULK_RATIOS
+    if not low <= bulk_ratio <= high:
+        raise InputError(f"{bulk_ratio:g} is no bulk modulus over mu0 of a reduced solid; give {low:g} to {high:g}",
+                         field="bulk_ratio")
     tell: Callable[..., None] = progress or (lambda *_, **__: None)
     require_reducible(model)
     mesh = training.training_mesh(model, box, resolution)

@@ -42,8 +42,9 @@ _INNER, _MOST_SOLVES = 0.3, 12
 _GROUPS, _FAST = 8, 0.3
 #: Groups that are computed anew in a slow iteration, and iterations from which on all are.
 _OLDEST, _PATIENT = 2, 4
-#: Tissue bends away from its tangent by less than so many times what its last change lets expect (of 5700 that were
-#: looked at, none by more than 8 times, and none of those that five times would have let pass).
+#: Tissue bends away from its tangent by less than so many times what its last change lets expect: of 5700 that were
+#: looked at, none by more than 8 times, and none of those that five times would have let pass. Not where some of the
+#: tangent is that of a step which failed, nor in further iterations, whose changes go elsewhere: there up to 17 times.
 _DOUBT = 5.0
 #: Smallest J of an element that is not about to turn inside out.
 _LEAST = 0.02
@@ -95,6 +96,8 @@ class ReducedSolver(Solver):
         self._committed = self.amplitudes.copy(), self.elements.pressures.copy()
         #: Of the elements on the modes there; and steps in which stiffness was computed since it came to rest.
         self._forces, self._known, self._rested, self._largest_force = np.zeros(modes), self.amplitudes, 0, 0.0
+        #: Groups whose stiffness may be that of a step which failed.
+        self._strange = 0
         self._asked, self._modulus = False, 0.0
         self.set_material(material)
 
@@ -149,7 +152,8 @@ class ReducedSolver(Solver):
         # What touches is balanced below, from the forces that were left.
         here = self.amplitudes + (self._prediction.change(way) if held and predicts else self._prediction.answer @ way)
         here[:held] = self._lifted.amplitudes(frame)
-        iterations, ratio, last, anew, halvings, status = 0, 0.0, np.inf, 1, 0, None
+        iterations, ratio, last, halvings, status = 0, 0.0, np.inf, 0, None
+        anew = _OLDEST if self._strange else 1
         # Where the elements were looked at last, and their forces there.
         base, forces = (self._known, elements.pressures.copy()), self._forces
         if resumes:
@@ -196,7 +200,7 @@ class ReducedSolver(Solver):
             here, pushed, rates = self._balance(here, here, forces, frame, pressed_in, tolerance)
             follows, anew = True, 0
             iterations += 1
-            if is_foreseen and not elements.memory.works:
+            if is_foreseen and iterations == 1 and not (self._strange or elements.memory.works):
                 # Tissue bends away from its tangent as it just has, or less, where it goes less far.
                 change = here - base[0]
                 added = elements.tangent @ change
@@ -206,6 +210,7 @@ class ReducedSolver(Solver):
                 if ratio <= max(tolerance, self.least_tolerance):
                     status = StepStatus.CONVERGED
         self.amplitudes[:] = here
+        self._strange = max(0, self._strange - _OLDEST) if status is StepStatus.CONVERGED else _GROUPS
         stiffness, error, wrench = None, None, np.zeros(6)
         if status is StepStatus.CONVERGED:
             lifted = self._lifted.rates(frame)
@@ -296,7 +301,7 @@ class ReducedSolver(Solver):
 
     def _renew(self) -> None:
         """Another state has been put in place: its volumes, and all of its stiffness."""
-        self._rested = 0
+        self._rested = self._strange = 0
         self._go_back()
         self.elements.renew(self.amplitudes)
         self._known, self._forces = self.amplitudes.copy(), self.elements.forces.copy()
