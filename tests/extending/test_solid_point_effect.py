@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.fem.reduced.model import require_one_material
+from tissue_sim.fem.reduced.model import require_no_effects
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.effect import EFFECTS
@@ -89,7 +89,7 @@ def test_stiffness_and_memory(branch):
 
 def test_what_takes_none_says_so(branch):
     with pytest.raises(ts.InputError, match="a reduced solid takes no effects that are added at the points"):
-        require_one_material(material(branch))
+        require_no_effects(material(branch))
 
     class Branching(branch):
         def response(self, C, state, dt):

@@ -343,9 +343,9 @@ def test_another_experiment_is_refused(held, changes):
     assert refused.value.field == f"experiment.{next(iter(changes))}"
 
 
-def test_a_material_with_layers_is_refused(held):
+def test_layers_that_it_was_not_made_of_are_refused(held):
     layered = replace(MATERIAL, layers=(ts.Layer(1e-3, 10.0),))
-    with pytest.raises(ts.InputError, match="of one material"):
+    with pytest.raises(ts.InputError, match="from the top down none"):
         ts.Simulator(replace(held.model, material=layered), solver="reduced", mesh=held)
 
 

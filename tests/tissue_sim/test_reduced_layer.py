@@ -18,7 +18,7 @@ class TestLayer:
     def contact(self, tool: ts.Tool, mu: float) -> LayerContact:
         body = Body(tool.profile, np.array([0]), (mu, mu))
         layer = LayerContact([body], np.zeros((1, 3)), np.array([1e-6]), np.eye(3), reach=5e-3, softness=1e-3)
-        layer.set_stiffness(1e5)
+        layer.set_stiffness(np.array([1e5]))
         return layer
 
     @staticmethod

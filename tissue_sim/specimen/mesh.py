@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
 from types import MappingProxyType
@@ -31,6 +31,7 @@ class MeshSpecimen(Specimen):
         mesh_unit: of its coordinates: ``"mm"``, ``"m"``, ``"cm"``, ``"um"``, ``"in"``.
         mesh_base: name in the file of the sides that are held; None: those in the lowest plane.
         mesh_top: of those that the tool may meet; None: those in the highest plane, or all that look up.
+        content: the mesh of the file where that is not to be read any more.
 
     Raises:
         InputError: what `tissue_sim.mesh.solid_file.read_file_mesh` refuses; a name that the file does not have.
@@ -46,6 +47,7 @@ class MeshSpecimen(Specimen):
     mesh_unit: str = "mm"
     mesh_base: str | None = None
     mesh_top: str | None = None
+    content: FileMesh | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self):
         super().__post_init__()
@@ -54,12 +56,19 @@ class MeshSpecimen(Specimen):
 
     @cached_property
     def _mesh(self) -> FileMesh:
+        if self.content is not None:
+            return self.content
         path = Path(self.mesh_file)
         try:
             found = path.stat()
             return _read(path.resolve(), self.mesh_unit, found.st_mtime_ns, found.st_size)
         except (OSError, ValueError):
             return _read(path, self.mesh_unit, 0, 0)  # which says what is the matter
+
+    @property
+    def mesh_of_file(self) -> FileMesh:
+        """As it was read."""
+        return self._mesh
 
     @cached_property
     def digest(self) -> str:

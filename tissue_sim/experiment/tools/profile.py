@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,6 +28,7 @@ class ProfileTool(Tool):
         edge_radius: of the rounding of its corners; 0: `PROFILE_ROUNDING` of its radius or what its lines have room
             for, m.
         profile_file: see `tissue_sim.experiment.tools.profile_file`.
+        points: what it says, (r, z), m, shape (n, 2), where it is not to be read any more.
 
     Raises:
         InputError: no file, another radius than that of the file, what `read_profile` refuses, a rounding for which a
@@ -39,6 +40,7 @@ class ProfileTool(Tool):
     radius: float | None = None
     edge_radius: float = edge_radius()
     profile_file: str | Path | None = None
+    points: np.ndarray | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self):
         widest = self._widest
@@ -61,8 +63,12 @@ class ProfileTool(Tool):
     @cached_property
     def outline(self) -> np.ndarray:
         """The profile of the file, (r, z), m, shape (n, 2)."""
-        from tissue_sim.experiment.tools.profile_file import read_profile
+        from tissue_sim.experiment.tools.profile_file import first_fault, read_profile
 
+        if self.points is not None:
+            if fault := first_fault(self.points):
+                raise InputError(fault[1], field=f"tool.points[{fault[0]}]")
+            return self.points
         if self.profile_file is None:
             raise InputError("a profile tool needs the file of its profile", field="tool.profile_file")
         return read_profile(self.profile_file)

@@ -51,14 +51,20 @@ def read_profile(path: str | Path) -> np.ndarray:
     if len(points) < 2:
         raise InputError("a profile needs at least two points, r and z in mm", file=path)
     outline = 1e-3 * np.array(points)
+    if fault := first_fault(outline):
+        where, problem = fault
+        raise InputError(problem, file=path, line=places[where])
+    return outline - [0.0, outline[0, 1]]
+
+
+def first_fault(outline: np.ndarray) -> tuple[int, str] | None:
+    """The first point of an outline, (r, z), m, shape (n, 2), that cannot be one of a tool, and why; None: all can."""
     if outline[0, 0] != 0.0:
-        raise InputError(f"the first point has r = {points[0][0]:g} mm; a profile starts on the axis, r = 0", file=path,
-                         line=places[0])
+        return 0, f"the first point has r = {1e3 * outline[0, 0]:g} mm; a profile starts on the axis, r = 0"
     way = np.diff(outline, axis=0)
     for k, (dr, dz) in enumerate(way):
         if dr < 0 or dz < 0 or (dr == 0 and dz == 0) or (k == 0 and dr == 0):
-            raise InputError("the profile must run outwards and upwards from its deepest point", file=path,
-                             line=places[k + 1])
+            return k + 1, "the profile must run outwards and upwards from its deepest point"
         if k and way[k - 1, 0] * dz - way[k - 1, 1] * dr < -1e-12 * np.linalg.norm(way[k - 1]) * np.hypot(dr, dz):
-            raise InputError("the profile is hollow here; only convex tools are available", file=path, line=places[k])
-    return outline - [0.0, outline[0, 1]]
+            return k, "the profile is hollow here; only convex tools are available"
+    return None

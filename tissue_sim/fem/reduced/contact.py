@@ -76,9 +76,12 @@ class LayerContact:
         with LOCK:
             self._press = BoundKernel(kernel.contact_kernel(), self._arrays)
 
-    def set_stiffness(self, modulus: float) -> None:
-        """A layer for tissue of this shear modulus, Pa."""
-        self._springs[:] = modulus / (self._softness * self._reach) * self.areas
+    def set_stiffness(self, moduli: np.ndarray) -> float:
+        """A layer for tissue with these shear moduli at all nodes, Pa, shape (nodes,); returns the least of them where
+        it touches."""
+        own = moduli[self.nodes]
+        self._springs[:] = own / (self._softness * self._reach) * self.areas
+        return float(own.min())
 
     def evaluate(self, amplitudes: np.ndarray, frame: Frame, pressed_in: bool) -> None:
         """Find forces and their rates at these amplitudes, shape (modes,), under a tool there."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from tissue_sim.fem.history import Memory
 from tissue_sim.fem.reduced.elements_kernel import FOLLOWS, SETTINGS, elements_kernel
 from tissue_sim.fem.solid.batches import LANES, ElementBatches
-from tissue_sim.fem.solid.element import KAPPA, REMEMBERS
+from tissue_sim.fem.solid.element import ADDS
+from tissue_sim.fem.solid.tissue import RegionElements, bulk_modulus, element_groups, layer_ratios
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.material.material import Material
@@ -25,26 +25,31 @@ class SampledElements:
         basis: what the modes move, m per amplitude, shape (freedoms, modes).
         elements: numbers of those that are looked at, shape (n,).
         shares: how many each stands for, shape (n,).
+        layers: number of the material's layer of each element of the mesh, see `element_layers`.
         groups: of elements, whose stiffness is computed at one time.
         contact_radius: m; how fast the pores drain, see `Material.relaxation`.
 
     Attributes:
-        memory: what the tissue remembers.
         at: amplitudes at the last evaluation, shape (modes,).
     """
 
     def __init__(self, mesh: SolidMesh, basis: np.ndarray, elements: np.ndarray, shares: np.ndarray, *,
-                 groups: int = 1, contact_radius: float = 1.0):
+                 layers: np.ndarray, groups: int = 1, contact_radius: float = 1.0):
         connectivity = mesh.connectivity[elements]
         used, local = np.unique(connectivity, return_inverse=True)
-        self._element = mesh.element
+        self._mesh, self._layers = mesh, layers[elements]
+        # Those of each material stand together.
+        chosen = {name: np.flatnonzero(np.isin(elements, each)) for name, each in element_groups(mesh).items()}
+        chosen = {name: each for name, each in chosen.items() if each.size}
         part = SolidMesh(mesh.element, mesh.nodes[used], local.reshape(connectivity.shape))
-        self._batches = batches = ElementBatches(part, shares=shares)
-        self._settings, self._least = np.zeros(SETTINGS), np.zeros(1)
+        self._batches = batches = ElementBatches(part, tuple(chosen.values()), shares)
+        points = batches.weights.shape[1]
+        self._regions = tuple(RegionElements(name, each, points, SETTINGS) for name, each in chosen.items())
+        for region in self._regions[1:]:
+            region.settings[ADDS] = True
         self.modes = modes = basis.shape[1]
         self._forces = np.zeros(modes)
         self._contact_radius = contact_radius
-        self.memory = Memory(batches.weights.shape, 6)
         freedoms, count = 3 * connectivity.shape[1], batches.batches
         basis = basis.reshape(-1, 3, modes)
         #: What the modes move: of all nodes, and of the elements in the lanes; those that are left over stay at rest.
@@ -63,8 +68,8 @@ class SampledElements:
         # The group whose turn is next; below 0 all are due.
         self._next = -1
         self._tangent: np.ndarray | None = None
-        self._coefficients = np.zeros(0)
-        self._kernel: BoundKernel | None = None
+        #: Shear moduli in the lanes, Pa.
+        self._moduli = np.zeros((count, LANES))
 
     @property
     def forces(self) -> np.ndarray:
@@ -79,33 +84,55 @@ class SampledElements:
     @property
     def least(self) -> float:
         """The smallest J there."""
-        return float(self._least[0])
+        return min(float(region.least[0]) for region in self._regions)
 
     @property
     def pressures(self) -> np.ndarray:
         """Amplitudes of the pressure modes, Pa; part of the state."""
         return self._batches.pressures
 
-    def set_material(self, material: Material, bulk: float) -> None:
-        """Take over a law, its parameters and what it remembers; `bulk` in Pa."""
-        coefficients = material.energy_law.kernel_coefficients(material.parameters)
-        if coefficients.size == self._coefficients.size:
-            self._coefficients[:] = coefficients
-        else:
-            self._coefficients = np.array(coefficients)
-        memory = self.memory
-        memory.set_material(material.relaxation(self._contact_radius), material.softening,
-                            material.instantaneous_factor)
-        self._settings[KAPPA], self._settings[REMEMBERS] = bulk, memory.works
-        named = self._batches.arrays(self._batches.parts[0]) | {
-            "settings": self._settings, "least": self._least, "x": self._x, "motion": self._motion,
-            "coefficients": self._coefficients, "past": memory.past, "inherited": memory.inherited,
-            "largest": memory.largest, "stresses": memory.stresses, "energies": memory.energies,
-            "groups": self._groups, "wanted": self._wanted, "blocks": self._blocks.reshape(-1)}
-        with LOCK:
-            kernel = elements_kernel(self._element.name, material.energy_law.kernel_energy)
-            self._kernel = BoundKernel.of(kernel, named)
+    @property
+    def remember(self) -> bool:
+        """Whether any of the tissue does."""
+        return any(region.memory.works for region in self._regions)
+
+    @property
+    def kept(self) -> tuple[np.ndarray, ...]:
+        """All that the memory of a committed step is; to go back there, fill them with what they were."""
+        return tuple(array for region in self._regions for array in region.memory.kept)
+
+    def prepare(self, dt: float) -> None:
+        """Before a step; see `Memory.prepare`."""
+        for region in self._regions:
+            region.memory.prepare(dt)
+
+    def commit(self) -> None:
+        """After a step that converged."""
+        for region in self._regions:
+            region.memory.commit()
+
+    def set_material(self, material: Material, bulk_ratio: float) -> np.ndarray:
+        """Take over laws, their parameters and what they remember, with bulk moduli of at most so many times the shear
+        moduli; returns how many times as stiff the elements have become, as `pressures` stand, where they had a
+        material."""
+        batches = self._batches
+        batches.set_moduli(layer_ratios(material, self._layers))
+        before = self._moduli.copy()
+        for region, part in zip(self._regions, batches.parts, strict=True):
+            own = material.regions.get(region.name, material)
+            bulk = min(bulk_modulus(own, self._mesh), bulk_ratio * own.mu0)
+            freedoms = 3 * self._mesh.connectivity.shape[1]
+            blocks = self._blocks[LANES * part.start : LANES * part.stop]
+            named = region.set_material(own, bulk, self._contact_radius) | batches.arrays(part) | {
+                "x": self._x, "motion": self._motion, "groups": self._groups[part], "wanted": self._wanted,
+                "blocks": blocks.reshape(len(blocks) * freedoms**2)}
+            with LOCK:
+                kernel = elements_kernel(self._mesh.element.name, own.energy_law.kernel_energy)
+                region.kernel = BoundKernel.of(kernel, named)
+            self._moduli[part] = own.mu0 * batches.moduli[part]
         self._next = -1
+        stiffer = np.divide(self._moduli, before, out=np.ones_like(before), where=before > 0.0)
+        return np.repeat(stiffer, len(self.pressures) // len(stiffer), axis=0)
 
     def evaluate(self, amplitudes: np.ndarray, follows: bool, anew: int) -> None:
         """Find the forces at these amplitudes.
@@ -116,7 +143,6 @@ class SampledElements:
             anew: how many groups of the stiffness to compute anew; all after a change of the material.
         """
         np.dot(self._rows, amplitudes, out=self._x)
-        self._settings[FOLLOWS] = follows
         np.subtract(self._x, self._x_before, out=self._motion)
         self._x_before[:], self.at[:] = self._x, amplitudes
         groups = self._wanted.size
@@ -127,9 +153,10 @@ class SampledElements:
         self._wanted[:] = 0.0
         self._wanted[wanted] = 1.0
         self._next = (self._next + anew) % groups
-        assert self._kernel is not None
         with LOCK:
-            self._kernel()
+            for region in self._regions:
+                region.settings[FOLLOWS] = follows
+                region.kernel()
         np.dot(self._batches.residual[:-1], self._rows, out=self._forces)
         for group in wanted:
             self._tangent = None

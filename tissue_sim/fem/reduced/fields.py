@@ -13,6 +13,7 @@ import numpy as np
 
 from tissue_sim.fem.solid.batches import quadrature
 from tissue_sim.fem.solid.fields import SolidFields
+from tissue_sim.fem.solid.tissue import element_layers, layer_ratios
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 
@@ -34,4 +35,4 @@ def reduced_fields(mesh: SolidMesh, material: Material, displacements: Sequence[
         return None
     weights, gradients, modes = _quadrature(mesh)
     return SolidFields(mesh, material, np.array(material.bulk_modulus), np.array(displacements), None, gradients,
-                       modes, weights, np.ones(len(weights)), None, datum)
+                       modes, weights, layer_ratios(material, element_layers(mesh, material.layers)), None, datum)

@@ -20,17 +20,23 @@ from tissue_sim.errors import InputError, located
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import Protocol
-from tissue_sim.experiment.tools.tool import TOOLS
+from tissue_sim.experiment.tools.profile import ProfileTool
+from tissue_sim.experiment.tools.tool import TOOLS, Tool
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_reducible
+from tissue_sim.fem.solid.tissue import require_regions
 from tissue_sim.files import open_file
 from tissue_sim.material.file import MaterialFile, decode_material_file
 from tissue_sim.mesh.solid import SOLID_ELEMENTS, SolidMesh
+from tissue_sim.mesh.stored_file_mesh import file_mesh_arrays, file_mesh_of_arrays
 from tissue_sim.model import Model
 from tissue_sim.parameters import from_keys, to_keys
-from tissue_sim.specimen.specimen import specimen_of_keys
+from tissue_sim.specimen.mesh import MeshSpecimen
+from tissue_sim.specimen.specimen import Specimen, specimen_of_keys
 
 VERSION = 1
 _EXPECTED = "a reduced solid (.npz of `tissue-sim reduce`)"
+#: What the arrays of a specimen's mesh begin with that came from a file.
+_OF_FILE = "of file "
 _FACES = ("friction", "friction_base", "friction_wall")
 
 
@@ -38,13 +44,18 @@ def write_reduced(reduced: ReducedModel, path: str | Path) -> None:
     """Write a reduced solid in one step.
 
     Raises:
-        InputError: a tool or a specimen whose shape is in a file of its own, or a place that cannot be written.
+        InputError: a place that cannot be written.
     """
-    mesh = reduced.mesh
+    mesh, specimen = reduced.mesh, reduced.model.experiment.specimen
     arrays = {"nodes": mesh.nodes, "connectivity": mesh.connectivity, "basis": reduced.basis,
               "elements": reduced.elements, "shares": reduced.shares}
     arrays |= {f"set {name}": each for name, each in mesh.sets.items()}
     arrays |= {f"faces {name}": each for name, each in mesh.faces.items()}
+    arrays |= {f"region {name}": each for name, each in mesh.regions.items()}
+    if mesh.depths is not None:
+        arrays["depths"] = mesh.depths
+    if isinstance(specimen, MeshSpecimen):
+        arrays |= {f"{_OF_FILE}{name}": each for name, each in file_mesh_arrays(specimen.mesh_of_file).items()}
     stream = io.BytesIO()
     named: dict[str, Any] = {"description": np.array(json.dumps(_description(reduced))), **arrays}
     np.savez_compressed(stream, **named)
@@ -63,10 +74,25 @@ def _description(reduced: ReducedModel) -> dict[str, Any]:
         "box": {"sideways": box.sideways, "depth": box.depth, "turn": box.turn},
         "material": msgspec.to_builtins(MaterialFile.of(reduced.model.material)),
         "experiment": {
-            "specimen": {"shape": specimen.shape, "name": specimen.name, **specimen.sizes},
-            "tool": {"shape": tool.shape, **to_keys(tool)},
+            "specimen": {"shape": specimen.shape, "name": specimen.name, **_specimen(specimen)},
+            "tool": {"shape": tool.shape, **_tool(tool)},
             "approach": None if experiment.approach is None else to_keys(experiment.approach),
             **{name: getattr(experiment, name) for name in _FACES}}}
+
+
+def _specimen(specimen: Specimen) -> dict[str, Any]:
+    """What it is made of again, its mesh aside."""
+    if not isinstance(specimen, MeshSpecimen):
+        return dict(specimen.stated)
+    mesh = specimen.mesh_of_file
+    return {**specimen.stated, "mesh": Path(specimen.mesh_file).name, "kind": mesh.cells.kind, "digest": mesh.digest}
+
+
+def _tool(tool: Tool) -> dict[str, Any]:
+    """What it is made of again."""
+    if not isinstance(tool, ProfileTool):
+        return dict(to_keys(tool))
+    return {**to_keys(tool), "profile": Path(tool.profile_file or "").name, "points": tool.outline.tolist()}
 
 
 def load_reduced(path: str | Path) -> ReducedModel:
@@ -103,8 +129,10 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
         element = SOLID_ELEMENTS[description["element"]]
         nodes, connectivity, basis = arrays["nodes"], arrays["connectivity"], arrays["basis"]
         elements, shares = arrays["elements"], arrays["shares"]
-        sets = {name.removeprefix("set "): each for name, each in arrays.items() if name.startswith("set ")}
-        faces = {name.removeprefix("faces "): each for name, each in arrays.items() if name.startswith("faces ")}
+        sets, faces, regions, of_file = (
+            {name.removeprefix(kind): each for name, each in arrays.items() if name.startswith(kind)}
+            for kind in ("set ", "faces ", "region ", _OF_FILE))
+        depths = arrays.get("depths")
         lifting, report = description["lifting"], description["report"]
         softness, bulk_ratio = float(description["softness"]), float(description["bulk_ratio"])
         # Files from before there was an estimate have none.
@@ -112,19 +140,22 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
         error_factors = float(changed), float(own)
         box = PoseBox(**description["box"])
         material = decode_material_file(description["material"]).material
-        experiment = _experiment(description["experiment"], box)
+        experiment = _experiment(description["experiment"], box, of_file)
         require_reducible(Model(experiment, material))
+        require_regions(material, SolidMesh(element, nodes, connectivity, regions=regions))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"expected {_EXPECTED}, and something is missing or of another kind ({error}); make it again "
                          "with `tissue-sim reduce`") from None
-    numbers = (connectivity, elements, *sets.values(), *faces.values())
-    reals = (nodes, basis, shares)
+    numbers = (connectivity, elements, *sets.values(), *faces.values(), *regions.values())
+    reals = (nodes, basis, shares) if depths is None else (nodes, basis, shares, depths)
     fits = (all(each.dtype.kind == "f" for each in reals) and (lifting == 12) == (experiment.friction == "bonded")
             and all(each.dtype.kind in "iu" and each.size for each in numbers) and nodes.ndim == connectivity.ndim == 2
             and nodes.shape[1] == 3 and connectivity.shape[1] == element.nodes
             and all(each.min() >= 0 and each.max() < len(nodes)
                     for each in (connectivity, *sets.values(), *faces.values()))
-            and elements.min() >= 0 and elements.max() < len(connectivity)
+            and all(each.ndim == 1 and each.min() >= 0 and each.max() < len(connectivity)
+                    for each in (elements, *regions.values()))
+            and (depths is None or depths.shape == (len(connectivity),))
             and basis.ndim == 2 and len(basis) == nodes.size and elements.shape == shares.shape
             and lifting in (0, 12) and isinstance(watched, int) and 0 <= watched < basis.shape[1] - lifting
             and all(0.0 <= factor < math.inf for factor in error_factors)
@@ -133,16 +164,23 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
             and 0.0 < softness < 1.0 and bulk_ratio >= 1.0 and isinstance(report, dict))
     if not fits:
         raise InputError("its arrays do not fit each other; make it again with `tissue-sim reduce`")
-    sets, faces = ({name: each.astype(np.intp) for name, each in group.items()} for group in (sets, faces))
-    mesh = SolidMesh(element, nodes, connectivity.astype(np.intp), sets, faces)
+    sets, faces, regions = ({name: each.astype(np.intp) for name, each in group.items()}
+                            for group in (sets, faces, regions))
+    mesh = SolidMesh(element, nodes, connectivity.astype(np.intp), sets, faces, regions, depths)
     return ReducedModel(Model(experiment, material), mesh, basis, lifting, elements.astype(np.intp), shares, box,
                         softness, bulk_ratio, report, watched, error_factors)
 
 
-def _experiment(stated: dict[str, Any], box: PoseBox) -> Experiment:
+def _experiment(stated: dict[str, Any], box: PoseBox, of_file: dict[str, np.ndarray]) -> Experiment:
+    """The experiment of a description, and of the arrays of a mesh that came from a file."""
     specimen, tool = dict(stated["specimen"]), dict(stated["tool"])
     shape, name, kind = specimen.pop("shape"), specimen.pop("name"), TOOLS.find(tool.pop("shape"), field="tool.shape")
+    more = {}
+    if of_file:
+        more["content"] = file_mesh_of_arrays(of_file, specimen.pop("kind"), str(specimen.pop("digest")))
+    outline = {} if "points" not in tool else {
+        "points": np.array(tool.pop("points"), dtype=float).reshape(-1, 2), "profile_file": tool.pop("profile")}
     return Experiment(
-        specimen_of_keys(shape, specimen, name=name), Protocol.ramp(box.depth, points=2), from_keys(kind, tool, "tool"),
-        **{face: stated[face] for face in _FACES},
+        specimen_of_keys(shape, specimen, name=name, **more), Protocol.ramp(box.depth, points=2),
+        from_keys(kind, tool, "tool", **outline), **{face: stated[face] for face in _FACES},
         approach=None if stated["approach"] is None else from_keys(Approach, stated["approach"], "approach"))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.fem.solid.tissue import require_regions
 from tissue_sim.material.effect import PointEffect
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
@@ -62,8 +63,7 @@ def require_reducible(model: Model) -> None:
     """Refuse what a reduced solid does not take.
 
     Raises:
-        InputError: a plate, a base with friction, weight, laws of contact, layers, a tool or a specimen from a file of
-            its own.
+        InputError: a plate, a base with friction, weight, laws of contact, effects at the points.
     """
     experiment = model.experiment
     if experiment.tool.is_plate:
@@ -74,24 +74,33 @@ def require_reducible(model: Model) -> None:
                          field="friction_base")
     if experiment.specimen.specific_weight:
         raise InputError("a reduced solid has no weight yet; leave gravity out", field="specimen.gravity")
-    for kind, from_file in (("tool", experiment.tool.from_file), ("specimen", experiment.specimen.from_file)):
-        if from_file:
-            raise InputError(f"the shape of the {kind} is in a file of its own, which a reduced solid does not keep; "
-                             "use a shape by its sizes", field=kind)
     if experiment.acting_laws:
         raise InputError("a reduced solid takes no adhesion or other laws of contact yet; leave them out",
                          field="contact_laws")
-    require_one_material(model.material)
+    require_no_effects(model.material)
 
 
-def require_one_material(material: Material) -> None:
-    """Raises InputError: layers, regions, or effects at the points."""
+def require_no_effects(material: Material) -> None:
+    """Raises InputError: effects at the points."""
     if any(isinstance(effect, PointEffect) for effect in material.effects.values()):
         raise InputError("a reduced solid takes no effects that are added at the points; leave them out",
                          field="material.effects")
-    if material.layers or material.regions:
-        raise InputError("a reduced solid is of one material; leave layers and regions out",
-                         field="material.layers" if material.layers else "material.regions")
+
+
+def require_same_parts(material: Material, made_of: Material, mesh: SolidMesh) -> None:
+    """Refuse a material that a reduced solid made of another one cannot be of.
+
+    Raises:
+        InputError: effects at the points, layers that lie elsewhere, a region that the mesh does not have.
+    """
+    require_no_effects(material)
+    require_regions(material, mesh)
+    stated, own = ([layer.thickness for layer in each.layers] for each in (material, made_of))
+    # Without layers it is the same everywhere.
+    if stated and not (len(stated) == len(own) and np.allclose(stated, own, rtol=1e-6, atol=0.0)):
+        layers = " and ".join(f"{1e3 * each:g} mm" for each in own) or "none"
+        raise InputError(f"a reduced solid keeps its layers where they are, from the top down {layers}; take these, or "
+                         "make another one", field="material.layers")
 
 
 @dataclass(frozen=True, eq=False)

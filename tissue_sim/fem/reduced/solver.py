@@ -15,13 +15,13 @@ from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.fields import reduced_fields
 from tissue_sim.fem.reduced.lifting import Lifting
 from tissue_sim.fem.reduced.linear import size, solution
-from tissue_sim.fem.reduced.model import ReducedModel, require_one_material
+from tissue_sim.fem.reduced.model import ReducedModel, require_same_parts
 from tissue_sim.fem.reduced.prediction import Prediction
 from tissue_sim.fem.reduced.response import Response
 from tissue_sim.fem.solid.discretisation import tool_contact
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.surface import SolidSurface
-from tissue_sim.fem.solid.tissue import bulk_modulus
+from tissue_sim.fem.solid.tissue import element_layers, node_moduli
 from tissue_sim.fem.solver import Fields, Solver, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
@@ -81,8 +81,9 @@ class ReducedSolver(Solver):
         self._start = self._pose = experiment.tool_pose(0.0)
         bonded = mesh.sets["face"] if reduced.lifting else np.zeros(0, dtype=np.intp)
         bodies, self.datum = tool_contact(experiment, mesh, bonded)
-        self.elements = SampledElements(mesh, reduced.basis, reduced.elements, reduced.shares, groups=_GROUPS,
-                                        contact_radius=experiment.contact_radius)
+        self.elements = SampledElements(
+            mesh, reduced.basis, reduced.elements, reduced.shares, groups=_GROUPS,
+            layers=element_layers(mesh, reduced.model.material.layers), contact_radius=experiment.contact_radius)
         self._reach = experiment.contact_radius
         self.contact = LayerContact(bodies, mesh.nodes, mesh.node_areas, reduced.basis, reach=self._reach,
                                     softness=reduced.softness)
@@ -98,21 +99,19 @@ class ReducedSolver(Solver):
         self._forces, self._known, self._rested, self._largest_force = np.zeros(modes), self.amplitudes, 0, 0.0
         #: Groups whose stiffness may be that of a step which failed.
         self._strange = 0
-        self._asked, self._modulus = False, 0.0
+        self._asked = False
         self.set_material(material)
 
     def set_material(self, material: Material) -> None:
         """Change parameters, bulk response or law; the state is kept. See `Solver.set_material`."""
-        require_one_material(material)
-        bulk = min(bulk_modulus(material, self.mesh), self.reduced.bulk_ratio * material.mu0)
-        self.elements.set_material(material, bulk)
-        before: float = self._modulus or material.mu0
-        self.material, self._modulus = material, material.mu0
-        self.contact.set_stiffness(material.mu0)
+        require_same_parts(material, self.reduced.model.material, self.mesh)
+        self.material = material
+        stiffer = self.elements.set_material(material, self.reduced.bulk_ratio)
         for pressures in (self._committed[1], self.elements.pressures):
-            pressures *= material.mu0 / before
+            pressures *= stiffer
+        softest = self.contact.set_stiffness(node_moduli(material, self.mesh))
         self._prediction.forget_what_was_missed()
-        self._floor = 1e-3 * material.mu0 * self._reach**2
+        self._floor = 1e-3 * softest * self._reach**2
         self._renew()
 
     @property
@@ -142,9 +141,9 @@ class ReducedSolver(Solver):
         if not inside:
             # It touches nothing: near to where it rests.
             self.amplitudes[:], elements.pressures[:] = 0.0, 0.0
-            if not elements.memory.works:
+            if not elements.remember:
                 return self._rest(pose)
-        elements.memory.prepare(dt)
+        elements.prepare(dt)
         held, free = self._lifting, self._free
         # It begins by going with the tool as it would if the contact did not change, or where the last step ended.
         predicts = predictor_order and inside and not resumes
@@ -200,7 +199,7 @@ class ReducedSolver(Solver):
             here, pushed, rates = self._balance(here, here, forces, frame, pressed_in, tolerance)
             follows, anew = True, 0
             iterations += 1
-            if is_foreseen and iterations == 1 and not (self._strange or elements.memory.works):
+            if is_foreseen and iterations == 1 and not (self._strange or elements.remember):
                 # Tissue bends away from its tangent as it just has, or less, where it goes less far.
                 change = here - base[0]
                 added = elements.tangent @ change
@@ -223,7 +222,7 @@ class ReducedSolver(Solver):
             if self._asked:
                 stiffness = response.stiffness(box)
             contact.commit()
-            elements.memory.commit()
+            elements.commit()
             self._committed, self._known, self._forces = (here.copy(), elements.pressures.copy()), looked, forces
             self._pose = pose
             self._largest_force = max(self._largest_force, balanced)
@@ -332,7 +331,7 @@ class ReducedSolver(Solver):
 
     @property
     def _kept(self) -> tuple[np.ndarray, ...]:
-        return (*self._committed, *self._prediction.kept, *self.contact.kept, *self.elements.memory.kept)
+        return (*self._committed, *self._prediction.kept, *self.contact.kept, *self.elements.kept)
 
     def displacement(self) -> np.ndarray:
         """Of all nodes at the last committed state, m, shape (nodes, 3)."""

@@ -21,7 +21,6 @@ from tissue_sim.fem.reduced.symmetry import Symmetry, parities, symmetries
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
 from tissue_sim.fem.solid.elastic import elastic_answer, element_forces, held_places, lifted_amplitudes
 from tissue_sim.fem.solid.solver import SolidSolver
-from tissue_sim.fem.solid.tissue import bulk_modulus
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
@@ -169,10 +168,10 @@ def samples(states: np.ndarray, poses: Sequence[Pose], wrenches: np.ndarray, gro
 
 
 def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watched: int,
-                    looked_at: Iterable[tuple[np.ndarray, Pose, float]], tolerance: float, bulk: float,
+                    looked_at: Iterable[tuple[np.ndarray, Pose, float]], tolerance: float, bulk_ratio: float,
                     progress: Callable[[int, float], None] | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Elements that stand for all, and for how many each: their forces on the modes, the last `watched` ones, too, at
-    the states that the others hold, with a bulk modulus, Pa.
+    the states that the others hold, with a bulk modulus of at most so many times the shear modulus.
 
     Args:
         looked_at: see `samples`.
@@ -189,7 +188,7 @@ def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watche
     contributions = []
     for state, pose, force in looked_at:
         moved = lifted @ lifted_amplitudes(solver, pose)[:lifting]
-        on_nodes = element_forces(solver, moved + rest @ (rest.T @ (state - moved)), bulk)
+        on_nodes = element_forces(solver, moved + rest @ (rest.T @ (state - moved)), bulk_ratio)
         contributions.append(np.einsum("eir,ei->re", rows, on_nodes) / force)
     weights = sparse_weights(np.concatenate(contributions), tolerance, progress=progress)
     elements = np.flatnonzero(weights)
@@ -272,9 +271,8 @@ def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapsh
     found, singular = modes(states - amplitudes @ lifted.T, group, count + WATCHED)
     basis = np.hstack([lifted, found])
     watched = max(0, found.shape[1] - count)
-    bulk = min(bulk_modulus(model.material, mesh), max(bulk_ratio, _SAMPLED_AT) * model.material.mu0)
     elements, shares = sample_elements(solver, basis, lifting, watched, samples(states, ways, wrenches, group, start),
-                                       tolerance, bulk, progress)
+                                       tolerance, max(bulk_ratio, _SAMPLED_AT), progress)
     kept = found.shape[1] - watched
     report = {"freedoms": int(states.shape[1]), "modes": kept, "elements": int(elements.size),
               "elements_of_all": len(mesh.connectivity), "snapshots": int(states.shape[0]),
@@ -291,4 +289,5 @@ def with_report(reduced: ReducedModel, factors: tuple[float, float], **more: flo
 def training_mesh(model: Model, box: PoseBox, resolution: str) -> SolidMesh:
     """The mesh of a named resolution, fine wherever the tool can touch."""
     experiment = model.experiment
-    return build_mesh(experiment, resolution, beside=0.0 if experiment.friction == "bonded" else box.sideways)
+    return build_mesh(experiment, resolution, model.material.layers,
+                      beside=0.0 if experiment.friction == "bonded" else box.sideways)

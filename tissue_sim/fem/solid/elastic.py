@@ -48,9 +48,9 @@ def elastic_answer(solver: SolidSolver, motions: np.ndarray) -> np.ndarray:
     return answer
 
 
-def element_forces(solver: SolidSolver, displacement: np.ndarray, bulk: float) -> np.ndarray:
+def element_forces(solver: SolidSolver, displacement: np.ndarray, bulk_ratio: float) -> np.ndarray:
     """See `Tissue.element_forces`; at a displacement of all freedoms, m. The state of the solver stays."""
     solver.x[:] = displacement
-    forces = solver.tissue.element_forces(bulk)
+    forces = solver.tissue.element_forces(bulk_ratio)
     solver._go_back()
     return forces

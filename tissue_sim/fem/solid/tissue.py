@@ -35,15 +35,40 @@ class RegionParts(NamedTuple):
     relaxation: Callable[[Material], Prony | None]
 
 
-class _Region:
-    """Elements of one material: their memory, and the kernel that works on them."""
+class RegionElements:
+    """Elements of one material: their memory, and the kernel that works on them.
 
-    def __init__(self, name: str, elements: np.ndarray, points: int):
+    Args:
+        name: of the region of the mesh; empty for those in none.
+        elements: their numbers, shape (n,). points: quadrature points of each.
+        settings: how many numbers of settings the kernel has.
+
+    Attributes:
+        bulk: modulus of the material that they have, Pa. mu0: its shear modulus, Pa.
+    """
+
+    def __init__(self, name: str, elements: np.ndarray, points: int, settings: int = 4):
         self.name, self.elements = name, elements
         self.memory = Memory((elements.size, points), 6)
-        self.settings, self.least = np.zeros(4), np.zeros(1)
+        self.settings, self.least = np.zeros(settings), np.zeros(1)
         self.coefficients = np.zeros(0)
+        self.bulk = self.mu0 = 0.0
         self.kernel: BoundKernel
+
+    def set_material(self, own: Material, bulk: float, contact_radius: float) -> dict[str, np.ndarray]:
+        """Take over a material and a bulk modulus, Pa; returns what the kernel reads of it, by names."""
+        coefficients = own.energy_law.kernel_coefficients(own.parameters)
+        if coefficients.size == self.coefficients.size:
+            self.coefficients[:] = coefficients
+        else:
+            self.coefficients = np.array(coefficients)
+        memory = self.memory
+        memory.set_material(own.relaxation(contact_radius), own.softening, own.instantaneous_factor)
+        self.bulk, self.mu0 = bulk, own.mu0
+        self.settings[KAPPA], self.settings[REMEMBERS] = bulk, memory.works
+        return {"settings": self.settings, "least": self.least, "coefficients": self.coefficients,
+                "past": memory.past, "inherited": memory.inherited, "largest": memory.largest,
+                "stresses": memory.stresses, "energies": memory.energies}
 
 
 class Tissue:
@@ -66,15 +91,10 @@ class Tissue:
 
     def __init__(self, mesh: SolidMesh, x: np.ndarray, contact_radius: float,
                  element_layers: np.ndarray | None = None):
-        count = len(mesh.connectivity)
-        taken = np.concatenate([np.zeros(0, dtype=np.intp), *mesh.regions.values()])
-        if np.unique(taken).size != taken.size:
-            raise InputError("an element lies in two regions of the mesh; give it to one of them", field="mesh.regions")
-        groups = {"": np.setdiff1d(np.arange(count), taken), **mesh.regions}
-        named = {name: np.asarray(elements, dtype=np.intp) for name, elements in groups.items() if len(elements)}
+        count, named = len(mesh.connectivity), element_groups(mesh)
         self.batches = ElementBatches(mesh, tuple(named.values()))
         points = self.batches.weights.shape[1]
-        self._regions = tuple(_Region(name, elements, points) for name, elements in named.items())
+        self._regions = tuple(RegionElements(name, elements, points) for name, elements in named.items())
         self._mesh, self._x, self.contact_radius = mesh, x, contact_radius
         self._layers = np.zeros(count, dtype=np.intp) if element_layers is None else element_layers
         self.bulk_moduli = np.zeros(self.batches.batches)
@@ -109,33 +129,19 @@ class Tissue:
             InputError: an effect that no kernel can take over, a region that the mesh does not have, or a bulk ratio
                 outside `BULK_RATIOS`; nothing is changed.
         """
-        for name in material.regions:
-            if name not in self._mesh.regions:
-                known = nearest(name, self._mesh.regions) if self._mesh.regions else "; it names none"
-                raise InputError(f"the mesh has no region {name!r}{known}", field="material.regions")
+        require_regions(material, self._mesh)
         materials = [material.regions.get(region.name, material) for region in self._regions]
         bulks = [bulk_modulus(each, self._mesh) for each in materials]
         self.effects.set_effects(material.effects.values())
         self.material = material
-        ratios = np.array([*(layer.ratio for layer in material.layers), 1.0])
-        self.batches.set_moduli(ratios[np.minimum(self._layers, ratios.size - 1)])
+        self.batches.set_moduli(layer_ratios(material, self._layers))
         for region, own, bulk, part in zip(self._regions, materials, bulks, self.batches.parts, strict=True):
-            coefficients = own.energy_law.kernel_coefficients(own.parameters)
-            if coefficients.size == region.coefficients.size:
-                region.coefficients[:] = coefficients
-            else:
-                region.coefficients = np.array(coefficients)
-            memory = region.memory
-            memory.set_material(own.relaxation(self.contact_radius), own.softening, own.instantaneous_factor)
-            region.settings[KAPPA], region.settings[REMEMBERS] = bulk, memory.works or bool(self.effects)
+            named = region.set_material(own, bulk, self.contact_radius)
+            region.settings[REMEMBERS] = region.memory.works or bool(self.effects)
             self.bulk_moduli[part] = bulk
             with LOCK:
                 kernel = assembly_kernel(self._mesh.element.name, own.energy_law.kernel_energy)
-                region.kernel = BoundKernel(kernel, {
-                    "settings": region.settings, "least": region.least, "x": self._x,
-                    "coefficients": region.coefficients, "past": memory.past, "inherited": memory.inherited,
-                    "largest": memory.largest, "stresses": memory.stresses, "energies": memory.energies,
-                    **self.batches.arrays(part)})
+                region.kernel = BoundKernel(kernel, {"x": self._x, **named, **self.batches.arrays(part)})
 
     def assemble(self, tangent: bool = True) -> float:
         """Forces, and if asked for stiffness, of the state as it is; returns the smallest J."""
@@ -151,22 +157,22 @@ class Tissue:
         self.batches.residual[:] = 0.0
         self._run([self._regions[number] for number in numbers], False)
 
-    def _run(self, regions: Sequence[_Region], tangent: bool) -> None:
+    def _run(self, regions: Sequence[RegionElements], tangent: bool) -> None:
         with LOCK:
             for region in regions:
                 region.settings[TANGENT], region.settings[ADDS] = tangent, region is not regions[0]
                 region.kernel()
 
-    def element_forces(self, bulk: float) -> np.ndarray:
+    def element_forces(self, bulk_ratio: float) -> np.ndarray:
         """Of each element on its nodes at the displacements as they are, without the weight and with the pressures that
-        this bulk modulus, Pa, gives, N, shape (elements, freedoms of an element)."""
+        its bulk modulus, or one of this many times the shear modulus where that is less, gives, N, shape (elements,
+        freedoms of an element)."""
         self.batches.pressures[:] = 0.0
-        kept = [float(region.settings[KAPPA]) for region in self._regions]
         for region in self._regions:
-            region.settings[KAPPA] = bulk
+            region.settings[KAPPA] = min(region.bulk, bulk_ratio * region.mu0)
         self.assemble()
-        for region, own in zip(self._regions, kept, strict=True):
-            region.settings[KAPPA] = own
+        for region in self._regions:
+            region.settings[KAPPA] = region.bulk
         return self.batches.element_forces
 
     def follow(self, motion: np.ndarray) -> None:
@@ -209,9 +215,46 @@ class Tissue:
         return found
 
 
+def element_groups(mesh: SolidMesh) -> dict[str, np.ndarray]:
+    """Numbers of the elements of each region of a mesh that has any, by its name, empty for those in none.
+
+    Raises:
+        InputError: an element in two regions.
+    """
+    taken = np.concatenate([np.zeros(0, dtype=np.intp), *mesh.regions.values()])
+    if np.unique(taken).size != taken.size:
+        raise InputError("an element lies in two regions of the mesh; give it to one of them", field="mesh.regions")
+    groups = {"": np.setdiff1d(np.arange(len(mesh.connectivity)), taken), **mesh.regions}
+    return {name: np.asarray(elements, dtype=np.intp) for name, elements in groups.items() if len(elements)}
+
+
+def require_regions(material: Material, mesh: SolidMesh) -> None:
+    """Raises InputError: a region of the material that the mesh does not have."""
+    for name in material.regions:
+        if name not in mesh.regions:
+            known = nearest(name, mesh.regions) if mesh.regions else "; it names none"
+            raise InputError(f"the mesh has no region {name!r}{known}", field="material.regions")
+
+
 def element_layers(mesh: SolidMesh, layers: tuple[Layer, ...]) -> np.ndarray:
     """Number of the layer in which the middle of each element lies, that after the last for none, shape (elements,)."""
     return np.searchsorted(np.cumsum([layer.thickness for layer in layers]), mesh.element_depths)
+
+
+def layer_ratios(material: Material, layers: np.ndarray) -> np.ndarray:
+    """Moduli of elements over those of their material, by the layers that they lie in; see `element_layers`."""
+    ratios = np.array([*(layer.ratio for layer in material.layers), 1.0])
+    return ratios[np.minimum(layers, ratios.size - 1)]
+
+
+def node_moduli(material: Material, mesh: SolidMesh) -> np.ndarray:
+    """Shear modulus of resting tissue at each node, the mean of the elements there, Pa, shape (nodes,)."""
+    own = layer_ratios(material, element_layers(mesh, material.layers))
+    for name, elements in element_groups(mesh).items():
+        own[elements] *= material.regions.get(name, material).mu0
+    nodes = mesh.connectivity.ravel()
+    total = np.bincount(nodes, np.repeat(own, mesh.connectivity.shape[1]), minlength=len(mesh.nodes))
+    return total / np.maximum(1, np.bincount(nodes, minlength=len(mesh.nodes)))
 
 
 def bulk_modulus(material: Material, mesh: SolidMesh) -> float:

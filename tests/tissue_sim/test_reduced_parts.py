@@ -1,0 +1,249 @@
+"""Reduced solids of several parts: layers, regions, meshes and profiles from files."""
+
+from dataclasses import replace
+
+import meshio
+import numpy as np
+import pytest
+from solid_meshes import block
+
+import tissue_sim as ts
+from scenes.cli import main
+from tissue_sim.fem.reduced import training
+from tissue_sim.fem.reduced.elements import SampledElements
+from tissue_sim.fem.reduced.solver import ReducedSolver
+from tissue_sim.fem.solid.tissue import Tissue, element_layers
+from tissue_sim.fem.solver import StepStatus
+from tissue_sim.mesh.hexahedra import HEX8P0
+from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
+
+SOFT = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))
+STIFF = ts.Material("neo_hooke", {"C10": 6000.0}, ts.Bulk("bulk_ratio", 500.0))
+SKIN = ts.Layer(2e-3, 4.0)
+DEPTH = 2e-3
+
+
+def experiment(specimen: ts.Specimen, tool: ts.Tool | None = None, **faces) -> ts.Experiment:
+    """Of a needle."""
+    return ts.KINDS["needle_indentation"].experiment(
+        specimen=specimen, protocol=ts.Protocol.ramp(DEPTH, points=2), tool=tool or ts.Tool("flat", radius=6e-3),
+        **faces)
+
+
+@pytest.fixture(scope="module")
+def liver(tmp_path_factory):
+    """A block of 40 x 30 x 20 mm in two regions, tetrahedra of four nodes; the file is gone when it has been read."""
+    mesh = block(np.linspace(5.0, 45.0, 7), np.linspace(-3.0, 27.0, 6), np.linspace(80.0, 100.0, 5), TET15P1)
+    used, cells = np.unique(mesh.connectivity[:, :4], return_inverse=True)
+    points, cells = mesh.nodes[used], cells.reshape(-1, 4)
+    path = tmp_path_factory.mktemp("mesh") / "liver.vtu"
+    meshio.Mesh(points, [("tetra", cells)], cell_data={"part": [
+        (points[cells].mean(axis=1)[:, 2] > 90.0).astype(int) + 1]}).write(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def organ(liver, tmp_path_factory):
+    """A needle that holds the liver, whose lower half is stiffer: as it was made, and as its file says without the
+    mesh's."""
+    model = ts.Model(experiment(ts.Specimen(shape="mesh", mesh_file=liver), friction="bonded"),
+                     replace(SOFT, regions={"part:1": STIFF}))
+    made = ts.reduce_solid(model, ts.PoseBox(1e-3, DEPTH), strokes=8, modes=16, tried=1)
+    path = tmp_path_factory.mktemp("reduced") / "liver.reduced.npz"
+    ts.write_reduced(made, path)
+    liver.rename(liver.with_name("elsewhere.vtu"))
+    yield made, ts.load_reduced(path)
+    liver.with_name("elsewhere.vtu").rename(liver)
+
+
+@pytest.fixture(scope="module")
+def skinned():
+    """A needle that holds a cylinder with a skin."""
+    model = ts.Model(experiment(ts.Specimen(0.025, 0.015), friction="bonded"), replace(SOFT, layers=(SKIN,)))
+    return ts.reduce_solid(model, ts.PoseBox(1e-3, DEPTH), strokes=4, modes=16, tried=1)
+
+
+def whole_forces(reduced, material, poses) -> np.ndarray:
+    """Of the whole solid, N, shape (poses, 3)."""
+    solver = training.whole_solver(ts.Model(reduced.model.experiment, material), reduced.mesh)
+    return training.snapshots(solver, poses).wrenches[:, :3]
+
+
+def reduced_forces(reduced, material, poses) -> np.ndarray:
+    solver, forces = ReducedSolver(reduced, material), []
+    for pose in poses:
+        step = solver.step(pose)
+        assert step.status is StepStatus.CONVERGED
+        forces.append(step.wrench[:3])
+    return np.array(forces)
+
+
+def off(found: np.ndarray, expected: np.ndarray) -> float:
+    return float(np.sqrt(((found - expected) ** 2).sum() / (expected**2).sum()))
+
+
+POSES = [ts.Pose((0.12e-3 * k, -0.05e-3 * k, -0.25e-3 * k)) for k in range(1, 9)]
+
+
+class TestElements:
+    @pytest.mark.parametrize("element", [HEX8P0, TET8P0], ids=lambda element: element.name)
+    def test_forces_and_stiffness_are_those_of_the_whole_tissue(self, element):
+        """Every element once, in two layers and two regions of other laws, on motions of the nodes."""
+        mesh = block(np.linspace(0.0, 0.02, 4), np.linspace(0.0, 0.02, 4), np.linspace(-0.02, 0.0, 5), element)
+        middle = mesh.nodes[mesh.connectivity].mean(axis=1)
+        mesh = replace(mesh, regions={"lump": np.flatnonzero(middle[:, 0] > 0.012),
+                                      "rest": np.flatnonzero(middle[:, 0] < 0.005)})
+        material = replace(SOFT, layers=(ts.Layer(5e-3, 3.0), ts.Layer(5e-3, 0.5)), regions={"lump": STIFF})
+        layers = element_layers(mesh, material.layers)
+        rng, count = np.random.default_rng(3), len(mesh.connectivity)
+        basis = rng.normal(size=(mesh.nodes.size, 6))
+        x = np.zeros(mesh.nodes.size)
+        tissue = Tissue(mesh, x, 5e-3, layers)
+        tissue.set_material(material)
+        x[:] = basis @ (amplitudes := rng.normal(size=6) * 2e-5)
+        tissue.assemble()
+        sampled = SampledElements(mesh, basis, np.arange(count), np.ones(count), layers=layers, groups=8)
+        sampled.set_material(material, 1e9)
+        sampled.evaluate(amplitudes, False, 1)
+        np.testing.assert_allclose(sampled.forces, basis.T @ tissue.batches.residual[:-1], rtol=1e-9)
+        stiffness = basis.T @ (tissue.batches.matrix @ basis)
+        np.testing.assert_allclose(sampled.tangent, stiffness, rtol=1e-5, atol=1e-6 * np.abs(stiffness).max())
+
+    def test_each_material_has_its_own_limit_of_the_bulk(self):
+        """At rest K of each is at most so many times its own mu0, and pressures follow from it."""
+        mesh = block(np.linspace(0.0, 0.02, 3), np.linspace(0.0, 0.02, 3), np.linspace(-0.02, 0.0, 3), HEX8P0)
+        mesh = replace(mesh, regions={"lump": np.arange(4)})
+        stretch = np.zeros((mesh.nodes.size, 1))
+        stretch[2::3, 0] = mesh.nodes[:, 2]
+        none = np.zeros(8, dtype=np.intp)
+
+        def stiffness(ratio, *elements):
+            chosen = np.array(elements)
+            sampled = SampledElements(mesh, stretch, chosen, np.ones(chosen.size), layers=none)
+            sampled.set_material(replace(SOFT, regions={"lump": STIFF}), ratio)
+            sampled.evaluate(np.zeros(1), False, 1)
+            return float(sampled.tangent[0, 0]) / chosen.size
+
+        volume = 1e-6
+        for number, mu in ((0, STIFF.mu0), (7, SOFT.mu0)):
+            for ratio in (20.0, 100.0):
+                assert stiffness(ratio, number) == pytest.approx((ratio + 4.0 / 3.0) * mu * volume, rel=1e-5)
+        assert stiffness(1e9, 0) == pytest.approx((500.0 + 4.0 / 3.0) * STIFF.mu0 * volume, rel=1e-5)
+
+
+class TestLayers:
+    def test_on_unseen_strokes(self, skinned):
+        assert skinned.report["force_rms_error"] < 0.01 and skinned.report["not_converged"] == 0.0
+
+    def test_a_skin_of_another_stiffness(self, skinned):
+        """The moduli are those of now: softer and stiffer by half than the one that it was made of, and none."""
+        materials = [replace(SOFT, layers=(replace(SKIN, ratio=ratio),)) for ratio in (3.0, 6.0)]
+        expected = [whole_forces(skinned, material, POSES) for material in materials]
+        for material, forces in zip(materials, expected, strict=True):
+            assert off(reduced_forces(skinned, material, POSES), forces) < 0.02
+        assert off(*expected) > 0.1
+        none, one = SOFT, replace(SOFT, layers=(replace(SKIN, ratio=1.0),))
+        np.testing.assert_allclose(reduced_forces(skinned, none, POSES), reduced_forces(skinned, one, POSES), rtol=1e-9,
+                                   atol=1e-12)
+
+    def test_its_material_is_changed_on_the_way(self, skinned):
+        stiffer = replace(SOFT, layers=(replace(SKIN, ratio=6.0),))
+        solver = ReducedSolver(skinned, replace(SOFT, layers=(SKIN,)))
+        for pose in POSES:
+            solver.step(pose)
+        solver.set_material(stiffer)
+        found = np.array(solver.step(POSES[-1]).wrench[:3])
+        assert off(found, reduced_forces(skinned, stiffer, POSES)[-1]) < 2e-3
+
+    @pytest.mark.parametrize("layers", [(replace(SKIN, thickness=3e-3),), (SKIN, SKIN)], ids=["thicker", "two"])
+    def test_layers_stay_where_they_are(self, layers, skinned):
+        with pytest.raises(ts.InputError, match="keeps its layers where they are, from the top down 2 mm"):
+            ReducedSolver(skinned, replace(SOFT, layers=layers))
+
+    def test_colours_know_the_skin(self, skinned):
+        """Von Mises stress of one displacement goes with the skin's stiffness in the skin alone."""
+        found = []
+        for ratio in (4.0, 8.0):
+            solver = ReducedSolver(skinned, replace(SOFT, layers=(replace(SKIN, ratio=ratio),)))
+            modes = skinned.basis[:, skinned.lifting] * 1e-4
+            found.append(solver.fields([modes.reshape(-1, 3)]).at_points("von_mises"))
+        skin = element_layers(skinned.mesh, (SKIN,)) == 0
+        np.testing.assert_allclose(found[1][skin], 2.0 * found[0][skin], rtol=1e-6)
+        np.testing.assert_allclose(found[1][~skin], found[0][~skin], rtol=1e-6)
+
+
+class TestMeshesOfFiles:
+    def test_on_an_unseen_stroke(self, organ):
+        made, _ = organ
+        assert made.report["force_rms_error"] < 0.01 and made.report["not_converged"] == 0.0
+
+    def test_the_file_of_the_mesh_is_not_needed(self, organ):
+        made, read = organ
+        assert read.model.experiment.specimen.digest == made.model.experiment.specimen.digest
+        assert read.model.experiment.specimen.in_words == "liver.vtu of 40 x 30 x 20 mm"
+        np.testing.assert_array_equal(reduced_forces(read, read.model.material, POSES),
+                                      reduced_forces(made, made.model.material, POSES))
+        simulator = ts.Simulator(read.model, solver="reduced", mesh=read)
+        assert simulator.step(1e-3, 1e-3).status is ts.ForceStatus.CONVERGED
+
+    def test_a_region_of_another_law(self, organ):
+        """Also one that relaxes where the rest does not."""
+        _, read = organ
+        relaxing = replace(STIFF, parameters={"C10": 7000.0}, viscoelastic=ts.Prony((ts.PronyTerm(0.3, 0.1),)))
+        material = replace(SOFT, regions={"part:1": relaxing})
+        expected = whole_forces(read, material, POSES)
+        assert off(reduced_forces(read, material, POSES), expected) < 0.02
+        small = ReducedSolver(read, material)
+        whole = training.whole_solver(ts.Model(read.model.experiment, material), read.mesh)
+        for solver in (small, whole):
+            for pose in POSES:
+                solver.step(pose)
+        fell = []
+        for _ in range(10):
+            fell.append([solver.step(POSES[-1], 0.05).force for solver in (small, whole)])
+        np.testing.assert_allclose(*np.transpose(fell), rtol=0.02)
+        assert fell[-1][1] < 0.97 * expected[-1, 2]
+
+    def test_a_region_that_it_does_not_have(self, organ):
+        with pytest.raises(ts.InputError, match="the mesh has no region 'part:3'"):
+            ReducedSolver(organ[1], replace(SOFT, regions={"part:3": STIFF}))
+
+    @pytest.mark.parametrize("name", ["points", "cells", "sides", "region part:1"])
+    def test_a_damaged_mesh_is_one_sentence(self, name, organ, tmp_path):
+        path = tmp_path / "liver.reduced.npz"
+        ts.write_reduced(organ[1], path)
+        with np.load(path) as stored:
+            arrays = dict(stored)
+        arrays[f"of file {name}"] = arrays[f"of file {name}"][:-1] if name in ("points",) else (
+            arrays[f"of file {name}"] + 10**6)
+        np.savez(path, **arrays)
+        with pytest.raises(ts.InputError) as refused:
+            ts.load_reduced(path)
+        assert str(refused.value.file) == str(path)
+
+
+def test_a_tool_of_a_file_is_kept_in_it(tmp_path):
+    profile = tmp_path / "cone.csv"
+    profile.write_text("0, 0\n2, 0.3\n6, 2\n6, 9\n", encoding="utf-8")
+    cone = ts.Tool("profile", profile_file=profile)
+    model = ts.Model(experiment(ts.Specimen(0.025, 0.015), cone, friction=0.3), SOFT)
+    made = ts.reduce_solid(model, ts.PoseBox(0.0, DEPTH), strokes=4, modes=8, tried=1)
+    ts.write_reduced(made, path := tmp_path / "cone.reduced.npz")
+    profile.unlink()
+    read = ts.load_reduced(path)
+    poses = [ts.Pose.at_depth(depth) for depth in (0.5e-3, 1e-3, 1.5e-3)]
+    found = reduced_forces(read, SOFT, poses)
+    np.testing.assert_array_equal(found, reduced_forces(made, SOFT, poses))
+    assert off(found, whole_forces(made, SOFT, poses)) < 0.05
+    assert read.model.experiment.tool.edge_radius == made.model.experiment.tool.edge_radius
+
+
+def test_the_command_takes_a_skin(tmp_path, capsys):
+    material = tmp_path / "skin.material.json"
+    ts.write_material_file(ts.MaterialFile.of(replace(SOFT, layers=(SKIN,))), material)
+    output = tmp_path / "skin.reduced.npz"
+    assert main(["reduce", "needle_indentation", "--material", str(material), "--radius-mm", "25", "--height-mm", "15",
+                 "--tool", "flat", "--tool-radius-mm", "6", "--friction", "bonded", "--depth-mm", "2", "--strokes", "2",
+                 "--modes", "8", "--tried", "1", "-o", str(output)]) == 0
+    assert "% off" in capsys.readouterr().out
+    assert ts.load_reduced(output).model.material.layers == (SKIN,)
