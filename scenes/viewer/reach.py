@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from scenes.viewer.scene import Scene
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.snapshot import Snapshot
 
@@ -34,4 +35,11 @@ def within_top(experiment: Experiment, snapshot: Snapshot, across: tuple[float, 
     ahead = gains > 0.0
     share = min(1.0, float((np.maximum(far[ahead] - radius, 0.0) / gains[ahead]).min(initial=1.0)))
     x, y = (middle + share * way).tolist()
+    return x, y
+
+
+def within_reach(scene: Scene, snapshot: Snapshot, across: tuple[float, float]) -> tuple[float, float]:
+    """The place within the reach of a scene that is nearest to one over the top; see `within_top`."""
+    x, y = (min(max(value, low), high) for value, (low, high) in zip(
+        within_top(scene.experiment, snapshot, across), scene.reach, strict=True))
     return x, y

@@ -14,6 +14,8 @@ from tissue_sim.experiment.kinds.kind import TestKind
 
 #: Of a material that comes from no file.
 BUILT_IN = "silicone of the study"
+#: How far above the touch a tool may be lifted, m.
+CLEARANCE = 5e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +64,20 @@ class Scene:
     def half_width(self) -> float:
         """How far from its axis the undeformed specimen reaches, m."""
         return self.experiment.specimen.outer_radius
+
+    @property
+    def reach(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """From where to where the tool's axis may be along x, and along y, m."""
+        if self.reduced is None:
+            return ((-self.half_width, self.half_width),) * 2
+        x, y, _ = self.experiment.tool_pose(0.0).position
+        aside = self.reduced.box.sideways
+        return (x - aside, x + aside), (y - aside, y + aside)
+
+    @property
+    def highest(self) -> float:
+        """Smallest tool displacement, m: above the tissue, but of a reduced solid that the tool holds."""
+        return 0.0 if self.reduced is not None and self.reduced.lifting else -CLEARANCE
 
     def with_scene(self, name: str, *, tool: ts.Tool | None = None, friction: str | float | None = None) -> Scene:
         """Another kind of test, tool or interface of the tool's face, on the same specimen with the same protocol.

@@ -21,7 +21,7 @@ from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from scenes.viewer.material_files import save_edited
 from scenes.viewer.measurement import gap, motion, typical
 from scenes.viewer.model_curve import ModelCurve
-from scenes.viewer.reach import within_top
+from scenes.viewer.reach import within_reach
 from scenes.viewer.requests import differ_in_parameters_only, superseded
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace
@@ -35,8 +35,6 @@ FRAME_RATE, PLOT_EVERY = 30.0, 3
 STEP_TIME = 1.0 / FRAME_RATE
 #: Largest speed of a tool that follows the mouse, m/s.
 HAND_SPEED = 0.1
-#: How far above the touch a tool may be lifted, m.
-CLEARANCE = 5e-3
 #: Points of a segment of a protocol.
 _POINTS = 21
 
@@ -138,7 +136,7 @@ class Session:
 
         Args:
             depth: along its axis, m; None: as deep as it is.
-            across: x and y where its axis meets the height of the touch, m, of tissue in space, kept within its top;
+            across: x and y where its axis meets the height of the touch, m, of tissue in space, kept within reach;
                 None: where it is.
 
         Raises:
@@ -152,10 +150,10 @@ class Session:
             simulation.ask("follow", device=HandMotion(None, HAND_SPEED))
             self._motion, self._target, self._hand_feels = "hand", simulation.tool_depth, False
             self._across = simulation.tool_across or self._across
-        depth = min(max(self._target if depth is None else depth, -CLEARANCE), self.scene.deepest)
+        depth = min(max(self._target if depth is None else depth, self.scene.highest), self.scene.deepest)
         place: dict[str, Any] = {"depth": depth}
         if across is not None and simulation.snapshot is not None and simulation.snapshot.in_space:
-            place["across"] = within_top(self.scene.experiment, simulation.snapshot, across)
+            place["across"] = within_reach(self.scene, simulation.snapshot, across)
         simulation.ask("aim", **place)
         self._target, self._across = depth, place.get("across", self._across)
 
@@ -351,6 +349,9 @@ class Session:
         if deepest > 1.01 * mesh:
             raise InputError(f"goes to {deepest * 1e3:.4g} mm, and the mesh is made for {mesh * 1e3:.4g} mm; start the "
                              "viewer with a larger --depth-mm", field=field)
+        if self.scene.highest == 0.0 and float(protocol.displacement.min()) < -1e-9:
+            raise InputError("lifts the tool, and a reduced solid that it holds cannot be lifted; leave approach and "
+                             "retract out", field=field)
 
     def _forget_trace(self) -> None:
         self._trace.clear()

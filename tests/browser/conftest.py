@@ -233,6 +233,27 @@ def shown_solid(browser, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
+def shown_block(browser, tmp_path_factory):
+    """A viewer of a reduced block with a skin, whose top a needle holds off its middle."""
+    import tissue_sim as ts
+    from scenes.viewer.scene import Scene
+    from tissue_sim.experiment.kinds.indentation import NEEDLE
+
+    experiment = NEEDLE.experiment(
+        specimen=ts.Specimen(shape="block", length=0.030, width=0.024, height=0.015),
+        protocol=ts.Protocol.ramp(2e-3, 2), tool=ts.Tool("flat", radius=4e-3), approach=ts.Approach(2e-3))
+    material = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3), layers=(ts.Layer(2e-3, 3.0),))
+    reduced = ts.reduce_solid(ts.Model(experiment, material), ts.PoseBox(1e-3, 2e-3), strokes=3, modes=6,
+                              sampling=0.05, tried=1)
+    shown = Shown(Scene(NEEDLE, reduced.model.experiment, material, solver="reduced", reduced=reduced),
+                  tmp_path_factory.mktemp("materials"))
+    try:
+        yield shown
+    finally:
+        shown.close()
+
+
+@pytest.fixture(scope="module")
 def shown_reduced(browser, tmp_path_factory):
     """A viewer of a reduced solid under a flat needle that holds its tissue."""
     import tissue_sim as ts

@@ -82,3 +82,28 @@ def test_a_reduced_solid_is_coloured_by_what_is_known_of_it(shown_reduced, open_
     # Nobody knows the pressure, so neither it nor stresses along an axis are offered.
     assert shown_reduced.page._look._field.options == ("von Mises stress [kPa]", "displacement [mm]",
                                                        "largest stretch", "volume ratio J")
+
+
+def test_a_reduced_block_is_seen_and_its_tool_stays_in_the_box(shown_block, open_page, reader_of):
+    page = open_page(shown_block, width=1200, height=760, triangles=100)
+    reader = reader_of(page, shown_block)
+    reader.phase("running")
+    reader.tab("Motion")
+    reader.until(lambda: reader.field("x [mm]").input_value(), lambda value: value == "2")
+    reader.enter("depth [mm]", "1.2")
+    reader.until(lambda: shown_block.frame.readouts.depth, lambda depth: abs(depth - 1.2e-3) < 1e-6)
+    # Farther than the box reaches, and above what the tool holds.
+    reader.enter("y [mm]", "-7")
+    reader.until(lambda: shown_block.frame.snapshot.pose.position,
+                 lambda place: np.abs(np.array(place) - [2e-3, -1e-3, -1.2e-3]).max() < 1e-6)
+    reader.wait_for("solution", "in equilibrium")
+    assert reader.number("force") > 0.05 and shown_block.frame.readouts.across[1] > 0.01
+    reader.enter("depth [mm]", "-3")
+    reader.until(lambda: shown_block.frame.readouts.depth, lambda depth: abs(depth) < 1e-9)
+    assert shown_block.frame.target == 0.0
+    # Examples do not lift it, and what would is refused.
+    assert reader.field("protocol").input_value() == "ramp 2mm; hold 1s; unload"
+    told = []
+    shown_block.session.post("play", text="approach 2mm; ramp 2mm", reply=told.append)
+    reader.until(lambda: list(told), len)
+    assert "a reduced solid that it holds cannot be lifted" in told[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -11,7 +12,7 @@ import viser
 from scenes.viewer.frame import Commands, Frame, Phase
 from scenes.viewer.page.notices import answer_to, set_value
 from scenes.viewer.page.solid import DRAGS
-from scenes.viewer.session import CLEARANCE
+from scenes.viewer.scene import Scene
 
 #: Ready-made protocols by what they are called; {depth} is the scene's largest, in mm.
 PROTOCOLS = {
@@ -20,6 +21,12 @@ PROTOCOLS = {
     "step and hold": "ramp {depth}mm @100mm/s; hold 5s; unload",
     "study, 0.248 mm/s": "ramp {depth}mm @0.248mm/s; hold 10s; unload @0.248mm/s",
 }
+
+
+def _example(name: str, scene: Scene) -> str:
+    """A ready-made protocol; it does not lift a tool that cannot be."""
+    parts = PROTOCOLS[name].format(depth=f"{scene.deepest * 1e3:g}").split("; ")
+    return "; ".join(part for part in parts if scene.highest < 0.0 or not part.startswith(("approach", "retract")))
 
 
 class FollowedSlider:
@@ -60,27 +67,28 @@ class MotionControls:
 
     def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
         gui, deepest = server.gui, frame.scene.deepest
+        examples = {name: _example(name, frame.scene) for name in PROTOCOLS}
         self._session, self._paused, self._plays = session, False, False
         #: Depths that people have entered, and those of them that the session has obeyed.
         self._entered = self._obeyed = 0
         #: Where the next key goes on from, mm.
         self._aimed = 0.0
         self._depth = FollowedSlider(gui.add_slider(
-            "depth [mm]", min=-CLEARANCE * 1e3, max=deepest * 1e3, step=0.01, initial_value=0.0,
+            "depth [mm]", min=frame.scene.highest * 1e3, max=deepest * 1e3, step=0.01, initial_value=0.0,
             hint="or drag the tool; keys: PageDown and PageUp, with Shift ten times as far"))
         #: Of tissue in space.
-        reach = 1e3 * frame.scene.half_width
         self._across = [FollowedSlider(gui.add_slider(
-            f"{name} [mm]", min=-reach, max=reach, step=0.01, initial_value=0.0, visible=False,
-            hint="where the tool's axis meets the height of the touch")) for name in "xy"]
+            f"{name} [mm]", min=math.ceil(1e5 * low - 1e-6) / 100, max=math.floor(1e5 * high + 1e-6) / 100, step=0.01,
+            initial_value=round(1e3 * place, 2), visible=False,
+            hint="where the tool's axis meets the height of the touch"))
+            for name, place, (low, high) in zip("xy", frame.across, frame.scene.reach, strict=True)]
         self._drags = gui.add_dropdown("mouse moves it", tuple(DRAGS), visible=False)
         self.on_drag_way: Callable[[str], None] = lambda _: None
         self._buttons = gui.add_button_group("run", ("Play", "Pause", "Step", "Reset"),
                                               hint="keys: P plays or pauses, N is a step, R resets; Ctrl+K lists all")
         self._source = gui.add_dropdown("motion", self._sources(frame), initial_value="protocol")
-        depth = f"{deepest * 1e3:g}"
         self._named = gui.add_dropdown("example", tuple(PROTOCOLS), initial_value="press and release")
-        self._text = gui.add_text("protocol", PROTOCOLS["press and release"].format(depth=depth),
+        self._text = gui.add_text("protocol", examples["press and release"],
                                   hint="approach 2mm; ramp 10mm @5mm/s; hold 60s; unload; repeat 3 (ramp 5mm; unload)")
         self._speed = gui.add_number("speed [mm/s]", 5.0, min=0.01, max=200.0, step=0.01,
                                      hint="where the protocol states none")
@@ -113,7 +121,7 @@ class MotionControls:
         @self._named.on_update
         def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                set_value(self._text, PROTOCOLS[self._named.value].format(depth=depth))
+                set_value(self._text, examples[self._named.value])
 
         @self._source.on_update
         def _(_: viser.GuiEvent) -> None:
@@ -177,7 +185,8 @@ class MotionControls:
             self._source.options = sources
         depth = frame.target if frame.motion == "hand" or frame.readouts is None else frame.readouts.depth
         depth = round(depth * 1e3, 2)
-        in_space = frame.snapshot is not None and frame.snapshot.in_space
+        in_space = (frame.snapshot is not None and frame.snapshot.in_space
+                    and frame.scene.reach[0][0] < frame.scene.reach[0][1])
         for handle in (*(one.slider for one in self._across), self._drags):
             if handle.visible != in_space:
                 handle.visible = in_space

@@ -29,7 +29,9 @@ from scenes.viewer.tool_picture import (
 )
 from scenes.viewer.wedge import Wedge
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
+from tissue_sim.fem.solid.discretisation import build_mesh as build_solid_mesh
 from tissue_sim.mesh import Mesh
+from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 
@@ -364,9 +366,13 @@ def _force(frame: Frame) -> np.ndarray:
     return np.zeros(3) if now is None else np.array([*now.across, now.force])
 
 
-def _undeformed(scene: Scene) -> Mesh:
-    """A section of the undeformed specimen."""
-    return build_mesh(scene.experiment, "realtime", layers=scene.material.layers)
+def _undeformed(scene: Scene) -> Mesh | SolidMesh:
+    """The undeformed specimen: a section of a round one, and else a solid."""
+    if scene.reduced is not None:
+        return scene.reduced.mesh
+    if scene.experiment.specimen.is_round:
+        return build_mesh(scene.experiment, "realtime", layers=scene.material.layers)
+    return build_solid_mesh(scene.experiment, "realtime", scene.material.layers)
 
 
 def _show(handle: viser.SceneNodeHandle, visible: bool) -> None:

@@ -1,6 +1,7 @@
 """What is looked at: another scene, tool or interface, and measurements that find their scene."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,9 @@ import pytest
 import tissue_sim as ts
 from scenes.catalogue import SCENES
 from scenes.viewer.measurement import measurement
+from scenes.viewer.reach import within_reach
 from scenes.viewer.scene import Scene, read_measurements
+from tissue_sim.snapshot import Snapshot
 
 PUNCH = ts.Tool("flat", radius=0.006, edge_radius=0.001)
 
@@ -98,3 +101,17 @@ def test_a_measurement_of_something_else_is_refused(tmp_path):
     assert str(caught.value).startswith(f"{path}: kind: is of kind 'tension', for which there is no scene; known: lubr")
     with pytest.raises(ts.InputError, match=r"nowhere\.csv"):
         read_measurements([tmp_path / "nowhere.csv"], "needle_indentation")
+
+
+def test_how_far_the_tool_may_go(needle):
+    """Over the whole top, and up; that of a reduced solid in its box, from where it comes down."""
+    assert needle.reach == ((-0.04, 0.04),) * 2 and needle.highest == -5e-3
+    experiment = replace(needle.experiment, approach=ts.Approach(6e-3))
+    of_box = replace(needle, experiment=experiment, reduced=SimpleNamespace(box=ts.PoseBox(2e-3, 4e-3), lifting=12))
+    np.testing.assert_allclose(of_box.reach, [(4e-3, 8e-3), (-2e-3, 2e-3)])
+    assert of_box.highest == 0.0
+    snapshot = Snapshot(ts.Pose.at_depth(0.0), 0.0, None)
+    assert within_reach(of_box, snapshot, (0.0, 1e-3)) == pytest.approx((4e-3, 1e-3))
+    assert within_reach(needle, snapshot, (1e-3, 2e-3)) == pytest.approx((1e-3, 2e-3))
+    lifted = replace(of_box, reduced=SimpleNamespace(box=of_box.reduced.box, lifting=0))
+    assert lifted.highest == -5e-3

@@ -20,7 +20,8 @@ from haptics.loop.ring import PAUSED, RingReader
 from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS
 from scenes.viewer.frame import NullViewer, Phase
 from scenes.viewer.measurement import measurement, motion, residual
-from scenes.viewer.session import CLEARANCE, COMMANDS, PLOT_EVERY, STEP_TIME, Session
+from scenes.viewer.scene import CLEARANCE
+from scenes.viewer.session import COMMANDS, PLOT_EVERY, STEP_TIME, Session
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.parameters import with_values
 
