@@ -24,6 +24,9 @@ def add_arguments(parser: Parser) -> None:
                         help=f"{' or '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, metavar="FILE",
                         help="NAME.material.json (default: the study's silicone, reduced_polynomial_2)")
+    parser.add_argument("--also", type=Path, metavar="FILE", action="append", default=[],
+                        help="another material that it shall be good for, too: strokes are followed with each in turn "
+                             "(may be given several times)")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="NAME.reduced.npz")
     parser.add_argument("--overwrite", action="store_true", help="replace an output that is there")
     box = parser.add_argument_group("box of poses (its depth is --depth-mm, default: 4)")
@@ -65,7 +68,7 @@ def run(arguments) -> int:
     import tissue_sim as ts
     from tissue_sim.fem.reduced.reduction import forget_strokes
 
-    material = read_material(arguments.material)
+    material, also = read_material(arguments.material), [read_material(path) for path in arguments.also]
     depth = (arguments.depth_mm or _DEPTH_MM) * 1e-3
     experiment = make_experiment(arguments, ts.Protocol.ramp(depth, points=2), material)
     box = ts.PoseBox(arguments.sideways_mm * 1e-3, depth, math.radians(arguments.turn_deg))
@@ -79,7 +82,7 @@ def run(arguments) -> int:
         reduced = ts.reduce_solid(
             ts.Model(experiment, material), box, resolution=arguments.resolution, strokes=arguments.strokes,
             modes=arguments.modes, sampling=arguments.sampling, bulk_ratio=arguments.bulk_ratio,
-            tried=arguments.tried, folder=folder, progress=tell)
+            also=also, tried=arguments.tried, folder=folder, progress=tell)
     ts.write_reduced(reduced, output)
     forget_strokes(folder)
     report = reduced.report
@@ -88,7 +91,8 @@ def run(arguments) -> int:
         return 0
     print(f"{report['freedoms']} freedoms in {report['modes']} modes, {report['elements_of_all']} elements in "
           f"{report['elements']}, from {report['snapshots']} states of {report['strokes']} strokes")
-    print(f"on {arguments.tried} other strokes the force is {100 * report['force_rms_error']:.2g} % off (rms; at most "
-          f"{100 * report['force_largest_error']:.2g} %, of {report['force_rms_N']:.3g} N)")
+    several = f", of {report['materials']} materials," if also else ""
+    print(f"on {report['tried']} other strokes{several} the force is {100 * report['force_rms_error']:.2g} % off "
+          f"(rms; at most {100 * report['force_largest_error']:.2g} %, of {report['force_rms_N']:.3g} N)")
     print(f"written to {output}")
     return 0

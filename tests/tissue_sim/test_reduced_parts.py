@@ -146,6 +146,22 @@ class TestLayers:
         np.testing.assert_allclose(reduced_forces(skinned, none, POSES), reduced_forces(skinned, one, POSES), rtol=1e-9,
                                    atol=1e-12)
 
+    def test_made_for_several_materials(self, skinned, tmp_path):
+        """Half and twice the stiffness of the skin among those that it is made for: good for what is between, too."""
+        also = [replace(SOFT, layers=(replace(SKIN, ratio=ratio),)) for ratio in (2.0, 8.0)]
+        made = ts.reduce_solid(skinned.model, skinned.box, strokes=9, modes=20, tried=1, also=also, folder=tmp_path)
+        assert made.report["materials"] == 3 and made.report["force_rms_error"] < 0.01
+        for ratio in (2.0, 5.0, 8.0):
+            material = replace(SOFT, layers=(replace(SKIN, ratio=ratio),))
+            expected = whole_forces(skinned, material, POSES)
+            assert off(reduced_forces(made, material, POSES), expected) < 0.008
+        assert off(reduced_forces(skinned, material, POSES), expected) > 0.02
+        with pytest.raises(ts.InputError, match="holds strokes of another model"):
+            ts.reduce_solid(skinned.model, skinned.box, strokes=9, modes=20, folder=tmp_path)
+        thicker = replace(SOFT, layers=(replace(SKIN, thickness=3e-3),))
+        with pytest.raises(ts.InputError, match="keeps its layers where they are"):
+            ts.reduce_solid(skinned.model, skinned.box, strokes=2, also=[thicker])
+
     def test_its_material_is_changed_on_the_way(self, skinned):
         stiffer = replace(SOFT, layers=(replace(SKIN, ratio=6.0),))
         solver = ReducedSolver(skinned, replace(SOFT, layers=(SKIN,)))
@@ -238,12 +254,14 @@ def test_a_tool_of_a_file_is_kept_in_it(tmp_path):
     assert read.model.experiment.tool.edge_radius == made.model.experiment.tool.edge_radius
 
 
-def test_the_command_takes_a_skin(tmp_path, capsys):
-    material = tmp_path / "skin.material.json"
-    ts.write_material_file(ts.MaterialFile.of(replace(SOFT, layers=(SKIN,))), material)
+def test_the_command_takes_a_skin_and_another_one(tmp_path, capsys):
+    files = tmp_path / "skin.material.json", tmp_path / "stiffer.material.json"
+    for file, ratio in zip(files, (4.0, 6.0), strict=True):
+        ts.write_material_file(ts.MaterialFile.of(replace(SOFT, layers=(replace(SKIN, ratio=ratio),))), file)
     output = tmp_path / "skin.reduced.npz"
-    assert main(["reduce", "needle_indentation", "--material", str(material), "--radius-mm", "25", "--height-mm", "15",
-                 "--tool", "flat", "--tool-radius-mm", "6", "--friction", "bonded", "--depth-mm", "2", "--strokes", "2",
-                 "--modes", "8", "--tried", "1", "-o", str(output)]) == 0
-    assert "% off" in capsys.readouterr().out
-    assert ts.load_reduced(output).model.material.layers == (SKIN,)
+    assert main(["reduce", "needle_indentation", "--material", str(files[0]), "--also", str(files[1]), "--radius-mm",
+                 "25", "--height-mm", "15", "--tool", "flat", "--tool-radius-mm", "6", "--friction", "bonded",
+                 "--depth-mm", "2", "--strokes", "2", "--modes", "8", "--tried", "1", "-o", str(output)]) == 0
+    assert "on 2 other strokes, of 2 materials, the force is" in capsys.readouterr().out
+    read = ts.load_reduced(output)
+    assert read.model.material.layers == (SKIN,) and read.report["materials"] == 2

@@ -6,7 +6,7 @@ import io
 import math
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -15,10 +15,11 @@ import numpy as np
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError
 from tissue_sim.fem.reduced import training
-from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_reducible
+from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_reducible, require_same_parts
 from tissue_sim.fem.reduced.strokes import stroke
 from tissue_sim.fem.reduced.symmetry import symmetries
 from tissue_sim.files import read_text
+from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 
 #: Strokes without images, and modes, of a tool that holds tissue and of one that touches it.
@@ -44,7 +45,8 @@ class Progress(Protocol):
 
 def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", strokes: int | None = None,
                  modes: int | None = None, sampling: float = SAMPLING, bulk_ratio: float | None = None,
-                 softness: float = SOFTNESS, tried: int = TRIED, folder: Path | None = None,
+                 softness: float = SOFTNESS, also: Sequence[Material] = (), tried: int = TRIED,
+                 folder: Path | None = None,
                  progress: Progress | None = None) -> ReducedModel:
     """Make a solid that is stepped a thousand times a second for a tool that stays in a box.
 
@@ -59,6 +61,8 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
         bulk_ratio: most that the bulk modulus may be, over mu0. A softer one than the tissue's makes forces too small,
             a stiffer one than what the modes can represent too large.
         softness: see `ReducedModel`.
+        also: materials that may be put under it and that it shall be good for, too; strokes are followed with each in
+            turn. Layers and regions are those of the model's.
         tried: strokes that it was not made of, on which it is tried.
         folder: where the strokes are kept; one that holds strokes of the same model is gone on with. `forget_strokes`
             removes them, when what was made of them is safe.
@@ -81,16 +85,22 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     require_reducible(model)
     mesh = training.training_mesh(model, box, resolution)
     solver = training.whole_solver(model, mesh)
-    store = _Store(folder, f"{model!r} {box!r} {resolution} {len(mesh.nodes)}")
+    for each in also:
+        require_same_parts(each, model.material, mesh)
+    materials = (model.material, *also)
+    label = f"{model!r} {box!r} {resolution} {len(mesh.nodes)}"
+    store = _Store(folder, f"{label} {tuple(also)!r}" if also else label)
     start, reach = experiment.tool_pose(0.0), experiment.contact_radius
     group = symmetries(solver, start)
-    strokes, modes = strokes or math.ceil(STROKES[holds] / min(len(group), _SPARED[holds])), modes or MODES[holds]
+    usual = len(materials) * math.ceil(STROKES[holds] / min(len(group), _SPARED[holds]))
+    strokes, modes, tried = strokes or usual, modes or MODES[holds], max(tried, len(materials))
     poses = [stroke(number, box, start, holds=holds, reach=reach) for number in range(strokes)]
     taken = []
     tell("strokes", 0, strokes)
     for number, way in enumerate(poses):
         done = store.read(number)
         if done is None or len(done.wrenches) != len(way):
+            solver.set_material(materials[number % len(materials)])
             done = training.snapshots(solver, way)
             store.write(number, done)
         taken.append(done)
@@ -98,11 +108,13 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     count = len(mesh.connectivity)
     reduced = training.assemble(
         model, mesh, box, taken, poses, count=modes, tolerance=sampling, softness=softness,
-        bulk_ratio=bulk_ratio, group=group,
+        bulk_ratio=bulk_ratio, group=group, materials=[materials[k % len(materials)] for k in range(strokes)],
         progress=lambda elements, error: tell("elements", elements, count, note=f"error {100 * error:.2g} %"))
     numbers = range(training.UNSEEN, training.UNSEEN + tried)
-    report, factors = training.verify(reduced, solver, numbers, lambda done, of: tell("trial", done, of))
-    return training.with_report(reduced, factors, strokes=strokes, **report)
+    report, factors = training.verify(reduced, solver, numbers, lambda done, of: tell("trial", done, of),
+                                      materials=materials)
+    return training.with_report(reduced, factors, strokes=strokes, materials=len(materials), tried=tried,
+                                **report)
 
 
 class _Store:

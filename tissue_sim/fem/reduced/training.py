@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
 from tissue_sim.fem.solid.elastic import elastic_answer, element_forces, held_places, lifted_amplitudes
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
+from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, between
@@ -150,25 +152,41 @@ def _singular(states: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     return singular, (vectors / singular[:count]).T @ states
 
 
-def samples(states: np.ndarray, poses: Sequence[Pose], wrenches: np.ndarray, group: Sequence[Symmetry],
-            start: Pose) -> Iterator[tuple[np.ndarray, Pose, float]]:
-    """States at which elements are looked at, and of what poses and forces, N: spread over all, by symmetries in turn.
+class Sample(NamedTuple):
+    """A state at which elements are looked at.
+
+    Attributes:
+        displacement: m, shape (freedoms,). pose: of the tool. force: on it, N. material: of which the solid was.
+    """
+
+    displacement: np.ndarray
+    pose: Pose
+    force: float
+    material: Material
+
+
+def samples(taken: Sequence[Snapshots], poses: Sequence[Sequence[Pose]], materials: Sequence[Material],
+            group: Sequence[Symmetry], start: Pose) -> Iterator[Sample]:
+    """States at which elements are looked at: spread over all, by symmetries in turn.
 
     Args:
-        states: displacements, m, shape (states, freedoms); at `poses`, with `wrenches`, shape (states, 6).
+        taken: what the solid did on each stroke. poses: of each. materials: of which it was on each.
         group: symmetries. start: of the tool.
     """
-    forces = np.linalg.norm(wrenches[:, :3], axis=1)
+    states = np.concatenate([each.displacements for each in taken])
+    forces = np.linalg.norm(np.concatenate([each.wrenches[:, :3] for each in taken]), axis=1)
+    of_stroke = np.repeat(np.arange(len(taken)), [len(each.wrenches) for each in taken])
+    ways = [pose for each in poses for pose in each]
     strong = np.flatnonzero(forces >= _LEAST_FORCE * forces.max())
     count = min(_LOOKED_AT, strong.size * len(group))
     for place, state in enumerate(strong[np.linspace(0, strong.size - 1, count).astype(int)]):
         image = group[place % len(group)]
-        yield (image.displacements(states[state : state + 1])[0], image.pose(poses[state], start),
-               float(forces[state]))
+        yield Sample(image.displacements(states[state : state + 1])[0], image.pose(ways[state], start),
+                     float(forces[state]), materials[of_stroke[state]])
 
 
 def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watched: int,
-                    looked_at: Iterable[tuple[np.ndarray, Pose, float]], tolerance: float, bulk_ratio: float,
+                    looked_at: Iterable[Sample], tolerance: float, bulk_ratio: float,
                     progress: Callable[[int, float], None] | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Elements that stand for all, and for how many each: their forces on the modes, the last `watched` ones, too, at
     the states that the others hold, with a bulk modulus of at most so many times the shear modulus.
@@ -185,11 +203,14 @@ def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watche
     rows = (basis / scale).reshape(-1, 3, basis.shape[1])[mesh.connectivity].reshape(
         len(mesh.connectivity), -1, basis.shape[1])
     lifted, rest = basis[:, :lifting], basis[:, lifting : basis.shape[1] - watched]
-    contributions = []
-    for state, pose, force in looked_at:
+    contributions, own = [], solver.material
+    for state, pose, force, material in looked_at:
+        if material is not solver.material:
+            solver.set_material(material)
         moved = lifted @ lifted_amplitudes(solver, pose)[:lifting]
         on_nodes = element_forces(solver, moved + rest @ (rest.T @ (state - moved)), bulk_ratio)
         contributions.append(np.einsum("eir,ei->re", rows, on_nodes) / force)
+    solver.set_material(own)
     weights = sparse_weights(np.concatenate(contributions), tolerance, progress=progress)
     elements = np.flatnonzero(weights)
     return elements, weights[elements]
@@ -200,8 +221,10 @@ _FEWER = 4
 
 
 def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
-           progress: Callable[[int, int], None] | None = None) -> tuple[dict[str, float], tuple[float, float]]:
-    """How far the reduced solid is from the whole one on strokes that it was not made of.
+           progress: Callable[[int, int], None] | None = None, *,
+           materials: Sequence[Material] = ()) -> tuple[dict[str, float], tuple[float, float]]:
+    """How far the reduced solid is from the whole one on strokes that it was not made of, of these materials in turn,
+    or of its own.
 
     Returns:
         ``force_rms_error`` and ``force_largest_error`` over the rms force of the whole, its rms ``force_rms_N``, and
@@ -217,6 +240,8 @@ def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
     missed, forces, estimates, lost, steps = [], [], [], 0, 0
     others: list[tuple[float, float, float]] = []
     for done, number in enumerate(numbers):
+        for each in (solver, small, fewer) if len(materials) > 1 else ():
+            each.set_material(materials[done % len(materials)])
         poses = stroke(number, reduced.box, experiment.tool_pose(0.0), holds=reduced.lifting > 0,
                        reach=experiment.contact_radius)
         true = snapshots(solver, poses).wrenches
@@ -248,7 +273,8 @@ def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
 
 def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapshots],
              poses: Sequence[Sequence[Pose]], *, count: int, tolerance: float, softness: float, bulk_ratio: float,
-             group: Sequence[Symmetry] = (), progress: Callable[[int, float], None] | None = None) -> ReducedModel:
+             materials: Sequence[Material] = (), group: Sequence[Symmetry] = (),
+             progress: Callable[[int, float], None] | None = None) -> ReducedModel:
     """The reduced solid that snapshots along strokes and their images give.
 
     Args:
@@ -256,13 +282,13 @@ def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapsh
         taken: what it did; poses: on which poses.
         count: modes beside the lifted ones; tolerance: of the forces of the sampled elements over those of all.
         softness, bulk_ratio: see `ReducedModel`.
+        materials: of which it was on each stroke; none: of the model's.
         group: symmetries of the solid, the identity among them; none: they are looked for.
         progress: called with the number of elements and their error so far.
     """
     solver, start = whole_solver(model, mesh), model.experiment.tool_pose(0.0)
     group = group or symmetries(solver, start)
     states = np.concatenate([each.displacements for each in taken])
-    wrenches = np.concatenate([each.wrenches for each in taken])
     ways = [pose for each in poses for pose in each]
     lifted = lifted_modes(solver)
     lifting = lifted.shape[1]
@@ -271,8 +297,9 @@ def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapsh
     found, singular = modes(states - amplitudes @ lifted.T, group, count + WATCHED)
     basis = np.hstack([lifted, found])
     watched = max(0, found.shape[1] - count)
-    elements, shares = sample_elements(solver, basis, lifting, watched, samples(states, ways, wrenches, group, start),
-                                       tolerance, max(bulk_ratio, _SAMPLED_AT), progress)
+    looked_at = samples(taken, poses, materials or [model.material] * len(taken), group, start)
+    elements, shares = sample_elements(solver, basis, lifting, watched, looked_at, tolerance,
+                                       max(bulk_ratio, _SAMPLED_AT), progress)
     kept = found.shape[1] - watched
     report = {"freedoms": int(states.shape[1]), "modes": kept, "elements": int(elements.size),
               "elements_of_all": len(mesh.connectivity), "snapshots": int(states.shape[0]),
