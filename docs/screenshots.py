@@ -58,7 +58,11 @@ SCREENSHOTS = {"viewer_needle": NEEDLE,
                "viewer_compression": Screenshot("bonded_compression", tab="View"),
                "viewer_solid": Screenshot("needle_indentation", (
                    "--solid", "--offset-mm", "12", "--tilt-deg", "15", "--tool", "round", "--friction", "0.3",
-                   "--points", "5"), depth=6.0, aside=-3.0)}
+                   "--points", "5"), depth=6.0, aside=-3.0),
+               "viewer_shell": Screenshot("needle_indentation", (
+                   "--solid", "--shape", "ellipsoid_shell", "--semi-axis-x-mm", "80", "--semi-axis-y-mm", "60",
+                   "--semi-axis-z-mm", "50", "--thickness-mm", "15", "--offset-mm", "30", "--tool", "round",
+                   "--tool-radius-mm", "5", "--friction", "0.3", "--points", "3"), depth=5.0, aside=-4.0)}
 
 
 def main(names: list[str]) -> None:
