@@ -291,7 +291,8 @@ def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -
     check_unused(table, noise)
     check_parameters(table)
     named = find_named(table, {test.name: declared_around(None if test.specimen is None else test.experiment, test.rig)
-                               for test in tests})
+                               for test in tests},
+                       {test.name: () if test.specimen is None else test.specimen.region_names for test in tests})
     check_values(table, named)
     for name, what in named.items():
         bare = [test.name for test in tests if test.specimen is None and not test.hold_out and test.name in what.tests]

@@ -7,7 +7,7 @@ key (mm, mm/N, degrees); inside everything is SI, under the path of the attribut
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Material, law_declaration
-from tissue_sim.material.parts import find_declaration, make_material
+from tissue_sim.material.parts import find_declaration, make_material, region_of
 from tissue_sim.parameters import Declaration, parameters
 from tissue_sim.rig.rig import Rig
 
@@ -72,11 +72,13 @@ def stated_material(values: Mapping[str, float], named: Mapping[str, Named]) -> 
     return make_material("neo_hooke", {"C10": 1.0}, others)
 
 
-def find_named(table: FitTable, around: Mapping[str, Mapping[str, Declaration]]) -> dict[str, Named]:
+def find_named(table: FitTable, around: Mapping[str, Mapping[str, Declaration]],
+               regions: Mapping[str, Collection[str]]) -> dict[str, Named]:
     """Name in the file -> what it names, of everything in start, fixed, prior, bounds and scope.
 
     Args:
         table: of the file. around: test -> what its model has beside the material, see `declared_around`.
+        regions: test -> names of the regions that its specimen has.
 
     Raises:
         InputError: a name that no model has, or whose scope is not clear; with the field.
@@ -87,7 +89,7 @@ def find_named(table: FitTable, around: Mapping[str, Mapping[str, Declaration]])
     for key in (*BY_PARAMETER, "scope"):
         for name in getattr(table, key):
             if name not in named:
-                named[name] = _named(name, f"fit.{key}.{name}", laws, around, table)
+                named[name] = _named(name, f"fit.{key}.{name}", laws, around, regions, table)
     paths: dict[str, str] = {}
     for name, what in named.items():
         if paths.setdefault(what.path, name) != name:
@@ -96,7 +98,7 @@ def find_named(table: FitTable, around: Mapping[str, Mapping[str, Declaration]])
 
 
 def _named(name: str, field: str, laws: Mapping[str, Declaration], around: Mapping[str, Mapping[str, Declaration]],
-           table: FitTable) -> Named:
+           regions: Mapping[str, Collection[str]], table: FitTable) -> Named:
     scope = table.scope.get(name)
     everywhere = tuple(around)
     path = name.removeprefix("material.")
@@ -116,6 +118,15 @@ def _named(name: str, field: str, laws: Mapping[str, Declaration], around: Mappi
         full, declaration = find_declaration(path)
     except InputError as error:
         raise InputError(error.problem, field=field) from None
+    if (region := region_of(full)) is not None:
+        having = tuple(test for test, found in regions.items() if region in found)
+        if not having:
+            known = list(dict.fromkeys(each for found in regions.values() for each in found))
+            hint = nearest(region, known) if known else "; the mesh of a specimen names its regions"
+            raise InputError(f"no specimen has a region {region!r}{hint}", field=field)
+        # What is one material everywhere else, such as a sample of it, knows nothing of the region.
+        where = _scope(name, scope, having, SHARED)
+        return Named(full, declaration, False, having if where == SHARED else where, having)
     return Named(full, declaration, False, _scope(name, scope, everywhere, SHARED), everywhere)
 
 

@@ -12,6 +12,7 @@ import calibration
 import tissue_sim as ts
 from calibration.campaign.digest import digest_of
 from calibration.campaign.named_files import whole_path, with_files_named
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.forms import build_test, remainder
 from calibration.forward.meshes import MESHES, REMAINDERS, Meshes, exact_mesh
 from calibration.forward.solves import content_key, simulate_curve
@@ -19,6 +20,7 @@ from scenes.cli import main
 from tissue_sim.fem.solid.discretisation import RESOLUTIONS, Resolution, build_mesh
 from tissue_sim.mesh.grading import Grading
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
+from tissue_sim.mesh.solid import block_mesh
 
 CAMPAIGN = """
 [[specimen]]
@@ -217,6 +219,89 @@ def test_a_moved_block_keeps_its_circle_and_its_sides():
     np.testing.assert_allclose(np.ptp(moved.nodes, axis=0), [0.032, 0.024, 0.012])
     with pytest.raises(ts.InputError, match="the mesh of an ellipsoid shell cannot be moved"):
         ts.EllipsoidShell(0.05, 0.04, 0.03, 0.012).moved_mesh(mesh, needle.specimen, circles)
+
+
+def write_lumpy_mesh(path):
+    """A block of 30 x 30 x 20 mm in hexahedra, with a lump in its middle that a region names."""
+    order = [int(np.abs(HEX8P0.reference_nodes - corner).sum(axis=1).argmin()) for corner in CORNERS]
+    side = np.linspace(-0.015, 0.015, 6)
+    mesh = block_mesh(side, side, np.linspace(-0.020, 0.0, 5), HEX8P0)
+    middle = mesh.nodes[mesh.connectivity].mean(axis=1)
+    lump = (np.abs(middle[:, :2]).max(axis=1) < 0.01) & (middle[:, 2] > -0.015)
+    meshio.Mesh(1e3 * mesh.nodes, [("hexahedron", mesh.connectivity[:, order])],
+                cell_data={"part": [lump.astype(int) + 1]}).write(path)
+
+
+LUMPY = """
+[[specimen]]
+name = "organ"
+shape = "mesh"
+mesh = "organ.vtu"
+
+[[specimen]]
+name = "strip"
+shape = "prism"
+area_mm2 = 100.0
+height_mm = 20.0
+
+[[test]]
+name = "organ"
+specimen = "organ"
+kind = "needle_indentation"
+tool = "flat"
+tool_radius_mm = 7.0
+recordings = ["run_*.csv"]
+
+[[test]]
+name = "sample"
+specimen = "strip"
+kind = "uniaxial_tension"
+recordings = ["sample.csv"]
+
+[fit]
+method = "inverse_fem"
+laws = ["neo_hooke"]
+bulk_ratio = 1000.0
+starts = 1
+start = { "regions.part:2.C10" = 1500.0 }
+
+[noise]
+force_N = 0.001
+contact_jitter_mm = 0.0
+zero_jitter_N = 0.0
+"""
+
+
+def test_a_lump_is_fitted_beside_a_sample_of_what_is_around_it(tmp_path, coarse):
+    """Its stiffness comes out with its interval, and stands in the region of the material file; the sample has none."""
+    write_lumpy_mesh(tmp_path / "organ.vtu")
+    lump = ts.Material("neo_hooke", {"C10": 1800.0}, ts.Bulk("bulk_ratio", 1e3))
+    organ = ts.Specimen(shape="mesh", mesh_file=tmp_path / "organ.vtu")
+    assert organ.region_names == ("part:1", "part:2")
+    experiment = ts.KINDS["needle_indentation"].experiment(
+        specimen=organ, protocol=ts.Protocol.ramp(2e-3, 9), tool=ts.Tool("flat", radius=7e-3))
+    true = replace(MATERIAL, regions={"part:2": lump})
+    run = ts.simulate(ts.Model(experiment, true), solver="solid", resolution="coarse, second order")
+    write_run(tmp_path, run.displacement, run.force)
+    stretch = np.linspace(1.0, 1.2, 41)
+    force = 2.0 * 450.0 * (stretch - stretch**-2) * 1e-4 + 0.0001 * np.random.default_rng(3).normal(size=41)
+    ts.write_recording(ts.Recording({"time": np.arange(41.0), "displacement": 0.02 * (stretch - 1.0), "force": force}),
+                       tmp_path / "sample.csv")
+    (tmp_path / "study.toml").write_text(LUMPY, encoding="utf-8")
+    space = ParameterSpace.of("neo_hooke", calibration.load_campaign(tmp_path / "study.toml"))
+    start = {"C10": 450.0, "regions.part:2.C10": 1500.0}
+    assert space.material(start, test="organ").regions.keys() == {"part:2"}
+    assert not space.material(start, test="sample").regions
+    result, = calibration.calibrate([tmp_path / "study.toml"], tmp_path / "out", figures=False)
+    fit = result.best
+    low, high = fit.intervals95["regions.part:2.C10"]
+    assert low < 1800.0 < high < 1.5 * low
+    assert fit.parameters["C10"] == pytest.approx(450.0, rel=0.01)
+    written = ts.load_material(tmp_path / "out" / "neo_hooke.material.json")
+    assert written.regions["part:2"].parameters["C10"] == pytest.approx(1800.0, rel=0.1)
+    (tmp_path / "study.toml").write_text(LUMPY.replace("part:2", "part:3"), encoding="utf-8")
+    with pytest.raises(ts.InputError, match=r"fit.start.*no specimen has a region 'part:3'; did you mean"):
+        calibration.load_campaign(tmp_path / "study.toml")
 
 
 def felupe_forces(depths):

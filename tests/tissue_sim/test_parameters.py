@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import tissue_sim as ts
 from tissue_sim.experiment.tools.tool import TOOLS
-from tissue_sim.material.parts import find_declaration, make_material
+from tissue_sim.material.parts import find_declaration, make_material, with_parts
 from tissue_sim.parameters import declared, find_parameters, parameter_values, parameters, value, with_values
 
 MATERIAL = ts.Material(
@@ -99,3 +99,23 @@ def test_a_material_is_made_of_its_numbers():
         make_material("neo_hooke", {"C10": 1.0}, {"layers[0].ratio": 2.0})
     with pytest.raises(ts.InputError, match="numbered from 0 without gaps"):
         make_material("neo_hooke", {"C10": 1.0}, {"layers[1].ratio": 2.0, "layers[1].thickness": 1e-3})
+
+
+def test_the_numbers_of_a_region_say_its_law():
+    """And a region is of the bulk response of the whole."""
+    bulk = ts.Bulk("bulk_ratio", 1e3)
+    lump = {"regions.lump.C10": 900.0, "regions.lump.C20": 90.0, "regions.part:2.mu1": 500.0,
+            "regions.part:2.alpha1": 3.0}
+    made = make_material("neo_hooke", {"C10": 100.0}, lump, bulk)
+    assert made.regions == {"lump": ts.Material("reduced_polynomial_2", {"C10": 900.0, "C20": 90.0}, bulk),
+                            "part:2": ts.Material("ogden_1", {"mu1": 500.0, "alpha1": 3.0}, bulk)}
+    values = {path: value for path, value in parameter_values(made).items() if path.startswith("regions.")}
+    assert {path: value for path, value in values.items() if "bulk" not in path} == lump
+    assert with_parts(ts.Material("neo_hooke", {"C10": 100.0}, bulk), lump) == made
+    assert find_declaration("regions.lump.C20")[1].unit == "Pa"
+    with pytest.raises(ts.InputError, match=r"regions.lump.C100: no law has a parameter 'C100'.*did you mean 'C10'"):
+        find_declaration("regions.lump.C100")
+    with pytest.raises(ts.InputError, match=r"regions.lump: no law has the parameters C20 and no others"):
+        make_material("neo_hooke", {"C10": 100.0}, {"regions.lump.C20": 1.0})
+    with pytest.raises(ts.InputError, match=r"regions.lump.parameters"):
+        make_material("neo_hooke", {"C10": 100.0}, {"regions.lump.C10": -1.0})

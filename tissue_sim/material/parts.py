@@ -8,9 +8,10 @@ from dataclasses import replace
 from typing import Any
 
 from tissue_sim.errors import InputError, located, nearest
+from tissue_sim.laws import LAWS
 from tissue_sim.material.effect import EFFECTS
 from tissue_sim.material.layer import Layer
-from tissue_sim.material.material import Bulk, Material, bulk_declaration
+from tissue_sim.material.material import Bulk, Material, bulk_declaration, law_declaration
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
@@ -20,6 +21,8 @@ from tissue_sim.parameters import Declaration, declared, parameters, tokens, wit
 #: Place -> class of the part, of what a material may have once, and of what it may have several of.
 SINGLE: dict[str, type] = {"softening": Softening, "poroelasticity": Poroelasticity, "puncture": Puncture}
 SEVERAL: dict[str, type] = {"viscoelastic.terms": PronyTerm, "layers": Layer}
+#: A parameter of the law of a region: its name, and that of the parameter.
+_OF_REGION = re.compile(r"regions\.([^.\[\]]+)\.([^.\[\]]+)")
 _NUMBERED = re.compile(r"(.*)\[(?:0|[1-9]\d*)\]")
 #: Paths that messages name where one is not known.
 _EXAMPLES = (*(f"{place}[0].{name}" for place, kind in SEVERAL.items() for name in declared(kind)),
@@ -30,7 +33,8 @@ def find_declaration(path: str) -> tuple[str, Declaration]:
     """What a parameter of a material beside those of its law is, whether a material has it or not.
 
     Args:
-        path: of the attribute, or as files write it: ``viscoelastic.terms[0].tau`` or ``...tau_s``.
+        path: of the attribute, or as files write it: ``viscoelastic.terms[0].tau`` or ``...tau_s``; of a region a
+            parameter of its law, ``regions.tumour.C10``.
 
     Returns:
         The path of the attribute, and what is declared there.
@@ -38,6 +42,8 @@ def find_declaration(path: str) -> tuple[str, Declaration]:
     Raises:
         InputError: no material has such a parameter; names the nearest.
     """
+    if (of_region := _OF_REGION.fullmatch(path)) is not None:
+        return path, _of_some_law(of_region[2], path)
     place, _, last = path.rpartition(".")
     if place == "bulk" and (found := bulk_declaration(last)) is not None:
         return path, found
@@ -48,13 +54,20 @@ def find_declaration(path: str) -> tuple[str, Declaration]:
     raise InputError(f"no material has a parameter {path!r}{nearest(path, _EXAMPLES)}", field=path)
 
 
+def region_of(path: str) -> str | None:
+    """The name of the region whose parameter a path names; None where it names another one."""
+    found = _OF_REGION.fullmatch(path)
+    return None if found is None else found[1]
+
+
 def make_material(law: str, parameters: Mapping[str, float], others: Mapping[str, float], bulk: Bulk | None = None,
                   **options: Any) -> Material:
     """The material of these numbers.
 
     Args:
         law: name of the law. parameters: of it.
-        others: path -> value, SI, of everything else; all of a part together make it.
+        others: path -> value, SI, of everything else; all of a part together make it. The parameters of a region say
+            which law it is of; its bulk response is the material's.
         bulk: where no path states the bulk response; None: incompressible.
         options: as of `Material`: density, name.
 
@@ -65,11 +78,14 @@ def make_material(law: str, parameters: Mapping[str, float], others: Mapping[str
     terms: dict[str, dict[int, dict[str, float]]] = {place: {} for place in SEVERAL}
     single: dict[str, dict[str, float]] = {}
     effects: dict[str, dict[str, float]] = {}
+    regions: dict[str, dict[str, float]] = {}
     for path, value in others.items():
         *place, last = tokens(find_declaration(path)[0])
         match place:
             case ["bulk"]:
                 response = Bulk(str(last), value)
+            case ["regions", name]:
+                regions.setdefault(str(name), {})[str(last)] = value
             case ["effects", name]:
                 effects.setdefault(str(name), {})[str(last)] = value
             case [*outer, int(index)]:
@@ -82,7 +98,8 @@ def make_material(law: str, parameters: Mapping[str, float], others: Mapping[str
         with located(field="viscoelastic"):
             parts["viscoelastic"] = Prony(prony)
     added = {name: _part(EFFECTS[name], f"effects.{name}", numbers) for name, numbers in effects.items()}
-    return Material(law, parameters, response, layers=tuple(_in_order(terms, "layers")), effects=added, **parts,
+    return Material(law, parameters, response, layers=tuple(_in_order(terms, "layers")), effects=added,
+                    regions={name: _region(name, numbers, response) for name, numbers in regions.items()}, **parts,
                     **options)
 
 
@@ -109,7 +126,8 @@ def with_parts(material: Material, values: Mapping[str, float]) -> Material:
             return path
         return f"{numbered[1]}[{int(place[len(numbered[1]) + 1:-1]) - len(several[numbered[1]])}].{last}"
 
-    made = make_material("neo_hooke", {"C10": 1.0}, {counted_on(path): value for path, value in new.items()})
+    made = make_material("neo_hooke", {"C10": 1.0}, {counted_on(path): value for path, value in new.items()},
+                         material.bulk)
     changes: dict[str, Any] = {name: part for name in SINGLE if (part := getattr(made, name)) is not None}
     if made.viscoelastic is not None:
         series = material.viscoelastic or made.viscoelastic
@@ -117,7 +135,7 @@ def with_parts(material: Material, values: Mapping[str, float]) -> Material:
     if any(path.startswith("bulk.") for path in new):
         changes["bulk"] = made.bulk
     return replace(material, layers=(*material.layers, *made.layers), effects={**material.effects, **made.effects},
-                   **changes)
+                   regions={**material.regions, **made.regions}, **changes)
 
 
 def _kind_at(place: str) -> type | None:
@@ -127,6 +145,27 @@ def _kind_at(place: str) -> type | None:
     if place.startswith("effects."):
         return EFFECTS.get(place.removeprefix("effects."))
     return SINGLE.get(place)
+
+
+def _of_some_law(name: str, path: str) -> Declaration:
+    """What a parameter is that a law has."""
+    for law in LAWS.values():
+        if name in law.parameters:
+            return law_declaration(law, name)
+    known = dict.fromkeys(each for law in LAWS.values() for each in law.parameters)
+    raise InputError(f"no law has a parameter {name!r}{nearest(name, known)}", field=path)
+
+
+def _region(name: str, numbers: Mapping[str, float], bulk: Bulk) -> Material:
+    """Of the law that has just these parameters."""
+    law = next((name for name, law in LAWS.items() if set(law.parameters) == set(numbers)), None)
+    if law is None:
+        raise InputError(f"no law has the parameters {', '.join(numbers)} and no others; give all of one law",
+                         field=f"regions.{name}")
+    try:
+        return Material(law, numbers, bulk)
+    except InputError as refused:
+        raise InputError(refused.problem, field=f"regions.{name}.{refused.field}") from None
 
 
 def _in_order(terms: Mapping[str, Mapping[int, Mapping[str, float]]], place: str) -> Iterator[Any]:

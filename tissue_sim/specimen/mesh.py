@@ -94,6 +94,10 @@ class MeshSpecimen(Specimen):
         return float(heights.max() - heights.min())
 
     @property
+    def region_names(self) -> tuple[str, ...]:
+        return tuple(self._mesh.regions)
+
+    @property
     def in_words(self) -> str:
         x, y, z = (1e3 * (self._mesh.points.max(axis=0) - self._mesh.points.min(axis=0))).tolist()
         return f"{Path(self.mesh_file).name} of {x:.4g} x {y:.4g} x {z:.4g} mm"

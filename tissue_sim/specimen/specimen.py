@@ -147,6 +147,11 @@ class Specimen(metaclass=_ByShape):
         return hashlib.sha256(b"".join(content)).hexdigest() if content else ""
 
     @property
+    def region_names(self) -> tuple[str, ...]:
+        """Of the parts of its mesh that may have a material of their own."""
+        return ()
+
+    @property
     def in_words(self) -> str:
         """Its sizes, such as ``radius 40 mm, height 70 mm``."""
         return ", ".join(f"{_words(name)} {getattr(self, name) / what.factor:g} {what.key.rpartition('_')[2]}"
