@@ -16,6 +16,8 @@ from hypothesis import HealthCheck, settings
 
 # Before numpy comes: threads help no matrix as small as ours, and on a busy machine they wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Each of the processes that run tests, and of the two hundred that tests start, would compile our sources again.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 # The libraries leave so many objects that looking through them after every 700 new ones took a tenth of the time.
 gc.set_threshold(50_000)
 # How long an example takes says nothing on a machine that has much else to do.
