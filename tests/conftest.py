@@ -145,9 +145,11 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """The whole suite is shared by processes, some tests are not: each process loads the libraries and kernels anew."""
+    """The whole suite is shared by processes, some tests are not: each process loads the libraries and kernels anew.
+
+    One more than there are processors: a fifth of the time a process waits, for devices, pages and other processes."""
     whole = config.args == config.getini("testpaths")
-    return min(os.cpu_count() or 1, MOST_PROCESSES) if whole else 0
+    return min((os.cpu_count() or 1) + 1, MOST_PROCESSES) if whole else 0
 
 
 @pytest.hookimpl(optionalhook=True)
