@@ -14,6 +14,12 @@ HERE = Path(__file__).parent
 HARMLESS = "Unable to preventDefault inside passive event listener"
 #: How long something may take on a machine that others keep busy, s: what comes, comes much sooner.
 PATIENCE = 300.0
+#: A display of ten pictures a second: without a graphics card, sixty of each page that is open take more than a
+#: processor has.
+SLOW_DISPLAY = """
+    window.requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 100);
+    window.cancelAnimationFrame = clearTimeout;
+"""
 #: Of the virtual measurement, N.
 NOISE = 0.02
 
@@ -86,14 +92,15 @@ def pages_of(browser, chromium):
     """A function that opens pages, as `open_page` says."""
     opened = []
 
-    def open_one(server, *, width=1000, height=700, scheme="light", triangles=0, **options):
+    def open_one(server, *, width=1000, height=700, scheme="light", triangles=0, pixel_ratio=0.2):
         context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme,
                                       accept_downloads=True)
+        context.add_init_script(SLOW_DISPLAY)
         traffic = Traffic()
         page = traffic.watch(context.new_page())
         page.set_default_timeout(PATIENCE * 1e3)
         opened.append((server, context, page, traffic))
-        chromium.open_viewer(page, server.address(), triangles=triangles, **options)
+        chromium.open_viewer(page, server.address(), triangles=triangles, pixel_ratio=pixel_ratio)
         return page
 
     open_one.traffic = lambda page: next(traffic for _, _, one, traffic in opened if one is page)
