@@ -249,7 +249,7 @@ def shown_reduced(browser, tmp_path_factory):
     material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))
     experiment = NEEDLE.experiment(specimen=ts.Specimen(0.03, 0.02), protocol=ts.Protocol.ramp(2e-3, 3),
                                    tool=ts.Tool("flat", radius=8e-3), friction="bonded")
-    reduced = ts.reduce_solid(ts.Model(experiment, material), ts.PoseBox(1.5e-3, 2.5e-3), strokes=6, modes=12, tried=1)
+    reduced = ts.reduce_solid(ts.Model(experiment, material), ts.PoseBox(1.5e-3, 2.5e-3), strokes=3, modes=8, tried=1)
     shown = Shown(Scene(NEEDLE, experiment, material, solver="reduced", reduced=reduced),
                   tmp_path_factory.mktemp("materials"), patience=1e4)
     try:
