@@ -14,12 +14,6 @@ HERE = Path(__file__).parent
 HARMLESS = "Unable to preventDefault inside passive event listener"
 #: How long something may take on a machine that others keep busy, s: what comes, comes much sooner.
 PATIENCE = 300.0
-#: A display of ten pictures a second: without a graphics card, sixty of each page that is open take more than a
-#: processor has.
-SLOW_DISPLAY = """
-    window.requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 100);
-    window.cancelAnimationFrame = clearTimeout;
-"""
 #: Of the virtual measurement, N.
 NOISE = 0.02
 
@@ -95,7 +89,6 @@ def pages_of(browser, chromium):
     def open_one(server, *, width=1000, height=700, scheme="light", triangles=0, pixel_ratio=0.2):
         context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme,
                                       accept_downloads=True)
-        context.add_init_script(SLOW_DISPLAY)
         traffic = Traffic()
         page = traffic.watch(context.new_page())
         page.set_default_timeout(PATIENCE * 1e3)
@@ -249,7 +242,7 @@ def shown_reduced(browser, tmp_path_factory):
     material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))
     experiment = NEEDLE.experiment(specimen=ts.Specimen(0.03, 0.02), protocol=ts.Protocol.ramp(2e-3, 3),
                                    tool=ts.Tool("flat", radius=8e-3), friction="bonded")
-    reduced = ts.reduce_solid(ts.Model(experiment, material), ts.PoseBox(1.5e-3, 2.5e-3), strokes=3, modes=8, tried=1)
+    reduced = ts.reduce_solid(ts.Model(experiment, material), ts.PoseBox(1.5e-3, 2.5e-3), strokes=6, modes=12, tried=1)
     shown = Shown(Scene(NEEDLE, experiment, material, solver="reduced", reduced=reduced),
                   tmp_path_factory.mktemp("materials"), patience=1e4)
     try:
