@@ -16,6 +16,8 @@ from hypothesis import HealthCheck, settings
 
 # Before numpy comes: threads help no matrix as small as ours, and on a busy machine they wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Each of the processes that run tests, and of the two hundred that tests start, would compile our sources again.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 # The libraries leave so many objects that looking through them after every 700 new ones took a tenth of the time.
 gc.set_threshold(50_000)
 # How long an example takes says nothing on a machine that has much else to do.
@@ -37,6 +39,8 @@ WITHOUT_KERNELS = (
     "tests/tissue_sim/test_viscoelasticity")
 BUT = ("tests/calibration/effects/", "tests/calibration/test_coverage_small", "tests/calibration/test_inverse_fem",
        "tests/calibration/test_inverse_measured")
+#: Words in the names of files whose tests are of solids in space.
+IN_SPACE = ("solid", "reduced", "tetrahedra")
 
 
 @pytest.fixture(scope="session")
@@ -86,8 +90,9 @@ class Compilation:
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, config: pytest.Config, items: list[pytest.Item]) -> None:
-        # Pages stay together, see below, and take minutes: begun last, they would leave all processes but one idle.
-        items.sort(key=lambda item: (may_use_kernels(item), not item.nodeid.startswith("tests/browser/")))
+        # What stays together, see below, takes minutes: begun last, it would leave all processes but one idle.
+        items.sort(key=lambda item: (may_use_kernels(item), not item.nodeid.startswith("tests/browser/"),
+                                     not in_space(item.nodeid)))
         both_kinds = {may_use_kernels(item) for item in items} == {False, True}
         if both_kinds and not config.option.collectonly and not hasattr(config, "workerinput"):
             self._begin()
@@ -137,26 +142,36 @@ def may_use_kernels(item: pytest.Item) -> bool:
     return item.nodeid.startswith(BUT) or not item.nodeid.startswith(WITHOUT_KERNELS)
 
 
+def in_space(nodeid: str) -> bool:
+    """Whether a test is in a file of solids in space; those of pages are not meant."""
+    file = nodeid.partition("::")[0]
+    return not file.startswith("tests/browser/") and any(word in file for word in IN_SPACE)
+
+
 def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(Compilation(config))
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """The whole suite is shared by processes, some tests are not: each process loads the libraries and kernels anew."""
+    """The whole suite is shared by processes, some tests are not: each process loads the libraries and kernels anew.
+
+    One more than there are processors: a fifth of the time a process waits, for devices, pages and other processes."""
     whole = config.args == config.getini("testpaths")
-    return min(os.cpu_count() or 1, MOST_PROCESSES) if whole else 0
+    return min((os.cpu_count() or 1) + 1, MOST_PROCESSES) if whole else 0
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """A file is run by one process, and so are all pages: two browsers that draw without a graphics card leave no time
-    for what is drawn."""
+    for what is drawn. So are solids in space, whose kernels take the longest to load."""
     from xdist.scheduler import LoadFileScheduling
 
-    class PagesTogether(LoadFileScheduling):
+    class SomeTogether(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
             scope = super()._split_scope(nodeid)
-            return "tests/browser" if scope.startswith("tests/browser/") else scope
+            if scope.startswith("tests/browser/"):
+                return "tests/browser"
+            return "in space" if in_space(scope) else scope
 
-    return PagesTogether(config, log)
+    return SomeTogether(config, log)

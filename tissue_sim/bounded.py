@@ -34,8 +34,8 @@ SECONDS, SECONDS_PER_BYTE = 2.0, 2e-6
 MEMORY, MEMORY_PER_BYTE = 250_000_000, 40
 #: The wall clock may show so much more, s: the computer has other work.
 _WALL, _WALL_PER_SECOND = 60.0, 10.0
-#: A process that holds so much more than at first is replaced, bytes.
-_GROWN = 100_000_000
+#: A process that holds so much more than at first is replaced, bytes: numpy, scipy and the readers take up to 150 MB.
+_GROWN = 300_000_000
 _CODE = "from tissue_sim.bounded import serve; serve()"
 _LENGTH = struct.Struct("<Q")
 #: Whether this is such a process.

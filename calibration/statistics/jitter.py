@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,8 @@ SMALLEST = 1e-2
 LARGEST = 10.0
 #: Values of each kind of jitter that are tried, besides none, before the best is refined.
 GRID = 9
+#: Step of the logarithm of a deviation, for the slope of the criterion.
+STEP = 1e-8
 #: A smaller gain in -2 log likelihood is none.
 GAIN = 1e-6
 
@@ -84,15 +86,15 @@ def estimate_jitter(tests: Sequence[Sequence[WhitenedReplicate]], *, contact: fl
     sought = [kind for kind, stated in enumerate((contact, zero)) if stated is None]
 
     def deviations(values: np.ndarray) -> np.ndarray:
-        result = np.array([contact or 0.0, zero or 0.0])
-        result[sought] = values
+        result = np.broadcast_to([contact or 0.0, zero or 0.0], (*values.shape[:-1], 2)).copy()
+        result[..., sought] = values
         return result
 
-    def criterion(values: np.ndarray) -> float:
+    def criterion(values: np.ndarray) -> np.ndarray:
         return _criterion(grams, flat, deviations(values))
 
     ranges = [_range(repeated, kind) for kind in sought]
-    best, least = np.zeros(len(sought)), criterion(np.zeros(len(sought)))
+    best, least = np.zeros(len(sought)), float(criterion(np.zeros(len(sought))))
     # A kind of jitter may be absent: refined for every choice of those that are there.
     for present in [[0]] if len(sought) == 1 else [[0], [1], [0, 1]]:
         value, candidate = _minimise(criterion, len(sought), present, [ranges[k] for k in present])
@@ -115,27 +117,28 @@ class _Gram:
         self.shared, self.parameters = test[0].shared.shape[1], test[0].parameters.shape[1]
         self.own, self.cross, self.rest = gram[:, :2, :2], gram[:, :2, 2:], gram[:, 2:, 2:].sum(axis=0)
 
-    def reduced(self, deviations: np.ndarray) -> tuple[np.ndarray, float]:
-        """Inner products of flat columns and residual under the covariance of this test, and its log determinant."""
-        inner = np.eye(2) + self.own * np.outer(deviations, deviations)
-        cross = deviations[:, None] * self.cross
-        rest = self.rest - np.einsum("rki,rkj->ij", cross, np.linalg.solve(inner, cross))
-        logarithm = float(np.log(np.linalg.det(inner)).sum())
+    def reduced(self, deviations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Inner products of flat columns and residual under the covariance of this test, and its log determinant, for
+        each pair of deviations, shape (..., 2)."""
+        inner = np.eye(2) + self.own * (deviations[..., None, :, None] * deviations[..., None, None, :])
+        cross = deviations[..., None, :, None] * self.cross
+        rest = self.rest - (cross.swapaxes(-1, -2) @ np.linalg.solve(inner, cross)).sum(axis=-3)
+        logarithm = np.log(np.linalg.det(inner)).sum(axis=-1)
         m = self.shared
         if not m:
             return rest, logarithm
-        block = np.eye(m) + rest[:m, :m]
-        return rest[m:, m:] - rest[m:, :m] @ np.linalg.solve(block, rest[:m, m:]), (
-            logarithm + float(np.linalg.slogdet(block)[1]))
+        block = np.eye(m) + rest[..., :m, :m]
+        return (rest[..., m:, m:] - rest[..., m:, :m] @ np.linalg.solve(block, rest[..., :m, m:]),
+                logarithm + np.linalg.slogdet(block)[1])
 
 
 def _assemble(grams: Sequence[_Gram], blocks: Sequence[np.ndarray]) -> np.ndarray:
     """Inner products over all tests: parameters (p), offset and zero of each test, residual (1)."""
     p = grams[0].parameters
-    total = np.zeros((p + 2 * len(grams) + 1,) * 2)
+    total = np.zeros((*blocks[0].shape[:-2], *(p + 2 * len(grams) + 1,) * 2))
     for test, block in enumerate(blocks):
-        place = np.r_[:p, p + 2 * test:p + 2 * test + 2, total.shape[0] - 1]
-        total[np.ix_(place, place)] += block
+        place = np.array([*range(p), p + 2 * test, p + 2 * test + 1, total.shape[-1] - 1])
+        total[..., place[:, None], place] += block
     return total
 
 
@@ -149,17 +152,17 @@ def _independent(grams: Sequence[_Gram]) -> np.ndarray:
     return vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
 
 
-def _criterion(grams: Sequence[_Gram], flat: np.ndarray, deviations: np.ndarray) -> float:
-    """-2 log restricted likelihood, up to a constant; infinite where rounding has swallowed a flat column, as under
-    jitter many orders above the noise."""
+def _criterion(grams: Sequence[_Gram], flat: np.ndarray, deviations: np.ndarray) -> np.ndarray:
+    """-2 log restricted likelihood, up to a constant, of each pair of deviations, shape (..., 2); infinite where
+    rounding has swallowed a flat column, as under jitter many orders above the noise."""
     blocks, logarithms = zip(*(gram.reduced(deviations) for gram in grams), strict=True)
     total = _assemble(grams, blocks)
-    information, score = flat.T @ total[:-1, :-1] @ flat, flat.T @ total[:-1, -1]
+    information, score = flat.T @ total[..., :-1, :-1] @ flat, flat.T @ total[..., :-1, -1:]
     sign, logarithm = np.linalg.slogdet(information)
-    if sign <= 0:
-        return np.inf
-    squares = total[-1, -1] - score @ np.linalg.solve(information, score)
-    return float(sum(logarithms) + logarithm + squares)
+    good = sign > 0
+    information = np.where(good[..., None, None], information, np.eye(flat.shape[1]))
+    explained = (score * np.linalg.solve(information, score)).sum(axis=(-1, -2))
+    return np.where(good, sum(logarithms) + logarithm + total[..., -1, -1] - explained, np.inf)
 
 
 def _range(tests: Sequence[Sequence[WhitenedReplicate]], kind: int) -> tuple[float, float]:
@@ -176,19 +179,35 @@ def _range(tests: Sequence[Sequence[WhitenedReplicate]], kind: int) -> tuple[flo
     return SMALLEST * error, LARGEST * (shown + 1.0 / float(np.sqrt(squares[seen].min())))
 
 
-def _minimise(criterion, size: int, present: list[int], ranges: list[tuple[float, float]]) -> tuple[float, np.ndarray]:
-    """Least criterion, and where: on a logarithmic grid of the deviations that are present, then refined."""
-    def full(logarithms: np.ndarray) -> np.ndarray:
-        values = np.zeros(size)
-        values[present] = np.exp(logarithms)
-        return values
+def _minimise(criterion: Callable[[np.ndarray], np.ndarray], size: int, present: list[int],
+              ranges: list[tuple[float, float]]) -> tuple[float, np.ndarray]:
+    """Least criterion, and where: on a logarithmic grid of the deviations that are present, then refined.
+
+    Args:
+        criterion: of deviations, shape (..., size), all at once.
+    """
+    def at(logarithms: np.ndarray) -> np.ndarray:
+        values = np.zeros((*logarithms.shape[:-1], size))
+        values[..., present] = np.exp(logarithms)
+        return criterion(values)
 
     if any(high <= 0 for _, high in ranges):
         return np.inf, np.zeros(size)
-    bounds = [(float(np.log(low)), float(np.log(high))) for low, high in ranges]
-    grid = np.stack(np.meshgrid(*(np.linspace(*bound, GRID) for bound in bounds)), axis=-1).reshape(-1, len(bounds))
-    start = min(grid, key=lambda point: criterion(full(point)))
-    if not np.isfinite(criterion(full(start))):
+    low, high = np.log(ranges).T
+    grid = np.stack(np.meshgrid(*np.linspace(low, high, GRID).T), axis=-1).reshape(-1, len(present))
+    values = at(grid)
+    start = grid[np.argmin(values)]
+    if not np.isfinite(values.min()):
         return np.inf, np.zeros(size)
-    found = minimize(lambda point: criterion(full(point)), start, bounds=bounds, method="L-BFGS-B")
-    return float(found.fun), full(found.x)
+
+    def with_slope(point: np.ndarray) -> tuple[float, np.ndarray]:
+        steps = np.where(point + STEP <= high, STEP, -STEP)
+        value, *others = at(np.vstack([point, point + np.diag(steps)]))
+        if not np.isfinite(value):
+            return np.inf, np.zeros(len(present))
+        return float(value), (np.array(others) - value) / steps
+
+    found = minimize(with_slope, start, jac=True, bounds=list(zip(low, high, strict=True)), method="L-BFGS-B")
+    result = np.zeros(size)
+    result[present] = np.exp(found.x)
+    return float(found.fun), result

@@ -86,14 +86,14 @@ def pages_of(browser, chromium):
     """A function that opens pages, as `open_page` says."""
     opened = []
 
-    def open_one(server, *, width=1000, height=700, scheme="light", triangles=0, **options):
+    def open_one(server, *, width=1000, height=700, scheme="light", triangles=0, pixel_ratio=0.2):
         context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme,
                                       accept_downloads=True)
         traffic = Traffic()
         page = traffic.watch(context.new_page())
         page.set_default_timeout(PATIENCE * 1e3)
         opened.append((server, context, page, traffic))
-        chromium.open_viewer(page, server.address(), triangles=triangles, **options)
+        chromium.open_viewer(page, server.address(), triangles=triangles, pixel_ratio=pixel_ratio)
         return page
 
     open_one.traffic = lambda page: next(traffic for _, _, one, traffic in opened if one is page)

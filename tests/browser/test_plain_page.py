@@ -31,7 +31,7 @@ def test_page_comes_up_offline(server, open_page):
     page.get_by_text("this").wait_for()
     page.locator(".uplot canvas").wait_for()
     asked = open_page.traffic(page).urls
-    assert asked[0] == f"{server.url}/?fixedDpr=0.5"
+    assert asked[0] == f"{server.url}/?fixedDpr=0.2"
     assert f"ws://127.0.0.1:{server.get_port()}/" in asked
 
 

@@ -31,14 +31,14 @@ def campaign(folder, truth, *, law=LAW, scope=ORDER, held=(), fit="", after="", 
     Args:
         held: numbers of the specimens whose test is held out. fit, after: lines of ``[fit]`` and behind it.
         contact: deviation of the depth at which a recording begins to touch, m. short: numbers of those that are
-            compressed by a sixth of the depth only.
+            compressed by a third of the depth only.
     """
     rng, text = np.random.default_rng(7), ""
     specimen = ts.Specimen(RADIUS, HEIGHT, density=1040.0, gravity=9.81)
     for k, numbers in enumerate(truth, 1):
         values = dict(zip(law.parameters, map(float, numbers), strict=True))
         for replicate in range(2):
-            displacement = np.linspace(0.0, depth / 6 if k in short else depth, 61)
+            displacement = np.linspace(0.0, depth / 3 if k in short else depth, 61)
             way = np.maximum(displacement - contact * rng.standard_normal(), 0.0)
             stress = Column(specimen).nominal_stress(law, way, law.as_array(values)) if weighs else \
                 law.nominal_stress(1 - way / HEIGHT, values)

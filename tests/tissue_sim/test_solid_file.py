@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from solid_meshes import block
 
 import tissue_sim as ts
+from tissue_sim.bounded import bounded
 from tissue_sim.errors import LONGEST_SENTENCE
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid_file import read_file_mesh, read_solid, solid_from_file
@@ -89,6 +90,13 @@ def test_formats_and_elements(tmp_path, format, kind):
     mesh = read_file_mesh(write(tmp_path, kind, format))
     for order in (1, 2):
         check_block(solid_from_file(mesh, order), order)
+
+
+def test_one_process_reads_one_mesh_after_the_other(tmp_path):
+    """To load the libraries takes a hundred times as long as to read a small mesh."""
+    path = write(tmp_path)
+    processes = [(read_file_mesh(path), bounded(os.getpid, file=path))[1] for _ in range(3)]
+    assert len(set(processes)) == 1
 
 
 @pytest.mark.parametrize("kind", ["tetra", "tetra10", "hexahedron", "hexahedron20"])

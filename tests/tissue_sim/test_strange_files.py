@@ -243,6 +243,17 @@ def test_what_a_reader_prints_goes_nowhere(tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere memory is not known")
+def test_a_process_that_keeps_memory_is_replaced(tmp_path):
+    def keep():
+        sys.kept = [*getattr(sys, "kept", []), bytes(90_000_000)]
+        return os.getpid()
+
+    (path := tmp_path / "run.csv").write_text("1", encoding="utf-8")
+    processes = [bounded(keep, file=path) for _ in range(9)]
+    assert processes[-1] != processes[0] and len(set(processes)) <= 5
+
+
 def test_what_cannot_travel_is_refused(tmp_path):
     lock = __import__("threading").Lock()
     assert "cannot be handed to the process" in refused(lambda path: bounded(lock.acquire, file=path), tmp_path / "a")
