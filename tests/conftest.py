@@ -16,8 +16,6 @@ from hypothesis import HealthCheck, settings
 
 # Before numpy comes: threads help no matrix as small as ours, and on a busy machine they wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# Each of the processes that run tests, and of the two hundred that tests start, would compile our sources again.
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 # The libraries leave so many objects that looking through them after every 700 new ones took a tenth of the time.
 gc.set_threshold(50_000)
 # How long an example takes says nothing on a machine that has much else to do.
@@ -39,8 +37,6 @@ WITHOUT_KERNELS = (
     "tests/tissue_sim/test_viscoelasticity")
 BUT = ("tests/calibration/effects/", "tests/calibration/test_coverage_small", "tests/calibration/test_inverse_fem",
        "tests/calibration/test_inverse_measured")
-#: Words in the names of files whose tests are of solids in space.
-IN_SPACE = ("solid", "reduced", "tetrahedra")
 
 
 @pytest.fixture(scope="session")
@@ -90,9 +86,8 @@ class Compilation:
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, config: pytest.Config, items: list[pytest.Item]) -> None:
-        # What stays together, see below, takes minutes: begun last, it would leave all processes but one idle.
-        items.sort(key=lambda item: (may_use_kernels(item), not item.nodeid.startswith("tests/browser/"),
-                                     not in_space(item.nodeid)))
+        # Pages stay together, see below, and take minutes: begun last, they would leave all processes but one idle.
+        items.sort(key=lambda item: (may_use_kernels(item), not item.nodeid.startswith("tests/browser/")))
         both_kinds = {may_use_kernels(item) for item in items} == {False, True}
         if both_kinds and not config.option.collectonly and not hasattr(config, "workerinput"):
             self._begin()
@@ -142,12 +137,6 @@ def may_use_kernels(item: pytest.Item) -> bool:
     return item.nodeid.startswith(BUT) or not item.nodeid.startswith(WITHOUT_KERNELS)
 
 
-def in_space(nodeid: str) -> bool:
-    """Whether a test is in a file of solids in space; those of pages are not meant."""
-    file = nodeid.partition("::")[0]
-    return not file.startswith("tests/browser/") and any(word in file for word in IN_SPACE)
-
-
 def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(Compilation(config))
 
@@ -164,14 +153,12 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """A file is run by one process, and so are all pages: two browsers that draw without a graphics card leave no time
-    for what is drawn. So are solids in space, whose kernels take the longest to load."""
+    for what is drawn."""
     from xdist.scheduler import LoadFileScheduling
 
-    class SomeTogether(LoadFileScheduling):
+    class PagesTogether(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
             scope = super()._split_scope(nodeid)
-            if scope.startswith("tests/browser/"):
-                return "tests/browser"
-            return "in space" if in_space(scope) else scope
+            return "tests/browser" if scope.startswith("tests/browser/") else scope
 
-    return SomeTogether(config, log)
+    return PagesTogether(config, log)

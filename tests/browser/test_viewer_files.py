@@ -89,7 +89,7 @@ def at_its_end(trace):
 def test_curve_is_downloaded_as_the_recording_of_what_was_felt(shown, reader, tmp_path):
     # So slow that a busy machine finds equilibria on the way in and out too: what is carried on is not saved, and what
     # fades is not in the trace.
-    reader.fill("protocol", "ramp 3mm @1mm/s; hold 3s; unload 1mm @1mm/s; hold 600s")
+    reader.fill("protocol", "ramp 3mm @1mm/s; hold 10s; unload 1mm @1mm/s; hold 600s")
     reader.press("Play")
     reader.until(lambda: shown.frame.curves.trace, at_its_end)
     reader.press("Pause")
