@@ -39,7 +39,8 @@ def add_arguments(parser: Parser) -> None:
                         help="of the whole solid (default: %(default)s)")
     effort.add_argument("--strokes", type=at_least(2, 4000), metavar="N",
                         help="motions on which the whole solid is followed (default: 24, of a tool that only touches "
-                             "60; 6 and 30 of a cylinder under an upright tool on its axis, whose mirror images count)")
+                             "60; 6 and 30 of a cylinder under an upright tool on its axis, whose mirror images count; "
+                             "as many again for each --also)")
     effort.add_argument("--modes", type=at_least(2, 400), metavar="N",
                         help="motions of the tissue that are kept (default: 24, of a tool that only touches 64)")
     effort.add_argument("--bulk-ratio", type=between(1.0, 1000.0), metavar="N",
@@ -48,7 +49,8 @@ def add_arguments(parser: Parser) -> None:
     effort.add_argument("--sampling", type=positive, metavar="N", default=6e-3,
                         help="error of the forces of the sampled elements (default: %(default)g)")
     effort.add_argument("--tried", type=at_least(1, 1000), metavar="N", default=3,
-                        help="unseen strokes on which the result is tried (default: %(default)s)")
+                        help="unseen strokes on which the result is tried, at least one with each material (default: "
+                             "%(default)s)")
     add_experiment_flags(parser)
     add_json(parser)
     parser.set_defaults(run=run)

@@ -1,11 +1,13 @@
-"""How far aside a tool may go."""
+"""How deep and how far aside a tool may go."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from scenes.viewer.scene import Scene
+from tissue_sim.errors import InputError
 from tissue_sim.experiment.experiment import Experiment
+from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.snapshot import Snapshot
 
 
@@ -43,3 +45,15 @@ def within_reach(scene: Scene, snapshot: Snapshot, across: tuple[float, float]) 
     x, y = (min(max(value, low), high) for value, (low, high) in zip(
         within_top(scene.experiment, snapshot, across), scene.reach, strict=True))
     return x, y
+
+
+def require_within_reach(scene: Scene, protocol: Protocol, field: str) -> None:
+    """Raises InputError: a motion along the axis that goes deeper than a scene is made for, or lifts what cannot be."""
+    deepest, mesh = float(protocol.displacement.max()), scene.deepest
+    # A measured depth trembles.
+    if deepest > 1.01 * mesh:
+        raise InputError(f"goes to {deepest * 1e3:.4g} mm, and the mesh is made for {mesh * 1e3:.4g} mm; start the "
+                         "viewer with a larger --depth-mm", field=field)
+    if scene.highest == 0.0 and float(protocol.displacement.min()) < -0.01 * mesh:
+        raise InputError("lifts the tool, and a reduced solid that it holds cannot be lifted; leave approach and "
+                         "retract out", field=field)

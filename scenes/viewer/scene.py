@@ -67,12 +67,17 @@ class Scene:
 
     @property
     def reach(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """From where to where the tool's axis may be along x, and along y, m."""
+        """From where to where the tool's axis may be at the height of the touch, along x, and along y, m; of a reduced
+        solid where the tool stays in its box on its whole way down, or else where it comes nearest to that."""
         if self.reduced is None:
             return ((-self.half_width, self.half_width),) * 2
-        x, y, _ = self.experiment.tool_pose(0.0).position
-        aside = self.reduced.box.sideways
-        return (x - aside, x + aside), (y - aside, y + aside)
+        (x, y, _), aside = self.experiment.tool_pose(0.0).position, self.reduced.box.sideways
+        # A tool that leans goes aside as it goes down.
+        (end, *_) = self.experiment.tool_pose(self.deepest).position
+        low, high = x - aside - min(end - x, 0.0), x + aside - max(end - x, 0.0)
+        if low > high:
+            low = high = 0.5 * (low + high)
+        return (low, high), (y - aside, y + aside)
 
     @property
     def highest(self) -> float:
@@ -90,6 +95,9 @@ class Scene:
         Raises:
             InputError: no such scene, or what does not fit it.
         """
+        if self.reduced is not None:
+            raise ts.InputError("a reduced solid has the test, tool and interfaces that it was made of; look at others "
+                                "without it", field="scene")
         if name not in SCENES:
             raise ts.InputError(f"no scene {name!r}; known: {', '.join(SCENES)}", field="scene")
         kind, before = SCENES[name], self.experiment

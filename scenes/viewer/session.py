@@ -10,6 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import tissue_sim as ts
 from haptics.devices.contracts import HapticDevice, Motion
 from haptics.devices.motions import HandMotion, ProtocolMotion
@@ -21,11 +23,12 @@ from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from scenes.viewer.material_files import save_edited
 from scenes.viewer.measurement import gap, motion, typical
 from scenes.viewer.model_curve import ModelCurve
-from scenes.viewer.reach import within_reach
+from scenes.viewer.reach import require_within_reach, within_reach
 from scenes.viewer.requests import differ_in_parameters_only, superseded
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
+from tissue_sim.fem.reduced.model import require_same_parts
 from tissue_sim.live_material import require_tissue
 from tissue_sim.parameters import parameter_values, with_values
 
@@ -169,7 +172,7 @@ class Session:
             InputError: a fault in the protocol, or one that goes deeper than the scene.
         """
         protocol = ts.Protocol.parse(text, _POINTS, speed)
-        self._require_depth(protocol, "protocol")
+        require_within_reach(self.scene, protocol, "protocol")
         self._follow("protocol", ProtocolMotion(protocol, repeat, self.scene.experiment.approach))
 
     def replay(self, speed: float = 1.0) -> None:
@@ -181,8 +184,12 @@ class Session:
         if self.scene.measurement is None:
             raise InputError("nothing was measured in this scene; start the viewer with --measured FILE")
         measured, (recording, _) = motion(self.scene.measurement), typical(self.scene.measurement)
-        self._require_depth(measured, "recording")
-        self._follow("recording", ProtocolMotion(ts.Protocol(measured.time / speed, measured.displacement),
+        require_within_reach(self.scene, measured, "recording")
+        way = measured.displacement
+        if self.scene.highest == 0.0:
+            # What trembles about the touch lifts no tool that holds tissue.
+            way = np.maximum(way, 0.0)
+        self._follow("recording", ProtocolMotion(ts.Protocol(measured.time / speed, way),
                                                  approach=self.scene.experiment.approach))
         if "time" in recording:
             self._replayed = ((recording.time - measured.time[0]) / speed, recording.force)
@@ -229,6 +236,8 @@ class Session:
 
     def _take_material(self, material: ts.Material, source: str) -> None:
         require_tissue(material)  # also where no simulation runs that would refuse it
+        if (reduced := self.scene.reduced) is not None:
+            require_same_parts(material, reduced.model.material, reduced.mesh)
         scene = replace(self.scene, material=material, source=source)
         if not differ_in_parameters_only(self.scene.material, material):
             self._change(scene)
@@ -342,16 +351,6 @@ class Session:
                 self.follow(self._device)
             except InputError as error:
                 self._refused = f"{error}. Press Restart to try again."
-
-    def _require_depth(self, protocol: ts.Protocol, field: str) -> None:
-        deepest, mesh = float(protocol.displacement.max()), self.scene.deepest
-        # A measured depth trembles.
-        if deepest > 1.01 * mesh:
-            raise InputError(f"goes to {deepest * 1e3:.4g} mm, and the mesh is made for {mesh * 1e3:.4g} mm; start the "
-                             "viewer with a larger --depth-mm", field=field)
-        if self.scene.highest == 0.0 and float(protocol.displacement.min()) < -1e-9:
-            raise InputError("lifts the tool, and a reduced solid that it holds cannot be lifted; leave approach and "
-                             "retract out", field=field)
 
     def _forget_trace(self) -> None:
         self._trace.clear()

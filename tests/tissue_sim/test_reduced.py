@@ -345,7 +345,7 @@ def test_another_experiment_is_refused(held, changes):
 
 def test_layers_that_it_was_not_made_of_are_refused(held):
     layered = replace(MATERIAL, layers=(ts.Layer(1e-3, 10.0),))
-    with pytest.raises(ts.InputError, match="from the top down none"):
+    with pytest.raises(ts.InputError, match="this one has none"):
         ts.Simulator(replace(held.model, material=layered), solver="reduced", mesh=held)
 
 

@@ -12,6 +12,8 @@ from scenes.cli import main
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.solver import ReducedSolver
+from tissue_sim.fem.reduced.strokes import stroke
+from tissue_sim.fem.reduced.symmetry import symmetries
 from tissue_sim.fem.solid.tissue import Tissue, element_layers
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0
@@ -162,6 +164,51 @@ class TestLayers:
         with pytest.raises(ts.InputError, match="keeps its layers where they are"):
             ts.reduce_solid(skinned.model, skinned.box, strokes=2, also=[thicker])
 
+    def test_too_few_strokes_for_several_materials(self, skinned):
+        with pytest.raises(ts.InputError, match="2 strokes are too few for 3 materials") as refused:
+            ts.reduce_solid(skinned.model, skinned.box, strokes=2, also=[SOFT, replace(SOFT, layers=(SKIN,))])
+        assert refused.value.field == "strokes"
+        with pytest.raises(ts.InputError) as refused:
+            ts.reduce_solid(skinned.model, skinned.box, also=[SOFT, replace(SOFT, bulk=ts.Bulk("bulk_ratio", 5e6))])
+        assert refused.value.field.startswith("also[1].")
+
+    def test_a_soft_material_counts_as_much_as_a_stiff_one(self, skinned):
+        """Where elements are looked at, and in what is said of the error."""
+        soft = ts.with_values(skinned.model.material, {"C10": 14.049, "C20": 6.994})
+        solver = training.whole_solver(skinned.model, skinned.mesh)
+        start, taken, ways = skinned.model.experiment.tool_pose(0.0), [], []
+        materials = [skinned.model.material, soft]
+        for material, number in zip(materials, (0, 1), strict=True):
+            solver.set_material(material)
+            way = stroke(number, skinned.box, start, holds=True, reach=6e-3)[::4]
+            ways.append(way)
+            taken.append(training.snapshots(solver, way))
+        looked_at = list(training.samples(taken, ways, materials, [symmetries(solver, start)[0]], start))
+        assert sum(sample.material is soft for sample in looked_at) >= 0.3 * len(looked_at)
+        report, _ = training.verify(skinned, solver, [training.UNSEEN, training.UNSEEN], materials=materials)
+        of_soft, _ = training.verify(skinned, solver, [training.UNSEEN], materials=[soft])
+        of_stiff, _ = training.verify(skinned, solver, [training.UNSEEN], materials=materials[:1])
+        assert of_soft["force_rms_N"] < 0.02 * of_stiff["force_rms_N"]
+        errors = np.array([each["force_rms_error"] for each in (of_soft, of_stiff)])
+        assert report["force_rms_error"] == pytest.approx(np.sqrt(np.mean(errors**2)), rel=1e-3)
+
+    def test_a_material_that_is_refused_changes_nothing(self, skinned):
+        solver = ReducedSolver(skinned, skinned.model.material)
+        expected = [solver.step(pose).wrench for pose in POSES]
+        solver = ReducedSolver(skinned, skinned.model.material)
+        for pose in POSES[:4]:
+            solver.step(pose)
+        with pytest.raises(ts.InputError, match="K/mu0 is"):
+            solver.set_material(replace(SOFT, layers=(replace(SKIN, ratio=1.0),), bulk=ts.Bulk("bulk_ratio", 5e6)))
+        assert solver.material is skinned.model.material
+        np.testing.assert_array_equal([solver.step(pose).wrench for pose in POSES[4:]], expected[4:])
+
+    def test_the_layer_of_the_tool_is_as_stiff_as_what_it_touches(self, skinned):
+        bare = ReducedSolver(skinned, SOFT).contact._springs
+        for ratio in (0.25, 8.0):
+            solver = ReducedSolver(skinned, replace(SOFT, layers=(replace(SKIN, ratio=ratio),)))
+            np.testing.assert_allclose(solver.contact._springs, ratio * bare)
+
     def test_its_material_is_changed_on_the_way(self, skinned):
         stiffer = replace(SOFT, layers=(replace(SKIN, ratio=6.0),))
         solver = ReducedSolver(skinned, replace(SOFT, layers=(SKIN,)))
@@ -188,6 +235,45 @@ class TestLayers:
         np.testing.assert_allclose(found[1][~skin], found[0][~skin], rtol=1e-6)
 
 
+def lopsided(path, middle=0.0):
+    """Write a block of 30 x 30 x 12 mm in hexahedra that mirrors map onto itself, one half of which is a region."""
+    side = np.linspace(-0.015, 0.015, 7)
+    mesh = block(side, side, np.linspace(-0.012, 0.0, 4), HEX8P0)
+    corners = np.array([[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1],
+                        [-1, 1, 1]])
+    order = [int(np.abs(HEX8P0.reference_nodes - corner).sum(axis=1).argmin()) for corner in corners]
+    half = mesh.nodes[mesh.connectivity].mean(axis=1)[:, 0] > middle
+    meshio.Mesh(1e3 * mesh.nodes, [("hexahedron", mesh.connectivity[:, order])],
+                cell_data={"part": [half.astype(int) + 1]}).write(path)
+    return ts.Model(experiment(ts.Specimen(shape="mesh", mesh_file=path), friction="bonded"),
+                    replace(SOFT, regions={"part:2": STIFF}))
+
+
+class TestSides:
+    def test_a_stiff_side_is_no_mirror_image_of_a_soft_one(self, tmp_path):
+        model = lopsided(tmp_path / "organ.vtu")
+        box = ts.PoseBox(1e-3, DEPTH)
+        mesh = training.training_mesh(model, box, "realtime")
+        start = model.experiment.tool_pose(0.0)
+        assert len(symmetries(training.whole_solver(model, mesh), start)) == 2, "across the other axis alone"
+        plain = replace(model, material=SOFT)
+        assert len(symmetries(training.whole_solver(plain, replace(mesh, regions={})), start)) == 8
+        made = ts.reduce_solid(model, box, strokes=6, modes=16, tried=2)
+        assert made.report["symmetries"] == 2 and made.report["force_rms_error"] < 0.01
+
+    def test_strokes_of_another_file_of_that_name_are_not_gone_on_with(self, tmp_path):
+        model, folder = lopsided(tmp_path / "organ.vtu"), tmp_path / "strokes"
+        box = ts.PoseBox(0.0, 1e-3)
+        ts.reduce_solid(model, box, strokes=2, modes=4, tried=1, folder=folder)
+        again = lopsided(tmp_path / "organ.vtu", middle=0.006)
+        with pytest.raises(ts.InputError, match="holds strokes of another model"):
+            ts.reduce_solid(again, box, strokes=2, modes=4, tried=1, folder=folder)
+        assert again.experiment.specimen != model.experiment.specimen
+        moved = tmp_path / "elsewhere.vtu"
+        (tmp_path / "organ.vtu").rename(moved)
+        assert ts.Specimen(shape="mesh", mesh_file=moved) == again.experiment.specimen, "by what is in it"
+
+
 class TestMeshesOfFiles:
     def test_on_an_unseen_stroke(self, organ):
         made, _ = organ
@@ -201,6 +287,19 @@ class TestMeshesOfFiles:
                                       reduced_forces(made, made.model.material, POSES))
         simulator = ts.Simulator(read.model, solver="reduced", mesh=read)
         assert simulator.step(1e-3, 1e-3).status is ts.ForceStatus.CONVERGED
+
+    def test_a_mesh_is_that_of_a_file_or_given(self, organ):
+        with pytest.raises(ts.InputError, match="leave one of them out"):
+            replace(organ[1].model.experiment.specimen, mesh_file="/nowhere/other.vtu")
+
+    def test_regions_that_overlap_are_one_sentence(self, organ, tmp_path):
+        path = tmp_path / "liver.reduced.npz"
+        regions = organ[1].mesh.regions
+        ts.write_reduced(replace(organ[1], mesh=replace(organ[1].mesh, regions={**regions, "x": regions["part:1"]})),
+                         path)
+        with pytest.raises(ts.InputError, match="lies in two regions") as refused:
+            ts.load_reduced(path)
+        assert str(refused.value.file) == str(path)
 
     def test_a_region_of_another_law(self, organ):
         """Also one that relaxes where the rest does not."""
@@ -238,6 +337,17 @@ class TestMeshesOfFiles:
         assert str(refused.value.file) == str(path)
 
 
+def test_a_shell_with_a_skin_is_kept_with_its_depths(tmp_path):
+    shell = ts.EllipsoidShell(0.030, 0.024, 0.018, 0.008)
+    model = ts.Model(experiment(shell, ts.Tool("flat", radius=4e-3), friction="bonded"), replace(SOFT, layers=(SKIN,)))
+    made = ts.reduce_solid(model, ts.PoseBox(0.0, 1e-3), strokes=2, modes=4, tried=1)
+    ts.write_reduced(made, path := tmp_path / "shell.reduced.npz")
+    read = ts.load_reduced(path)
+    np.testing.assert_array_equal(read.mesh.element_depths, made.mesh.element_depths)
+    poses = [ts.Pose.at_depth(0.5e-3)]
+    np.testing.assert_array_equal(*(reduced_forces(each, model.material, poses) for each in (made, read)))
+
+
 def test_a_tool_of_a_file_is_kept_in_it(tmp_path):
     profile = tmp_path / "cone.csv"
     profile.write_text("0, 0\n2, 0.3\n6, 2\n6, 9\n", encoding="utf-8")
@@ -252,6 +362,8 @@ def test_a_tool_of_a_file_is_kept_in_it(tmp_path):
     np.testing.assert_array_equal(found, reduced_forces(made, SOFT, poses))
     assert off(found, whole_forces(made, SOFT, poses)) < 0.05
     assert read.model.experiment.tool.edge_radius == made.model.experiment.tool.edge_radius
+    with pytest.raises(ts.InputError, match="at least two points"):
+        replace(read.model.experiment.tool, points=((0.0, 0.0), (np.inf, 1.0)))
 
 
 def test_the_command_takes_a_skin_and_another_one(tmp_path, capsys):

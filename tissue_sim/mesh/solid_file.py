@@ -150,8 +150,8 @@ def _keys(sides: np.ndarray, points: int) -> np.ndarray:
 
 
 def _apart(regions: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
-    """Sets of elements that share none with another; one of all elements is no region."""
-    parts = {name: places for name, places in regions.items() if 0 < places.size < count}
+    """Sets of elements with a name that share none with another; one of all elements is no region."""
+    parts = {name: places for name, places in regions.items() if name and 0 < places.size < count}
     times = np.bincount(np.concatenate([np.zeros(0, dtype=np.intp), *parts.values()]), minlength=count)
     return {name: places for name, places in parts.items() if (times[places] == 1).all()}
 

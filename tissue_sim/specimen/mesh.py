@@ -31,7 +31,7 @@ class MeshSpecimen(Specimen):
         mesh_unit: of its coordinates: ``"mm"``, ``"m"``, ``"cm"``, ``"um"``, ``"in"``.
         mesh_base: name in the file of the sides that are held; None: those in the lowest plane.
         mesh_top: of those that the tool may meet; None: those in the highest plane, or all that look up.
-        content: the mesh of the file where that is not to be read any more.
+        content: the mesh of the file where that is not to be read any more, and `mesh_file` is its name alone.
 
     Raises:
         InputError: what `tissue_sim.mesh.solid_file.read_file_mesh` refuses; a name that the file does not have.
@@ -51,8 +51,23 @@ class MeshSpecimen(Specimen):
 
     def __post_init__(self):
         super().__post_init__()
+        if self.content is not None and str(self.mesh_file) != Path(self.mesh_file).name:
+            raise InputError("the mesh is given, and so is a file to read; leave one of them out",
+                             field="specimen.content")
         # Of most shapes a property of the class.
         object.__setattr__(self, "is_flat", self._seen.is_flat)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether what is in the files is the same, whatever they are called."""
+        return isinstance(other, MeshSpecimen) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    @property
+    def _key(self) -> tuple:
+        return (self.digest, self.mesh_unit, self.mesh_base, self.mesh_top, self.name, self.density, self.gravity,
+                self.height_is)
 
     @cached_property
     def _mesh(self) -> FileMesh:

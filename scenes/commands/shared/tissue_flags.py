@@ -51,8 +51,8 @@ def read_reduced(arguments) -> ReducedModel | None:
     from tissue_sim.experiment.tools.tool import tool_sizes
     from tissue_sim.specimen.specimen import specimen_sizes
 
-    stated = ("tool", "friction", "friction_base", "friction_wall", "offset_mm", "tilt_deg", "shape", "mesh", "gravity",
-              *tool_sizes(), *specimen_sizes())
+    stated = ("tool", "friction", "friction_base", "friction_wall", "offset_mm", "tilt_deg", "shape", "mesh",
+              "mesh_unit", "mesh_base", "mesh_top", "gravity", *tool_sizes(), *specimen_sizes())
     for name in stated:
         if getattr(arguments, name, None) not in (None, False):
             raise InputError("a reduced solid has it from its file; leave this out, or make another one",

@@ -29,6 +29,12 @@ def _example(name: str, scene: Scene) -> str:
     return "; ".join(part for part in parts if scene.highest < 0.0 or not part.startswith(("approach", "retract")))
 
 
+def _in_steps(reach: tuple[float, float]) -> tuple[float, float]:
+    """A range of a slider, mm in steps of 0.01, within one in m; one step where that is narrower."""
+    low, high = math.ceil(1e5 * reach[0] - 1e-6) / 100, math.floor(1e5 * reach[1] + 1e-6) / 100
+    return min(low, high), max(low, high)
+
+
 class FollowedSlider:
     """A slider in mm that people move, and that follows the tool where somebody else moves that.
 
@@ -78,10 +84,9 @@ class MotionControls:
             hint="or drag the tool; keys: PageDown and PageUp, with Shift ten times as far"))
         #: Of tissue in space.
         self._across = [FollowedSlider(gui.add_slider(
-            f"{name} [mm]", min=math.ceil(1e5 * low - 1e-6) / 100, max=math.floor(1e5 * high + 1e-6) / 100, step=0.01,
-            initial_value=round(1e3 * place, 2), visible=False,
-            hint="where the tool's axis meets the height of the touch"))
-            for name, place, (low, high) in zip("xy", frame.across, frame.scene.reach, strict=True)]
+            f"{name} [mm]", min=low, max=high, step=0.01, initial_value=min(max(round(1e3 * place, 2), low), high),
+            visible=False, hint="where the tool's axis meets the height of the touch"))
+            for name, place, (low, high) in zip("xy", frame.across, map(_in_steps, frame.scene.reach), strict=True)]
         self._drags = gui.add_dropdown("mouse moves it", tuple(DRAGS), visible=False)
         self.on_drag_way: Callable[[str], None] = lambda _: None
         self._buttons = gui.add_button_group("run", ("Play", "Pause", "Step", "Reset"),

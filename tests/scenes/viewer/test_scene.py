@@ -1,5 +1,6 @@
 """What is looked at: another scene, tool or interface, and measurements that find their scene."""
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -113,5 +114,12 @@ def test_how_far_the_tool_may_go(needle):
     snapshot = Snapshot(ts.Pose.at_depth(0.0), 0.0, None)
     assert within_reach(of_box, snapshot, (0.0, 1e-3)) == pytest.approx((4e-3, 1e-3))
     assert within_reach(needle, snapshot, (1e-3, 2e-3)) == pytest.approx((1e-3, 2e-3))
+    with pytest.raises(ts.InputError, match="has the test, tool and interfaces that it was made of"):
+        of_box.with_scene("bonded_compression")
+    # One that leans goes aside by half a millimetre on its way down, or by more than the box is wide.
+    leaning = replace(of_box, experiment=replace(experiment, approach=ts.Approach(6e-3, math.asin(0.125))))
+    np.testing.assert_allclose(leaning.reach[0], [4e-3, 7.5e-3])
+    steep = replace(leaning, reduced=SimpleNamespace(box=ts.PoseBox(1e-4, 4e-3), lifting=12))
+    assert steep.reach[0] == pytest.approx((5.75e-3, 5.75e-3))
     lifted = replace(of_box, reduced=SimpleNamespace(box=of_box.reduced.box, lifting=0))
     assert lifted.highest == -5e-3

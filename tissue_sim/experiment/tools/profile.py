@@ -28,7 +28,7 @@ class ProfileTool(Tool):
         edge_radius: of the rounding of its corners; 0: `PROFILE_ROUNDING` of its radius or what its lines have room
             for, m.
         profile_file: see `tissue_sim.experiment.tools.profile_file`.
-        points: what it says, (r, z), m, shape (n, 2), where it is not to be read any more.
+        points: what it says, (r, z) of each point, m, where it is not to be read any more.
 
     Raises:
         InputError: no file, another radius than that of the file, what `read_profile` refuses, a rounding for which a
@@ -40,7 +40,7 @@ class ProfileTool(Tool):
     radius: float | None = None
     edge_radius: float = edge_radius()
     profile_file: str | Path | None = None
-    points: np.ndarray | None = field(default=None, repr=False, compare=False)
+    points: tuple[tuple[float, float], ...] | None = field(default=None, repr=False)
 
     def __post_init__(self):
         widest = self._widest
@@ -66,9 +66,14 @@ class ProfileTool(Tool):
         from tissue_sim.experiment.tools.profile_file import first_fault, read_profile
 
         if self.points is not None:
-            if fault := first_fault(self.points):
+            import numpy as np
+
+            outline = np.array(self.points, dtype=float).reshape(-1, 2)
+            if len(outline) < 2 or not np.isfinite(outline).all():
+                raise InputError("a profile needs at least two points, r and z in m", field="tool.points")
+            if fault := first_fault(outline):
                 raise InputError(fault[1], field=f"tool.points[{fault[0]}]")
-            return self.points
+            return outline
         if self.profile_file is None:
             raise InputError("a profile tool needs the file of its profile", field="tool.profile_file")
         return read_profile(self.profile_file)

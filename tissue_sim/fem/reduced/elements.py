@@ -114,22 +114,25 @@ class SampledElements:
     def set_material(self, material: Material, bulk_ratio: float) -> np.ndarray:
         """Take over laws, their parameters and what they remember, with bulk moduli of at most so many times the shear
         moduli; returns how many times as stiff the elements have become, as `pressures` stand, where they had a
-        material."""
-        batches = self._batches
+        material.
+
+        Raises:
+            InputError: a bulk ratio that the elements do not take; nothing is changed.
+        """
+        batches, freedoms = self._batches, 3 * self._mesh.connectivity.shape[1]
+        materials = [material.regions.get(region.name, material) for region in self._regions]
+        bulks = [min(bulk_modulus(each, self._mesh), bulk_ratio * each.mu0) for each in materials]
         batches.set_moduli(layer_ratios(material, self._layers))
         before = self._moduli.copy()
-        for region, part in zip(self._regions, batches.parts, strict=True):
-            own = material.regions.get(region.name, material)
-            bulk = min(bulk_modulus(own, self._mesh), bulk_ratio * own.mu0)
-            freedoms = 3 * self._mesh.connectivity.shape[1]
+        for region, part, stated, bulk in zip(self._regions, batches.parts, materials, bulks, strict=True):
             blocks = self._blocks[LANES * part.start : LANES * part.stop]
-            named = region.set_material(own, bulk, self._contact_radius) | batches.arrays(part) | {
+            named = region.set_material(stated, bulk, self._contact_radius) | batches.arrays(part) | {
                 "x": self._x, "motion": self._motion, "groups": self._groups[part], "wanted": self._wanted,
                 "blocks": blocks.reshape(len(blocks) * freedoms**2)}
             with LOCK:
-                kernel = elements_kernel(self._mesh.element.name, own.energy_law.kernel_energy)
+                kernel = elements_kernel(self._mesh.element.name, stated.energy_law.kernel_energy)
                 region.kernel = BoundKernel.of(kernel, named)
-            self._moduli[part] = own.mu0 * batches.moduli[part]
+            self._moduli[part] = stated.mu0 * batches.moduli[part]
         self._next = -1
         stiffer = np.divide(self._moduli, before, out=np.ones_like(before), where=before > 0.0)
         return np.repeat(stiffer, len(self.pressures) // len(stiffer), axis=0)

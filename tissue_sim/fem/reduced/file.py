@@ -23,7 +23,7 @@ from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.profile import ProfileTool
 from tissue_sim.experiment.tools.tool import TOOLS, Tool
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_reducible
-from tissue_sim.fem.solid.tissue import require_regions
+from tissue_sim.fem.solid.tissue import element_groups, require_regions
 from tissue_sim.files import open_file
 from tissue_sim.material.file import MaterialFile, decode_material_file
 from tissue_sim.mesh.solid import SOLID_ELEMENTS, SolidMesh
@@ -167,6 +167,7 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
     sets, faces, regions = ({name: each.astype(np.intp) for name, each in group.items()}
                             for group in (sets, faces, regions))
     mesh = SolidMesh(element, nodes, connectivity.astype(np.intp), sets, faces, regions, depths)
+    element_groups(mesh)
     return ReducedModel(Model(experiment, material), mesh, basis, lifting, elements.astype(np.intp), shares, box,
                         softness, bulk_ratio, report, watched, error_factors)
 
@@ -179,7 +180,7 @@ def _experiment(stated: dict[str, Any], box: PoseBox, of_file: dict[str, np.ndar
     if of_file:
         more["content"] = file_mesh_of_arrays(of_file, specimen.pop("kind"), str(specimen.pop("digest")))
     outline = {} if "points" not in tool else {
-        "points": np.array(tool.pop("points"), dtype=float).reshape(-1, 2), "profile_file": tool.pop("profile")}
+        "points": tuple((float(r), float(z)) for r, z in tool.pop("points")), "profile_file": tool.pop("profile")}
     return Experiment(
         specimen_of_keys(shape, specimen, name=name, **more), Protocol.ramp(box.depth, points=2),
         from_keys(kind, tool, "tool", **outline), **{face: stated[face] for face in _FACES},

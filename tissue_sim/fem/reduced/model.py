@@ -95,10 +95,13 @@ def require_same_parts(material: Material, made_of: Material, mesh: SolidMesh) -
     """
     require_no_effects(material)
     require_regions(material, mesh)
-    stated, own = ([layer.thickness for layer in each.layers] for each in (material, made_of))
-    # Without layers it is the same everywhere.
-    if stated and not (len(stated) == len(own) and np.allclose(stated, own, rtol=1e-6, atol=0.0)):
-        layers = " and ".join(f"{1e3 * each:g} mm" for each in own) or "none"
+    stated, kept = ([layer.thickness for layer in each.layers] for each in (material, made_of))
+    # A material without layers is the same everywhere.
+    if stated and not (len(stated) == len(kept) and np.allclose(stated, kept, rtol=1e-6, atol=0.0)):
+        if not kept:
+            raise InputError("a reduced solid has the layers that it was made with, and this one has none; leave them "
+                             "out, or make another one", field="material.layers")
+        layers = " and ".join(f"{1e3 * each:g} mm" for each in kept)
         raise InputError(f"a reduced solid keeps its layers where they are, from the top down {layers}; take these, or "
                          "make another one", field="material.layers")
 

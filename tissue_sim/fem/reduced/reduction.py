@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import math
 import zipfile
@@ -13,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from tissue_sim.atomic_write import write_bytes
-from tissue_sim.errors import InputError
+from tissue_sim.errors import InputError, located
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_reducible, require_same_parts
 from tissue_sim.fem.reduced.strokes import stroke
@@ -54,8 +55,8 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
         model: experiment and material.
         box: of poses, beside the first one of the experiment's approach.
         resolution: of the whole solid.
-        strokes: motions on which the whole solid is followed; each counts with its images by the symmetries of the
-            solid under its tool.
+        strokes: motions on which the whole solid is followed, those of all materials together; each counts with its
+            images by the symmetries of the solid under its tool.
         modes: motions of the tissue that are kept.
         sampling: error of the forces of the sampled elements.
         bulk_ratio: most that the bulk modulus may be, over mu0. A softer one than the tissue's makes forces too small,
@@ -63,7 +64,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
         softness: see `ReducedModel`.
         also: materials that may be put under it and that it shall be good for, too; strokes are followed with each in
             turn. Layers and regions are those of the model's.
-        tried: strokes that it was not made of, on which it is tried.
+        tried: strokes that it was not made of, on which it is tried; at least one with each material.
         folder: where the strokes are kept; one that holds strokes of the same model is gone on with. `forget_strokes`
             removes them, when what was made of them is safe.
         progress: told of the stages ``"strokes"``, ``"elements"`` and ``"trial"``.
@@ -85,15 +86,25 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     require_reducible(model)
     mesh = training.training_mesh(model, box, resolution)
     solver = training.whole_solver(model, mesh)
-    for each in also:
-        require_same_parts(each, model.material, mesh)
     materials = (model.material, *also)
-    label = f"{model!r} {box!r} {resolution} {len(mesh.nodes)}"
+    for number, each in enumerate(also):
+        with located(field=f"also[{number}]"):
+            require_same_parts(each, model.material, mesh)
+            solver.set_material(each)
+    solver.set_material(model.material)
+    # Files may have changed under their names.
+    digests = f" {experiment.specimen.digest}" if experiment.specimen.from_file else ""
+    if experiment.tool.from_file:
+        digests += f" {hashlib.sha256(experiment.tool.profile.vertices.tobytes()).hexdigest()}"
+    label = f"{model!r} {box!r} {resolution} {len(mesh.nodes)}{digests}"
     store = _Store(folder, f"{label} {tuple(also)!r}" if also else label)
     start, reach = experiment.tool_pose(0.0), experiment.contact_radius
     group = symmetries(solver, start)
     usual = len(materials) * math.ceil(STROKES[holds] / min(len(group), _SPARED[holds]))
     strokes, modes, tried = strokes or usual, modes or MODES[holds], max(tried, len(materials))
+    if strokes < len(materials):
+        raise InputError(f"{strokes} strokes are too few for {len(materials)} materials, each of which is followed on "
+                         "some; give more strokes", field="strokes")
     poses = [stroke(number, box, start, holds=holds, reach=reach) for number in range(strokes)]
     taken = []
     tell("strokes", 0, strokes)

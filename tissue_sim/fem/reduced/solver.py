@@ -105,13 +105,14 @@ class ReducedSolver(Solver):
     def set_material(self, material: Material) -> None:
         """Change parameters, bulk response or law; the state is kept. See `Solver.set_material`."""
         require_same_parts(material, self.reduced.model.material, self.mesh)
-        self.material = material
         stiffer = self.elements.set_material(material, self.reduced.bulk_ratio)
+        self.material = material
         for pressures in (self._committed[1], self.elements.pressures):
             pressures *= stiffer
         softest = self.contact.set_stiffness(node_moduli(material, self.mesh))
         self._prediction.forget_what_was_missed()
         self._floor = 1e-3 * softest * self._reach**2
+        self._largest_force = 0.0
         self._renew()
 
     @property
@@ -315,8 +316,14 @@ class ReducedSolver(Solver):
             array[:] = 0.0
         self._prediction.forget()
         self.contact.forget()
-        self._pose = self._start
+        self._pose, self._largest_force = self._start, 0.0
         self._renew()
+
+    def forget(self) -> None:
+        """Become tissue that nobody has touched."""
+        for array in self.elements.kept:
+            array[:] = 0.0
+        self.lift_off()
 
     def save(self) -> _Saved:
         """All that a committed step leaves behind, for `restore`."""

@@ -120,8 +120,15 @@ def _images(mesh: SolidMesh, matrix: np.ndarray, centre: np.ndarray) -> np.ndarr
 
 
 def _maps(mesh: SolidMesh, nodes: np.ndarray) -> bool:
-    """Whether a permutation of the nodes maps elements and named sets onto themselves."""
+    """Whether a permutation of the nodes maps elements, named sets, regions and depths onto themselves."""
     if any((np.sort(nodes[each]) != np.sort(each)).any() for each in mesh.sets.values()):
         return False
-    own, image = (np.sort(each, axis=1) for each in (mesh.connectivity, nodes[mesh.connectivity]))
-    return bool((np.unique(own, axis=0) == np.unique(image, axis=0)).all())
+    # What tells elements apart beside their nodes: the region, and how deep they count as.
+    region = np.zeros(len(mesh.connectivity), dtype=np.intp)
+    for number, elements in enumerate(mesh.regions.values(), 1):
+        region[elements] = number
+    depth = np.round(mesh.element_depths / (_SAME * float(np.ptp(mesh.nodes, axis=0).max()))).astype(np.int64)
+    before, after = (np.sort(each, axis=1) for each in (mesh.connectivity, nodes[mesh.connectivity]))
+    before, after = before[order := np.lexsort(before.T)], after[image := np.lexsort(after.T)]
+    return bool((before == after).all() and (region[order] == region[image]).all()
+                and (np.abs(depth[order] - depth[image]) <= 1).all())

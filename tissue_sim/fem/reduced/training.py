@@ -71,6 +71,8 @@ def snapshots(solver: SolidSolver, poses: Sequence[Pose], *, tolerance: float = 
         ConvergenceError: a step did not converge however small.
     """
     solver.lift_off()
+    for array in solver.tissue.kept:
+        array[:] = 0.0
     displacements, wrenches, here = [], [], poses[0]
     for pose in poses:
         for part in _parts(solver, here, pose, tolerance):
@@ -177,7 +179,12 @@ def samples(taken: Sequence[Snapshots], poses: Sequence[Sequence[Pose]], materia
     forces = np.linalg.norm(np.concatenate([each.wrenches[:, :3] for each in taken]), axis=1)
     of_stroke = np.repeat(np.arange(len(taken)), [len(each.wrenches) for each in taken])
     ways = [pose for each in poses for pose in each]
-    strong = np.flatnonzero(forces >= _LEAST_FORCE * forces.max())
+    # Of soft materials among stiff ones, too.
+    kinds = {id(material): number for number, material in enumerate(materials)}
+    kind = np.array([kinds[id(material)] for material in materials])[of_stroke]
+    largest = np.zeros(len(materials))
+    np.maximum.at(largest, kind, forces)
+    strong = np.flatnonzero(forces >= _LEAST_FORCE * largest[kind])
     count = min(_LOOKED_AT, strong.size * len(group))
     for place, state in enumerate(strong[np.linspace(0, strong.size - 1, count).astype(int)]):
         image = group[place % len(group)]
@@ -203,14 +210,14 @@ def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watche
     rows = (basis / scale).reshape(-1, 3, basis.shape[1])[mesh.connectivity].reshape(
         len(mesh.connectivity), -1, basis.shape[1])
     lifted, rest = basis[:, :lifting], basis[:, lifting : basis.shape[1] - watched]
-    contributions, own = [], solver.material
+    contributions, before = [], solver.material
     for state, pose, force, material in looked_at:
         if material is not solver.material:
             solver.set_material(material)
         moved = lifted @ lifted_amplitudes(solver, pose)[:lifting]
         on_nodes = element_forces(solver, moved + rest @ (rest.T @ (state - moved)), bulk_ratio)
         contributions.append(np.einsum("eir,ei->re", rows, on_nodes) / force)
-    solver.set_material(own)
+    solver.set_material(before)
     weights = sparse_weights(np.concatenate(contributions), tolerance, progress=progress)
     elements = np.flatnonzero(weights)
     return elements, weights[elements]
@@ -227,7 +234,8 @@ def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
     or of its own.
 
     Returns:
-        ``force_rms_error`` and ``force_largest_error`` over the rms force of the whole, its rms ``force_rms_N``, and
+        ``force_rms_error`` and ``force_largest_error`` over the rms force of the whole with the same material, the rms
+        force of all, ``force_rms_N``, and
         ``not_converged``, the share of steps that were not; and ``error_factors`` that fit, see `ReducedModel`.
     """
     from scipy.optimize import nnls
@@ -237,16 +245,17 @@ def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
     more = (reduced.basis.shape[1] - reduced.lifting - reduced.watched) // _FEWER
     small, fewer = (ReducedSolver(replace(reduced, watched=reduced.watched + each, error_factors=(1.0, 0.0)),
                                   reduced.model.material) for each in (0, more if reduced.watched else 0))
-    missed, forces, estimates, lost, steps = [], [], [], 0, 0
+    missed, forces, estimates, kinds, lost, steps = [], [], [], [], 0, 0
     others: list[tuple[float, float, float]] = []
     for done, number in enumerate(numbers):
-        for each in (solver, small, fewer) if len(materials) > 1 else ():
-            each.set_material(materials[done % len(materials)])
+        for each in (solver, small, fewer) if materials else ():
+            if each.material is not (material := materials[done % len(materials)]):
+                each.set_material(material)
         poses = stroke(number, reduced.box, experiment.tool_pose(0.0), holds=reduced.lifting > 0,
                        reach=experiment.contact_radius)
         true = snapshots(solver, poses).wrenches
-        small.lift_off()
-        fewer.lift_off()
+        for each in (small, fewer):
+            each.forget()
         here = poses[0]
         for pose, wrench in zip(poses, true, strict=True):
             for k in range(_FINER):
@@ -257,17 +266,20 @@ def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
             here = pose
             missed.append(np.subtract(step.wrench[:3], wrench[:3]))
             forces.append(wrench[:3])
+            kinds.append(done % max(1, len(materials)))
             estimates.append(step.force_error or 0.0)
             others.append((coarse.force_error or 0.0, float(np.linalg.norm(wrench[:3])),
                            float(np.linalg.norm(np.subtract(coarse.wrench[:3], wrench[:3])))))
         if progress:
             progress(done + 1, len(numbers))
     error, force = (np.linalg.norm(np.array(each), axis=1) for each in (missed, forces))
-    rms = float(np.sqrt(np.mean(force**2)))
-    known = np.concatenate([np.column_stack([estimates, force, error]), others]) / rms
+    # Over the rms force with the same material, so that a soft one counts like a stiff one.
+    of_kind = [np.sqrt(np.mean(force[np.array(kinds) == kind] ** 2)) for kind in range(max(kinds) + 1)]
+    rms = np.array(of_kind)[kinds]
+    known = np.concatenate([np.column_stack([estimates, force, error]), others]) / np.tile(rms, 2)[:, None]
     factors, _ = nnls(known[:, :2], known[:, 2])
-    return {"force_rms_error": float(np.sqrt(np.mean(error**2))) / rms,
-            "force_largest_error": float(error.max()) / rms, "force_rms_N": rms,
+    return {"force_rms_error": float(np.sqrt(np.mean((error / rms) ** 2))),
+            "force_largest_error": float((error / rms).max()), "force_rms_N": float(np.sqrt(np.mean(force**2))),
             "not_converged": lost / steps}, (float(factors[0]), float(factors[1]))
 
 

@@ -249,11 +249,11 @@ def layer_ratios(material: Material, layers: np.ndarray) -> np.ndarray:
 
 def node_moduli(material: Material, mesh: SolidMesh) -> np.ndarray:
     """Shear modulus of resting tissue at each node, the mean of the elements there, Pa, shape (nodes,)."""
-    own = layer_ratios(material, element_layers(mesh, material.layers))
+    moduli = layer_ratios(material, element_layers(mesh, material.layers))
     for name, elements in element_groups(mesh).items():
-        own[elements] *= material.regions.get(name, material).mu0
+        moduli[elements] *= material.regions.get(name, material).mu0
     nodes = mesh.connectivity.ravel()
-    total = np.bincount(nodes, np.repeat(own, mesh.connectivity.shape[1]), minlength=len(mesh.nodes))
+    total = np.bincount(nodes, np.repeat(moduli, mesh.connectivity.shape[1]), minlength=len(mesh.nodes))
     return total / np.maximum(1, np.bincount(nodes, minlength=len(mesh.nodes)))
 
 
