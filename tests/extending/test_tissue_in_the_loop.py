@@ -48,6 +48,12 @@ def same(wrench, expected):
     np.testing.assert_allclose(wrench, expected, rtol=1e-12, atol=1e-12)
 
 
+def whole(ticks):
+    """Those whose force is given whole: a loop that a busy computer has begun late begins without a force, see
+    `ForceRelease`."""
+    return ticks["status"] == ForceStatus.CONVERGED
+
+
 def test_the_tissue_uses_all_directions_and_slides(toy, path):
     tissue = toy.ToyTissue()
     wrenches = np.array([tissue.step(pose, DT).wrench for pose in path])
@@ -60,10 +66,10 @@ def test_through_a_loop_in_its_own_process(toy, motion, ticks_of):
         ticks = ticks_of(loop)
     tissue = toy.ToyTissue()
     poses = [Pose(tuple(each[:3]), tuple(each[3:])) for each in ticks["tool_pose"].tolist()]
-    expected = [tissue.step(pose, DT).wrench for pose in poses]
-    assert tissue.slips > 5
-    same(ticks["tissue_wrench"], expected)
-    same(ticks["wrench"], expected)
+    expected = np.array([tissue.step(pose, DT).wrench for pose in poses])
+    assert tissue.slips > 5 and whole(ticks).sum() >= 500
+    same(ticks["tissue_wrench"][whole(ticks)], expected[whole(ticks)])
+    same(ticks["wrench"][whole(ticks)], expected[whole(ticks)])
     same(ticks["stiffness_matrix"][-1], toy.stiffness())
 
 
@@ -87,8 +93,9 @@ def test_through_what_the_viewer_sees(toy, motion, monkeypatch):
             records = simulation.poll()
             if records is not None and len(records):
                 poses = [Pose(tuple(each[:3]), tuple(each[3:])) for each in records["tool_pose"].tolist()]
-                same(records["tissue_wrench"], [tissue.step(pose, DT).wrench for pose in poses])
-                ticks += len(records)
+                expected = np.array([tissue.step(pose, DT).wrench for pose in poses])
+                same(records["tissue_wrench"][whole(records)], expected[whole(records)])
+                ticks += whole(records).sum()
         assert simulation.readouts.depth == -poses[-1].position[2] and simulation.snapshot is None
         assert simulation.readouts.force == records["tissue_wrench"][-1, 2]
     finally:
