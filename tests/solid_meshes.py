@@ -1,10 +1,12 @@
 """Meshes that tests of the solid share: blocks and cylinders in any element."""
 
+import meshio
 import numpy as np
 
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
 from tissue_sim.mesh.raising import joined_at_corners, split_hexahedra
 from tissue_sim.mesh.solid import block_mesh, needle_solid, with_surface, with_tool_sets
+from tissue_sim.mesh.tetrahedra import TET15P1
 
 
 def block(x, y, z, element, move=None):
@@ -25,3 +27,25 @@ def punched_cylinder(element, radius=8e-3, centre=(0.0, 0.0), **sizes):
     if made_of is element:
         return mesh
     return with_tool_sets(split_hexahedra(mesh, element), radius, centre)
+
+
+#: Corners of a cell of VTK.
+_CORNERS = np.array([[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1],
+                     [-1, 1, 1]])
+
+
+def write_tetrahedra(path, x, y, z, upper):
+    """A file of a block in tetrahedra of four nodes, sizes in mm; ``part`` is 2 of those above a height, else 1."""
+    mesh = block(x, y, z, TET15P1)
+    used, cells = np.unique(mesh.connectivity[:, :4], return_inverse=True)
+    points, cells = mesh.nodes[used], cells.reshape(-1, 4)
+    above = points[cells].mean(axis=1)[:, 2] > upper
+    meshio.Mesh(points, [("tetra", cells)], cell_data={"part": [above.astype(int) + 1]}).write(path)
+
+
+def write_hexahedra(path, mesh, part=None, scale=1.0):
+    """A file of a mesh of eight-node hexahedra as somebody else's program would have made it, in mm; ``part`` is 2 of
+    those that are chosen, and 1 of others."""
+    order = [int(np.abs(HEX8P0.reference_nodes - corner).sum(axis=1).argmin()) for corner in _CORNERS]
+    named = {} if part is None else {"part": [part.astype(int) + 1]}
+    meshio.Mesh(1e3 * scale * mesh.nodes, [("hexahedron", mesh.connectivity[:, order])], cell_data=named).write(path)

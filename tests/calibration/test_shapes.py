@@ -3,10 +3,10 @@
 import json
 from dataclasses import replace
 
-import meshio
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
+from solid_meshes import write_hexahedra
 
 import calibration
 import tissue_sim as ts
@@ -49,15 +49,11 @@ SHELL = ('shape = "ellipsoid_shell"\nsemi_axis_x_mm = 50.0\nsemi_axis_y_mm = 40.
 MESH = 'shape = "mesh"\nmesh = "cube.vtu"'
 NEEDLE = 'tool = "flat"\ntool_radius_mm = 4.0'
 MATERIAL = ts.Material("neo_hooke", {"C10": 450.0}, ts.Bulk("bulk_ratio", 1e3))
-#: Corners of a cell of VTK.
-CORNERS = np.array([[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]])
 
 
 def write_mesh(path, specimen, scale=1.0):
-    """A mesh of eight-node hexahedra as somebody else's program would have made it, in mm."""
-    order = [int(np.abs(HEX8P0.reference_nodes - corner).sum(axis=1).argmin()) for corner in CORNERS]
-    mesh = specimen.solid_mesh(Grading(HEX8P0, 6e-3, 2.5, 0.04, 2))
-    meshio.Mesh(1e3 * scale * mesh.nodes, [("hexahedron", mesh.connectivity[:, order])]).write(path)
+    """Its mesh between plates."""
+    write_hexahedra(path, specimen.solid_mesh(Grading(HEX8P0, 6e-3, 2.5, 0.04, 2)), scale=scale)
 
 
 def pressed(specimen, depth=2e-3, points=9, kind="bonded_compression"):
@@ -223,13 +219,11 @@ def test_a_moved_block_keeps_its_circle_and_its_sides():
 
 def write_lumpy_mesh(path):
     """A block of 30 x 30 x 20 mm in hexahedra, with a lump in its middle that a region names."""
-    order = [int(np.abs(HEX8P0.reference_nodes - corner).sum(axis=1).argmin()) for corner in CORNERS]
     side = np.linspace(-0.015, 0.015, 6)
     mesh = block_mesh(side, side, np.linspace(-0.020, 0.0, 5), HEX8P0)
     middle = mesh.nodes[mesh.connectivity].mean(axis=1)
     lump = (np.abs(middle[:, :2]).max(axis=1) < 0.01) & (middle[:, 2] > -0.015)
-    meshio.Mesh(1e3 * mesh.nodes, [("hexahedron", mesh.connectivity[:, order])],
-                cell_data={"part": [lump.astype(int) + 1]}).write(path)
+    write_hexahedra(path, mesh, lump)
 
 
 LUMPY = """

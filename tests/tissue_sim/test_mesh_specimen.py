@@ -3,10 +3,9 @@
 import json
 import pickle
 
-import meshio
 import numpy as np
 import pytest
-from solid_meshes import block
+from solid_meshes import write_tetrahedra
 
 import tissue_sim as ts
 from scenes.cli import main
@@ -19,12 +18,8 @@ MATERIAL = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
     """A block of 40 x 30 x 20 mm that stands anywhere, in two regions: 288 tetrahedra of four nodes."""
-    mesh = block(np.linspace(5.0, 45.0, 5), np.linspace(-3.0, 27.0, 5), np.linspace(80.0, 100.0, 4), TET15P1)
-    used, cells = np.unique(mesh.connectivity[:, :4], return_inverse=True)
-    points, cells = mesh.nodes[used], cells.reshape(-1, 4)
     path = tmp_path_factory.mktemp("mesh") / "liver.vtu"
-    meshio.Mesh(points, [("tetra", cells)], cell_data={"part": [
-        (points[cells].mean(axis=1)[:, 2] > 90.0).astype(int) + 1]}).write(path)
+    write_tetrahedra(path, np.linspace(5.0, 45.0, 5), np.linspace(-3.0, 27.0, 5), np.linspace(80.0, 100.0, 4), 90.0)
     return path
 
 

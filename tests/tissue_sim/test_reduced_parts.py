@@ -2,10 +2,9 @@
 
 from dataclasses import replace
 
-import meshio
 import numpy as np
 import pytest
-from solid_meshes import block
+from solid_meshes import block, write_hexahedra, write_tetrahedra
 
 import tissue_sim as ts
 from scenes.cli import main
@@ -17,7 +16,7 @@ from tissue_sim.fem.reduced.symmetry import symmetries
 from tissue_sim.fem.solid.tissue import Tissue, element_layers
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
+from tissue_sim.mesh.tetrahedra import TET8P0
 
 SOFT = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))
 STIFF = ts.Material("neo_hooke", {"C10": 6000.0}, ts.Bulk("bulk_ratio", 500.0))
@@ -35,12 +34,8 @@ def experiment(specimen: ts.Specimen, tool: ts.Tool | None = None, **faces) -> t
 @pytest.fixture(scope="module")
 def liver(tmp_path_factory):
     """A block of 40 x 30 x 20 mm in two regions, tetrahedra of four nodes; the file is gone when it has been read."""
-    mesh = block(np.linspace(5.0, 45.0, 7), np.linspace(-3.0, 27.0, 6), np.linspace(80.0, 100.0, 5), TET15P1)
-    used, cells = np.unique(mesh.connectivity[:, :4], return_inverse=True)
-    points, cells = mesh.nodes[used], cells.reshape(-1, 4)
     path = tmp_path_factory.mktemp("mesh") / "liver.vtu"
-    meshio.Mesh(points, [("tetra", cells)], cell_data={"part": [
-        (points[cells].mean(axis=1)[:, 2] > 90.0).astype(int) + 1]}).write(path)
+    write_tetrahedra(path, np.linspace(5.0, 45.0, 7), np.linspace(-3.0, 27.0, 6), np.linspace(80.0, 100.0, 5), 90.0)
     return path
 
 
@@ -239,12 +234,7 @@ def lopsided(path, middle=0.0):
     """Write a block of 30 x 30 x 12 mm in hexahedra that mirrors map onto itself, one half of which is a region."""
     side = np.linspace(-0.015, 0.015, 7)
     mesh = block(side, side, np.linspace(-0.012, 0.0, 4), HEX8P0)
-    corners = np.array([[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1],
-                        [-1, 1, 1]])
-    order = [int(np.abs(HEX8P0.reference_nodes - corner).sum(axis=1).argmin()) for corner in corners]
-    half = mesh.nodes[mesh.connectivity].mean(axis=1)[:, 0] > middle
-    meshio.Mesh(1e3 * mesh.nodes, [("hexahedron", mesh.connectivity[:, order])],
-                cell_data={"part": [half.astype(int) + 1]}).write(path)
+    write_hexahedra(path, mesh, mesh.nodes[mesh.connectivity].mean(axis=1)[:, 0] > middle)
     return ts.Model(experiment(ts.Specimen(shape="mesh", mesh_file=path), friction="bonded"),
                     replace(SOFT, regions={"part:2": STIFF}))
 
