@@ -159,10 +159,11 @@ class TestLayers:
         with pytest.raises(ts.InputError, match="keeps its layers where they are"):
             ts.reduce_solid(skinned.model, skinned.box, strokes=2, also=[thicker])
 
-    def test_too_few_strokes_for_several_materials(self, skinned):
+    def test_too_few_strokes_for_several_materials(self, skinned, tmp_path):
         with pytest.raises(ts.InputError, match="2 strokes are too few for 3 materials") as refused:
-            ts.reduce_solid(skinned.model, skinned.box, strokes=2, also=[SOFT, replace(SOFT, layers=(SKIN,))])
-        assert refused.value.field == "strokes"
+            ts.reduce_solid(skinned.model, skinned.box, strokes=2, also=[SOFT, replace(SOFT, layers=(SKIN,))],
+                            folder=tmp_path / "strokes")
+        assert refused.value.field == "strokes" and not (tmp_path / "strokes").exists(), "what is mended may go on"
         with pytest.raises(ts.InputError) as refused:
             ts.reduce_solid(skinned.model, skinned.box, also=[SOFT, replace(SOFT, bulk=ts.Bulk("bulk_ratio", 5e6))])
         assert refused.value.field.startswith("also[1].")

@@ -92,6 +92,10 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
             require_same_parts(each, model.material, mesh)
             solver.set_material(each)
     solver.set_material(model.material)
+    # Before the folder is labelled, which would refuse what is asked for next.
+    if strokes is not None and strokes < len(materials):
+        raise InputError(f"{strokes} strokes are too few for {len(materials)} materials, each of which is followed on "
+                         "some; give more strokes", field="strokes")
     # Files may have changed under their names.
     digests = f" {experiment.specimen.digest}" if experiment.specimen.from_file else ""
     if experiment.tool.from_file:
@@ -102,9 +106,6 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     group = symmetries(solver, start)
     usual = len(materials) * math.ceil(STROKES[holds] / min(len(group), _SPARED[holds]))
     strokes, modes, tried = strokes or usual, modes or MODES[holds], max(tried, len(materials))
-    if strokes < len(materials):
-        raise InputError(f"{strokes} strokes are too few for {len(materials)} materials, each of which is followed on "
-                         "some; give more strokes", field="strokes")
     poses = [stroke(number, box, start, holds=holds, reach=reach) for number in range(strokes)]
     taken = []
     tell("strokes", 0, strokes)
