@@ -91,18 +91,10 @@ def turned(mesh: SolidMesh, offset: float, depth: float, radius: float = 8e-3, s
         x, y = offset * math.cos(angle), offset * math.sin(angle)
         ball = Body(ts.Tool("sphere", radius=radius).profile, mesh.sets["top"], (0.0, 0.0))
         solver = SolidSolver(mesh, PHANTOM, {"base": "xyz"}, np.zeros(0, int), bodies=[ball], tolerance=1e-4 * radius,
-                             start=Pose((x, y, 0.0)), datum=_touch(mesh, x, y, radius))
+                             start=Pose((x, y, 0.0)))
         force = stepped(solver, *(Pose((x, y, -depth * k / steps)) for k in range(1, steps + 1)))
         forces.append(_turned_back(force, angle))
     return _changes(mesh, forces)
-
-
-def _touch(mesh: SolidMesh, x: float, y: float, radius: float) -> float:
-    """Height of a ball's deepest point where it first touches a node, m."""
-    top = mesh.nodes[mesh.sets["top"]]
-    r = np.hypot(top[:, 0] - x, top[:, 1] - y)
-    under = r < radius
-    return float((top[under, 2] - radius + np.sqrt(radius**2 - r[under] ** 2)).max())
 
 
 def friction(resolution: str, depth: float, points: int = 6) -> dict:

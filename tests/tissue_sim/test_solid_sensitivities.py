@@ -165,7 +165,7 @@ def test_a_height_that_was_measured_as_placed(options, names):
     ({"tool": BALL, "specimen": HEAVY, "viscoelastic": PRONY, "laws": [ts.Adhesion(0.02, 0.5e-3)]},
      ["C10", "viscoelastic.terms[0].tau"]),
     ({"tool": ts.Tool(), "way": (0.0, 1.0, 0.5, 0.0, -0.1), "specimen": HEAVY, "laws": [Gel()]}, ["C10"]),
-    ({"tool": BALL, "specimen": PLACED, "laws": [Gel()]}, ["C10"])],
+    ({"tool": BALL, "way": (0.0, 1.0, 2.0, 1.0, 0.0), "specimen": PLACED, "laws": [Gel()]}, ["C10"])],
     ids=["adhesion", "adhesion and friction", "gel under a plate", "oblique gel", "adhesion and weight",
          "gel and weight", "gel and a height as placed"])
 def test_laws_of_contact(options, names):

@@ -13,13 +13,12 @@ from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.plate import PLATE_RADIUS
 from tissue_sim.fem.solid.contact import STICK, Body
-from tissue_sim.fem.solid.contact import nearest as nearest_surface
 from tissue_sim.fem.solid.contact_laws import NodeLaws
-from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.sensitivity import StartRates
 from tissue_sim.fem.solid.settling import Settling, settle
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solid.tissue import element_layers
+from tissue_sim.fem.solid.touch import touching_height
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.material.layer import Layer
 from tissue_sim.mesh.grading import PLATE_RING, Grading
@@ -27,7 +26,6 @@ from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
 from tissue_sim.mesh.moved_solid import Circle
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
-from tissue_sim.pose import Pose
 from tissue_sim.specimen.specimen import with_article
 
 #: How far a node may violate a contact condition, in radii of the tool, and of the specimen between plates.
@@ -36,8 +34,6 @@ _NEEDLE_TOLERANCE, _PLATE_TOLERANCE = 1e-4, 1e-7
 _LEAST_LARGEST = 0.17
 #: Way of the top, in heights of the specimen, by which it is seen how the place of the first touch follows it.
 _TOUCHING_STEP = 1e-5
-#: Steps of a tool on its way down to the tissue.
-_MOST_APPROACHES = 1000
 
 
 class Resolution(NamedTuple):
@@ -94,16 +90,14 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
     bodies = [*_resting(experiment, mesh), *_moving(experiment, mesh, bonded)]
     tolerance = (_PLATE_TOLERANCE * experiment.specimen.margin() if tool.is_plate
                  else _NEEDLE_TOLERANCE * tool.require_radius())
-    top = mesh.nodes[mesh.sets["top"]]
-    if settled is not None:
-        top = top + settled.x.reshape(-1, 3)[mesh.sets["top"]]
-    datum = _touching_height(top, bodies, start, float(np.ptp(mesh.nodes[:, 2])))
+    places = mesh.nodes if settled is None else mesh.nodes + settled.x.reshape(-1, 3)
+    datum, top = touching_height(mesh, places, bodies, start), places[mesh.sets["top"]]
     laws = NodeLaws(experiment.acting_laws, np.pi * experiment.contact_radius**2, _law_areas(experiment, mesh))
     return SolidSolver(mesh, model.material, _fixed(experiment), bonded, bodies=bodies, laws=laws, tolerance=tolerance,
                        start=start, datum=datum, contact_radius=experiment.contact_radius,
                        pins=_pins(experiment, mesh), element_layers=layers, specific_weight=weight,
                        settled=settled, lift=_lifted(mesh, top[:, 2] - datum) if weight and tool.is_plate else None,
-                       start_rates=settling and partial(_start_rates, settling, experiment, bodies, top))
+                       start_rates=settling and partial(_start_rates, settling, experiment, bodies, places))
 
 
 def _lifted(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray:
@@ -115,9 +109,9 @@ def _lifted(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray:
     return heights[beside]
 
 
-def _start_rates(settling: Settling, experiment: Experiment, bodies: list[Body], top: np.ndarray,
+def _start_rates(settling: Settling, experiment: Experiment, bodies: list[Body], places: np.ndarray,
                  neighbours: Neighbours) -> StartRates | None:
-    """How the state in which the tool touches, places `top`, m, changes with parameters; None where that is not
+    """How the state in which the tool touches, nodes at `places`, m, changes with parameters; None where that is not
     known."""
     mesh, start = settling.mesh, experiment.tool_pose(0.0)
     specimen, over_sides = experiment.specimen, experiment.tool.is_plate or not experiment.specimen.is_flat
@@ -126,15 +120,15 @@ def _start_rates(settling: Settling, experiment: Experiment, bodies: list[Body],
     found = settling.repeat(neighbours)
     if found is None:
         return None
-    numbers, height = mesh.sets["top"], float(np.ptp(mesh.nodes[:, 2]))
-    ways = found.settled[0].reshape(len(neighbours), -1, 3)[:, numbers]
-    ways[:, :, 2] += np.multiply.outer(found.stretch, mesh.nodes[numbers, 2])
+    height = float(np.ptp(mesh.nodes[:, 2]))
+    ways = found.settled[0].reshape(len(neighbours), -1, 3).copy()
+    ways[:, :, 2] += np.multiply.outer(found.stretch, mesh.nodes[:, 2])
     datum = np.zeros(len(neighbours))
     for k, way in enumerate(ways):
         step = _TOUCHING_STEP * height / max(float(np.abs(way).max()), 1e-300)
-        high, low = (_touching_height(top + side * step * way, bodies, start, height) for side in (1.0, -1.0))
+        high, low = (touching_height(mesh, places + side * step * way, bodies, start) for side in (1.0, -1.0))
         datum[k] = (high - low) / (2.0 * step)
-    lift = _lifted(mesh, ways[:, :, 2].T - datum) if experiment.tool.is_plate else None
+    lift = _lifted(mesh, ways[:, mesh.sets["top"], 2].T - datum) if experiment.tool.is_plate else None
     return StartRates(found.stretch, found.settled, found.resting, datum, lift)
 
 
@@ -289,7 +283,7 @@ def tool_contact(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray) ->
     """The tool with the nodes that may meet it, and the height of the scene's origin in the frame of the undeformed
     mesh where it first touches, m; `bonded` are the nodes that it holds."""
     bodies, start = _moving(experiment, mesh, bonded), experiment.tool_pose(0.0)
-    return bodies, _touching_height(mesh.nodes[mesh.sets["top"]], bodies, start, float(np.ptp(mesh.nodes[:, 2])))
+    return bodies, touching_height(mesh, mesh.nodes, bodies, start)
 
 
 def _law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:
@@ -307,31 +301,3 @@ def _law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:
 def _side(mesh: SolidMesh) -> np.ndarray:
     """Nodes of the side that neither base nor top has."""
     return np.setdiff1d(mesh.sets["side"], np.concatenate([mesh.sets["base"], mesh.sets["top"]]))
-
-
-def _touching_height(top: np.ndarray, bodies: list[Body], start: Pose, scale: float) -> float:
-    """Height of the scene's origin in the frame of the mesh where the tool first touches the top, m.
-
-    Args:
-        top: where its nodes are, m, shape (n, 3). bodies: the tool and others. start: of the tool. scale: height, m.
-    """
-    moving = [body for body in bodies if body.moves]
-    if not moving:
-        return 0.0
-
-    def clearance(datum: float) -> float:
-        at = Frame(start, datum).into(top)
-        return min(float(nearest_surface(body, at, pressed_in=False).gap.min()) for body in moving)
-
-    if abs(clearance(0.0)) < 1e-12 * scale:
-        return 0.0
-    from scipy.optimize import brentq
-
-    # A tool that comes down by no more than its distance from the tissue does not pass it.
-    high = scale + float(top[:, 2].max())
-    for _ in range(_MOST_APPROACHES):
-        low = high - max(clearance(high), 1e-5 * scale)
-        if clearance(low) <= 0.0:
-            return brentq(clearance, low, high, xtol=1e-15)
-        high = low
-    raise InputError("the tool comes down beside the specimen; move it", field="approach")

@@ -17,6 +17,8 @@ from tissue_sim.fem.solid.tissue import Tissue
 #: A factor serves again where each solution takes the unbalanced forces down to this share, or where so many more that
 #: gain as much as the last one will do.
 _GAIN, _MORE = 1e-2, 3
+#: More than that is no gain at all; what was balanced exactly would have none.
+_LOST = 1e6
 #: A solution that begins so far off is followed by a new tangent.
 _FAR = 100.0
 
@@ -73,5 +75,5 @@ class Tangent:
 
     def serves(self, ratio: float, goal: float, changed: bool) -> bool:
         """Whether an earlier state's factor is near enough; none is where the contact has changed."""
-        gain = ratio / max(self._before, 1e-300)
+        gain = min(ratio / max(self._before, 1e-300), _LOST)
         return not changed and (gain <= _GAIN or ratio * gain**_MORE <= goal)

@@ -1,0 +1,129 @@
+"""Where a tool first touches a solid, between its nodes too."""
+
+import math
+
+import numpy as np
+import pytest
+from solid_meshes import block
+
+import tissue_sim as ts
+from tissue_sim.errors import InputError
+from tissue_sim.fem.solid.contact import Body
+from tissue_sim.fem.solid.discretisation import make_solver
+from tissue_sim.fem.solid.touch import touching_height
+from tissue_sim.fem.solver import StepStatus
+from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
+from tissue_sim.mesh.side_points import SidePoints
+from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
+from tissue_sim.pose import Pose, turned
+
+RADIUS = 8e-3
+LINE = np.linspace(-0.02, 0.02, 11)
+ELEMENTS = pytest.mark.parametrize("element", [HEX8P0, HEX27P1, TET8P0, TET15P1], ids=lambda element: element.name)
+
+
+def height(mesh, tool, pose):
+    return touching_height(mesh, mesh.nodes, [Body(tool.profile, mesh.sets["top"], (0.0, 0.0))], pose)
+
+
+@ELEMENTS
+def test_points_of_a_side_are_those_of_its_element(element):
+    """At the nodes, and by the element's own functions between them."""
+    mesh = block([0.0, 1.0], [0.0, 1.5], [-1.0, 0.0], element)
+    bent = mesh.nodes + 0.05 * np.cos(4.0 * mesh.nodes[:, [1, 2, 0]])
+    sides = mesh.faces["top"]
+    points = SidePoints(element, bent[sides])
+    rng = np.random.default_rng(0)
+    places = rng.uniform(size=(len(sides), 6, 2))
+    found = points.at(np.arange(len(sides)), places)
+    for side, own in zip(sides, found, strict=True):
+        of = next(each for each in mesh.connectivity if np.isin(side, each).all())
+        face = next(each for each in element.faces if set(of[each]) == set(side))
+        corners = element.reference_nodes[face[element.face_corners]]
+        # A point of the reference side that is as near to each corner as the point found is: by Newton's method.
+        for point in own:
+            guess, flat = np.full(2, 0.4), np.stack([corners[1] - corners[0], corners[-1] - corners[0]])
+            for _ in range(30):
+                values, slopes = element.shape_functions((corners[0] + guess @ flat)[None])
+                missed = values[0] @ bent[of] - point
+                guess -= np.linalg.lstsq((flat @ slopes[0].T @ bent[of]).T, missed, rcond=None)[0]
+            assert np.abs(missed).max() < 1e-12
+    corner = bent[sides[:, element.face_corners[0]]]
+    assert np.abs(points.lattice[:, 0] - corner).max() < 1e-14
+
+
+@ELEMENTS
+@pytest.mark.parametrize("place", [(0.0, 0.0), (2e-3, 2e-3), (1.1e-3, -0.7e-3), (-5.3e-3, 3.1e-3)])
+def test_a_ball_touches_a_flat_top_wherever_it_stands(element, place):
+    """By nodes alone it would come down by up to (0.5 h)^2 / R = 0.5 mm more between those of linear elements."""
+    mesh = block(LINE, LINE, [-0.02, -0.01, 0.0], element)
+    assert abs(height(mesh, ts.Tool("sphere", radius=RADIUS), Pose((*place, 0.0)))) < 1e-12
+
+
+@pytest.mark.parametrize("degrees", [5.0, 20.0, 45.0])
+@pytest.mark.parametrize("tool", [ts.Tool("flat", radius=RADIUS), ts.Tool("flat", radius=RADIUS, edge_radius=1e-3)],
+                         ids=["sharp", "rounded"])
+def test_the_edge_of_a_leaning_face_touches_it(tool, degrees):
+    mesh, rng, angle = block(LINE, LINE, [-0.02, 0.0], HEX8P0), np.random.default_rng(1), math.radians(degrees)
+    rounding = tool.edge_radius
+    for _ in range(4):
+        way, place = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(-4e-3, 4e-3, 2)
+        pose = turned(Pose((*place, 0.0)), (angle * math.cos(way), angle * math.sin(way), 0.0))
+        expected = (RADIUS - rounding) * math.sin(angle) + rounding * (1.0 - math.cos(angle))
+        assert height(mesh, tool, pose) == pytest.approx(expected, abs=1e-10)
+
+
+@pytest.mark.parametrize("element", [HEX27P1, TET15P1], ids=lambda element: element.name)
+def test_a_ball_touches_a_curved_top(element):
+    """Compared with all points of a fine lattice."""
+    def bent(nodes):
+        return nodes + [0.0, 0.0, 1.0] * (2e-3 * np.cos(300.0 * nodes[:, :1]) * np.cos(200.0 * nodes[:, 1:2]))
+
+    mesh = block(LINE, LINE, [-0.02, 0.0], element)
+    mesh.nodes[:] = bent(mesh.nodes)
+    tool, place = ts.Tool("sphere", radius=RADIUS), np.array([2.3e-3, 1.4e-3])
+    sides = mesh.faces["top"]
+    line = np.linspace(0.0, 1.0, 101)
+    lattice = np.stack(np.meshgrid(line, line), axis=-1).reshape(1, -1, 2)
+    points = np.concatenate([SidePoints(element, mesh.nodes[sides[[k]]]).at(np.array([0]), lattice)[0]
+                             for k in range(len(sides))])
+    beside = ((points[:, :2] - place) ** 2).sum(axis=1)
+    points, beside = points[beside < RADIUS**2], beside[beside < RADIUS**2]
+    expected = (points[:, 2] + np.sqrt(RADIUS**2 - beside)).max() - RADIUS
+    assert 0.0 <= height(mesh, tool, Pose((*place, 0.0))) - expected < 1e-7
+
+
+def test_beside_the_specimen_it_touches_nothing():
+    mesh = block(LINE, LINE, [-0.02, 0.0], HEX8P0)
+    with pytest.raises(InputError, match="comes down beside the specimen"):
+        height(mesh, ts.Tool("sphere", radius=RADIUS), Pose((0.1, 0.0, 0.0)))
+
+
+def test_the_force_does_not_tell_where_the_nodes_are():
+    """A ball over a node and between two, 1 mm further: by nodes alone they were 3 % apart."""
+    material = ts.Material("neo_hooke", {"C10": 1000.0}, ts.Bulk("bulk_ratio", 1e3))
+    mesh = block(LINE, LINE, np.cumsum([-0.02, 7e-3, 5e-3, 4e-3, 4e-3]), HEX27P1)
+
+    def force(offset):
+        experiment = ts.KINDS["needle_indentation"].experiment(
+            specimen=ts.Block(0.04, 0.04, 0.02), protocol=ts.Protocol.ramp(depth=3e-3, points=4),
+            tool=ts.Tool("sphere", radius=RADIUS), friction="frictionless",
+            approach=ts.Approach(offset) if offset else None)
+        return ts.simulate(ts.Model(experiment, material), solver="solid", mesh=mesh).force[-1]
+
+    assert force(1e-3) == pytest.approx(force(0.0), rel=0.01)
+
+
+def test_on_the_way_to_the_first_node_there_is_no_force():
+    """Contact is at the nodes: a tool that has come down between them, and a leaning one, step without any."""
+    experiment = ts.KINDS["needle_indentation"].experiment(
+        specimen=ts.Block(0.04, 0.04, 0.02), protocol=ts.Protocol.ramp(depth=1e-3, points=2),
+        tool=ts.Tool("round", radius=RADIUS), friction=0.3, approach=ts.Approach(4.736e-3, math.radians(20.0)))
+    material = ts.Material("neo_hooke", {"C10": 1000.0}, ts.Bulk("bulk_ratio", 1e3))
+    solver = make_solver(ts.Model(experiment, material), mesh=block(LINE, LINE, [-0.02, -0.01, 0.0], HEX8P0))
+    forces = []  # between two nodes of an edge, whose middle the tool meets
+    for depth in np.linspace(0.05e-3, 1e-3, 8):
+        step = solver.step(experiment.tool_pose(depth), max_iterations=40)
+        assert step.status is StepStatus.CONVERGED
+        forces.append(step.force)
+    assert forces[0] == 0.0 and forces[-1] > 0.0 and (np.diff(forces) >= 0.0).all()
