@@ -28,7 +28,6 @@ from scenes.viewer.requests import differ_in_parameters_only, superseded
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
-from tissue_sim.fem.reduced.model import require_same_parts
 from tissue_sim.live_material import require_tissue
 from tissue_sim.parameters import parameter_values, with_values
 
@@ -237,7 +236,7 @@ class Session:
     def _take_material(self, material: ts.Material, source: str) -> None:
         require_tissue(material)  # also where no simulation runs that would refuse it
         if (reduced := self.scene.reduced) is not None:
-            require_same_parts(material, reduced.model.material, reduced.mesh)
+            reduced.require_material(material)
         scene = replace(self.scene, material=material, source=source)
         if not differ_in_parameters_only(self.scene.material, material):
             self._change(scene)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tissue_sim.fem.reduced.elements_kernel import FOLLOWS, SETTINGS, elements_kernel
+from tissue_sim.fem.reduced.model import Rest
 from tissue_sim.fem.solid.batches import LANES, ElementBatches
 from tissue_sim.fem.solid.element import ADDS
 from tissue_sim.fem.solid.tissue import RegionElements, bulk_modulus, element_groups, layer_ratios
@@ -27,6 +28,7 @@ class SampledElements:
         shares: how many each stands for, shape (n,).
         layers: number of the material's layer of each element of the mesh, see `element_layers`.
         groups: of elements, whose stiffness is computed at one time.
+        rest: how a solid that weighs stands where no mode moves it; None: undeformed.
         contact_radius: m; how fast the pores drain, see `Material.relaxation`.
 
     Attributes:
@@ -34,7 +36,7 @@ class SampledElements:
     """
 
     def __init__(self, mesh: SolidMesh, basis: np.ndarray, elements: np.ndarray, shares: np.ndarray, *,
-                 layers: np.ndarray, groups: int = 1, contact_radius: float = 1.0):
+                 layers: np.ndarray, groups: int = 1, contact_radius: float = 1.0, rest: Rest | None = None):
         connectivity = mesh.connectivity[elements]
         used, local = np.unique(connectivity, return_inverse=True)
         self._mesh, self._layers = mesh, layers[elements]
@@ -55,6 +57,17 @@ class SampledElements:
         #: What the modes move: of all nodes, and of the elements in the lanes; those that are left over stay at rest.
         self._rows = np.ascontiguousarray(basis[used].reshape(-1, modes))
         self._x, self._x_before, self._motion = np.zeros((3, len(self._rows)))
+        self._standing = np.zeros_like(batches.pressures)
+        #: Displacement of the nodes and pressures where nobody touches it, and forces on the modes there, which the
+        #: weight bears.
+        self._at_rest, self.rest_pressures = np.zeros(len(self._rows)), np.zeros_like(batches.pressures)
+        self._borne = np.zeros(modes)
+        self._settled: tuple[np.ndarray, ...] = ()
+        if rest is not None:
+            self._at_rest = rest.displacement.reshape(-1, 3)[used].ravel()
+            # Modes of an element that stands for several are smaller.
+            self.rest_pressures = batches.in_lanes(rest.pressures[elements] * np.sqrt(shares)[:, None])
+        self._x_before[:] = self._at_rest
         self.at = np.zeros(modes)
         # The stiffness is that of other steps in part: in single precision it takes half of the time.
         self._lanes = np.zeros((count * LANES, freedoms, modes), dtype=np.float32)
@@ -75,6 +88,11 @@ class SampledElements:
     def forces(self) -> np.ndarray:
         """On the modes at the last evaluation, N m per m, shape (modes,)."""
         return self._forces
+
+    def _of(self, lanes: np.ndarray, part: slice) -> np.ndarray:
+        """Rows of an array of the pressure modes that belong to batches."""
+        rows = len(lanes) // self._batches.batches
+        return lanes[rows * part.start : rows * part.stop]
 
     @property
     def are_known(self) -> bool:
@@ -121,14 +139,20 @@ class SampledElements:
         """
         batches, freedoms = self._batches, 3 * self._mesh.connectivity.shape[1]
         materials = [material.regions.get(region.name, material) for region in self._regions]
-        bulks = [min(bulk_modulus(each, self._mesh), bulk_ratio * each.mu0) for each in materials]
+        wholes = [bulk_modulus(each, self._mesh) for each in materials]
+        bulks = [min(whole, bulk_ratio * each.mu0) for whole, each in zip(wholes, materials, strict=True)]
         batches.set_moduli(layer_ratios(material, self._layers))
         before = self._moduli.copy()
-        for region, part, stated, bulk in zip(self._regions, batches.parts, materials, bulks, strict=True):
+        for region, part, stated, whole, bulk in zip(self._regions, batches.parts, materials, wholes, bulks,
+                                                     strict=True):
             blocks = self._blocks[LANES * part.start : LANES * part.stop]
             named = region.set_material(stated, bulk, self._contact_radius) | batches.arrays(part) | {
                 "x": self._x, "motion": self._motion, "groups": self._groups[part], "wanted": self._wanted,
-                "blocks": blocks.reshape(len(blocks) * freedoms**2)}
+                "blocks": blocks.reshape(len(blocks) * freedoms**2), "standing": self._of(self._standing, part)}
+            # The volumes of the whole solid give the pressures that bear the weight with its own bulk modulus.
+            per_bulk = (1.0 / whole - 1.0 / bulk) / batches.moduli[part]
+            self._of(self._standing, part)[:] = (per_bulk[:, None] * self._of(self.rest_pressures, part).reshape(
+                len(per_bulk), -1, LANES)).reshape(-1, LANES)
             with LOCK:
                 kernel = elements_kernel(self._mesh.element.name, stated.energy_law.kernel_energy)
                 region.kernel = BoundKernel.of(kernel, named)
@@ -146,6 +170,7 @@ class SampledElements:
             anew: how many groups of the stiffness to compute anew; all after a change of the material.
         """
         np.dot(self._rows, amplitudes, out=self._x)
+        self._x += self._at_rest
         np.subtract(self._x, self._x_before, out=self._motion)
         self._x_before[:], self.at[:] = self._x, amplitudes
         groups = self._wanted.size
@@ -161,12 +186,29 @@ class SampledElements:
                 region.settings[FOLLOWS] = follows
                 region.kernel()
         np.dot(self._batches.residual[:-1], self._rows, out=self._forces)
+        self._forces -= self._borne
         for group in wanted:
             self._tangent = None
             lanes = self._lanes[self._ends[group] : self._ends[group + 1]]
             pushed = np.matmul(self._blocks[self._ends[group] : self._ends[group + 1]], lanes)
             flat = lanes.reshape(-1, self.modes)
             self._tangents[group] = np.dot(flat.T, pushed.reshape(flat.shape))
+
+    def settle(self) -> None:
+        """Stand there, where it weighs, with the material as it is: the forces are what the weight bears."""
+        if not self._at_rest.any():
+            return
+        self.pressures[:], self._borne[:] = self.rest_pressures, 0.0
+        self.prepare(np.inf)
+        self.evaluate(np.zeros(self.modes), False, 0)
+        self._borne[:] = self._forces
+        self.commit()
+        self._settled = tuple(array.copy() for array in self.kept)
+
+    def forget(self) -> None:
+        """Remember nothing but how it has settled."""
+        for number, array in enumerate(self.kept):
+            array[:] = self._settled[number] if self._settled else 0.0
 
     def renew(self, amplitudes: np.ndarray) -> None:
         """Evaluate a state that was put in place: its volumes; all of the stiffness is due next."""

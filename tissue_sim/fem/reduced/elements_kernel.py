@@ -17,7 +17,8 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
     """Kernel of the forces of the nodes, and of the stiffness of those groups of batches that are wanted.
 
     ``x`` and ``motion`` are displacements of the nodes and their last change, ``residual`` gets their forces,
-    ``blocks`` the stiffness of each lane's element, row by row; ``least`` gets the smallest J.
+    ``blocks`` the stiffness of each lane's element, row by row; ``least`` gets the smallest J. ``standing`` is by how
+    much volumes miss less than they seem to.
     """
     ti = initialise()
     element = SOLID_ELEMENTS[element_name]
@@ -66,7 +67,7 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
                  weights: vector1, mode_values: vector1, moduli: vector1, coefficients: real1, elements: int2,
                  past: real1, inherited: real3, largest: real2, stresses: real3, energies: real2,
                  volume_rates: vector1, gaps: vector1, forces: vector1, stiffness: vector1, groups: int1,
-                 wanted: real1, blocks: single1):
+                 wanted: real1, blocks: single1, standing: vector1):
         ti.loop_config(serialize=True)
         for _ in range(1):
             kappa, remembers = settings[KAPPA], settings[REMEMBERS]
@@ -82,8 +83,14 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
                                      gradient_z, weights, mode_values, moduli, coefficients, elements, past, inherited,
                                      largest, stresses, energies, volume_rates, gaps, forces)
                 least[0] = ti.min(least[0], smallest)
+                bulk = kappa * moduli[b]
+                for m in range(pressure_modes):
+                    gaps[b * pressure_modes + m] = gaps[b * pressure_modes + m] - standing[b * pressure_modes + m]
                 for i in range(freedoms):
                     force = forces[b * freedoms + i]
+                    for m in range(pressure_modes):
+                        at = b * pressure_modes + m
+                        force = force - bulk * standing[at] * volume_rates[at * freedoms + i]
                     for l in ti.static(range(LANES)):
                         e = equations[b * freedoms + i, l]
                         residual[e] = residual[e] + force[l]

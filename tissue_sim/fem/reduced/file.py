@@ -22,7 +22,7 @@ from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.profile import ProfileTool
 from tissue_sim.experiment.tools.tool import TOOLS, Tool
-from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_reducible
+from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, Rest, require_reducible
 from tissue_sim.fem.solid.tissue import element_groups, require_regions
 from tissue_sim.files import open_file
 from tissue_sim.material.file import MaterialFile, decode_material_file
@@ -37,6 +37,8 @@ VERSION = 1
 _EXPECTED = "a reduced solid (.npz of `tissue-sim reduce`)"
 #: What the arrays of a specimen's mesh begin with that came from a file.
 _OF_FILE = "of file "
+#: How a solid that weighs stands.
+_REST, _WEIGHT = ("rest displacement", "rest pressures"), ("density", "gravity", "height_is")
 _FACES = ("friction", "friction_base", "friction_wall")
 
 
@@ -54,6 +56,8 @@ def write_reduced(reduced: ReducedModel, path: str | Path) -> None:
     arrays |= {f"region {name}": each for name, each in mesh.regions.items()}
     if mesh.depths is not None:
         arrays["depths"] = mesh.depths
+    if reduced.rest is not None:
+        arrays |= {_REST[0]: reduced.rest.displacement, _REST[1]: reduced.rest.pressures}
     if isinstance(specimen, MeshSpecimen):
         arrays |= {f"{_OF_FILE}{name}": each for name, each in file_mesh_arrays(specimen.mesh_of_file).items()}
     stream = io.BytesIO()
@@ -75,6 +79,7 @@ def _description(reduced: ReducedModel) -> dict[str, Any]:
         "material": msgspec.to_builtins(MaterialFile.of(reduced.model.material)),
         "experiment": {
             "specimen": {"shape": specimen.shape, "name": specimen.name, **_specimen(specimen)},
+            **({"weight": {name: getattr(specimen, name) for name in _WEIGHT}} if specimen.specific_weight else {}),
             "tool": {"shape": tool.shape, **_tool(tool)},
             "approach": None if experiment.approach is None else to_keys(experiment.approach),
             **{name: getattr(experiment, name) for name in _FACES}}}
@@ -132,7 +137,7 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
         sets, faces, regions, of_file = (
             {name.removeprefix(kind): each for name, each in arrays.items() if name.startswith(kind)}
             for kind in ("set ", "faces ", "region ", _OF_FILE))
-        depths = arrays.get("depths")
+        depths, rest = arrays.get("depths"), tuple(arrays[name] for name in _REST if name in arrays)
         lifting, report = description["lifting"], description["report"]
         softness, bulk_ratio = float(description["softness"]), float(description["bulk_ratio"])
         # Files from before there was an estimate have none.
@@ -147,7 +152,9 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
         raise InputError(f"expected {_EXPECTED}, and something is missing or of another kind ({error}); make it again "
                          "with `tissue-sim reduce`") from None
     numbers = (connectivity, elements, *sets.values(), *faces.values(), *regions.values())
-    reals = (nodes, basis, shares) if depths is None else (nodes, basis, shares, depths)
+    reals = (nodes, basis, shares, *rest, *(() if depths is None else (depths,)))
+    shapes = () if not experiment.specimen.specific_weight else (
+        (nodes.size,), (len(connectivity), element.pressure_modes))
     fits = (all(each.dtype.kind == "f" for each in reals) and (lifting == 12) == (experiment.friction == "bonded")
             and all(each.dtype.kind in "iu" and each.size for each in numbers) and nodes.ndim == connectivity.ndim == 2
             and nodes.shape[1] == 3 and connectivity.shape[1] == element.nodes
@@ -156,6 +163,7 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
             and all(each.ndim == 1 and each.min() >= 0 and each.max() < len(connectivity)
                     for each in (elements, *regions.values()))
             and (depths is None or depths.shape == (len(connectivity),))
+            and tuple(each.shape for each in rest) == shapes
             and basis.ndim == 2 and len(basis) == nodes.size and elements.shape == shares.shape
             and lifting in (0, 12) and isinstance(watched, int) and 0 <= watched < basis.shape[1] - lifting
             and all(0.0 <= factor < math.inf for factor in error_factors)
@@ -169,14 +177,14 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
     mesh = SolidMesh(element, nodes, connectivity.astype(np.intp), sets, faces, regions, depths)
     element_groups(mesh)
     return ReducedModel(Model(experiment, material), mesh, basis, lifting, elements.astype(np.intp), shares, box,
-                        softness, bulk_ratio, report, watched, error_factors)
+                        softness, bulk_ratio, report, watched, error_factors, Rest(*rest) if rest else None)
 
 
 def _experiment(stated: dict[str, Any], box: PoseBox, of_file: dict[str, np.ndarray]) -> Experiment:
     """The experiment of a description, and of the arrays of a mesh that came from a file."""
     specimen, tool = dict(stated["specimen"]), dict(stated["tool"])
     shape, name, kind = specimen.pop("shape"), specimen.pop("name"), TOOLS.find(tool.pop("shape"), field="tool.shape")
-    more = {}
+    more: dict[str, Any] = {name: stated["weight"][name] for name in (_WEIGHT if "weight" in stated else ())}
     if of_file:
         more["content"] = file_mesh_of_arrays(of_file, specimen.pop("kind"), str(specimen.pop("digest")))
     outline = {} if "points" not in tool else {

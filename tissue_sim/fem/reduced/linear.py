@@ -1,4 +1,4 @@
-"""Norms and linear systems of a few dozen unknowns, where NumPy's checks take longer than the arithmetic."""
+"""Linear algebra of a few dozen unknowns, where NumPy's checks take longer than the arithmetic."""
 
 from __future__ import annotations
 
@@ -23,3 +23,10 @@ def solution(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     if info:
         raise np.linalg.LinAlgError("a linear system on the modes is singular")
     return found
+
+
+def bend(off: np.ndarray, before: float, now: float) -> float:
+    """How far forces may be off after a linear change, N, by how far they were off after the last one; of both the work
+    that they would do, J."""
+    share = math.sqrt(now / before) if now > 0.0 and before > 0.0 else math.inf
+    return size(off) * share * max(1.0, share)

@@ -63,7 +63,7 @@ def require_reducible(model: Model) -> None:
     """Refuse what a reduced solid does not take.
 
     Raises:
-        InputError: a plate, a base with friction, weight, laws of contact, effects at the points.
+        InputError: a plate, a base with friction, laws of contact, effects at the points.
     """
     experiment = model.experiment
     if experiment.tool.is_plate:
@@ -72,8 +72,6 @@ def require_reducible(model: Model) -> None:
     if experiment.base_interface not in ("bonded", "frictionless"):
         raise InputError("a reduced solid stands on a base that is bonded or frictionless; use one of them",
                          field="friction_base")
-    if experiment.specimen.specific_weight:
-        raise InputError("a reduced solid has no weight yet; leave gravity out", field="specimen.gravity")
     if experiment.acting_laws:
         raise InputError("a reduced solid takes no adhesion or other laws of contact yet; leave them out",
                          field="contact_laws")
@@ -107,14 +105,27 @@ def require_same_parts(material: Material, made_of: Material, mesh: SolidMesh) -
 
 
 @dataclass(frozen=True, eq=False)
+class Rest:
+    """How a solid that weighs stands where nobody touches it.
+
+    Attributes:
+        displacement: of the nodes from where they are as moulded, m, shape (freedoms,).
+        pressures: amplitudes of the pressure modes of all elements, Pa, shape (elements, pressure modes).
+    """
+
+    displacement: np.ndarray
+    pressures: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class ReducedModel:
     """A solid in some of its motions and elements, for `ts.Simulator(reduced.model, solver="reduced", mesh=reduced)`.
 
     Attributes:
         model: experiment and material that it was made of.
-        mesh: of the whole solid.
-        basis: what the modes move, m per amplitude, shape (freedoms, modes); after the first `lifting` of them what the
-            tool holds stays where it is.
+        mesh: of the whole solid, as moulded.
+        basis: what the modes move from where it stands, m per amplitude, shape (freedoms, modes); after the first
+            `lifting` of them what the tool holds stays where it is.
         lifting: modes whose amplitudes the tool's pose says: 12 where it holds tissue, else 0.
         elements: numbers of those that are looked at, shape (n,); shares: how many each stands for.
         box: of poses.
@@ -124,6 +135,7 @@ class ReducedModel:
         watched: the last so many modes are none that it makes: what is unbalanced on them says how far it is off.
         error_factors: of what the force would change by with what is watched, and of the force itself; their sum
             estimates how far the force is off, as on motions that it was not made of.
+        rest: how it stands; None: undeformed, as one that does not weigh.
         report: how it was made and how good it is: ``freedoms``, ``modes``, ``elements``, ``snapshots``,
             ``force_rms_error`` and ``force_largest_error`` over the rms force, on motions that it was not made of.
     """
@@ -140,3 +152,27 @@ class ReducedModel:
     report: dict[str, Any] = field(default_factory=dict)
     watched: int = 0
     error_factors: tuple[float, float] = (1.0, 0.0)
+    rest: Rest | None = None
+
+    @property
+    def places(self) -> np.ndarray:
+        """Of the nodes where nobody touches it, m, shape (nodes, 3)."""
+        return self.mesh.nodes if self.rest is None else self.mesh.nodes + self.rest.displacement.reshape(-1, 3)
+
+    @property
+    def sag(self) -> float:
+        """How much lower the top stands, on the mean of its area, than it was moulded, m."""
+        if self.rest is None:
+            return 0.0
+        return -float(np.average(self.rest.displacement[2::3], weights=self.mesh.areas("top")))
+
+    def require_material(self, material: Material) -> None:
+        """Refuse a material that it cannot be of.
+
+        Raises:
+            InputError: see `require_same_parts`; of a solid that weighs, any other one.
+        """
+        require_same_parts(material, self.model.material, self.mesh)
+        if self.rest is not None and material != self.model.material:
+            raise InputError("a reduced solid that weighs stands as its own material lets it; leave the material as it "
+                             "is, or make another one", field="material")

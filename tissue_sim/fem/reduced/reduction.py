@@ -86,6 +86,10 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     require_reducible(model)
     mesh = training.training_mesh(model, box, resolution)
     solver = training.whole_solver(model, mesh)
+    memory = training.settled_memory(solver)
+    if also and experiment.specimen.specific_weight:
+        raise InputError("a solid that weighs stands as its own material lets it, and is of one material; leave the "
+                         "others out, or gravity", field="also")
     materials = (model.material, *also)
     for number, each in enumerate(also):
         with located(field=f"also[{number}]"):
@@ -113,7 +117,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
         done = store.read(number)
         if done is None or len(done.wrenches) != len(way):
             solver.set_material(materials[number % len(materials)])
-            done = training.snapshots(solver, way)
+            done = training.snapshots(solver, way, memory=memory)
             store.write(number, done)
         taken.append(done)
         tell("strokes", number + 1, strokes)
@@ -124,7 +128,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
         progress=lambda elements, error: tell("elements", elements, count, note=f"error {100 * error:.2g} %"))
     numbers = range(training.UNSEEN, training.UNSEEN + tried)
     report, factors = training.verify(reduced, solver, numbers, lambda done, of: tell("trial", done, of),
-                                      materials=materials)
+                                      materials=materials, memory=memory)
     return training.with_report(reduced, factors, strokes=strokes, materials=len(materials), tried=tried,
                                 **report)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, cast
@@ -14,8 +13,8 @@ from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.fields import reduced_fields
 from tissue_sim.fem.reduced.lifting import Lifting
-from tissue_sim.fem.reduced.linear import size, solution
-from tissue_sim.fem.reduced.model import ReducedModel, require_same_parts
+from tissue_sim.fem.reduced.linear import bend, size, solution
+from tissue_sim.fem.reduced.model import ReducedModel
 from tissue_sim.fem.reduced.prediction import Prediction
 from tissue_sim.fem.reduced.response import Response
 from tissue_sim.fem.solid.discretisation import tool_contact
@@ -80,12 +79,12 @@ class ReducedSolver(Solver):
         self.mesh, self.reduced = mesh, reduced
         self._start = self._pose = experiment.tool_pose(0.0)
         bonded = mesh.sets["face"] if reduced.lifting else np.zeros(0, dtype=np.intp)
-        bodies, self.datum = tool_contact(experiment, mesh, bonded)
+        bodies, self.datum = tool_contact(experiment, mesh, bonded, reduced.places)
         self.elements = SampledElements(
-            mesh, reduced.basis, reduced.elements, reduced.shares, groups=_GROUPS,
+            mesh, reduced.basis, reduced.elements, reduced.shares, groups=_GROUPS, rest=reduced.rest,
             layers=element_layers(mesh, reduced.model.material.layers), contact_radius=experiment.contact_radius)
         self._reach = experiment.contact_radius
-        self.contact = LayerContact(bodies, mesh.nodes, mesh.node_areas, reduced.basis, reach=self._reach,
+        self.contact = LayerContact(bodies, reduced.places, mesh.node_areas, reduced.basis, reach=self._reach,
                                     softness=reduced.softness)
         self._lifted = Lifting(reduced.lifting, Frame(self._start, self.datum))
         modes = reduced.basis.shape[1]
@@ -94,17 +93,20 @@ class ReducedSolver(Solver):
         self._free = slice(reduced.lifting, modes - reduced.watched)
         self.amplitudes = np.zeros(modes)
         self._prediction = Prediction(modes, self._reach)
-        self._committed = self.amplitudes.copy(), self.elements.pressures.copy()
+        self._committed = self.amplitudes.copy(), self.elements.rest_pressures.copy()
         #: Of the elements on the modes there; and steps in which stiffness was computed since it came to rest.
         self._forces, self._known, self._rested, self._largest_force = np.zeros(modes), self.amplitudes, 0, 0.0
         #: Groups whose stiffness may be that of a step which failed.
         self._strange = 0
         self._asked = False
+        reduced.require_material(material)
+        self.elements.set_material(material, reduced.bulk_ratio)
+        self.elements.settle()
         self.set_material(material)
 
     def set_material(self, material: Material) -> None:
         """Change parameters, bulk response or law; the state is kept. See `Solver.set_material`."""
-        require_same_parts(material, self.reduced.model.material, self.mesh)
+        self.reduced.require_material(material)
         stiffer = self.elements.set_material(material, self.reduced.bulk_ratio)
         self.material = material
         for pressures in (self._committed[1], self.elements.pressures):
@@ -141,7 +143,7 @@ class ReducedSolver(Solver):
             return Step(StepStatus.OUTSIDE, 0, 0.0, (0.0,) * 6)
         if not inside:
             # It touches nothing: near to where it rests.
-            self.amplitudes[:], elements.pressures[:] = 0.0, 0.0
+            self.amplitudes[:], elements.pressures[:] = 0.0, elements.rest_pressures
             if not elements.remember:
                 return self._rest(pose)
         elements.prepare(dt)
@@ -205,7 +207,7 @@ class ReducedSolver(Solver):
                 change = here - base[0]
                 added = elements.tangent @ change
                 residual, balanced = forces + added + pushed, self._balanced(pushed, forces + added)
-                doubt = _DOUBT * _bend((forces - foreseen)[free], went, float(change @ added))
+                doubt = _DOUBT * bend((forces - foreseen)[free], went, float(change @ added))
                 ratio = (size(residual[free]) + doubt) / self._scale(balanced)
                 if ratio <= max(tolerance, self.least_tolerance):
                     status = StepStatus.CONVERGED
@@ -312,8 +314,7 @@ class ReducedSolver(Solver):
 
     def lift_off(self) -> None:
         """Take the tool away at once; see `Solver.lift_off`."""
-        for array in self._committed:
-            array[:] = 0.0
+        self._committed[0][:], self._committed[1][:] = 0.0, self.elements.rest_pressures
         self._prediction.forget()
         self.contact.forget()
         self._pose, self._largest_force = self._start, 0.0
@@ -321,8 +322,7 @@ class ReducedSolver(Solver):
 
     def forget(self) -> None:
         """Become tissue that nobody has touched."""
-        for array in self.elements.kept:
-            array[:] = 0.0
+        self.elements.forget()
         self.lift_off()
 
     def save(self) -> _Saved:
@@ -342,7 +342,7 @@ class ReducedSolver(Solver):
 
     def displacement(self) -> np.ndarray:
         """Of all nodes at the last committed state, m, shape (nodes, 3)."""
-        return (self.reduced.basis @ self._committed[0]).reshape(-1, 3)
+        return (self.reduced.basis @ self._committed[0]).reshape(-1, 3) + self.reduced.places - self.mesh.nodes
 
     #: What `fields` needs of the last committed state.
     sample = displacement
@@ -363,14 +363,10 @@ class ReducedSolver(Solver):
                   "penetration_tolerance_mm": self.reduced.softness * self._reach * 1e3}
         if self.contact.has_friction:
             report["slipping_points"] = 0
+        if self.reduced.rest is not None:
+            report["self_weight"] = {"sag_mm": 1e3 * self.reduced.sag,
+                                     "moulded_height_mm": 1e3 * float(np.ptp(self.mesh.nodes[:, 2]))}
         return report
-
-
-def _bend(off: np.ndarray, before: float, now: float) -> float:
-    """How far forces may be off after a linear change, N, by how far they were off after the last one; of both the work
-    that they would do, J."""
-    share = math.sqrt(now / before) if now > 0.0 and before > 0.0 else math.inf
-    return size(off) * share * max(1.0, share)
 
 
 def make_solver(model: Model, *, resolution: str = "realtime", mesh: SolidMesh | ReducedModel | None = None,

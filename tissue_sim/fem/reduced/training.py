@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError
-from tissue_sim.fem.reduced.model import PoseBox, ReducedModel
+from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, Rest
 from tissue_sim.fem.reduced.sampling import sparse_weights
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.strokes import stroke
@@ -51,7 +51,7 @@ class Snapshots:
     """What the whole solid did on a stroke.
 
     Attributes:
-        displacements: of all freedoms at each pose, m, shape (poses, freedoms).
+        displacements: of all freedoms at each pose, from where nobody touches it, m, shape (poses, freedoms).
         wrenches: on the tool, N and N m, shape (poses, 6).
     """
 
@@ -64,21 +64,31 @@ def whole_solver(model: Model, mesh: SolidMesh) -> SolidSolver:
     return make_solver(model, mesh=mesh)
 
 
-def snapshots(solver: SolidSolver, poses: Sequence[Pose], *, tolerance: float = 1e-7) -> Snapshots:
+def settled_memory(solver: SolidSolver) -> tuple[np.ndarray, ...]:
+    """What a solid that weighs remembers where nobody has touched it; none of one that does not."""
+    return tuple(array.copy() for array in solver.tissue.kept) if solver.tissue.specific_weight else ()
+
+
+def snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Sequence[np.ndarray] = (),
+              tolerance: float = 1e-7) -> Snapshots:
     """Take the whole solid along poses, from a specimen that nobody has touched.
+
+    Args:
+        memory: see `settled_memory`.
 
     Raises:
         ConvergenceError: a step did not converge however small.
     """
     solver.lift_off()
-    for array in solver.tissue.kept:
-        array[:] = 0.0
+    for number, array in enumerate(solver.tissue.kept):
+        array[:] = memory[number] if memory else 0.0
+    rest = solver.sample().displacement.ravel()
     displacements, wrenches, here = [], [], poses[0]
     for pose in poses:
         for part in _parts(solver, here, pose, tolerance):
             step = part
         here = pose
-        displacements.append(solver.sample().displacement.ravel())
+        displacements.append(solver.sample().displacement.ravel() - rest)
         wrenches.append(step.wrench)
     return Snapshots(np.array(displacements), np.array(wrenches))
 
@@ -210,13 +220,15 @@ def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watche
     rows = (basis / scale).reshape(-1, 3, basis.shape[1])[mesh.connectivity].reshape(
         len(mesh.connectivity), -1, basis.shape[1])
     lifted, rest = basis[:, :lifting], basis[:, lifting : basis.shape[1] - watched]
+    # What the weight bears is not the modes' business.
+    borne = element_forces(solver, 0.0 * solver.x, bulk_ratio) if solver.tissue.specific_weight else 0.0
     contributions, before = [], solver.material
     for state, pose, force, material in looked_at:
         if material is not solver.material:
             solver.set_material(material)
         moved = lifted @ lifted_amplitudes(solver, pose)[:lifting]
         on_nodes = element_forces(solver, moved + rest @ (rest.T @ (state - moved)), bulk_ratio)
-        contributions.append(np.einsum("eir,ei->re", rows, on_nodes) / force)
+        contributions.append(np.einsum("eir,ei->re", rows, on_nodes - borne) / force)
     solver.set_material(before)
     weights = sparse_weights(np.concatenate(contributions), tolerance, progress=progress)
     elements = np.flatnonzero(weights)
@@ -228,10 +240,10 @@ _FEWER = 4
 
 
 def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
-           progress: Callable[[int, int], None] | None = None, *,
-           materials: Sequence[Material] = ()) -> tuple[dict[str, float], tuple[float, float]]:
+           progress: Callable[[int, int], None] | None = None, *, materials: Sequence[Material] = (),
+           memory: Sequence[np.ndarray] = ()) -> tuple[dict[str, float], tuple[float, float]]:
     """How far the reduced solid is from the whole one on strokes that it was not made of, of these materials in turn,
-    or of its own.
+    or of its own; `memory` as in `snapshots`.
 
     Returns:
         ``force_rms_error`` and ``force_largest_error`` over the rms force of the whole with the same material, the rms
@@ -253,7 +265,7 @@ def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
                 each.set_material(material)
         poses = stroke(number, reduced.box, experiment.tool_pose(0.0), holds=reduced.lifting > 0,
                        reach=experiment.contact_radius)
-        true = snapshots(solver, poses).wrenches
+        true = snapshots(solver, poses, memory=memory).wrenches
         for each in (small, fewer):
             each.forget()
         here = poses[0]
@@ -317,7 +329,17 @@ def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapsh
               "elements_of_all": len(mesh.connectivity), "snapshots": int(states.shape[0]),
               "symmetries": len(group),
               "energy_left_out": float((singular[kept:] ** 2).sum() / (singular**2).sum())}
-    return ReducedModel(model, mesh, basis, lifting, elements, shares, box, softness, bulk_ratio, report, watched)
+    return ReducedModel(model, solver.mesh, basis, lifting, elements, shares, box, softness, bulk_ratio, report,
+                        watched, rest=_rest(solver))
+
+
+def _rest(solver: SolidSolver) -> Rest | None:
+    """How a solid stands that weighs."""
+    if not solver.tissue.specific_weight:
+        return None
+    solver.lift_off()
+    standing = solver.sample()
+    return Rest(standing.displacement.ravel(), standing.pressures)
 
 
 def with_report(reduced: ReducedModel, factors: tuple[float, float], **more: float) -> ReducedModel:

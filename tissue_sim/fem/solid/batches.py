@@ -181,6 +181,12 @@ class ElementBatches:
         """Of each element on its freedoms, N, shape (elements, freedoms of an element), as the kernel left them."""
         return self._of_elements(self._forces, 3 * self._dofs.shape[1])
 
+    def pressure_forces(self, pressures: np.ndarray) -> np.ndarray:
+        """What pressures, as they stand in the lanes, Pa, do to the freedoms of the elements where these were evaluated
+        last, N, shape (elements, freedoms of an element)."""
+        rates = self._of_elements(self.volume_rates, self._modes, 3 * self._dofs.shape[1])
+        return np.einsum("em,emi->ei", self.by_element(pressures), rates)
+
     @property
     def stretch_rates(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Arrays that the kernel reads, to be written in place, and their rates with the logarithm of the height of the
@@ -195,6 +201,10 @@ class ElementBatches:
     def by_element(self, amplitudes: np.ndarray) -> np.ndarray:
         """Amplitudes of the pressure modes as they stand in the lanes, by element, shape (elements, modes)."""
         return self._of_elements(amplitudes, self._modes)
+
+    def in_lanes(self, amplitudes: np.ndarray) -> np.ndarray:
+        """What `by_element` gave, as it stands in the lanes."""
+        return self._lanes(amplitudes)
 
     def follow(self, motion: np.ndarray, kappa: np.ndarray | float) -> None:
         """Let the pressures follow a linear solution, in which the freedoms moved so, shape (freedoms,), m; `kappa` is

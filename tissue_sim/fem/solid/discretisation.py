@@ -279,11 +279,12 @@ def _moving(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray) -> list
             Body(tool.profile, beside, (mu, wall), first_line=first, closed=upright)]
 
 
-def tool_contact(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray) -> tuple[list[Body], float]:
-    """The tool with the nodes that may meet it, and the height of the scene's origin in the frame of the undeformed
-    mesh where it first touches, m; `bonded` are the nodes that it holds."""
+def tool_contact(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, places: np.ndarray
+                 ) -> tuple[list[Body], float]:
+    """The tool with the nodes that may meet it, and the height of the scene's origin in the frame of the mesh where it
+    first touches, m; `bonded` are the nodes that it holds, all are at `places`, m, shape (nodes, 3)."""
     bodies, start = _moving(experiment, mesh, bonded), experiment.tool_pose(0.0)
-    return bodies, touching_height(mesh, mesh.nodes, bodies, start)
+    return bodies, touching_height(mesh, places, bodies, start)
 
 
 def _law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:

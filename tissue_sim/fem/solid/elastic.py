@@ -49,8 +49,10 @@ def elastic_answer(solver: SolidSolver, motions: np.ndarray) -> np.ndarray:
 
 
 def element_forces(solver: SolidSolver, displacement: np.ndarray, bulk_ratio: float) -> np.ndarray:
-    """See `Tissue.element_forces`; at a displacement of all freedoms, m. The state of the solver stays."""
-    solver.x[:] = displacement
-    forces = solver.tissue.element_forces(bulk_ratio)
+    """See `Tissue.element_forces`; at a displacement of all freedoms from where the solid stands, m. The state of the
+    solver stays."""
+    rest, pressures, _ = solver._rest
+    solver.x[:] = rest + displacement
+    forces = solver.tissue.element_forces(bulk_ratio, pressures)
     solver._go_back()
     return forces

@@ -163,17 +163,23 @@ class Tissue:
                 region.settings[TANGENT], region.settings[ADDS] = tangent, region is not regions[0]
                 region.kernel()
 
-    def element_forces(self, bulk_ratio: float) -> np.ndarray:
+    def element_forces(self, bulk_ratio: float, standing: np.ndarray) -> np.ndarray:
         """Of each element on its nodes at the displacements as they are, without the weight and with the pressures that
         its bulk modulus, or one of this many times the shear modulus where that is less, gives, N, shape (elements,
-        freedoms of an element)."""
-        self.batches.pressures[:] = 0.0
-        for region in self._regions:
+        freedoms of an element).
+
+        Args:
+            standing: pressures of an equilibrium, as `ElementBatches.pressures`, which either modulus gives there.
+        """
+        self.batches.pressures[:], left = 0.0, np.zeros(self.batches.batches)
+        for region, part in zip(self._regions, self.batches.parts, strict=True):
             region.settings[KAPPA] = min(region.bulk, bulk_ratio * region.mu0)
+            left[part] = 1.0 - region.settings[KAPPA] / region.bulk
         self.assemble()
         for region in self._regions:
             region.settings[KAPPA] = region.bulk
-        return self.batches.element_forces
+        lost = left[:, None, None] * standing.reshape(self.batches.batches, -1, LANES)
+        return self.batches.element_forces + self.batches.pressure_forces(lost.reshape(standing.shape))
 
     def follow(self, motion: np.ndarray) -> None:
         """Let the pressures follow a linear solution, in which the freedoms moved so, shape (freedoms,), m."""
