@@ -93,17 +93,19 @@ def test_what_is_not_whole_travels_without_its_tangent():
     assert CondensedContact.unpacked(packed) is None
 
 
-def test_a_tangent_that_leads_away_is_not_followed_and_a_new_one_is_made(monkeypatch):
+@pytest.mark.parametrize(("tool", "friction"), [(FLAT, "bonded"), (TIP, 0.3)], ids=["held", "touched"])
+def test_a_tangent_that_leads_away_is_not_followed_and_a_new_one_is_made(tool, friction, monkeypatch):
     """Tissue that has become five times as stiff as its tangent."""
-    bulk, stepper, _ = two_rates(FLAT, "bonded")
+    bulk, stepper, _ = two_rates(tool, friction)
     pose, further = Pose((0.0, 0.0, -1e-3)), Pose((0.0, 0.0, -1.5e-3))
     for _ in range(3):
         go(bulk, stepper, pose)
     bulk.beside = later = Later()
     go(bulk, stepper, pose)
-    solve = type(bulk._tangent).solve
+    tangent = type(bulk._tangent)
     with monkeypatch.context() as patch:
-        patch.setattr(type(bulk._tangent), "solve", lambda self, right: 5.0 * solve(self, right))
+        for name in ("begin", "push"):
+            patch.setattr(tangent, name, lambda self, right, own=getattr(tangent, name): 5.0 * own(self, right))
         before = bulk.solver.save()
         assert bulk.linearise(stepper.state(0.0, further, 0.0, further)) is None
     for array, kept in zip(bulk.solver.save().arrays, before.arrays, strict=True):

@@ -43,8 +43,8 @@ class CondensedTangent:
         self.volume_rates, self.held = np.zeros(0), free.all[:, held]
         self.factor: CondensedFactor | None = None
 
-    def begin(self, free: FreePart, interface: np.ndarray, equations: np.ndarray, volume_rates: np.ndarray,
-              beside: Beside) -> None:
+    def take(self, free: FreePart, interface: np.ndarray, equations: np.ndarray, volume_rates: np.ndarray,
+             beside: Beside) -> None:
         """Take the numbers of now, and make a factor of them.
 
         Args:
@@ -79,7 +79,22 @@ class CondensedTangent:
         assert self.factor is not None
         return self.factor.solve(right)
 
-    def push(self, forces: np.ndarray) -> np.ndarray:
-        """Motion of the free freedoms under forces on the interface alone, shape (m, 3)."""
+    @property
+    def rows(self) -> np.ndarray:
+        """Places among the free freedoms of those of the interface, sorted, shape (3 m,)."""
+        return self._sorted
+
+    def begin(self, right: np.ndarray) -> np.ndarray:
+        """The same motion, begun: it stands in the rows of the interface; see `CondensedFactor.begin`."""
         assert self.factor is not None
-        return self.factor.push(forces.ravel()[self._order])
+        return self.factor.begin(right)
+
+    def push(self, forces: np.ndarray) -> np.ndarray:
+        """A motion begun under forces on the interface alone, shape (m, 3)."""
+        assert self.factor is not None
+        return self.factor.begin_push(forces.ravel()[self._order])
+
+    def finish(self, begun: np.ndarray) -> np.ndarray:
+        """The motion of all free freedoms that was begun."""
+        assert self.factor is not None
+        return self.factor.finish(begun)

@@ -41,8 +41,8 @@ _ON_AXIS = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """A step of the free freedoms, m: all of it, and its shares by the forces of the contact and by what the tool
-    holds."""
+    """A step, m, where its length is measured: all of it, and its shares by the forces of the contact and by what the
+    tool holds."""
 
     motion: np.ndarray
     pushed: np.ndarray
@@ -104,7 +104,7 @@ class SolidLinearisation:
         self._coming: CondensedTangent | None = None
         # Whether the one in use is that of an earlier iterate.
         self._stale = False
-        self._settles = np.zeros(solver._free.size)
+        self._settles = np.zeros(solver._free.size)  # begun only, see `CondensedTangent.begin`
         self.beside: Beside = at_once
         self.residual = 0.0
 
@@ -163,7 +163,7 @@ class SolidLinearisation:
             pose, self._stale = between(here, state.pose, share), True
             if old:
                 self._settle()
-                if not step.leads_on(self._settles, share, _ROUNDING * float(np.linalg.norm(solver.x))):
+                if not step.leads_on(self._measured(self._settles), share, _ROUNDING * self._size):
                     continue
             begun = self._begin(state, pose, ahead, self.beside) if due else None
             if begun is not None and begun.is_done:
@@ -215,18 +215,32 @@ class SolidLinearisation:
         motion, carried = np.zeros_like(solver.x), np.zeros(solver._free.size)
         if self._holds:
             motion[solver._moved] = solver.held_displacement(Frame(state.pose, solver.datum)) - solver.x[solver._moved]
-            carried = -tangent.solve((tangent.held @ motion[solver._moved])[solver._free])
+            carried = -tangent.begin((tangent.held @ motion[solver._moved])[solver._free])
         loaded = np.flatnonzero(state.forces.any(axis=1))
         if np.isin(loaded, tangent.interface).all():
             pushed = -tangent.push(state.forces[tangent.interface])
         else:
             right = np.zeros_like(solver.x)
             right[self._freedoms[loaded]] = state.forces[loaded]
-            pushed = -tangent.solve(right[solver._free])
-        free = motion[solver._free] = self._settles + pushed + carried
+            pushed = -tangent.begin(right[solver._free])
+        begun = self._settles + pushed + carried
+        motion[solver._free] = tangent.finish(begun)
         solver.x += motion
         solver.tissue.follow(motion)
-        return _Step(free, pushed, carried)
+        return _Step(*(self._measured(each) for each in (begun, pushed, carried)))
+
+    def _measured(self, begun: np.ndarray) -> np.ndarray:
+        """The part of a motion of the free freedoms that was begun whose length is compared: near the contact, where
+        the forces act, or where they act through what the tool holds, all of it."""
+        assert self._tangent is not None
+        return self._tangent.finish(begun) if self._holds else begun[self._tangent.rows]
+
+    @property
+    def _size(self) -> float:
+        """Of the displacement there, m."""
+        assert self._tangent is not None
+        displacement = self._solver.x[self._solver._free]
+        return float(np.linalg.norm(displacement if self._holds else displacement[self._tangent.rows]))
 
     def _settle(self) -> None:
         """Note the motion of the free freedoms that balances the tissue as it was assembled last, without contact."""
@@ -234,8 +248,9 @@ class SolidLinearisation:
         assert tangent is not None
         if self._stale:
             solver.tissue.add_known_volumes(right)
-        self._settles = -tangent.solve(right[solver._free])
-        self._reactions = right[solver._moved] + tangent.held[solver._free].T @ self._settles
+        self._settles = -tangent.begin(right[solver._free])
+        if self._holds:
+            self._reactions = right[solver._moved] + tangent.held[solver._free].T @ tangent.finish(self._settles)
 
     def _assembled(self, tangent: bool) -> bool:
         """Forces, and if asked for the tangent, without contact; whether no element is turned inside out."""
@@ -268,8 +283,8 @@ class SolidLinearisation:
         solver, order, loaded = self._solver, *self._nearest(state, pose, ahead)
         if not np.isin(order[:max(int(_NEEDED * self._most), loaded)], self._interface).all():
             self._interface = np.sort(order[:self._most])
-        spare.begin(solver._matrix, self._interface, self._equations[self._interface], solver.batches.volume_rates,
-                    beside)
+        spare.take(solver._matrix, self._interface, self._equations[self._interface], solver.batches.volume_rates,
+                   beside)
         self._coming = spare
         return spare
 
@@ -307,9 +322,7 @@ class SolidLinearisation:
         """The linearisation at the last iterate."""
         solver, tangent = self._solver, self._tangent
         assert tangent is not None
-        settles = np.zeros_like(solver.x)
-        settles[solver._free] = self._settles
-        middle = (solver.x + settles)[self._freedoms[tangent.nodes]]
+        middle = solver.x[self._freedoms[tangent.nodes]] + self._settles[self._equations[tangent.nodes]]
         wrench = np.zeros(6)
         if self._holds:
             levers = Frame(pose, solver.datum).rates(solver._places_of(solver._bonded))
