@@ -73,6 +73,15 @@ class TestStrokes:
         assert stroke(7, box, start, holds=True, reach=5e-3) == stroke(7, box, start, holds=True, reach=5e-3)
 
 
+    def test_none_knows_of_those_before_it(self, touched):
+        """A strong one does not make the next one coarser."""
+        of, poses = touched.model, [ts.Pose.at_depth(depth) for depth in (-1e-4, 1e-4, 2e-4)]
+        alone, after = (training.whole_solver(of, touched.mesh) for _ in range(2))
+        training.snapshots(after, [ts.Pose.at_depth(depth) for depth in (-1e-4, 1e-3, 2e-3)])
+        first, second = (training.snapshots(solver, poses) for solver in (alone, after))
+        np.testing.assert_allclose(second.displacements, first.displacements, rtol=0, atol=1e-17)
+
+
 class TestForces:
     def test_held_tissue_on_unseen_strokes(self, held):
         report = held.report

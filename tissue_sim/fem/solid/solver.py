@@ -341,7 +341,7 @@ class SolidSolver(Solver):
         self.contact.forget()
         if self._mass is not None:
             self._mass.motion.stop()
-        self._pose = self._start
+        self._pose, self._largest_force = self._start, 0.0
         self._go_back()
 
     def save(self) -> SavedState:
