@@ -68,7 +68,7 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
         if abs(force).max() > _ASIDE * abs(recording.force).max():
             curve.plot(recording.displacement * 1e3, force, color="#0072B2", linestyle=dashes, label=f"along {name}")
     curve.plot(recording.displacement * 1e3, recording.force, color="#0072B2", marker="o", markersize=3,
-               linestyle="none" if reference else "-", label="simulated" if reference else "along z")
+               linestyle="none" if reference else "-", label="simulated" if reference else "along the tool")
     if len(curve.lines) > 1:
         curve.legend(frameon=False)
     curve.plot(depth, recording.force[sample], color="#D55E00", marker="o", markersize=8, fillstyle="none")

@@ -311,6 +311,9 @@ class Simulator:
                     self._share, self._leaps, self._anew = 1.0, True, False
                 elif self._share < _SMALLEST_CUT:
                     self._share, self._anew, status = _SMALLEST_CUT, not self._bonded, ForceStatus.STOPPED
+        if status is ForceStatus.LATE and not solver.takes(pose):
+            # It goes on to where the tool may be; what the force would be beyond is not guessed either.
+            status, outside = ForceStatus.STOPPED, True
         at = self._equilibrium
         wrench, ahead, within = at.wrench, None, None
         if status is ForceStatus.CONVERGED:

@@ -68,11 +68,12 @@ def run(arguments) -> int:
         raise InputError("a reduced solid is a file NAME.reduced.npz; give it that ending", file=output)
 
     import tissue_sim as ts
+    from tissue_sim.fem.reduced.file import POINTS
     from tissue_sim.fem.reduced.reduction import forget_strokes
 
     material, also = read_material(arguments.material), [read_material(path) for path in arguments.also]
     depth = (arguments.depth_mm or _DEPTH_MM) * 1e-3
-    experiment = make_experiment(arguments, ts.Protocol.ramp(depth, points=2), material)
+    experiment = make_experiment(arguments, ts.Protocol.ramp(depth, points=POINTS), material)
     box = ts.PoseBox(arguments.sideways_mm * 1e-3, depth, math.radians(arguments.turn_deg))
     folder = output.with_name(f"{output.name}.strokes")
     arguments.resume_hint = "the same command goes on with the strokes that are done"

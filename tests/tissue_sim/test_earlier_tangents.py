@@ -93,6 +93,10 @@ def test_what_is_not_whole_travels_without_its_tangent():
     assert CondensedContact.unpacked(packed) is None
 
 
+def five_times(answer):
+    return lambda self, right: 5.0 * answer(self, right)
+
+
 @pytest.mark.parametrize(("tool", "friction"), [(FLAT, "bonded"), (TIP, 0.3)], ids=["held", "touched"])
 def test_a_tangent_that_leads_away_is_not_followed_and_a_new_one_is_made(tool, friction, monkeypatch):
     """Tissue that has become five times as stiff as its tangent."""
@@ -105,7 +109,7 @@ def test_a_tangent_that_leads_away_is_not_followed_and_a_new_one_is_made(tool, f
     tangent = type(bulk._tangent)
     with monkeypatch.context() as patch:
         for name in ("begin", "push"):
-            patch.setattr(tangent, name, lambda self, right, own=getattr(tangent, name): 5.0 * own(self, right))
+            patch.setattr(tangent, name, five_times(getattr(tangent, name)))
         before = bulk.solver.save()
         assert bulk.linearise(stepper.state(0.0, further, 0.0, further)) is None
     for array, kept in zip(bulk.solver.save().arrays, before.arrays, strict=True):

@@ -130,6 +130,19 @@ class TestForces:
             wrenches.append(simulator.step(ts.Pose.at_depth(depth), tolerance=1e-10).force)
         assert step.stiffness == pytest.approx((wrenches[0] - wrenches[1]) / (2 * width), rel=bound)
 
+    def test_what_has_slipped_is_as_stiff_when_the_tool_stands(self, touched):
+        """Nodes at the limit of friction would slip on, and do not hold the tissue as if it turned round."""
+        solver = ReducedSolver(touched, MATERIAL)
+        solver.ask_for_stiffness()
+        for depth in np.linspace(0.0, 0.9 * DEPTH, 400):
+            arriving = solver.step(ts.Pose.at_depth(depth))
+        assert arriving.status is StepStatus.CONVERGED and solver.contact.slipping
+        for _ in range(10):
+            standing = solver.step(ts.Pose.at_depth(depth))
+        assert standing.stiffness == pytest.approx(arriving.stiffness, rel=0.05)
+        again = [solver.step(ts.Pose.at_depth(depth + way)) for way in np.linspace(0.0, 2e-5, 11)]
+        assert standing.stiffness == pytest.approx((again[-1].force - again[0].force) / 2e-5, rel=0.05)
+
     def test_an_iteration_that_was_ended_goes_on(self, touched):
         """One linear solution at a time, as a budget leaves it, to the same equilibrium."""
         at_once, slowly = ReducedSolver(touched, MATERIAL), ReducedSolver(touched, MATERIAL)
@@ -236,6 +249,22 @@ class TestBox:
         again = simulator.step(ts.Pose((1e-3, 0.0, -1e-3)), 1e-3)
         assert again.status is ts.ForceStatus.CONVERGED
         np.testing.assert_allclose(again.wrench[:3], inside.wrench[:3], rtol=1e-3, atol=1e-5)
+
+    def test_without_time_it_stops_there_too(self, held):
+        """A step whose time is over carries the force on, but to nowhere that the box does not hold."""
+        simulator = ts.Simulator(held.model, solver="reduced", mesh=held)
+        simulator.warm_up()
+        for tick in range(1, 41):
+            inside = simulator.step(ts.Pose.at_depth(tick * 5e-5), 1e-3)
+        assert inside.status is ts.ForceStatus.CONVERGED
+        simulator.budget = 1e-9
+        late = simulator.step(ts.Pose.at_depth(2.2e-3), 1e-3)
+        assert late.status is ts.ForceStatus.LATE and late.force > inside.force
+        for place in ((0.0, 0.0, 0.02), (0.0, 0.0, -0.02), (0.05, 0.0, -2e-3)):
+            outside = simulator.step(ts.Pose(place), 1e-3)
+            assert outside.status is ts.ForceStatus.STOPPED and outside.wrench == inside.wrench
+        simulator.budget = None
+        assert simulator.step(ts.Pose.at_depth(2e-3), 1e-3).status is ts.ForceStatus.CONVERGED
 
     def test_in_the_air_a_tool_goes_where_it_likes(self, touched):
         solver = ReducedSolver(touched, MATERIAL)

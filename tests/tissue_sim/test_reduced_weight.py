@@ -104,6 +104,17 @@ def test_it_does_what_the_whole_one_does(heavy):
     np.testing.assert_allclose(forces(solver, poses), found, rtol=0, atol=1e-3 * np.abs(found).max())
 
 
+def test_layers_lie_where_they_are_stated_in_a_specimen_as_placed():
+    """It was moulded a tenth higher, and its elements reach deeper there."""
+    of = model(replace(SOFT, layers=(ts.Layer(10e-3, 0.4),)), height_is="placed")
+    reduced = ts.reduce_solid(of, BOX, strokes=4, modes=16, tried=1)
+    assert np.ptp(reduced.mesh.nodes[:, 2]) > 1.05 * of.experiment.specimen.height
+    mesh = training_mesh(of, BOX, "realtime")
+    np.testing.assert_array_equal(reduced.element_layers, element_layers(mesh, of.material.layers))
+    poses = way(12)
+    assert off(forces(ReducedSolver(reduced, of.material), poses), forces(make_solver(of, mesh=mesh), poses)) < 0.02
+
+
 def test_a_height_as_placed_and_a_tool_that_slides(tmp_path):
     of = model(height_is="placed", friction=0.3, tool="round")
     reduced = ts.reduce_solid(of, ts.PoseBox(0.0, 2e-3), strokes=4, modes=16, tried=1)
@@ -146,6 +157,7 @@ def test_it_keeps_its_material(heavy, tmp_path, capsys):
     """Another one would let it stand elsewhere."""
     simulator = ts.Simulator(heavy.model, solver="reduced", mesh=heavy)
     simulator.warm_up()
+    heavy.require_material(replace(CREEPING, name="of another file", density=900.0))
     with pytest.raises(ts.InputError, match="stands as its own material lets it"):
         simulator.set_parameters(C10=300.0)
     answer = simulator.step(Pose.at_depth(0.5e-3), 1e-3)

@@ -10,7 +10,7 @@ import tissue_sim as ts
 from tissue_sim.errors import InputError
 from tissue_sim.fem.solid.contact import Body
 from tissue_sim.fem.solid.discretisation import make_solver
-from tissue_sim.fem.solid.touch import touching_height
+from tissue_sim.fem.solid.touch import touch
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.side_points import SidePoints
@@ -22,8 +22,8 @@ LINE = np.linspace(-0.02, 0.02, 11)
 ELEMENTS = pytest.mark.parametrize("element", [HEX8P0, HEX27P1, TET8P0, TET15P1], ids=lambda element: element.name)
 
 
-def height(mesh, tool, pose):
-    return touching_height(mesh, mesh.nodes, [Body(tool.profile, mesh.sets["top"], (0.0, 0.0))], pose)
+def height(mesh, tool, pose, **more):
+    return touch(mesh, mesh.nodes, [Body(tool.profile, mesh.sets["top"], (0.0, 0.0), **more)], pose).height
 
 
 @ELEMENTS
@@ -53,7 +53,8 @@ def test_points_of_a_side_are_those_of_its_element(element):
 
 
 @ELEMENTS
-@pytest.mark.parametrize("place", [(0.0, 0.0), (2e-3, 2e-3), (1.1e-3, -0.7e-3), (-5.3e-3, 3.1e-3)])
+@pytest.mark.parametrize("place", [(0.0, 0.0), (2e-3, 2e-3), (1.1e-3, -0.7e-3), (-5.3e-3, 3.1e-3), (0.1e-3, 0.2e-3),
+                                   (4.3e-3, -0.1e-3)])
 def test_a_ball_touches_a_flat_top_wherever_it_stands(element, place):
     """By nodes alone it would come down by up to (0.5 h)^2 / R = 0.5 mm more between those of linear elements."""
     mesh = block(LINE, LINE, [-0.02, -0.01, 0.0], element)
@@ -71,6 +72,30 @@ def test_the_edge_of_a_leaning_face_touches_it(tool, degrees):
         pose = turned(Pose((*place, 0.0)), (angle * math.cos(way), angle * math.sin(way), 0.0))
         expected = (RADIUS - rounding) * math.sin(angle) + rounding * (1.0 - math.cos(angle))
         assert height(mesh, tool, pose) == pytest.approx(expected, abs=1e-10)
+
+
+@pytest.mark.parametrize("tool", [ts.Tool("flat", radius=RADIUS), ts.Tool("flat", radius=RADIUS, edge_radius=1e-3)],
+                         ids=["sharp", "rounded"])
+def test_a_face_that_holds_the_tissue_touches_it_too(tool):
+    """Nodes beside it may meet the shaft alone, and the place of the first touch is that of the whole tool."""
+    mesh = block(LINE, LINE, [-0.02, 0.0], TET8P0)
+    mesh.nodes[:, 2] += 1e-3 * np.sin(400.0 * mesh.nodes[:, 0]) * np.sin(300.0 * mesh.nodes[:, 1] + 1.0)
+    for pose in (Pose((0.3e-3, 0.2e-3, 0.0)), turned(Pose((0.3e-3, 0.2e-3, 0.0)), (0.1, 0.05, 0.0))):
+        assert height(mesh, tool, pose, first_line=1) == height(mesh, tool, pose)
+
+
+@pytest.mark.parametrize("tool", [ts.Tool("flat", radius=RADIUS), ts.Tool("sphere", radius=RADIUS)],
+                         ids=["an edge", "a ball"])
+def test_the_height_follows_the_nodes(tool):
+    """Against differences, for nodes that go anywhere."""
+    mesh, rng = block(LINE, LINE, [-0.02, 0.0], HEX27P1), np.random.default_rng(2)
+    places = mesh.nodes.copy()
+    places[:, 2] += 0.5e-3 * np.cos(90.0 * places[:, 0] + 0.4) * np.cos(70.0 * places[:, 1])
+    ways = 1e-3 * np.sin(60.0 * places[:, [1, 2, 0]] + rng.uniform(0.0, 6.0, 3))
+    bodies = [Body(tool.profile, mesh.sets["top"], (0.0, 0.0))]
+    pose = turned(Pose((1.1e-3, 0.4e-3, 0.0)), (0.2, 0.1, 0.0))
+    high, low = (touch(mesh, places + side * 1e-4 * ways, bodies, pose).height for side in (1.0, -1.0))
+    assert touch(mesh, places, bodies, pose).rate(mesh, ways) == pytest.approx((high - low) / 2e-4, rel=1e-5)
 
 
 @pytest.mark.parametrize("element", [HEX27P1, TET15P1], ids=lambda element: element.name)
@@ -95,8 +120,10 @@ def test_a_ball_touches_a_curved_top(element):
 
 def test_beside_the_specimen_it_touches_nothing():
     mesh = block(LINE, LINE, [-0.02, 0.0], HEX8P0)
-    with pytest.raises(InputError, match="comes down beside the specimen"):
-        height(mesh, ts.Tool("sphere", radius=RADIUS), Pose((0.1, 0.0, 0.0)))
+    for tool in (ts.Tool("sphere", radius=RADIUS), ts.Tool("flat", radius=RADIUS)):
+        for place in (0.1, 0.02 + RADIUS + 1e-5):
+            with pytest.raises(InputError, match="comes down beside the specimen"):
+                height(mesh, tool, Pose((place, 0.0, 0.0)))
 
 
 def test_the_force_does_not_tell_where_the_nodes_are():

@@ -236,6 +236,10 @@ class Solver(ABC):
         """What this solver takes of a pose: an axisymmetric one the depth only."""
         return pose
 
+    def takes(self, pose: Pose) -> bool:
+        """Whether the tool may be there; a step to anywhere else is `StepStatus.OUTSIDE`."""
+        return True
+
     @abstractmethod
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,

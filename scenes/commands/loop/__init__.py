@@ -150,13 +150,21 @@ def run(arguments) -> int:
 
 
 def stay_in_box(arguments, reduced) -> None:
-    """Let a random motion go as far as a reduced solid knows, where nothing else is said; a tool that leans goes aside
-    as it goes down."""
+    """Let a random motion go as far as a reduced solid knows; a tool that leans goes aside as it goes down.
+
+    Raises:
+        InputError: it is to go further.
+    """
     box, approach = reduced.box, reduced.model.experiment.approach
     aside = abs(math.tan(approach.angle)) * box.depth if approach is not None else 0.0
     for name, size in (("sideways_mm", max(box.sideways - aside, 0.0) * 1e3), ("turn_deg", math.degrees(box.turn))):
-        if getattr(arguments, name) is None:
+        asked = getattr(arguments, name)
+        if asked is None:
             setattr(arguments, name, size)
+        elif asked > size * (1.0 + 1e-9):
+            why = ", as a tool that leans goes aside as it goes down" if aside and name == "sideways_mm" else ""
+            raise InputError(f"{asked:g} leads out of the box of the reduced solid{why}; give {size:.4g} at most, or "
+                             "leave it out", field=f"--{name.replace('_', '-')}")
 
 
 def open_named(arguments, name: str, protocol, *, lifts: bool = True):

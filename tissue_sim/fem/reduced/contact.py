@@ -18,6 +18,8 @@ from tissue_sim.fem.taichi.runtime import LOCK
 
 #: Of an interface without slip that can lift off.
 _NO_SLIP = 1e6
+#: What is as near as this to the limit of friction is at it: more than a step leaves unbalanced.
+_AT_LIMIT = 1e-2
 
 
 class LayerContact:
@@ -83,9 +85,11 @@ class LayerContact:
         self._springs[:] = own / (self._softness * self._reach) * self.areas
         return float(own.min())
 
-    def evaluate(self, amplitudes: np.ndarray, frame: Frame, pressed_in: bool) -> None:
-        """Find forces and their rates at these amplitudes, shape (modes,), under a tool there."""
+    def evaluate(self, amplitudes: np.ndarray, frame: Frame, pressed_in: bool, *, slips_on: bool = False) -> None:
+        """Find forces and their rates at these amplitudes, shape (modes,), under a tool there; `slips_on`: the rates of
+        what is at the limit of friction are those of slip."""
         settings = self._settings
+        settings[kernel.AT_LIMIT] = _AT_LIMIT * slips_on
         settings[kernel.ROTATION : kernel.ROTATION + 9] = frame.rotation.ravel()
         settings[kernel.ORIGIN : kernel.ORIGIN + 3] = frame.origin
         settings[kernel.PRESSED_IN] = pressed_in

@@ -10,8 +10,9 @@ from tissue_sim.fem.taichi.runtime import initialise
 #: States of a node.
 FREE, STICKS, SLIPS = range(3)
 #: Places in `settings`: rotation of the body, place of its origin, rounding radius of its outline, half of the width of
-#: the zone in which the layer takes hold, m, and whether the body is where it touched or deeper.
-ROTATION, ORIGIN, ROUNDING, ZONE, PRESSED_IN, SETTINGS = 0, 9, 12, 13, 14, 15
+#: the zone in which the layer takes hold, m, whether the body is where it touched or deeper, and within which share of
+#: the limit of friction a node counts as slipping.
+ROTATION, ORIGIN, ROUNDING, ZONE, PRESSED_IN, AT_LIMIT, SETTINGS = 0, 9, 12, 13, 14, 15, 16
 #: Places in `report`: how many nodes touch, how many of them slip, and how far the deepest is in the body, m.
 TOUCHING, SLIPPING, DEPTH, REPORT = 0, 1, 2, 3
 
@@ -109,9 +110,9 @@ def contact_kernel():
                 size, limit = slip.norm(), mu * pressure
                 tangent = ti.Matrix.identity(ti.f64, 3) - nn
                 share = 1.0
-                if spring * size > limit:
+                if spring * size > (1.0 - settings[AT_LIMIT]) * limit and size > 0.0:
                     states[n] = SLIPS
-                    share = limit / (spring * size)
+                    share = ti.min(1.0, limit / (spring * size))
                     way = slip / size
                     rate = rate + spring * share * (tangent - way.outer_product(way)) \
                         + mu * spring * slope * way.outer_product(-normal)

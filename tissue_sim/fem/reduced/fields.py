@@ -13,7 +13,7 @@ import numpy as np
 
 from tissue_sim.fem.solid.batches import quadrature
 from tissue_sim.fem.solid.fields import SolidFields
-from tissue_sim.fem.solid.tissue import element_layers, layer_ratios
+from tissue_sim.fem.solid.tissue import layer_ratios
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 
@@ -22,7 +22,7 @@ _quadrature = lru_cache(maxsize=2)(quadrature)
 
 
 def reduced_fields(mesh: SolidMesh, material: Material, displacements: Sequence[np.ndarray],
-                   datum: float) -> SolidFields | None:
+                   datum: float, layers: np.ndarray) -> SolidFields | None:
     """Fields of states of a reduced solid.
 
     Args:
@@ -30,9 +30,10 @@ def reduced_fields(mesh: SolidMesh, material: Material, displacements: Sequence[
         material: elastic; of one that remembers its past there are none, since most elements remember nothing.
         displacements: of the nodes, m, each of shape (nodes, 3).
         datum: height at which the tool first touches, m.
+        layers: see `element_layers`.
     """
     if material.remembers:
         return None
     weights, gradients, modes = _quadrature(mesh)
     return SolidFields(mesh, material, np.array(material.bulk_modulus), np.array(displacements), None, gradients,
-                       modes, weights, layer_ratios(material, element_layers(mesh, material.layers)), None, datum)
+                       modes, weights, layer_ratios(material, layers), None, datum)

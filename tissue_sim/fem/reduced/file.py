@@ -34,6 +34,8 @@ from tissue_sim.specimen.mesh import MeshSpecimen
 from tissue_sim.specimen.specimen import Specimen, specimen_of_keys
 
 VERSION = 1
+#: Samples of its experiment's protocol, down to the depth of its box.
+POINTS = 21
 _EXPECTED = "a reduced solid (.npz of `tissue-sim reduce`)"
 #: What the arrays of a specimen's mesh begin with that came from a file.
 _OF_FILE = "of file "
@@ -190,6 +192,6 @@ def _experiment(stated: dict[str, Any], box: PoseBox, of_file: dict[str, np.ndar
     outline = {} if "points" not in tool else {
         "points": tuple((float(r), float(z)) for r, z in tool.pop("points")), "profile_file": tool.pop("profile")}
     return Experiment(
-        specimen_of_keys(shape, specimen, name=name, **more), Protocol.ramp(box.depth, points=2),
+        specimen_of_keys(shape, specimen, name=name, **more), Protocol.ramp(box.depth, points=POINTS),
         from_keys(kind, tool, "tool", **outline), **{face: stated[face] for face in _FACES},
         approach=None if stated["approach"] is None else from_keys(Approach, stated["approach"], "approach"))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.solid.tissue import require_regions
+from tissue_sim.fem.solid.tissue import element_layers, require_regions
 from tissue_sim.material.effect import PointEffect
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
@@ -159,6 +160,15 @@ class ReducedModel:
         """Of the nodes where nobody touches it, m, shape (nodes, 3)."""
         return self.mesh.nodes if self.rest is None else self.mesh.nodes + self.rest.displacement.reshape(-1, 3)
 
+    @cached_property
+    def element_layers(self) -> np.ndarray:
+        """Number of the material's layer of each element, see `tissue_sim.fem.solid.tissue.element_layers`: layers are
+        as thick as they are stated where the specimen is as high as it is stated."""
+        stated, moulded = self.model.experiment.specimen, float(np.ptp(self.mesh.nodes[:, 2]))
+        placed = self.rest is not None and stated.height_is == "placed"
+        return element_layers(self.mesh.stretched(stated.height / moulded) if placed else self.mesh,
+                              self.model.material.layers)
+
     @property
     def sag(self) -> float:
         """How much lower the top stands, on the mean of its area, than it was moulded, m."""
@@ -173,6 +183,9 @@ class ReducedModel:
             InputError: see `require_same_parts`; of a solid that weighs, any other one.
         """
         require_same_parts(material, self.model.material, self.mesh)
-        if self.rest is not None and material != self.model.material:
+        own = self.model.material
+        # What it is called, and what does not act here, is another matter.
+        alike = replace(material, name=own.name, density=own.density, puncture=own.puncture)
+        if self.rest is not None and alike != own:
             raise InputError("a reduced solid that weighs stands as its own material lets it; leave the material as it "
                              "is, or make another one", field="material")

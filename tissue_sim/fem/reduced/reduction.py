@@ -104,7 +104,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     digests = f" {experiment.specimen.digest}" if experiment.specimen.from_file else ""
     if experiment.tool.from_file:
         digests += f" {hashlib.sha256(experiment.tool.profile.vertices.tobytes()).hexdigest()}"
-    label = f"{model!r} {box!r} {resolution} {len(mesh.nodes)}{digests}"
+    label = f"{model!r} {box!r} {resolution} {len(mesh.nodes)}{digests} from {solver.datum:.12g} m"
     store = _Store(folder, f"{label} {tuple(also)!r}" if also else label)
     start, reach = experiment.tool_pose(0.0), experiment.contact_radius
     group = symmetries(solver, start)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -19,8 +18,9 @@ from tissue_sim.fem.reduced.prediction import Prediction
 from tissue_sim.fem.reduced.response import Response
 from tissue_sim.fem.solid.discretisation import tool_contact
 from tissue_sim.fem.solid.frame import Frame
+from tissue_sim.fem.solid.state import SavedState
 from tissue_sim.fem.solid.surface import SolidSurface
-from tissue_sim.fem.solid.tissue import element_layers, node_moduli
+from tissue_sim.fem.solid.tissue import node_moduli
 from tissue_sim.fem.solver import Fields, Solver, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
@@ -49,13 +49,6 @@ _DOUBT = 5.0
 _LEAST = 0.02
 
 
-@dataclass(frozen=True, eq=False)
-class _Saved:
-    arrays: tuple[np.ndarray, ...]
-    pose: Pose
-    largest_force: float
-
-
 class ReducedSolver(Solver):
     """Newton's iteration on the modes of a reduced solid; see `ReducedModel`.
 
@@ -82,15 +75,14 @@ class ReducedSolver(Solver):
         bodies, self.datum = tool_contact(experiment, mesh, bonded, reduced.places)
         self.elements = SampledElements(
             mesh, reduced.basis, reduced.elements, reduced.shares, groups=_GROUPS, rest=reduced.rest,
-            layers=element_layers(mesh, reduced.model.material.layers), contact_radius=experiment.contact_radius)
+            layers=reduced.element_layers, contact_radius=experiment.contact_radius)
         self._reach = experiment.contact_radius
         self.contact = LayerContact(bodies, reduced.places, mesh.node_areas, reduced.basis, reach=self._reach,
                                     softness=reduced.softness)
         self._lifted = Lifting(reduced.lifting, Frame(self._start, self.datum))
         modes = reduced.basis.shape[1]
-        self._lifting = reduced.lifting
-        #: The modes that are solved for.
-        self._free = slice(reduced.lifting, modes - reduced.watched)
+        #: How many modes the tool says, and those that are solved for.
+        self._lifting, self._free = reduced.lifting, slice(reduced.lifting, modes - reduced.watched)
         self.amplitudes = np.zeros(modes)
         self._prediction = Prediction(modes, self._reach)
         self._committed = self.amplitudes.copy(), self.elements.rest_pressures.copy()
@@ -111,7 +103,7 @@ class ReducedSolver(Solver):
         self.material = material
         for pressures in (self._committed[1], self.elements.pressures):
             pressures *= stiffer
-        softest = self.contact.set_stiffness(node_moduli(material, self.mesh))
+        softest = self.contact.set_stiffness(node_moduli(material, self.mesh, self.reduced.element_layers))
         self._prediction.forget_what_was_missed()
         self._floor = 1e-3 * softest * self._reach**2
         self._largest_force = 0.0
@@ -133,12 +125,9 @@ class ReducedSolver(Solver):
         elements, contact = self.elements, self.contact
         if not resumes:
             self._go_back()
-        frame, box = Frame(pose, self.datum), self.reduced.box
+        frame = Frame(pose, self.datum)
         pressed_in = bool(frame.origin[2] <= self._lifted.first.origin[2])
-        inside = box.holds(pose, self._start)
-        clear = not inside and self._is_clear_of(frame)
-        # A tool that goes up out of the box takes leave of the tissue within the width of the layer.
-        inside = inside or (not (clear or self._lifting) and box.is_under(pose, self._start))
+        inside, clear = self._where(pose, frame)
         if not (inside or clear):
             return Step(StepStatus.OUTSIDE, 0, 0.0, (0.0,) * 6)
         if not inside:
@@ -217,13 +206,16 @@ class ReducedSolver(Solver):
         if status is StepStatus.CONVERGED:
             lifted = self._lifted.rates(frame)
             wrench = contact.wrench - lifted.T @ residual[:held]
+            if self._asked and contact.has_friction and pose == self._pose:
+                # What has slipped would slip on, as while the tool went.
+                _, rates = self._press(here, frame, pressed_in, slips_on=True)
             response = Response(elements.tangent + rates, contact, lifted, free, residual)
             self._prediction.learn(np.array(motion(self._pose, pose)), here - self._committed[0], response.answer,
                                    response.left)
             if self.reduced.watched:
                 error = response.force_error(self.reduced.error_factors, wrench[:3])
             if self._asked:
-                stiffness = response.stiffness(box)
+                stiffness = response.stiffness(self.reduced.box)
             contact.commit()
             elements.commit()
             self._committed, self._known, self._forces = (here.copy(), elements.pressures.copy()), looked, forces
@@ -241,17 +233,17 @@ class ReducedSolver(Solver):
             self._rested += 1
             self.elements.evaluate(self.amplitudes, False, 1)
         self._committed, self._forces = (self.amplitudes.copy(), self.elements.pressures.copy()), 0.0 * self._forces
-        self._known = self.amplitudes.copy()
+        self._known, self._pose = self.amplitudes.copy(), pose
         self._prediction.forget()
-        self._pose = pose
         self.contact.forget()
         stiffness = ((0.0,) * 6,) * 6 if self._asked else None
         error = 0.0 if self.reduced.watched else None
         return Step(StepStatus.CONVERGED, 0, 0.0, (0.0,) * 6, stiffness, force_error=error)
 
-    def _press(self, amplitudes: np.ndarray, frame: Frame, pressed_in: bool) -> tuple[np.ndarray, np.ndarray]:
+    def _press(self, amplitudes: np.ndarray, frame: Frame, pressed_in: bool, *, slips_on: bool = False
+               ) -> tuple[np.ndarray, np.ndarray]:
         """The contact's forces on the modes, and their derivatives."""
-        self.contact.evaluate(amplitudes, frame, pressed_in)
+        self.contact.evaluate(amplitudes, frame, pressed_in, slips_on=slips_on)
         return self.contact.on_modes()
 
     def _balanced(self, pushed: np.ndarray, forces: np.ndarray) -> float:
@@ -291,6 +283,18 @@ class ReducedSolver(Solver):
             at[free] -= solution((tangent + rates)[free, free], residual)
             solves += 1
 
+    def takes(self, pose: Pose) -> bool:
+        """See `Solver.takes`: in the box, or where it touches nothing."""
+        return any(self._where(pose, Frame(pose, self.datum)))
+
+    def _where(self, pose: Pose, frame: Frame) -> tuple[bool, bool]:
+        """Whether a tool there is in the box, and whether it touches nothing outside of it."""
+        box, start = self.reduced.box, self._start
+        inside = box.holds(pose, start)
+        clear = not inside and self._is_clear_of(frame)
+        # A tool that goes up out of the box takes leave of the tissue within the width of the layer.
+        return inside or (not (clear or self._lifting) and box.is_under(pose, start)), clear
+
     def _is_clear_of(self, frame: Frame) -> bool:
         """Whether a tool there touches neither the tissue as it is nor as it would rest."""
         if self._lifting:
@@ -325,11 +329,11 @@ class ReducedSolver(Solver):
         self.elements.forget()
         self.lift_off()
 
-    def save(self) -> _Saved:
+    def save(self) -> SavedState:
         """All that a committed step leaves behind, for `restore`."""
-        return _Saved(tuple(array.copy() for array in self._kept), self._pose, self._largest_force)
+        return SavedState(tuple(array.copy() for array in self._kept), self._pose, self._largest_force)
 
-    def restore(self, saved: _Saved) -> None:
+    def restore(self, saved: SavedState) -> None:
         """Go back to where `save` was called."""
         for array, before in zip(self._kept, saved.arrays, strict=True):
             array[:] = before
@@ -349,7 +353,7 @@ class ReducedSolver(Solver):
 
     def fields(self, samples: Sequence[Any]) -> Fields | None:
         """See `reduced_fields`."""
-        return reduced_fields(self.mesh, self.material, samples, self.datum)
+        return reduced_fields(self.mesh, self.material, samples, self.datum, self.reduced.element_layers)
 
     def surface(self) -> SolidSurface:
         """The surface at the last committed state."""

@@ -18,7 +18,7 @@ from tissue_sim.fem.solid.sensitivity import StartRates
 from tissue_sim.fem.solid.settling import Settling, settle
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solid.tissue import element_layers
-from tissue_sim.fem.solid.touch import touching_height
+from tissue_sim.fem.solid.touch import Touch, touch
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.material.layer import Layer
 from tissue_sim.mesh.grading import PLATE_RING, Grading
@@ -32,8 +32,6 @@ from tissue_sim.specimen.specimen import with_article
 _NEEDLE_TOLERANCE, _PLATE_TOLERANCE = 1e-4, 1e-7
 #: Elements far from a needle need not be smaller than this share of the specimen.
 _LEAST_LARGEST = 0.17
-#: Way of the top, in heights of the specimen, by which it is seen how the place of the first touch follows it.
-_TOUCHING_STEP = 1e-5
 
 
 class Resolution(NamedTuple):
@@ -91,13 +89,14 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
     tolerance = (_PLATE_TOLERANCE * experiment.specimen.margin() if tool.is_plate
                  else _NEEDLE_TOLERANCE * tool.require_radius())
     places = mesh.nodes if settled is None else mesh.nodes + settled.x.reshape(-1, 3)
-    datum, top = touching_height(mesh, places, bodies, start), places[mesh.sets["top"]]
+    first, top = touch(mesh, places, bodies, start), places[mesh.sets["top"]]
+    datum = first.height
     laws = NodeLaws(experiment.acting_laws, np.pi * experiment.contact_radius**2, _law_areas(experiment, mesh))
     return SolidSolver(mesh, model.material, _fixed(experiment), bonded, bodies=bodies, laws=laws, tolerance=tolerance,
                        start=start, datum=datum, contact_radius=experiment.contact_radius,
                        pins=_pins(experiment, mesh), element_layers=layers, specific_weight=weight,
                        settled=settled, lift=_lifted(mesh, top[:, 2] - datum) if weight and tool.is_plate else None,
-                       start_rates=settling and partial(_start_rates, settling, experiment, bodies, places))
+                       start_rates=settling and partial(_start_rates, settling, experiment, first))
 
 
 def _lifted(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray:
@@ -109,25 +108,19 @@ def _lifted(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray:
     return heights[beside]
 
 
-def _start_rates(settling: Settling, experiment: Experiment, bodies: list[Body], places: np.ndarray,
-                 neighbours: Neighbours) -> StartRates | None:
-    """How the state in which the tool touches, nodes at `places`, m, changes with parameters; None where that is not
-    known."""
-    mesh, start = settling.mesh, experiment.tool_pose(0.0)
+def _start_rates(settling: Settling, experiment: Experiment, first: Touch, neighbours: Neighbours
+                 ) -> StartRates | None:
+    """How the state in which the tool touches changes with parameters; None where that is not known."""
+    mesh = settling.mesh
     specimen, over_sides = experiment.specimen, experiment.tool.is_plate or not experiment.specimen.is_flat
     if specimen.height_is == "placed" and experiment.acting_laws and over_sides:
         return None  # areas for tractions would change with the height, too
     found = settling.repeat(neighbours)
     if found is None:
         return None
-    height = float(np.ptp(mesh.nodes[:, 2]))
     ways = found.settled[0].reshape(len(neighbours), -1, 3).copy()
     ways[:, :, 2] += np.multiply.outer(found.stretch, mesh.nodes[:, 2])
-    datum = np.zeros(len(neighbours))
-    for k, way in enumerate(ways):
-        step = _TOUCHING_STEP * height / max(float(np.abs(way).max()), 1e-300)
-        high, low = (touching_height(mesh, places + side * step * way, bodies, start) for side in (1.0, -1.0))
-        datum[k] = (high - low) / (2.0 * step)
+    datum = np.array([first.rate(mesh, way) for way in ways])
     lift = _lifted(mesh, ways[:, mesh.sets["top"], 2].T - datum) if experiment.tool.is_plate else None
     return StartRates(found.stretch, found.settled, found.resting, datum, lift)
 
@@ -284,7 +277,7 @@ def tool_contact(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, pl
     """The tool with the nodes that may meet it, and the height of the scene's origin in the frame of the mesh where it
     first touches, m; `bonded` are the nodes that it holds, all are at `places`, m, shape (nodes, 3)."""
     bodies, start = _moving(experiment, mesh, bonded), experiment.tool_pose(0.0)
-    return bodies, touching_height(mesh, places, bodies, start)
+    return bodies, touch(mesh, places, bodies, start).height
 
 
 def _law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:

@@ -253,9 +253,10 @@ def layer_ratios(material: Material, layers: np.ndarray) -> np.ndarray:
     return ratios[np.minimum(layers, ratios.size - 1)]
 
 
-def node_moduli(material: Material, mesh: SolidMesh) -> np.ndarray:
-    """Shear modulus of resting tissue at each node, the mean of the elements there, Pa, shape (nodes,)."""
-    moduli = layer_ratios(material, element_layers(mesh, material.layers))
+def node_moduli(material: Material, mesh: SolidMesh, layers: np.ndarray) -> np.ndarray:
+    """Shear modulus of resting tissue at each node, the mean of the elements there, Pa, shape (nodes,); `layers` as of
+    `element_layers`."""
+    moduli = layer_ratios(material, layers)
     for name, elements in element_groups(mesh).items():
         moduli[elements] *= material.regions.get(name, material).mu0
     nodes = mesh.connectivity.ravel()
