@@ -101,8 +101,8 @@ def run(arguments) -> int:
 
     material = reduced.model.material if reduced and not arguments.material else read_material(arguments.material)
     experiment = reduced.model.experiment if reduced else make_experiment(arguments, make_protocol(arguments), material)
-    scene = Scene(SCENES[arguments.scene], experiment, material,
-                  BUILT_IN if arguments.material is None else arguments.material.name,
+    source = arguments.material or arguments.reduced
+    scene = Scene(SCENES[arguments.scene], experiment, material, source.name if source else BUILT_IN,
                   read_measurements(arguments.measured, arguments.scene), arguments.solver, reduced=reduced)
     # Other solvers than the usual one may take longer than a tick for an equilibrium, which no hand may wait for.
     other = arguments.solver not in (Scene.solver, "reduced")

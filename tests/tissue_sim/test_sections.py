@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+from solid_meshes import block as solid_block
 
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.sections import clip, section, section_lines
 from tissue_sim.mesh.solid import block_mesh, needle_solid
 from tissue_sim.mesh.subdivision import side_edges, side_triangles, surface_triangles, tetrahedra
+from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
 
 SIZES = np.array([0.05, 0.03, 0.02])
 every_element = pytest.mark.parametrize("element", (HEX8P0, HEX27P1), ids=lambda element: element.name)
@@ -32,6 +34,30 @@ def normals(points, triangles):
     """Half the cross products: areas with directions, shape (t, 3)."""
     a, b, c = np.moveaxis(points[triangles], 1, 0)
     return 0.5 * np.cross(b - a, c - a)
+
+
+@pytest.mark.parametrize("element", [HEX8P0, HEX27P1, TET8P0, TET15P1], ids=lambda element: element.name)
+def test_neighbours_divide_their_common_side_alike(element):
+    """However they are numbered, but for sides of four corners, which do on a lattice: else bent sides leave gaps."""
+    mesh, rng = solid_block([0.0, 1.0, 2.0], [0.0, 1.5], [-1.0, 0.0], element), np.random.default_rng(0)
+    cells = cells_of(mesh)
+    if element.name.startswith("T"):
+        # Each tetrahedron begins with another corner.
+        turns = [_renumbered(element, order) for order in ([1, 2, 0, 3], [2, 0, 1, 3], [0, 2, 3, 1], [3, 1, 0, 2])]
+        turned = np.array([each[turns[k]] for each, k in zip(mesh.connectivity, rng.integers(
+            0, 4, len(mesh.connectivity)), strict=True)])
+        cells = turned[:, tetrahedra(element)].reshape(-1, 4)
+    sides = np.sort(np.concatenate([np.delete(cells, k, axis=1) for k in range(4)]), axis=1)
+    _, times = np.unique(sides, axis=0, return_counts=True)
+    outside = sum(map(len, mesh.faces.values())) * len(side_triangles(element))
+    assert (times == 1).sum() == outside and times.max() == 2
+
+
+def _renumbered(element, order):
+    """Nodes of a tetrahedron that begins with other corners, by where they stand."""
+    corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])[order]
+    shares = np.column_stack([1.0 - element.reference_nodes.sum(axis=1), element.reference_nodes])
+    return [int(np.abs(element.reference_nodes - place).sum(axis=1).argmin()) for place in shares @ corners]
 
 
 @pytest.mark.parametrize(("element", "volume"), [*((each, 8.0) for each in (HEX8P0, HEX27P1)), (Tetrahedron(), 1 / 6)],

@@ -38,7 +38,13 @@ def tetrahedra(element: DivisibleElement) -> np.ndarray:
         Numbers of the element's nodes, shape (t, 4), read-only; each tetrahedron has a positive volume.
     """
     places = element.reference_nodes
-    cells = _divided(places)
+    middle = _middle(places)
+    if middle is None:
+        cells = _divided(places)
+    else:
+        # From a node inside to the triangles of all sides, so that neighbours divide their common side alike.
+        triangles = element.faces[:, side_triangles(element)].reshape(-1, 3)
+        cells = np.column_stack([np.full(len(triangles), middle), triangles])
     edges = places[cells[:, 1:]] - places[cells[:, :1]]
     volumes = np.linalg.det(edges)
     cells[volumes < 0.0] = cells[volumes < 0.0][:, [0, 2, 1, 3]]
@@ -58,7 +64,15 @@ def side_triangles(element: DivisibleElement) -> np.ndarray:
     # Two coordinates are enough: a side lies in a plane.
     normal = np.abs(np.linalg.svd(places - places.mean(axis=0))[2][2])
     kept = np.delete(np.arange(3), int(np.argmax(normal)))
-    triangles = _divided(places[:, kept])
+    middle = _middle(places)
+    if middle is None:
+        triangles = _divided(places[:, kept])
+    else:
+        # Round a node inside: whatever the side of the neighbour begins with, it has the same ones.
+        x, y = (places[:, kept] - places[middle, kept]).T
+        around = np.argsort(np.arctan2(y, x))
+        around = around[around != middle]
+        triangles = np.column_stack([np.full(around.size, middle), around, np.roll(around, -1)])
     a, b, c = np.moveaxis(places[triangles], 1, 0)
     normals = np.cross(b - a, c - a)
     inwards = (normals * (places.mean(axis=0) - element.reference_nodes.mean(axis=0))).sum(axis=1) < 0.0
@@ -91,6 +105,13 @@ def surface_triangles(element: DivisibleElement, sides: np.ndarray) -> np.ndarra
         Node numbers, shape (m k, 3), the triangles of a side behind each other.
     """
     return np.take(sides, side_triangles(element), axis=1).reshape(-1, 3)
+
+
+def _middle(places: np.ndarray) -> int | None:
+    """Number of the node that stands in the middle of others, if one does."""
+    away = np.linalg.norm(places - places.mean(axis=0), axis=1)
+    best = int(np.argmin(away))
+    return best if away[best] < 0.1 * away.max() else None
 
 
 def _divided(places: np.ndarray) -> np.ndarray:

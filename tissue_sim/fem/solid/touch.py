@@ -77,6 +77,10 @@ def touch(mesh: SolidMesh, places: np.ndarray, bodies: list[Body], start: Pose) 
     # Others cannot be nearer than the first that was met.
     reaches = sides.radii + sides.bulges + _SLACK * tool.scale
     near = np.flatnonzero(tool.gaps(sides.middles, datum) <= reaches)
+    heights = sides.lattice[near, :, 2]
+    if np.ptp(heights) <= _SLACK * tool.scale:
+        # A flat top is met by what is lowest of the tool.
+        datum += float(heights.max()) - tool.lowest(datum)
     found = _Found(sides, near, tool, datum)
     if found.is_all:
         return found.touch(datum)
@@ -123,6 +127,13 @@ class _Tool:
         return np.array([each.normal for each in found])[part, np.arange(len(points))] @ Frame(
             self._start, datum).rotation.T
 
+    def lowest(self, datum: float) -> float:
+        """Height of its lowest point in the frame of the mesh, m."""
+        frame = Frame(self._start, datum)
+        across, up = float(np.hypot(*frame.rotation[2, :2])), float(frame.rotation[2, 2])
+        return float(frame.origin[2]) + min(float((body.profile.vertices @ [-across, up]).min()) - body.profile.rounding
+                                            for body in self._bodies)
+
     def is_sharp_at(self, point: np.ndarray, datum: float) -> bool:
         """Whether it has an edge or a tip where it touches a point, shape (3,)."""
         away = datum + _AWAY * self.scale
@@ -158,8 +169,8 @@ class _Found:
         sides: all. near: numbers of those that may be meant. tool, datum: where it is.
 
     Attributes:
-        gap: distance, m. point: m, shape (3,). is_all: whether it touches, and the plane in which it does keeps the
-            tool apart from all of the sides.
+        gap: distance, m. point: m, shape (3,). is_all: whether it touches, and a plane there keeps the tool apart from
+            all of the sides: the one in which they touch, or a level one.
     """
 
     def __init__(self, sides: SidePoints, near: np.ndarray, tool: _Tool, datum: float):
@@ -174,8 +185,11 @@ class _Found:
         normals = tool.normals(points[rows, best], datum)
         bounds = least + np.einsum("kqi,ki->kq", points - points[rows, best][:, None], normals).min(axis=1)
         bounds -= sides.bulges[near]
-        beyond = ((points - self.point) @ normals[first]).min(axis=1) - sides.bulges[near]
-        self.is_all = abs(self.gap) <= _SLACK * tool.scale and bool(beyond.min() >= -_SLACK * tool.scale)
+        slack, under = _SLACK * tool.scale, points - self.point
+        beyond = (under @ normals[first]).min(axis=1) - sides.bulges[near]
+        above = under[..., 2].max(axis=1) + sides.bulges[near]
+        self.is_all = abs(self.gap) <= slack and bool(beyond.min() >= -slack or (
+            above.max() <= slack and tool.lowest(datum) >= self.point[2] - slack))
         if self.is_all:
             return
         searched = near[bounds < self.gap - _SLACK * tool.scale]
