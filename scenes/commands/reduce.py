@@ -17,6 +17,8 @@ EXAMPLE = ("tissue-sim reduce needle_indentation --material m.material.json --to
            "--depth-mm 4 --sideways-mm 3 --turn-deg 5 -o needle.reduced.npz")
 #: Depth of the box where nothing is said, mm.
 _DEPTH_MM = 4.0
+#: Error of the force, of its rms, from which on it is said what to do.
+_POOR = 0.03
 
 
 def add_arguments(parser: Parser) -> None:
@@ -97,5 +99,8 @@ def run(arguments) -> int:
     several = f", of {report['materials']} materials," if also else ""
     print(f"on {report['tried']} other strokes{several} the force is {100 * report['force_rms_error']:.2g} % off "
           f"(rms; at most {100 * report['force_largest_error']:.2g} %, of {report['force_rms_N']:.3g} N)")
+    if report["force_rms_error"] > _POOR:
+        print(f"that is much: more strokes (--strokes {2 * report['strokes']}), more modes (--modes "
+              f"{2 * report['modes']}) or a smaller box make it better")
     print(f"written to {output}")
     return 0

@@ -116,8 +116,9 @@ def run(arguments) -> int:
     limits = SceneLimits(deepest=DEEPEST * experiment.specimen.height, force=arguments.largest_force_N)
     # The ports come before the compilation: one that is taken should be known at once.
     with TissueServer(simulator, host=arguments.host, port=arguments.port, configuration_port=port,
-                      description=lambda: describe(arguments, experiment, material_file, simulator),
-                      parameters=parameter_values(material), silence=arguments.silence_s, limits=limits,
+                      description=lambda: describe(arguments, experiment, material_file, simulator, reduced),
+                      parameters={} if reduced and reduced.rest else parameter_values(material),
+                      silence=arguments.silence_s, limits=limits,
                       rebuild=rebuild, session=arguments.session, spin=spin(arguments),
                       expose=arguments.expose) as server:
         with progress.status("loading the solver (a machine's first run compiles it)"):
@@ -146,12 +147,16 @@ def spin(arguments) -> float:
     return 0.0 if processors == 1 or arguments.real_time else SPIN_US * 1e-6
 
 
-def describe(arguments, experiment: Experiment, material_file, simulator) -> dict[str, Any]:
+def describe(arguments, experiment: Experiment, material_file, simulator, reduced=None) -> dict[str, Any]:
     """What is served, for the command ``describe``; in SI."""
+    import numpy as np
+
     from scenes.commands.material.summary import summarise
     from tissue_sim.parameters import declared
 
     specimen, tool, mesh = experiment.specimen, experiment.tool, simulator.mesh
+    first, further = (experiment.tool_pose(depth) for depth in (0.0, 1.0))
+    box = None if reduced is None else {name: getattr(reduced.box, name) for name in ("sideways", "depth", "turn")}
     return {
         "scene": arguments.scene,
         "specimen": {"shape": specimen.shape, "height": specimen.height} | {
@@ -159,10 +164,13 @@ def describe(arguments, experiment: Experiment, material_file, simulator) -> dic
         "tool": {"shape": tool.shape, "radius": tool.radius} | {name: getattr(tool, name)
                                                                 for name in declared(type(tool))},
         "interfaces": {name: getattr(experiment, name) for name in ("friction", "friction_base", "friction_wall")},
+        "first_touch": {"position": first.position, "orientation": first.orientation,
+                        "way": np.subtract(further.position, first.position).tolist()},
+        "box": box,
         "material_file": arguments.material,
         "material": summarise(material_file),
         "resolution": simulator.resolution,
-        "force_error": simulator.force_error,
+        "force_error": simulator.force_error if reduced is None else reduced.report.get("force_rms_error"),
         "inertia": arguments.inertia,
         "budget": simulator.budget,
         "limits": {"deepest": DEEPEST * specimen.height, "force": arguments.largest_force_N},

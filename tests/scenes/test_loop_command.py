@@ -165,6 +165,15 @@ def test_a_leaning_tool_stays_in_the_box_of_a_reduced_solid(asked, monkeypatch):
     assert np.ptp([pose.position[1] for pose in poses]) > 1e-3 and max(pose.depth for pose in poses) > 2e-3
 
 
+@pytest.mark.parametrize(("words", "said"), [
+    (["--sideways-mm", "3"], "--sideways-mm: 3 leads out of the box of the reduced solid, as a tool that leans"),
+    (["--turn-deg", "10"], "--turn-deg: 10 leads out of the box")])
+def test_a_motion_out_of_the_box_of_a_reduced_solid_is_refused(words, said, monkeypatch, capsys):
+    reduced_file(monkeypatch, 0.3, ts.Approach(5e-3, 0.3))
+    assert main(["loop", "--reduced", "any.reduced.npz", *words]) == 2
+    assert said in capsys.readouterr().err
+
+
 def reduced_file(monkeypatch, friction, approach):
     """A reduced solid that is no more than its box, which any file is read as; and where its tool begins."""
     holds = friction == "bonded"

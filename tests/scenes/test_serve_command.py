@@ -1,19 +1,23 @@
 """`tissue-sim serve`: one line when it is ready, forces and configuration while it runs, counters at its end."""
 
 import json
+import math
 import re
 import signal
 import socket
 import subprocess
 import sys
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import tissue_sim as ts
 from haptics.server.client import TissueClient
 from haptics.server.wire import Status
 from scenes.cli import main
+from scenes.commands.serve import describe
 
 MEASURES = ["--radius-mm", "40", "--height-mm", "70"]
 
@@ -104,6 +108,27 @@ def test_describe_says_what_is_served(ask):
     assert answer["material"]["law"] == "reduced_polynomial_2" and answer["material"]["mu0_Pa"] == pytest.approx(2809.8)
     assert answer["parameters"] == {"C10": 1404.9, "C20": 699.4, "bulk.bulk_ratio": 1e4}
     assert answer["mesh"]["elements"] > 10
+    assert answer["box"] is None
+    assert answer["first_touch"] == {"position": [0.0, 0.0, 0.0], "orientation": [1.0, 0.0, 0.0, 0.0],
+                                     "way": [0.0, 0.0, -1.0]}
+
+
+def test_a_client_is_told_where_a_reduced_solid_holds():
+    """Also how its tool leans, as docs/wire_protocol.md has it, and how far its force errs."""
+    experiment = ts.KINDS["needle_indentation"].experiment(
+        specimen=ts.Specimen(0.04, 0.07), protocol=ts.Protocol.ramp(3e-3, points=2), tool=ts.Tool("flat", radius=8e-3),
+        friction="bonded", approach=ts.Approach(15e-3, math.radians(10.0)))
+    material = ts.Material("neo_hooke", {"C10": 1000.0}, ts.Bulk("bulk_ratio", 1e3))
+    reduced = SimpleNamespace(box=ts.PoseBox(2e-3, 3e-3, 0.1), report={"force_rms_error": 0.007})
+    arguments = SimpleNamespace(scene="needle_indentation", material=None, inertia="auto", largest_force_N=100.0,
+                                solver="reduced")
+    simulator = SimpleNamespace(mesh=None, resolution="own mesh", force_error=None, budget=None)
+    told = describe(arguments, experiment, ts.MaterialFile.of(material), simulator, reduced)
+    assert told["box"] == {"sideways": 2e-3, "depth": 3e-3, "turn": 0.1} and told["force_error"] == 0.007
+    touch = told["first_touch"]
+    assert touch["position"] == pytest.approx((0.015, 0.0, 0.0), abs=1e-12)
+    assert touch["orientation"] == pytest.approx((0.99619, 0.0, -0.08716, 0.0), abs=1e-5)
+    assert touch["way"] == pytest.approx((0.17365, 0.0, -0.98481), abs=1e-5)
 
 
 def test_parameters_are_set_without_a_new_start(ask, client):

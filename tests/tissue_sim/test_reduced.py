@@ -229,6 +229,15 @@ class TestEstimate:
         assert steps[1].force == pytest.approx(steps[0].force, rel=1e-4), "what is watched moves nothing"
 
 
+@pytest.mark.parametrize("base", ["bonded", "frictionless"])
+def test_a_motion_along_the_axis_alone_has_few_modes(base):
+    """What more are asked for would be rounding, which nothing resists: no step found an equilibrium."""
+    reduced = reduce_solid(model(ts.Tool("flat", radius=8e-3), friction="bonded", friction_base=base),
+                           ts.PoseBox(0.0, DEPTH), strokes=3, modes=24, tried=1)
+    assert reduced.report["modes"] < 12 and reduced.report["not_converged"] == 0.0
+    assert reduced.report["force_rms_error"] < 0.01
+
+
 class TestBox:
     def test_outside_is_said(self, held):
         solver = ReducedSolver(held, MATERIAL)

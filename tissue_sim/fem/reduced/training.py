@@ -38,6 +38,8 @@ _LEAST_FORCE, _LOOKED_AT = 0.02, 240
 #: Elements are sampled with a bulk modulus over mu0 of at least this: with a softer one more are taken (195 in place of
 #: 169), and the force is no better.
 _SAMPLED_AT = 100.0
+#: States are solved to 1e-7 of their forces: modes below this share of the strongest are noise, which nothing resists.
+_NOISE = 1e-6
 #: Motions that are watched beside the modes, for the estimate of the error; an even number of them.
 WATCHED = 4
 #: Steps of the reduced solid on the way of one of the whole.
@@ -130,10 +132,10 @@ def modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> tuple[np
     Args:
         states: displacements, m, shape (states, freedoms).
         group: symmetries; each mode is even or odd under those that are their own inverses and commute.
-        count: of modes.
+        count: of modes, at most.
 
     Returns:
-        Modes, shape (freedoms, count), and all singular values, m, descending.
+        Modes, shape (freedoms, count) or fewer where the rest is noise, and all singular values, m, descending.
     """
     commuting, cosets = parities(group)
     states = np.concatenate([states if one.is_identity else one.displacements(states) for one in cosets])
@@ -147,7 +149,7 @@ def modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> tuple[np
     leading = np.concatenate([values[: len(vectors)] for values, vectors in found])
     # Images of one mode in two of the parts are equally strong; rounding must not choose which comes first.
     best = np.argsort(-np.round(np.log(np.maximum(leading, 1e-300)), 7), kind="stable")[:count]
-    return vectors[best[leading[best] > 1e-9 * leading[best[0]]]].T, np.sort(singular)[::-1]
+    return vectors[best[leading[best] > _NOISE * leading[best[0]]]].T, np.sort(singular)[::-1]
 
 
 def _singular(states: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,30 @@
+"""`tissue-sim reduce`: what it says of its result."""
+
+import json
+
+import pytest
+
+import tissue_sim as ts
+from scenes.cli import main
+
+SMALL = ["reduce", "needle_indentation", "--radius-mm", "30", "--height-mm", "20", "--tool-radius-mm", "8",
+         "--friction", "bonded", "--depth-mm", "2"]
+
+
+def test_without_more_flags_it_follows_a_needle_along_its_axis(tmp_path, capsys):
+    """By default the tool goes neither aside nor does it turn; that takes a few modes, and is good."""
+    path = tmp_path / "axis.reduced.npz"
+    assert main([*SMALL, "--strokes", "3", "--tried", "1", "-o", str(path), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["force_rms_error"] < 0.01 and report["not_converged"] == 0.0 and report["modes"] < 24
+    reduced = ts.load_reduced(path)
+    curve = ts.simulate(reduced.model, solver="reduced", mesh=reduced)
+    assert len(curve.force) > 10 and (curve.force[1:] > curve.force[:-1]).all()
+
+
+@pytest.mark.parametrize(("modes", "says"), [("2", True), ("12", False)])
+def test_a_poor_result_says_what_to_do(modes, says, tmp_path, capsys):
+    assert main([*SMALL, "--sideways-mm", "2", "--strokes", "2", "--modes", modes, "--tried", "1", "-o",
+                 str(tmp_path / "poor.reduced.npz")]) == 0
+    said = capsys.readouterr().out
+    assert ("that is much: more strokes (--strokes 4)" in said) is says, said
