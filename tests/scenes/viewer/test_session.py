@@ -113,10 +113,13 @@ def test_a_played_protocol_is_the_test(session, needle, until):
     trace = until(session.frame, over).curves.trace
     load, unload = trace.branches()
     # A machine with much else to do misses ticks: a branch begins and ends as far off as the tool goes meanwhile.
-    missed = SPEED * np.diff(trace.time).max()
+    gap = np.diff(trace.time).max()
+    missed = SPEED * gap
     assert (load.depth[0], load.depth[-1], unload.depth[-1]) == pytest.approx((0.0, 2e-3, 0.0), abs=3e-5 + missed)
     below = trace.time[trace.depth > 1.9e-3]
-    assert np.ptp(below) == pytest.approx(0.2 + 2 * 0.1e-3 / SPEED, abs=0.05), "it holds"
+    # Samples at either end of the hold may be missing, none is there that was not made.
+    holds = 0.2 + 2 * 0.1e-3 / SPEED
+    assert holds - 2 * gap - 0.05 < np.ptp(below) < holds + 0.05, "it holds"
     model = replace(needle.model, experiment=replace(needle.experiment, protocol=ts.Protocol.parse(TEST, 41, SPEED)))
     expected = ts.simulate(model, resolution=MESH)
     way_in, top = slice(0, 41), expected.force.max()
