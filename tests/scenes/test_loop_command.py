@@ -189,7 +189,7 @@ def reduced_file(monkeypatch, friction, approach):
 
 @pytest.mark.parametrize("friction", ["bonded", 0.3])
 def test_no_motion_leaves_the_box_of_a_reduced_solid(friction, asked, monkeypatch):
-    """Unless it is told to; and no tool that holds tissue pulls at it."""
+    """And no tool that holds tissue pulls at it."""
     holds = friction == "bonded"
     file, start = reduced_file(monkeypatch, friction, ts.Approach(5e-3))
     box = file.box

@@ -115,6 +115,8 @@ def _start_rates(settling: Settling, experiment: Experiment, first: Touch, neigh
     specimen, over_sides = experiment.specimen, experiment.tool.is_plate or not experiment.specimen.is_flat
     if specimen.height_is == "placed" and experiment.acting_laws and over_sides:
         return None  # areas for tractions would change with the height, too
+    if first.place is None:
+        return None
     found = settling.repeat(neighbours)
     if found is None:
         return None

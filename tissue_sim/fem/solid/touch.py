@@ -33,8 +33,8 @@ class Touch:
 
     Attributes:
         height: of the scene's origin in the frame of the mesh, m.
-        side: number of a side of the top that is touched, -1 where nothing is; place: on its square, shape (2,).
-        normal: along which they touch, shape (3,).
+        side: number of a side of the top that is touched, -1 where the mesh states none; place: on its square, shape
+            (2,). normal: along which they touch, shape (3,).
     """
 
     height: float
@@ -43,9 +43,9 @@ class Touch:
     normal: np.ndarray | None = None
 
     def rate(self, mesh: SolidMesh, ways: np.ndarray) -> float:
-        """How the height follows the nodes, m per parameter, that go these ways, shape (nodes, 3)."""
-        if self.place is None or self.normal is None:
-            return 0.0
+        """How the height follows the nodes, m per parameter, that go these ways, shape (nodes, 3), where a side is
+        touched."""
+        assert self.place is not None and self.normal is not None
         side = mesh.faces["top"][[self.side]]
         way = SidePoints(mesh.element, ways[side]).at(np.array([0]), self.place[None, None])[0, 0]
         return float(way @ self.normal / self.normal[2])
