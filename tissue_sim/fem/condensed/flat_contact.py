@@ -7,10 +7,11 @@ stiffness of each node alone, and steps that are halved until what is left of th
 round the nodes one after the other (Jean, ibid. 177 (1999) 235) takes a thousand rounds on a surface about to fold.
 """
 
+import math
+
 import numpy as np
 
-from tissue_sim.fem.condensed.flat_kernel import ENOUGH, FORCES, LEFT, UNKNOWN, flat_kernel
-from tissue_sim.fem.condensed.kernel import COUNT
+from tissue_sim.fem.condensed.flat_kernel import ENOUGH, SHARE, flat_kernel
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 
@@ -29,13 +30,12 @@ class FlatContact:
 
     def __init__(self, arrays: dict[str, np.ndarray], near: float, floor: float):
         n = len(arrays["middle"])
-        self._forces, self._nodes, self._floor = arrays["forces"], arrays["nodes"], floor
-        self._found, self._unknown = np.zeros(3), np.zeros(n, dtype=np.int32)
+        self._floor, self._found = floor, np.zeros(3)
         self._matrix, self._right = np.zeros(9 * n * n), np.zeros(3 * n)
-        self._settings, self._limits = arrays["settings"], np.array([near, 0.0, floor])
+        self._limits = np.array([near, 0.0, floor, 0.0])
         own = {"found": self._found, "limits": self._limits, "near": np.zeros(n, dtype=np.int32),
-               "moved": np.zeros((n, 3)), "unknown": self._unknown, "slopes": np.zeros((n, 18)),
-               "matrix": self._matrix, "right": self._right}
+               "moved": np.zeros((n, 3)), "unknown": np.zeros(n, dtype=np.int32), "slopes": np.zeros((n, 18)),
+               "start": np.zeros((n, 3)), "goal": np.zeros((n, 3)), "matrix": self._matrix, "right": self._right}
         with LOCK:
             self._kernel = BoundKernel.of(flat_kernel(), arrays | own)
 
@@ -43,24 +43,22 @@ class FlatContact:
         """Find the forces of the nodes; whether what is left of the equation is less than a share of them."""
         from scipy.linalg import lapack
 
-        found, forces, nodes = self._found, self._forces, self._nodes[:int(self._settings[COUNT])]
         self._limits[ENOUGH] = tolerance
-        left = self._look()
+        left, unknown = self._look(0.0)
         for _ in range(_MOST):
             if left <= tolerance:
                 return True
-            k, start = 3 * int(found[UNKNOWN]), forces[nodes]
-            goal = np.zeros_like(start)
-            if k:
-                *_, step, failed = lapack.dgesv(self._matrix[:k * k].reshape(k, k).T, self._right[:k], overwrite_a=1)
-                if failed or not np.isfinite(step).all():
+            if unknown:
+                k = 3 * unknown
+                # The solution takes the place of the right-hand side, where the kernel looks for it.
+                right = self._right[:k]
+                *_, failed = lapack.dgesv(self._matrix[:k * k].reshape(k, k).T, right.reshape(k, 1), overwrite_a=1,
+                                          overwrite_b=1)
+                if failed or not math.isfinite(right @ right):
                     return False
-                chosen = self._unknown[:k // 3]
-                goal[chosen] = start[chosen] + step.reshape(-1, 3)
             share = 1.0
             for halving in range(_HALVINGS + 1):
-                forces[nodes] = start + share * (goal - start)
-                now = self._look()
+                now, unknown = self._look(share)
                 if now <= (1.0 - _BETTER * share) * left:
                     break
                 share *= 0.5
@@ -69,8 +67,11 @@ class FlatContact:
             left = now
         return left <= tolerance
 
-    def _look(self) -> float:
-        """What is left of the equation, over the size of the forces."""
+    def _look(self, share: float) -> tuple[float, int]:
+        """Go a share of the way to the linear solution; what is left of the equation there, over the size of the
+        forces, and how many nodes are unknown in the next one."""
+        self._limits[SHARE] = share
         with LOCK:
             self._kernel()
-        return float(np.sqrt(self._found[LEFT]) / max(np.sqrt(self._found[FORCES]), self._floor))
+        left, forces, unknown = self._found.tolist()
+        return math.sqrt(left) / max(math.sqrt(forces), self._floor), int(unknown)

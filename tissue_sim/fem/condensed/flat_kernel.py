@@ -7,24 +7,44 @@ from tissue_sim.fem.taichi.runtime import initialise
 
 #: Places in `found`: what is left of the equation and the forces, squared; unknown nodes.
 LEFT, FORCES, UNKNOWN = range(3)
-#: Places in `limits`: nearer nodes take part, m; what may be left over the forces; forces that are none, N.
-NEAR, ENOUGH, NONE = range(3)
+#: Places in `limits`: nearer nodes take part, m; what may be left over the forces; forces that are none, N; how much of
+#: the way to the linear solution is gone before the look: 0, none; 1, of a solution that was not there yet.
+NEAR, ENOUGH, NONE, SHARE = range(4)
 
 
 @cache
 def flat_kernel():
-    """Kernel of what is left of the equation of a `FlatContact`, and of the linear one for nodes that carry a force."""
+    """Kernel that goes some way to the solution of the linear equation of a `FlatContact`, and finds what is left of
+    the equation there, and the next linear one for the nodes that carry a force."""
     ti = initialise()
     real1, real2 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2))
     int1 = ti.types.ndarray(ti.i32, ndim=1)
     eases = eases_function()
 
+    @ti.func
+    def go(settings: ti.template(), found: ti.template(), share, nodes: ti.template(), forces: ti.template(),
+           start: ti.template(), goal: ti.template(), unknown: ti.template(), right: ti.template()):
+        """Forces some way to the linear solution; nodes that are not in it lose theirs."""
+        many = ti.cast(settings[COUNT], ti.i32)
+        if share == 1.0:
+            for i in range(many):
+                for a in ti.static(range(3)):
+                    start[i, a], goal[i, a] = forces[nodes[i], a], 0.0
+            for p in range(ti.cast(found[UNKNOWN], ti.i32)):
+                for a in ti.static(range(3)):
+                    goal[unknown[p], a] = start[unknown[p], a] + right[3 * p + a]
+        for i in range(many):
+            for a in ti.static(range(3)):
+                forces[nodes[i], a] = start[i, a] + share * (goal[i, a] - start[i, a])
+
     @ti.kernel
     def look(settings: real1, found: real1, limits: real1, nodes: int1, bound: int1, pressed: int1, slips: int1,
              forces: real2, compliance: real2, geometry: real2, guess: real2, moved: real2, near: int1,
-             unknown: int1, slopes: real2, matrix: real1, right: real1):
+             unknown: int1, slopes: real2, start: real2, goal: real2, matrix: real1, right: real1):
         ti.loop_config(serialize=True)
         for _ in range(1):
+            if limits[SHARE] > 0.0:
+                go(settings, found, limits[SHARE], nodes, forces, start, goal, unknown, right)
             many, count, left, size = 0, 0, 0.0, 0.0
             for i in range(ti.cast(settings[COUNT], ti.i32)):
                 s = nodes[i]
@@ -95,7 +115,6 @@ def flat_kernel():
                 rows = 0
             for p in range(rows):
                 i = unknown[p]
-                D = ti.Matrix([[slopes[p, 3 * a + b] for b in ti.static(range(3))] for a in ti.static(range(3))])
                 # What the nodes that are let go no longer push away.
                 e = ti.Vector.zero(ti.f64, 3)
                 for q in range(many):
@@ -105,18 +124,21 @@ def flat_kernel():
                         for a in ti.static(range(3)):
                             for b in ti.static(range(3)):
                                 e[a] = e[a] + compliance[3 * j + b, 3 * i + a] * forces[s, b]
-                released = D @ e
                 for a in ti.static(range(3)):
-                    right[3 * p + a] = right[3 * p + a] - released[a]
-                for q in range(count):
-                    j = unknown[q]
-                    for b in ti.static(range(3)):
+                    right[3 * p + a] = right[3 * p + a] - (slopes[p, 3 * a] * e[0] + slopes[p, 3 * a + 1] * e[1]
+                                                           + slopes[p, 3 * a + 2] * e[2])
+            # Column by column, as it lies in memory; the compliance is symmetric.
+            for q in range(rows):
+                for b in range(3):
+                    begin, at = (3 * q + b) * k, 3 * unknown[q] + b
+                    for p in range(rows):
+                        i = unknown[p]
+                        C = ti.Vector([compliance[at, 3 * i + c] for c in ti.static(range(3))])
                         for a in ti.static(range(3)):
-                            value = 0.0
-                            if p == q:
-                                value = slopes[p, 9 + 3 * a + b] - ti.static(1.0 if a == b else 0.0)
-                            for c in ti.static(range(3)):
-                                value = value - D[a, c] * compliance[3 * i + c, 3 * j + b]
-                            matrix[(3 * q + b) * k + 3 * p + a] = value
+                            matrix[begin + 3 * p + a] = -(slopes[p, 3 * a] * C[0] + slopes[p, 3 * a + 1] * C[1]
+                                                          + slopes[p, 3 * a + 2] * C[2])
+                    for a in ti.static(range(3)):
+                        matrix[begin + 3 * q + a] = matrix[begin + 3 * q + a] + slopes[q, 9 + 3 * a + b]
+                    matrix[begin + 3 * q + b] = matrix[begin + 3 * q + b] - 1.0
 
     return look

@@ -13,10 +13,11 @@ from tissue_sim.fem.taichi.scratch import LANES, VECTORS, scratch
 HOLD = 3.0
 #: Places in `settings`: number of nodes, whether states may change, whether the curvature counts, negligible friction,
 #: tolerance, whether the tool is where it touched or deeper, whether pulling nodes are let go, whether equations are
-#: wanted anew, shear modulus; then rotation (9) and place (3) of the tool, and its motion (6).
-(COUNT, CHANGEABLE, BENDING, NEGLIGIBLE, TOLERANCE, PRESSED_IN, RELEASE, ANEW, MODULUS) = range(9)
-ROTATION, ORIGIN, MOTION = 9, 18, 21
-SETTINGS = 27
+#: wanted anew, shear modulus, of how many nodes the forces follow the tool first; then rotation (9) and place (3) of
+#: the tool, its motion from the pose of the model (6), and from that of the last step (6).
+(COUNT, CHANGEABLE, BENDING, NEGLIGIBLE, TOLERANCE, PRESSED_IN, RELEASE, ANEW, MODULUS, FOLLOWS) = range(10)
+ROTATION, ORIGIN, MOTION, STEP = 10, 19, 22, 28
+SETTINGS = 34
 #: Places in `results`.
 VIOLATION, PULLING, UNBALANCED, SIZE, ACTIVE, REBUILT, SLIPPING = range(7)
 RESULTS = 7
@@ -24,6 +25,8 @@ RESULTS = 7
 MOST_FREEDOMS = LANES * VECTORS
 #: Right-hand sides: of the iteration, and of the six motions of the tool.
 COLUMNS = 7
+#: No linear solution changes forces by more than this share of the largest: it would lead elsewhere.
+_FORESEEN = 0.5
 
 
 @cache
@@ -50,6 +53,26 @@ def contact_kernel():
     vector1 = ti.types.ndarray(ti.types.vector(LANES, ti.f64), ndim=1)
     eases = eases_function()
     move = scratch(LANES, MOST_FREEDOMS // LANES)
+
+    @ti.func
+    def follow(settings: ti.template(), nodes: ti.template(), active: ti.template(), forces: ti.template(),
+               columns: ti.template(), guess: ti.template()):
+        """Forces of the nodes that had equations, as they change linearly with the tool's motion."""
+        most, largest, many = 0.0, 0.0, ti.cast(settings[FOLLOWS], ti.i32)
+        for p in range(many):
+            i = active[p]
+            for a in ti.static(range(3)):
+                more = 0.0
+                for c in ti.static(range(6)):
+                    more = more + columns[3 * p + a, c] * settings[STEP + c]
+                guess[i, a] = more
+                most, largest = ti.max(most, ti.abs(more)), ti.max(largest, ti.abs(forces[nodes[i], a]))
+        if most < _FORESEEN * largest:
+            for p in range(many):
+                i = active[p]
+                for a in ti.static(range(3)):
+                    forces[nodes[i], a] = forces[nodes[i], a] + guess[i, a]
+        settings[FOLLOWS] = 0.0
 
     @ti.func
     def displace(n, many, settings: ti.template(), nodes: ti.template(), forces: ti.template(), middle: ti.template(),
@@ -212,10 +235,12 @@ def contact_kernel():
                 friction: real2, outlines: int1, bound: int1, anchors: real2, pressed: int1, slips: int1,
                 forces: real2, met: int1, met_at: real2, nodes: int1, middle: real2, drive: real2, compliance: real2,
                 rows: vector1, u: real1, guess: real2, rates: real2, turns: real2, intercept: real2, levers: real2,
-                signature: int1, geometry: real2, loaded: int1, active: int1, matrix: real1, block: real1,
+                signature: int1, geometry: real2, loaded: int1, active: int1, columns: real2, matrix: real1,
                 right: real1):
         ti.loop_config(serialize=True)
         for _ in range(1):
+            if settings[FOLLOWS] > 0.0:
+                follow(settings, nodes, active, forces, columns, guess)
             n = ti.cast(settings[COUNT], ti.i32)
             many = 0
             for i in range(n):
@@ -276,20 +301,19 @@ def contact_kernel():
                                 way = way - 1.0
                             value = value + rates[i, 3 * a + b] * way
                         right[(c + 1) * k + row] = value
-                if rebuilt:
-                    for q in range(count):
-                        j = active[q]
-                        for b in ti.static(range(3)):
-                            column = 3 * q + b
-                            for a in ti.static(range(3)):
-                                value = 0.0
-                                if ti.static(a == b):
-                                    value = 1.0 if p == q else 0.0
-                                if p == q:
-                                    value = value - turns[i, 3 * a + b]
-                                for c in ti.static(range(3)):
-                                    value = value + rates[i, 3 * a + c] * compliance[3 * i + c, 3 * j + b]
-                                matrix[column * k + 3 * p + a] = value
-                                block[column * k + 3 * p + a] = compliance[3 * i + a, 3 * j + b]
+            # Column by column, as it lies in memory; the compliance is symmetric.
+            for q in range(count if rebuilt else 0):
+                j = active[q]
+                for b in range(3):
+                    start, at = (3 * q + b) * k, 3 * j + b
+                    for p in range(count):
+                        i = active[p]
+                        C = ti.Vector([compliance[at, 3 * i + c] for c in ti.static(range(3))])
+                        for a in ti.static(range(3)):
+                            matrix[start + 3 * p + a] = (rates[i, 3 * a] * C[0] + rates[i, 3 * a + 1] * C[1]
+                                                         + rates[i, 3 * a + 2] * C[2])
+                    for a in ti.static(range(3)):
+                        matrix[start + 3 * q + a] = matrix[start + 3 * q + a] - turns[j, 3 * a + b]
+                    matrix[start + 3 * q + b] = matrix[start + 3 * q + b] + 1.0
 
     return iterate

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.fem.condensed.answer_kernel import (
+    ANSWER,
+    ANSWERED,
+    HELD_STIFFNESS,
+    HELD_WRENCH,
+    RATES,
+    WRENCH,
+    answer_kernel,
+)
 from tissue_sim.fem.condensed.flat_contact import FlatContact
 from tissue_sim.fem.condensed.kernel import (
     ANEW,
@@ -15,6 +25,7 @@ from tissue_sim.fem.condensed.kernel import (
     CHANGEABLE,
     COLUMNS,
     COUNT,
+    FOLLOWS,
     MODULUS,
     MOST_FREEDOMS,
     MOTION,
@@ -25,6 +36,7 @@ from tissue_sim.fem.condensed.kernel import (
     RESULTS,
     ROTATION,
     SETTINGS,
+    STEP,
     TOLERANCE,
     contact_kernel,
 )
@@ -46,8 +58,6 @@ _NEAR, _FLAT = 0.06, 1e-6
 _SETTLED, _EXACT, _CLOSE, _NO_FRICTION = 1e-4, 1e-6, 1e-4, 1e-6
 #: A node's force follows the tool by no more than this many times the largest stiffness of one alone.
 _STIFFEST = 10.0
-#: No linear solution changes forces by more than this share of the largest: it would lead elsewhere.
-_FORESEEN = 0.5
 #: Steps that the same derivatives serve for, where the same nodes are pressed.
 _STEPS = 8
 #: A step is made in parts of no more than this share of the contact's radius, which are cut down to the other share of
@@ -109,8 +119,8 @@ class CondensedStepper:
         self._bound, self._pressed, self._slips, self._met = np.zeros((4, s), dtype=np.int32)
         self._settings, self._results = np.zeros(SETTINGS), np.zeros(RESULTS)
         self._signature = np.zeros(n, dtype=np.int32)
-        self._matrix, self._block = np.zeros((2, 9 * n * n))
-        self._right, self._levers, self._drive = np.zeros(3 * n * COLUMNS), np.zeros((n, 3)), np.zeros((3 * n, 6))
+        self._matrix, self._right = np.zeros(9 * n * n), np.zeros(3 * n * COLUMNS)
+        self._drive, self._columns = np.zeros((2, 3 * n, 6))
         # Rows of whole vectors.
         width = -(-3 * n // LANES) * LANES
         if width > MOST_FREEDOMS:
@@ -125,13 +135,15 @@ class CondensedStepper:
             "pressed": self._pressed, "slips": self._slips, "forces": self.forces,
             "met": self._met, "met_at": self._met_at, "nodes": self._nodes, "middle": self._middle,
             "drive": self._drive, "compliance": self._compliance, "rows": self._compliance.reshape(-1, LANES),
-            "u": np.zeros(width), "guess": np.zeros((n, 3)),
-            "rates": np.zeros((n, 9)), "turns": np.zeros((n, 9)), "intercept": np.zeros((n, 3)), "levers": self._levers,
+            "u": np.zeros(width), "guess": np.zeros((n, 3)), "rates": np.zeros((n, 9)), "turns": np.zeros((n, 9)),
+            "intercept": np.zeros((n, 3)), "levers": np.zeros((n, 3)),
             "signature": self._signature, "geometry": np.zeros((n, 8)),
-            "loaded": np.zeros(n, dtype=np.int32), "active": self._active,
-            "matrix": self._matrix, "block": self._block, "right": self._right}
+            "loaded": np.zeros(n, dtype=np.int32), "active": self._active, "columns": self._columns,
+            "matrix": self._matrix, "right": self._right}
+        self._sum = np.zeros(ANSWER)
         with LOCK:
             self._kernel = BoundKernel(contact_kernel(), arrays)
+            self._sum_up = BoundKernel.of(answer_kernel(), arrays | {"answer": self._sum})
         self._flat = FlatContact(arrays, _NEAR * surface.radius, surface.floor)
         self._guess = arrays["guess"]
         self._tolerance, self._stiffest = _FINER * surface.tolerance, math.inf
@@ -152,8 +164,14 @@ class CondensedStepper:
         self._pose: Pose | None = None
         self._last = _REST
         self._factor: tuple[np.ndarray, np.ndarray] | None = None
-        self._columns = np.zeros((0, 6))
-        self._settings[ANEW], self._steps = 1.0, 0
+        self._forget()
+        self._steps = 0
+
+    def _forget(self) -> None:
+        """The equations of the last step are none of the next one."""
+        #: Nodes whose forces' derivatives with the tool's motion are known, the first of `_active`.
+        self._followed = 0
+        self._settings[ANEW] = 1.0
 
     def state(self, time: float, pose: Pose, earlier: float, before: Pose, epoch: int = 0) -> ContactState:
         """Where the contact is, for the solver of the bulk; see `ContactState`."""
@@ -165,7 +183,8 @@ class CondensedStepper:
         """Go where another stepper of the same surface and model was."""
         self.forces[:], self._anchors[:] = state.forces, state.anchors
         self._bound[:], self._pressed[:], self._slips[:] = state.states
-        self._pose, self._columns, self._settings[ANEW] = state.pose, self._columns[:0], 1.0
+        self._pose = state.pose
+        self._forget()
 
     def adopt(self, model: CondensedContact) -> None:
         """Go on with another model of the same surface."""
@@ -181,7 +200,9 @@ class CondensedStepper:
             self._signature[:] = -1
             self._settings[COUNT] = n
             self._stiffest = _STIFFEST / float(np.abs(np.diag(model.compliance)).min(initial=math.inf))
-            self._columns, self._settings[ANEW] = self._columns[:0], 1.0
+            self._sum[HELD_STIFFNESS:HELD_STIFFNESS + 36] = model.stiffness.ravel()
+            self._forget()
+        self._sum[HELD_WRENCH:HELD_WRENCH + 6] = model.wrench
         self._middle[:n] = model.middle
         self._settings[MODULUS] = model.modulus
         self.model = model
@@ -231,16 +252,13 @@ class CondensedStepper:
         way = motion(self.model.pose, pose)
         self._place(pose, way)
         before = [array.copy() for array in self._kept]
-        if len(self._columns) and self._pose is not None:
-            nodes = self._nodes[self._active[:len(self._columns) // 3]]
-            more = (self._columns @ np.array(motion(self._pose, pose))).reshape(-1, 3)
-            if np.abs(more).max() < _FORESEEN * np.abs(self.forces[nodes]).max():
-                self.forces[nodes] += more
+        if self._followed and self._pose is not None:
+            settings[FOLLOWS], settings[STEP:STEP + 6] = self._followed, motion(self._pose, pose)
         self._steps += 1
         if exact or self._steps % _STEPS == 0:
             settings[ANEW] = 1.0
         settings[[RELEASE, CHANGEABLE, BENDING]] = 0.0, 1.0, 1.0
-        converged, fresh, decided, iterations, columns = False, False, False, 0, self._columns
+        converged, fresh, decided, iterations, solution = False, False, False, 0, None
         while True:
             with LOCK:
                 self._kernel()
@@ -258,11 +276,10 @@ class CondensedStepper:
             done = settles and (not exact or (change < _EXACT * enough and violation <= _CLOSE * self._tolerance))
             if done and pulling:
                 settings[RELEASE] = 1.0
-            elif done and k and not usable and len(columns) != k:
+            elif done and k and not usable and 3 * self._followed != k:
                 settings[ANEW] = 1.0
             elif done:
-                if not k or usable:
-                    columns = self._solved(k)[:, 1:] if k else columns[:0]
+                solution = self._solved(k) if k and usable else None
                 converged = True
                 break
             elif usable and (decided or (exact and settles)):
@@ -274,13 +291,14 @@ class CondensedStepper:
                 decided = self._flat.solve(_FLAT) and iterations <= _CURVED
                 settings[[CHANGEABLE, ANEW]] = 0.0, 1.0
         if converged:
-            self._commit()
-            self._pose, self._columns = pose, columns
-            self._last = self._answer(pose, way, iterations, change, int(slipping))
+            if solution is not None:
+                self._columns[:k] = solution[:, 1:]
+            self._pose, self._followed = pose, k // 3
+            self._last = self._answer(way, iterations, change, int(slipping))
             return self._last
         for array, kept in zip(self._kept, before, strict=True):
             array[:] = kept
-        self._columns, settings[ANEW] = self._columns[:0], 1.0
+        self._forget()
         return replace(self._last, converged=False, iterations=iterations, way=self.distance(way), residual=change)
 
     def _solved(self, k: int) -> np.ndarray:
@@ -288,10 +306,11 @@ class CondensedStepper:
         from scipy.linalg import lapack
 
         assert self._factor is not None
-        solution, _ = lapack.dgetrs(*self._factor, self._right[:COLUMNS * k].reshape(COLUMNS, k).T)
+        solution, _ = lapack.dgetrs(*self._factor, self._right[:COLUMNS * k].reshape(COLUMNS, k).T, overwrite_b=1)
         # Where all nodes are about to slip or to stick, there may be none.
-        sane = np.isfinite(solution).all() and np.abs(solution[:, 1:4]).max(initial=0.0) < self._stiffest
-        return solution if sane else np.zeros_like(solution)
+        if not (math.isfinite(solution.sum()) and np.abs(solution[:, 1:4]).max() < self._stiffest):
+            solution[:] = 0.0
+        return solution
 
     def leaves(self, pose: Pose) -> bool:
         """Whether the tool may meet nodes there that are not in the model."""
@@ -323,41 +342,17 @@ class CondensedStepper:
         settings[MOTION:MOTION + 6] = way
         settings[PRESSED_IN] = float(z <= self._first_height)
 
-    def _commit(self) -> None:
-        """Bind the nodes to what they met."""
-        loose = self._bound != HELD
-        np.copyto(self._bound, self._met, where=loose)
-        np.copyto(self._anchors, self._met_at, where=loose[:, None])
-        self._slips &= self._pressed
-
-    def _answer(self, pose: Pose, way: Screw, iterations: int, change: float, slipping: int) -> ContactStep:
-        model, columns, k = self.model, self._columns, len(self._columns)
-        assert model is not None
-        wrench, rate = model.wrench - model.stiffness @ np.array(way), -model.stiffness
-        if k:
-            active = self._active[:k // 3]
-            forces, arms = self.forces[self._nodes[active]], self._levers[active]
-            drive = self._drive.reshape(-1, 18)[active]
-            follows = drive - (self._block[:k * k].reshape(k, k).T @ columns).reshape(-1, 18)
-            drive, changes = drive.reshape(k, 6), columns.reshape(-1, 18)
-            # Nodes hand their forces on to the tool, but for what the tissue is driven by itself.
-            total, pairs = forces.sum(axis=0), (arms.T @ changes).reshape(3, 3, 6)
-            wrench = wrench + np.concatenate([total, _cross_sum(arms.T @ forces)]) - forces.ravel() @ drive
-            rate = rate - drive.T @ columns
-            rate[:3] += changes.sum(axis=0).reshape(3, 6)
-            # The levers of the torque change, too: a node goes its way, and the tool's deepest point the tool's.
-            turned = (follows.reshape(-1, 3, 6).transpose(1, 2, 0) @ forces).transpose(0, 2, 1)
-            turned[[0, 1, 2], :, [0, 1, 2]] -= total
-            rate[3:] += _cross_sum(pairs) + _cross_sum(turned)
-        if k and not columns.any():
-            rate = -np.array(self._last.stiffness_matrix)  # the equations had no sane solution
-        a, b, c, d, e, f = map(tuple, (-rate).tolist())
-        x, y, z, u, v, w = wrench.tolist()
-        return ContactStep(True, iterations, (x, y, z, u, v, w), (a, b, c, d, e, f), self.distance(way), change,
-                           k // 3, slipping)
-
-
-def _cross_sum(pairs: np.ndarray) -> np.ndarray:
-    """Sum of cross products a x b of many vectors, by the sums of the products a_i b_k, shape (3, 3) or, of several on
-    either side, (3, 3, m)."""
-    return np.stack([pairs[1, 2] - pairs[2, 1], pairs[2, 0] - pairs[0, 2], pairs[0, 1] - pairs[1, 0]])
+    def _answer(self, way: Screw, iterations: int, change: float, slipping: int) -> ContactStep:
+        """What the step came to, which the nodes remember from now on."""
+        count = self._followed
+        self._sum[ANSWERED] = count
+        with LOCK:
+            self._sum_up()
+        answer = self._sum.tolist()
+        x, y, z, u, v, w = answer[WRENCH:WRENCH + 6]
+        if count and not self._columns[:3 * count].any():
+            stiffness = self._last.stiffness_matrix  # the equations had no sane solution
+        else:
+            stiffness = cast("Matrix", tuple(tuple(-rate for rate in answer[row:row + 6])
+                                             for row in range(RATES, ANSWER, 6)))
+        return ContactStep(True, iterations, (x, y, z, u, v, w), stiffness, self.distance(way), change, count, slipping)
