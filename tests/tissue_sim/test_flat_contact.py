@@ -4,7 +4,23 @@ import numpy as np
 import pytest
 
 from tissue_sim.fem.condensed.flat_contact import FlatContact
-from tissue_sim.fem.condensed.kernel import COUNT, SETTINGS
+from tissue_sim.fem.condensed.kernel import (
+    BOUND,
+    CARRIED,
+    COUNT,
+    FORCE,
+    GAP,
+    LISTS,
+    LOCAL,
+    NODE,
+    NORMAL,
+    PRESSED,
+    ROUGH,
+    SETTINGS,
+    SLIP,
+    SLIPS,
+    STATES,
+)
 
 NODES = 40
 
@@ -25,15 +41,14 @@ def tissue(seed, soft, coefficient, friction_of_all=True):
     gaps = rng.uniform(-1e-3, 0.5e-3, NODES)
     slips = np.stack([rng.uniform(0.0, 3e-4, NODES), rng.uniform(-1e-4, 1e-4, NODES), np.zeros(NODES)], axis=1)
     slips += (gaps - (slips * normals).sum(axis=1))[:, None] * normals
-    geometry = np.zeros((NODES, 8))
-    geometry[:, :3], geometry[:, 3:6], geometry[:, 6] = normals, slips, gaps
-    geometry[:, 7] = coefficient if friction_of_all else coefficient * (np.arange(NODES) % 2)
-    settings = np.zeros(SETTINGS)
-    settings[COUNT] = NODES
-    return {"settings": settings, "nodes": np.arange(NODES, dtype=np.int32), "middle": np.zeros((NODES, 3)),
-            "bound": np.full(NODES, 2, dtype=np.int32), "pressed": np.zeros(NODES, dtype=np.int32),
-            "slips": np.zeros(NODES, dtype=np.int32), "forces": np.zeros((NODES, 3)), "compliance": compliance,
-            "geometry": geometry, "guess": np.zeros((NODES, 3))}
+    local, lists = np.zeros((NODES, LOCAL)), np.zeros((NODES, LISTS), dtype=np.int32)
+    local[:, NORMAL:NORMAL + 3], local[:, SLIP:SLIP + 3], local[:, GAP] = normals, slips, gaps
+    local[:, ROUGH] = coefficient if friction_of_all else coefficient * (np.arange(NODES) % 2)
+    lists[:, NODE] = np.arange(NODES)
+    settings, states = np.zeros(SETTINGS), np.zeros((NODES, STATES), dtype=np.int32)
+    settings[COUNT], states[:, BOUND] = NODES, 2
+    return {"settings": settings, "states": states, "carried": np.zeros((NODES, CARRIED)), "lists": lists,
+            "local": local, "compliance": compliance}
 
 
 @pytest.mark.parametrize("soft", [0.0, 1.0, 50.0])
@@ -42,16 +57,17 @@ def tissue(seed, soft, coefficient, friction_of_all=True):
 def test_forces_fulfil_the_conditions_of_contact(seed, coefficient, soft):
     arrays = tissue(seed, soft, coefficient, friction_of_all=seed % 2 == 0)
     assert FlatContact(arrays, 1.0, 1e-9).solve(1e-10)
-    normals, forces = arrays["geometry"][:, :3], arrays["forces"]
+    local, states, forces = arrays["local"], arrays["states"], arrays["carried"][:, FORCE:FORCE + 3]
+    normals = local[:, NORMAL:NORMAL + 3]
     moved = -(arrays["compliance"] @ forces.ravel()).reshape(-1, 3)
-    slips = arrays["geometry"][:, 3:6] + moved
+    slips = local[:, SLIP:SLIP + 3] + moved
     gaps, pushes = (slips * normals).sum(axis=1), -(forces * normals).sum(axis=1)
     size, depth = pushes.max(), 1e-3
     assert size > 0.0 and (pushes > -1e-9 * size).all() and (gaps > -1e-8 * depth).all()
     assert np.abs(pushes * gaps).max() < 1e-8 * size * depth
-    assert 0 < arrays["pressed"].sum() < NODES
+    assert 0 < states[:, PRESSED].sum() < NODES
     along, drags = slips - gaps[:, None] * normals, forces + pushes[:, None] * normals
-    limits, drag = arrays["geometry"][:, 7] * pushes, np.linalg.norm(drags, axis=1)
+    limits, drag = local[:, ROUGH] * pushes, np.linalg.norm(drags, axis=1)
     assert (drag <= limits + 1e-9 * size).all()
     within = drag < limits - 1e-6 * size
     assert np.linalg.norm(along[within], axis=1).max(initial=0.0) < 1e-8 * depth
@@ -59,4 +75,4 @@ def test_forces_fulfil_the_conditions_of_contact(seed, coefficient, soft):
     np.testing.assert_allclose((along * drags).sum(axis=1), drag * np.linalg.norm(along, axis=1),
                                atol=1e-7 * size * depth)
     if coefficient:
-        assert arrays["slips"].sum() > 0
+        assert states[:, SLIPS].sum() > 0

@@ -2,7 +2,19 @@
 
 from functools import cache
 
-from tissue_sim.fem.condensed.kernel import MOTION
+from tissue_sim.fem.condensed.kernel import (
+    ACTIVE_NODE,
+    ANCHOR,
+    BOUND,
+    FORCE,
+    LEVER,
+    MET,
+    MET_AT,
+    MOTION,
+    NODE,
+    PRESSED,
+    SLIPS,
+)
 from tissue_sim.fem.condensed.model import HELD
 from tissue_sim.fem.taichi.runtime import initialise
 
@@ -17,25 +29,23 @@ def answer_kernel():
     """Kernel that binds the nodes to what they met, and sums up what they hand on to the tool."""
     ti = initialise()
     real1, real2 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2))
-    int1 = ti.types.ndarray(ti.i32, ndim=1)
+    int2 = ti.types.ndarray(ti.i32, ndim=2)
 
     @ti.func
-    def bind(bound: ti.template(), met: ti.template(), anchors: ti.template(), met_at: ti.template(),
-             pressed: ti.template(), slips: ti.template()):
-        for s in range(bound.shape[0]):
-            if bound[s] != HELD:
-                bound[s] = met[s]
+    def bind(states: ti.template(), carried: ti.template()):
+        for s in range(states.shape[0]):
+            if states[s, BOUND] != HELD:
+                states[s, BOUND] = states[s, MET]
                 for a in ti.static(range(3)):
-                    anchors[s, a] = met_at[s, a]
-            slips[s] = slips[s] & pressed[s]
+                    carried[s, ANCHOR + a] = carried[s, MET_AT + a]
+            states[s, SLIPS] = states[s, SLIPS] & states[s, PRESSED]
 
     @ti.kernel
-    def answer(settings: real1, answer: real1, bound: int1, met: int1, anchors: real2, met_at: real2, pressed: int1,
-               slips: int1, forces: real2, nodes: int1, active: int1, levers: real2, drive: real2,
+    def answer(settings: real1, answer: real1, states: int2, carried: real2, lists: int2, local: real2, drive: real2,
                compliance: real2, columns: real2):
         ti.loop_config(serialize=True)
         for _ in range(1):
-            bind(bound, met, anchors, met_at, pressed, slips)
+            bind(states, carried)
             count = ti.cast(answer[ANSWERED], ti.i32)
             for a in range(6):
                 value = answer[HELD_WRENCH + a]
@@ -46,10 +56,10 @@ def answer_kernel():
                 answer[WRENCH + a] = value
             total = ti.Vector.zero(ti.f64, 3)
             for p in range(count):
-                i = active[p]
-                s = nodes[i]
-                f = ti.Vector([forces[s, a] for a in ti.static(range(3))])
-                arm = ti.Vector([levers[i, a] for a in ti.static(range(3))])
+                i = lists[p, ACTIVE_NODE]
+                s = lists[i, NODE]
+                f = ti.Vector([carried[s, FORCE + a] for a in ti.static(range(3))])
+                arm = ti.Vector([local[i, LEVER + a] for a in ti.static(range(3))])
                 total = total + f
                 torque = arm.cross(f)
                 for a in ti.static(range(3)):
@@ -71,10 +81,10 @@ def answer_kernel():
                         answer[RATES + 6 * b + c] = answer[RATES + 6 * b + c] - value
             # The levers of the torque change, too: a node goes its way, and the tool's deepest point the tool's.
             for q in range(3 * count):
-                turned, at = ti.Vector.zero(ti.f64, 3), 3 * active[q // 3] + q % 3
+                turned, at = ti.Vector.zero(ti.f64, 3), 3 * lists[q // 3, ACTIVE_NODE] + q % 3
                 for p in range(count):
-                    i = active[p]
-                    f = ti.Vector([forces[nodes[i], a] for a in ti.static(range(3))])
+                    i = lists[p, ACTIVE_NODE]
+                    f = ti.Vector([carried[lists[i, NODE], FORCE + a] for a in ti.static(range(3))])
                     turned = turned + ti.Vector([compliance[at, 3 * i + a] for a in ti.static(range(3))]).cross(f)
                 for c in range(6):
                     for a in ti.static(range(3)):

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from tissue_sim.fem.condensed.flat_kernel import ENOUGH, SHARE, flat_kernel
+from tissue_sim.fem.condensed.flat_kernel import ENOUGH, FLAT, SHARE, flat_kernel
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 
@@ -29,13 +29,12 @@ class FlatContact:
     """
 
     def __init__(self, arrays: dict[str, np.ndarray], near: float, floor: float):
-        n = len(arrays["middle"])
+        n = len(arrays["lists"])
         self._floor, self._found = floor, np.zeros(3)
         self._matrix, self._right = np.zeros(9 * n * n), np.zeros(3 * n)
         self._limits = np.array([near, 0.0, floor, 0.0])
-        own = {"found": self._found, "limits": self._limits, "near": np.zeros(n, dtype=np.int32),
-               "moved": np.zeros((n, 3)), "unknown": np.zeros(n, dtype=np.int32), "slopes": np.zeros((n, 18)),
-               "start": np.zeros((n, 3)), "goal": np.zeros((n, 3)), "matrix": self._matrix, "right": self._right}
+        own = {"found": self._found, "limits": self._limits, "flat": np.zeros((n, FLAT)), "matrix": self._matrix,
+               "right": self._right}
         with LOCK:
             self._kernel = BoundKernel.of(flat_kernel(), arrays | own)
 

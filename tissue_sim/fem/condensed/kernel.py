@@ -21,6 +21,26 @@ SETTINGS = 34
 #: Places in `results`.
 VIOLATION, PULLING, UNBALANCED, SIZE, ACTIVE, REBUILT, SLIPPING = range(7)
 RESULTS = 7
+# Taichi takes a third of a microsecond for each array to start a kernel: what is known of nodes is in few.
+#: Columns of `surface`, of each node of the surface: its place; over the shear modulus its spring; friction with the
+#: tool's face and shaft.
+PLACE, SPRING, FRICTION = 0, 3, 4
+SURFACE = 6
+#: Columns of `carried`, of each node of the surface: force; where it is bound to the tool, and where it has met it now.
+FORCE, ANCHOR, MET_AT = 0, 3, 6
+CARRIED = 9
+#: Columns of `states`, of each node of the surface: how it is bound, and would be by what it has met now; whether it is
+#: pressed, and slips; which outline it meets.
+BOUND, MET, PRESSED, SLIPS, OUTLINE = range(5)
+STATES = 5
+#: Columns of `lists`: numbers of the model's nodes in the surface, and their states in the equations; then numbers of
+#: the nodes that have equations, that have forces, that are near the tool, and that the flat contact has equations of.
+NODE, SIGNATURE, ACTIVE_NODE, LOADED, NEAR_TOOL, UNKNOWN_NODE = range(6)
+LISTS = 6
+#: Columns of `local`, of each node of the model: force at the beginning of a look; normal, slip, gap and friction that
+#: it found; rates of the force with the node's place, and with itself; force where nothing is missing; lever.
+GUESS, NORMAL, SLIP, GAP, ROUGH, RATE, TURN, INTERCEPT, LEVER = 0, 3, 6, 9, 10, 11, 20, 29, 32
+LOCAL = 35
 #: Displacements of nodes at most, three of each.
 MOST_FREEDOMS = LANES * VECTORS
 #: Right-hand sides: of the iteration, and of the six motions of the tool.
@@ -49,34 +69,34 @@ def contact_kernel():
     """Kernel of one iteration of the contact."""
     ti = initialise()
     real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
-    int1 = ti.types.ndarray(ti.i32, ndim=1)
+    int2 = ti.types.ndarray(ti.i32, ndim=2)
     vector1 = ti.types.ndarray(ti.types.vector(LANES, ti.f64), ndim=1)
     eases = eases_function()
     move = scratch(LANES, MOST_FREEDOMS // LANES)
 
     @ti.func
-    def follow(settings: ti.template(), nodes: ti.template(), active: ti.template(), forces: ti.template(),
-               columns: ti.template(), guess: ti.template()):
+    def follow(settings: ti.template(), lists: ti.template(), carried: ti.template(), columns: ti.template(),
+               local: ti.template()):
         """Forces of the nodes that had equations, as they change linearly with the tool's motion."""
         most, largest, many = 0.0, 0.0, ti.cast(settings[FOLLOWS], ti.i32)
         for p in range(many):
-            i = active[p]
+            i = lists[p, ACTIVE_NODE]
             for a in ti.static(range(3)):
                 more = 0.0
                 for c in ti.static(range(6)):
                     more = more + columns[3 * p + a, c] * settings[STEP + c]
-                guess[i, a] = more
-                most, largest = ti.max(most, ti.abs(more)), ti.max(largest, ti.abs(forces[nodes[i], a]))
+                local[i, GUESS + a] = more
+                most, largest = ti.max(most, ti.abs(more)), ti.max(largest, ti.abs(carried[lists[i, NODE], FORCE + a]))
         if most < _FORESEEN * largest:
             for p in range(many):
-                i = active[p]
+                i = lists[p, ACTIVE_NODE]
                 for a in ti.static(range(3)):
-                    forces[nodes[i], a] = forces[nodes[i], a] + guess[i, a]
+                    carried[lists[i, NODE], FORCE + a] = carried[lists[i, NODE], FORCE + a] + local[i, GUESS + a]
         settings[FOLLOWS] = 0.0
 
     @ti.func
-    def displace(n, many, settings: ti.template(), nodes: ti.template(), forces: ti.template(), middle: ti.template(),
-                 drive: ti.template(), rows: ti.template(), loaded: ti.template(), u: ti.template()):
+    def displace(n, many, settings: ti.template(), lists: ti.template(), carried: ti.template(), middle: ti.template(),
+                 drive: ti.template(), rows: ti.template(), u: ti.template()):
         """Displacements of all nodes under the forces of the loaded ones, by whole rows of the compliance, which is
         symmetric: what is stored as a vector in a loop is vectorised."""
         width = u.shape[0] // LANES
@@ -84,10 +104,10 @@ def contact_kernel():
         for q in range(used):
             move[q] = ti.Vector.zero(ti.f64, LANES)
         for l in range(many):
-            j = loaded[l]
-            s = nodes[j]
+            j = lists[l, LOADED]
+            s = lists[j, NODE]
             for m in range(3):
-                force = forces[s, m]
+                force = carried[s, FORCE + m]
                 for q in range(used):
                     at = (3 * j + m) * width + q
                     move[q] = move[q] - rows[at] * force
@@ -103,18 +123,14 @@ def contact_kernel():
 
     @ti.func
     def meet(i, s, settings: ti.template(), results: ti.template(), chains: ti.template(), shapes: ti.template(),
-             places: ti.template(), springs: ti.template(), friction: ti.template(), outlines: ti.template(),
-             bound: ti.template(), anchors: ti.template(), pressed: ti.template(), slips: ti.template(),
-             forces: ti.template(), met: ti.template(), met_at: ti.template(),
-             u: ti.template(), guess: ti.template(), rates: ti.template(), turns: ti.template(),
-             intercept: ti.template(), levers: ti.template(), signature: ti.template(), geometry: ti.template(),
-             compliance: ti.template()):
+             surface: ti.template(), states: ti.template(), carried: ti.template(), lists: ti.template(),
+             u: ti.template(), local: ti.template(), compliance: ti.template()):
         """Where a node is against the tool, what state it takes, and its force."""
         R = ti.Matrix([[settings[ROTATION + 3 * a + b] for b in ti.static(range(3))] for a in ti.static(range(3))])
-        arm = ti.Vector([places[s, a] + u[3 * i + a] - settings[ORIGIN + a] for a in ti.static(range(3))])
+        arm = ti.Vector([surface[s, PLACE + a] + u[3 * i + a] - settings[ORIGIN + a] for a in ti.static(range(3))])
         at = R.transpose() @ arm
         # The nearest place of the outline.
-        body = outlines[s]
+        body = states[s, OUTLINE]
         rounding, shaft, lines = shapes[body, 0], shapes[body, 1], ti.cast(shapes[body, 3], ti.i32)
         closed = shapes[body, 2] * settings[PRESSED_IN]
         r = ti.sqrt(at[0] * at[0] + at[1] * at[1])
@@ -148,24 +164,24 @@ def contact_kernel():
         n_tool = n_r * out + n_z * up
         n = R @ n_tool
         gap = sign * distance - rounding
-        mu = friction[s, 0]
+        mu = surface[s, FRICTION]
         if best >= shaft and not (beyond and rounding > 0.0):
-            mu = friction[s, 1]
+            mu = surface[s, FRICTION + 1]
         # States and forces.
-        k = springs[s] * settings[MODULUS]
-        F = ti.Vector([forces[s, a] for a in ti.static(range(3))])
+        k = surface[s, SPRING] * settings[MODULUS]
+        F = ti.Vector([carried[s, FORCE + a] for a in ti.static(range(3))])
         normal = ti.min(F.dot(n), 0.0)
         tangential = F - F.dot(n) * n
         give = eases(i, n, compliance)
-        held = bound[s] == 1
+        held = states[s, BOUND] == 1
         changeable = settings[CHANGEABLE] > 0.0
         if held and settings[RELEASE] > 0.0 and F.dot(n) > 0.0:
-            bound[s] = 0
+            states[s, BOUND] = 0
             held = False
         if changeable and not held:
-            pressed[s] = 1 if normal + gap / give[0] < 0.0 else 0
-        is_pressed = pressed[s] == 1 and not held
-        anchor = ti.Vector([anchors[s, a] for a in ti.static(range(3))])
+            states[s, PRESSED] = 1 if normal + gap / give[0] < 0.0 else 0
+        is_pressed = states[s, PRESSED] == 1 and not held
+        anchor = ti.Vector([carried[s, ANCHOR + a] for a in ti.static(range(3))])
         slip = R @ (at - anchor)
         aside = slip - slip.dot(n) * n
         length = aside.norm()
@@ -184,13 +200,13 @@ def contact_kernel():
                                                        + hoop * around.outer_product(around))
             missing, found = k * gap * n, normal * n
             rough = mu * ti.max(-normal - gap / give[0], 0.0)
-            if mu > 0.0 and bound[s] == 2 and rough > settings[NEGLIGIBLE]:
+            if mu > 0.0 and states[s, BOUND] == 2 and rough > settings[NEGLIGIBLE]:
                 limit = mu * ti.max(-normal, 0.0)
                 tried = tangential + aside / give[1]
                 size = tried.norm()
                 if changeable:
-                    slips[s] = 1 if size > rough else 0
-                if slips[s] == 1:
+                    states[s, SLIPS] = 1 if size > rough else 0
+                if states[s, SLIPS] == 1:
                     state = 2
                     way = tried / ti.max(size, 1e-300)
                     T = limit / ti.max(size, 1e-300) * (eye - nn - way.outer_product(way))
@@ -205,64 +221,60 @@ def contact_kernel():
             violation = ti.max(-gap, 0.0)
         results[VIOLATION] = ti.max(results[VIOLATION], violation)
         touches = is_pressed or (mu > 0.0 and gap <= 1e-3 * settings[TOLERANCE])
-        met[s] = 0
+        states[s, MET] = 0
         if mu < 0.0 and is_pressed:
-            met[s] = 1
+            states[s, MET] = 1
         elif touches and mu > 0.0:
-            met[s] = 2
-        keeps = sticks or (touches and not is_pressed and bound[s] == 2)
+            states[s, MET] = 2
+        keeps = sticks or (touches and not is_pressed and states[s, BOUND] == 2)
         for a in ti.static(range(3)):
-            met_at[s, a] = anchor[a] if keeps else at[a] - gap * n_tool[a]
-            levers[i, a] = arm[a]
-            geometry[i, a], geometry[i, 3 + a] = n[a], slip[a]
-            intercept[i, a] = found[a] + missing[a]
-            change = found[a] - guess[i, a]
+            carried[s, MET_AT + a] = anchor[a] if keeps else at[a] - gap * n_tool[a]
+            local[i, LEVER + a] = arm[a]
+            local[i, NORMAL + a], local[i, SLIP + a] = n[a], slip[a]
+            local[i, INTERCEPT + a] = found[a] + missing[a]
+            change = found[a] - local[i, GUESS + a]
             results[UNBALANCED] = results[UNBALANCED] + change * change
             results[SIZE] = results[SIZE] + found[a] * found[a]
-            forces[s, a] = found[a]
+            carried[s, FORCE + a] = found[a]
             for b in ti.static(range(3)):
-                rates[i, 3 * a + b] = A[a, b]
-                turns[i, 3 * a + b] = T[a, b]
-        geometry[i, 6] = gap
-        geometry[i, 7] = ti.max(mu, 0.0) if bound[s] == 2 else 0.0
+                local[i, RATE + 3 * a + b] = A[a, b]
+                local[i, TURN + 3 * a + b] = T[a, b]
+        local[i, GAP] = gap
+        local[i, ROUGH] = ti.max(mu, 0.0) if states[s, BOUND] == 2 else 0.0
         # Equations of other states of the same nodes do for a while.
-        if (signature[i] > 0) != (state > 0) or signature[i] < 0:
+        if (lists[i, SIGNATURE] > 0) != (state > 0) or lists[i, SIGNATURE] < 0:
             settings[ANEW] = 1.0
-        signature[i] = state
+        lists[i, SIGNATURE] = state
 
     @ti.kernel
-    def iterate(settings: real1, results: real1, chains: real3, shapes: real2, places: real2, springs: real1,
-                friction: real2, outlines: int1, bound: int1, anchors: real2, pressed: int1, slips: int1,
-                forces: real2, met: int1, met_at: real2, nodes: int1, middle: real2, drive: real2, compliance: real2,
-                rows: vector1, u: real1, guess: real2, rates: real2, turns: real2, intercept: real2, levers: real2,
-                signature: int1, geometry: real2, loaded: int1, active: int1, columns: real2, matrix: real1,
-                right: real1):
+    def iterate(settings: real1, results: real1, chains: real3, shapes: real2, surface: real2, states: int2,
+                carried: real2, lists: int2, middle: real2, drive: real2, compliance: real2, rows: vector1, u: real1,
+                local: real2, columns: real2, matrix: real1, right: real1):
         ti.loop_config(serialize=True)
         for _ in range(1):
             if settings[FOLLOWS] > 0.0:
-                follow(settings, nodes, active, forces, columns, guess)
+                follow(settings, lists, carried, columns, local)
             n = ti.cast(settings[COUNT], ti.i32)
             many = 0
             for i in range(n):
-                s = nodes[i]
+                s = lists[i, NODE]
                 size = 0.0
                 for a in ti.static(range(3)):
-                    guess[i, a] = forces[s, a]
-                    size = size + ti.abs(forces[s, a])
+                    local[i, GUESS + a] = carried[s, FORCE + a]
+                    size = size + ti.abs(carried[s, FORCE + a])
                 if size > 0.0:
-                    loaded[many] = i
+                    lists[many, LOADED] = i
                     many = many + 1
             for k in range(RESULTS):
                 results[k] = 0.0
-            displace(n, many, settings, nodes, forces, middle, drive, rows, loaded, u)
+            displace(n, many, settings, lists, carried, middle, drive, rows, u)
             for i in range(n):
-                meet(i, nodes[i], settings, results, chains, shapes, places, springs, friction, outlines, bound,
-                     anchors, pressed, slips, forces, met, met_at, u, guess, rates, turns, intercept, levers,
-                     signature, geometry, compliance)
+                meet(i, lists[i, NODE], settings, results, chains, shapes, surface, states, carried, lists, u, local,
+                     compliance)
             count = 0
             for i in range(n):
-                if signature[i] > 0:
-                    active[count] = i
+                if lists[i, SIGNATURE] > 0:
+                    lists[count, ACTIVE_NODE] = i
                     count = count + 1
             k = 3 * count
             results[ACTIVE] = count
@@ -270,24 +282,24 @@ def contact_kernel():
             results[REBUILT] = settings[ANEW]
             settings[ANEW] = 0.0
             for p in range(count):
-                i = active[p]
+                i = lists[p, ACTIVE_NODE]
                 # What the nodes that were let go no longer push away.
                 e = ti.Vector.zero(ti.f64, 3)
                 for l in range(many):
-                    j = loaded[l]
-                    if signature[j] == 0:
+                    j = lists[l, LOADED]
+                    if lists[j, SIGNATURE] == 0:
                         for a in ti.static(range(3)):
                             for b in ti.static(range(3)):
-                                e[a] = e[a] + compliance[3 * i + a, 3 * j + b] * guess[j, b]
-                x, y, z = levers[i, 0], levers[i, 1], levers[i, 2]
-                f = ti.Vector([intercept[i, 0], intercept[i, 1], intercept[i, 2]])
+                                e[a] = e[a] + compliance[3 * i + a, 3 * j + b] * local[j, GUESS + b]
+                x, y, z = local[i, LEVER], local[i, LEVER + 1], local[i, LEVER + 2]
+                f = ti.Vector([local[i, INTERCEPT], local[i, INTERCEPT + 1], local[i, INTERCEPT + 2]])
                 turning = ti.Matrix([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
                 turned = ti.Matrix([[0.0, f[2], -f[1]], [-f[2], 0.0, f[0]], [f[1], -f[0], 0.0]])
                 for a in ti.static(range(3)):
                     row = 3 * p + a
-                    value = intercept[i, a] - guess[i, a]
+                    value = local[i, INTERCEPT + a] - local[i, GUESS + a]
                     for b in ti.static(range(3)):
-                        value = value + rates[i, 3 * a + b] * e[b]
+                        value = value + local[i, RATE + 3 * a + b] * e[b]
                     right[row] = value
                     for c in ti.static(range(6)):
                         value = 0.0
@@ -299,21 +311,21 @@ def contact_kernel():
                                 way = way - turning[b, ti.static(c - 3)]
                             elif ti.static(c == b):
                                 way = way - 1.0
-                            value = value + rates[i, 3 * a + b] * way
+                            value = value + local[i, RATE + 3 * a + b] * way
                         right[(c + 1) * k + row] = value
             # Column by column, as it lies in memory; the compliance is symmetric.
             for q in range(count if rebuilt else 0):
-                j = active[q]
+                j = lists[q, ACTIVE_NODE]
                 for b in range(3):
                     start, at = (3 * q + b) * k, 3 * j + b
                     for p in range(count):
-                        i = active[p]
+                        i = lists[p, ACTIVE_NODE]
                         C = ti.Vector([compliance[at, 3 * i + c] for c in ti.static(range(3))])
                         for a in ti.static(range(3)):
-                            matrix[start + 3 * p + a] = (rates[i, 3 * a] * C[0] + rates[i, 3 * a + 1] * C[1]
-                                                         + rates[i, 3 * a + 2] * C[2])
+                            rate = ti.Vector([local[i, RATE + 3 * a + c] for c in ti.static(range(3))])
+                            matrix[start + 3 * p + a] = rate.dot(C)
                     for a in ti.static(range(3)):
-                        matrix[start + 3 * q + a] = matrix[start + 3 * q + a] - turns[j, 3 * a + b]
+                        matrix[start + 3 * q + a] = matrix[start + 3 * q + a] - local[j, TURN + 3 * a + b]
                     matrix[start + 3 * q + b] = matrix[start + 3 * q + b] + 1.0
 
     return iterate

@@ -20,22 +20,32 @@ from tissue_sim.fem.condensed.answer_kernel import (
 )
 from tissue_sim.fem.condensed.flat_contact import FlatContact
 from tissue_sim.fem.condensed.kernel import (
+    ACTIVE_NODE,
+    ANCHOR,
     ANEW,
     BENDING,
+    CARRIED,
     CHANGEABLE,
     COLUMNS,
     COUNT,
     FOLLOWS,
+    FORCE,
+    GUESS,
+    LISTS,
+    LOCAL,
     MODULUS,
     MOST_FREEDOMS,
     MOTION,
     NEGLIGIBLE,
+    NODE,
     ORIGIN,
     PRESSED_IN,
     RELEASE,
     RESULTS,
     ROTATION,
     SETTINGS,
+    SIGNATURE,
+    STATES,
     STEP,
     TOLERANCE,
     contact_kernel,
@@ -115,10 +125,11 @@ class CondensedStepper:
     def __init__(self, surface: ContactSurface, largest: float = LARGEST):
         self.surface = surface
         s, n = len(surface.places), surface.candidates
-        self.forces, self._anchors, self._met_at = np.zeros((3, s, 3))
-        self._bound, self._pressed, self._slips, self._met = np.zeros((4, s), dtype=np.int32)
+        self._carried, self._states = np.zeros((s, CARRIED)), np.zeros((s, STATES), dtype=np.int32)
+        self.forces, self._anchors = (self._carried[:, at:at + 3] for at in (FORCE, ANCHOR))
+        self._bound, self._met, self._pressed, self._slips, outlines = self._states.T
+        outlines[:] = surface.outlines
         self._settings, self._results = np.zeros(SETTINGS), np.zeros(RESULTS)
-        self._signature = np.zeros(n, dtype=np.int32)
         self._matrix, self._right = np.zeros(9 * n * n), np.zeros(3 * n * COLUMNS)
         self._drive, self._columns = np.zeros((2, 3 * n, 6))
         # Rows of whole vectors.
@@ -127,25 +138,20 @@ class CondensedStepper:
             raise InputError(f"a tool that may touch {n} nodes at a time is more than two rates take "
                              f"({MOST_FREEDOMS // 3}); use a coarser mesh", field="resolution")
         self._compliance, self._middle = np.zeros((3 * n, width)), np.zeros((n, 3))
-        self._nodes, self._active = np.zeros((2, n), dtype=np.int32)
+        lists, local = np.zeros((n, LISTS), dtype=np.int32), np.zeros((n, LOCAL))
+        self._nodes, self._active, self._signature = (lists[:, at] for at in (NODE, ACTIVE_NODE, SIGNATURE))
+        self._guess = local[:, GUESS:GUESS + 3]
         arrays = {
             "settings": self._settings, "results": self._results, "chains": surface.chains, "shapes": surface.shapes,
-            "places": surface.places, "springs": surface.springs, "friction": surface.friction,
-            "outlines": surface.outlines.astype(np.int32), "bound": self._bound, "anchors": self._anchors,
-            "pressed": self._pressed, "slips": self._slips, "forces": self.forces,
-            "met": self._met, "met_at": self._met_at, "nodes": self._nodes, "middle": self._middle,
-            "drive": self._drive, "compliance": self._compliance, "rows": self._compliance.reshape(-1, LANES),
-            "u": np.zeros(width), "guess": np.zeros((n, 3)), "rates": np.zeros((n, 9)), "turns": np.zeros((n, 9)),
-            "intercept": np.zeros((n, 3)), "levers": np.zeros((n, 3)),
-            "signature": self._signature, "geometry": np.zeros((n, 8)),
-            "loaded": np.zeros(n, dtype=np.int32), "active": self._active, "columns": self._columns,
-            "matrix": self._matrix, "right": self._right}
+            "surface": np.column_stack([surface.places, surface.springs, surface.friction]), "states": self._states,
+            "carried": self._carried, "lists": lists, "middle": self._middle, "drive": self._drive,
+            "compliance": self._compliance, "rows": self._compliance.reshape(-1, LANES), "u": np.zeros(width),
+            "local": local, "columns": self._columns, "matrix": self._matrix, "right": self._right}
         self._sum = np.zeros(ANSWER)
         with LOCK:
             self._kernel = BoundKernel(contact_kernel(), arrays)
             self._sum_up = BoundKernel.of(answer_kernel(), arrays | {"answer": self._sum})
         self._flat = FlatContact(arrays, _NEAR * surface.radius, surface.floor)
-        self._guess = arrays["guess"]
         self._tolerance, self._stiffest = _FINER * surface.tolerance, math.inf
         self._settings[[TOLERANCE, NEGLIGIBLE]] = self._tolerance, _NO_FRICTION * surface.floor
         self._widest = float((surface.chains[:, :, 0] + surface.shapes[:, :1]).max())
@@ -251,7 +257,7 @@ class CondensedStepper:
         settings, results = self._settings, self._results
         way = motion(self.model.pose, pose)
         self._place(pose, way)
-        before = [array.copy() for array in self._kept]
+        carried, states = self._carried.copy(), self._states.copy()
         if self._followed and self._pose is not None:
             settings[FOLLOWS], settings[STEP:STEP + 6] = self._followed, motion(self._pose, pose)
         self._steps += 1
@@ -296,8 +302,7 @@ class CondensedStepper:
             self._pose, self._followed = pose, k // 3
             self._last = self._answer(way, iterations, change, int(slipping))
             return self._last
-        for array, kept in zip(self._kept, before, strict=True):
-            array[:] = kept
+        self._carried[:], self._states[:] = carried, states
         self._forget()
         return replace(self._last, converged=False, iterations=iterations, way=self.distance(way), residual=change)
 
@@ -325,10 +330,6 @@ class CondensedStepper:
     def distance(self, way: Screw) -> float:
         """How far the points of the contact go in a motion, at most, m."""
         return math.hypot(*way[:3]) + self.surface.radius * math.hypot(*way[3:])
-
-    @property
-    def _kept(self) -> tuple[np.ndarray, ...]:
-        return self.forces, self._pressed, self._slips, self._bound
 
     def _place(self, pose: Pose, way: Screw) -> None:
         """Tell the kernel where the tool is."""
