@@ -13,11 +13,13 @@ from tissue_sim.fem.taichi.scratch import LANES, VECTORS, scratch
 HOLD = 3.0
 #: Places in `settings`: number of nodes, whether states may change, whether the curvature counts, negligible friction,
 #: tolerance, whether the tool is where it touched or deeper, whether pulling nodes are let go, whether equations are
-#: wanted anew, shear modulus, of how many nodes the forces follow the tool first; then rotation (9) and place (3) of
-#: the tool, its motion from the pose of the model (6), and from that of the last step (6).
-(COUNT, CHANGEABLE, BENDING, NEGLIGIBLE, TOLERANCE, PRESSED_IN, RELEASE, ANEW, MODULUS, FOLLOWS) = range(10)
-ROTATION, ORIGIN, MOTION, STEP = 10, 19, 22, 28
-SETTINGS = 34
+#: wanted anew, shear modulus, of how many nodes the forces follow the tool first, how many are looked at (0: all, which
+#: finds how many the next looks need), how near the others are not, m; then rotation (9) and place (3) of the tool, its
+#: motion from the pose of the model (6), and from that of the last step (6).
+(COUNT, CHANGEABLE, BENDING, NEGLIGIBLE, TOLERANCE, PRESSED_IN, RELEASE, ANEW, MODULUS, FOLLOWS, LOOKED,
+ APART) = range(12)
+ROTATION, ORIGIN, MOTION, STEP = 12, 21, 24, 30
+SETTINGS = 36
 #: Places in `results`.
 VIOLATION, PULLING, UNBALANCED, SIZE, ACTIVE, REBUILT, SLIPPING = range(7)
 RESULTS = 7
@@ -254,8 +256,7 @@ def contact_kernel():
         for _ in range(1):
             if settings[FOLLOWS] > 0.0:
                 follow(settings, lists, carried, columns, local)
-            n = ti.cast(settings[COUNT], ti.i32)
-            many = 0
+            n, many = ti.cast(settings[COUNT], ti.i32), 0
             for i in range(n):
                 s = lists[i, NODE]
                 size = 0.0
@@ -267,15 +268,23 @@ def contact_kernel():
                     many = many + 1
             for k in range(RESULTS):
                 results[k] = 0.0
+            # Nodes that are apart carry nothing, and are not displaced.
+            all_nodes = settings[LOOKED] == 0.0
+            if not all_nodes:
+                n = ti.cast(settings[LOOKED], ti.i32)
             displace(n, many, settings, lists, carried, middle, drive, rows, u)
             for i in range(n):
                 meet(i, lists[i, NODE], settings, results, chains, shapes, surface, states, carried, lists, u, local,
                      compliance)
-            count = 0
+            count, near = 0, 1
             for i in range(n):
                 if lists[i, SIGNATURE] > 0:
                     lists[count, ACTIVE_NODE] = i
                     count = count + 1
+                if lists[i, SIGNATURE] > 0 or local[i, GAP] < settings[APART]:
+                    near = i + 1
+            if all_nodes:
+                settings[LOOKED] = near
             k = 3 * count
             results[ACTIVE] = count
             rebuilt = settings[ANEW] > 0.0

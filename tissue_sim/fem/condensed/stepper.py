@@ -23,6 +23,7 @@ from tissue_sim.fem.condensed.kernel import (
     ACTIVE_NODE,
     ANCHOR,
     ANEW,
+    APART,
     BENDING,
     CARRIED,
     CHANGEABLE,
@@ -33,6 +34,7 @@ from tissue_sim.fem.condensed.kernel import (
     GUESS,
     LISTS,
     LOCAL,
+    LOOKED,
     MODULUS,
     MOST_FREEDOMS,
     MOTION,
@@ -63,6 +65,8 @@ _MOST, _MOST_EXACT, _CURVED = 10, 24, 5
 #: Nodes that are nearer to the tool than this share of its radius take part in the flat contact, and what is left of
 #: its equation over its forces.
 _NEAR, _FLAT = 0.06, 1e-6
+#: Nodes that are farther from the tool are not looked at until it has gone a third of that way; share of its radius.
+_APART = 0.2
 #: A force is found where it changes by less than this share; an exact one by less than this share of that, where no
 #: condition is violated by more than that share of the tolerance. Friction below another share of the floor is none.
 _SETTLED, _EXACT, _CLOSE, _NO_FRICTION = 1e-4, 1e-6, 1e-4, 1e-6
@@ -153,7 +157,8 @@ class CondensedStepper:
             self._sum_up = BoundKernel.of(answer_kernel(), arrays | {"answer": self._sum})
         self._flat = FlatContact(arrays, _NEAR * surface.radius, surface.floor)
         self._tolerance, self._stiffest = _FINER * surface.tolerance, math.inf
-        self._settings[[TOLERANCE, NEGLIGIBLE]] = self._tolerance, _NO_FRICTION * surface.floor
+        self._settings[[TOLERANCE, NEGLIGIBLE, APART]] = (
+            self._tolerance, _NO_FRICTION * surface.floor, _APART * surface.radius)
         self._widest = float((surface.chains[:, :, 0] + surface.shapes[:, :1]).max())
         self._others = surface.places[:0]
         self._largest = largest * surface.radius
@@ -178,6 +183,7 @@ class CondensedStepper:
         #: Nodes whose forces' derivatives with the tool's motion are known, the first of `_active`.
         self._followed = 0
         self._settings[ANEW] = 1.0
+        self._looked_at: Pose | None = None
 
     def state(self, time: float, pose: Pose, earlier: float, before: Pose, epoch: int = 0) -> ContactState:
         """Where the contact is, for the solver of the bulk; see `ContactState`."""
@@ -196,8 +202,9 @@ class CondensedStepper:
         """Go on with another model of the same surface."""
         n, known = len(model.nodes), self.model
         if known is None or (model.base, model.epoch) != (known.base, known.epoch):
-            dropped = np.ones(len(self.forces), dtype=bool)
-            dropped[model.nodes] = False
+            followed, places = self._nodes[self._active[:self._followed]], np.full(len(self.forces), -1)
+            places[model.nodes] = np.arange(n)
+            dropped = places < 0
             self.forces[dropped], self._pressed[dropped], self._met[dropped], self._slips[dropped] = 0.0, 0, 0, 0
             self._others = self.surface.places[dropped]
             self._bound[dropped & (self._bound != HELD)] = 0
@@ -208,8 +215,12 @@ class CondensedStepper:
             self._stiffest = _STIFFEST / float(np.abs(np.diag(model.compliance)).min(initial=math.inf))
             self._sum[HELD_STIFFNESS:HELD_STIFFNESS + 36] = model.stiffness.ravel()
             self._forget()
+            if not dropped[followed].any():
+                # Their forces go with the tool once more as on the model before, which is nearer than not at all.
+                self._followed = len(followed)
+                self._active[:self._followed] = places[followed]
         self._sum[HELD_WRENCH:HELD_WRENCH + 6] = model.wrench
-        self._middle[:n] = model.middle
+        self._middle[:n], self._looked_at = model.middle, None
         self._settings[MODULUS] = model.modulus
         self.model = model
 
@@ -263,6 +274,8 @@ class CondensedStepper:
         self._steps += 1
         if exact or self._steps % _STEPS == 0:
             settings[ANEW] = 1.0
+        if self._looked_at is None or self.distance(motion(self._looked_at, pose)) > _APART / 3.0 * self.surface.radius:
+            self._looked_at, settings[LOOKED] = pose, 0.0
         settings[[RELEASE, CHANGEABLE, BENDING]] = 0.0, 1.0, 1.0
         converged, fresh, decided, iterations, solution = False, False, False, 0, None
         while True:

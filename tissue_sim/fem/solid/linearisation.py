@@ -294,7 +294,7 @@ class SolidLinearisation:
         if coming is None or coming.factor is None:
             return False
         order, _ = self._nearest(state, pose, ahead)
-        nodes = np.sort(order[np.isin(order, coming.interface)][:self._count])
+        nodes = order[np.isin(order, coming.interface)][:self._count]
         coming.choose(nodes, self._equations[nodes])
         self._tangent, self._base = coming, self._number + 1
         self._solver.batches.known_rates[:] = coming.volume_rates
