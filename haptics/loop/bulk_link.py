@@ -172,7 +172,8 @@ class BulkProcess:
         self._shown = started.pattern
         self._taken, self._reading, self._piece, self._check = 0, 0, 0, 0
         self._model = started.model
-        self._buffer = bytearray(self._models.size)
+        #: Where the next model is read to, and where the last one is.
+        self._buffers = bytearray(self._models.size), bytearray(self._models.size)
         self._say(b"go\n")
         return started.model
 
@@ -196,7 +197,7 @@ class BulkProcess:
         return found
 
     def _received_whole(self) -> CondensedContact | None:
-        """A model with a tangent of its own, read a piece at a time."""
+        """A model with a tangent of its own, read a piece at a time; its arrays are there until the next one is."""
         models = self._models
         if self._reading == 0:
             if models.written == self._taken:
@@ -206,15 +207,15 @@ class BulkProcess:
         length, checksum = models.head(self._reading)
         end = min(self._piece + _PIECE, length)
         piece = models.part(self._reading, self._piece, end)
-        self._buffer[self._piece:end] = piece
+        self._buffers[0][self._piece:end] = piece
         self._check, self._piece = zlib.crc32(piece, self._check), end
         if end < length:
             return None
         number, self._reading = self._reading, 0
         if self._check != checksum or models.head(number) != (length, checksum):
             return None  # it was written while it was read: once more
-        self._taken = number
-        return CondensedContact.unpacked(np.frombuffer(self._buffer, count=length // 8).copy())
+        self._taken, self._buffers = number, self._buffers[::-1]
+        return CondensedContact.unpacked(np.frombuffer(self._buffers[1], count=length // 8))
 
     def _received_correction(self) -> CondensedContact | None:
         """A later state of the bulk on the tangent of the model that is here."""
