@@ -30,9 +30,6 @@ from tissue_sim.pose import Pose, between
 #: Most nodes that are published. The bulk is condensed onto so many times as many by Pardiso, whose cost hardly depends
 #: on it; of them the nearest share must be there, or others are chosen: another choice costs an analysis.
 CANDIDATES, _MORE, _NEEDED = 100, 3, 0.6
-#: Fewer are, but not less than half of them, where the others are farther than this share of the contact's radius from
-#: the tool and where it goes.
-_MARGIN = 0.6
 #: Shares of a step that are tried where the whole of it turns elements inside out.
 _SHARES = (1.0, 0.5, 0.25)
 #: The same with the tangent of an earlier iterate, which would overshoot where tissue has become more than twice as
@@ -283,7 +280,7 @@ class SolidLinearisation:
         spare = next((each for each in self._tangents if each is not self._tangent and each.is_done), None)
         if spare is None or self._coming is not None:
             return None
-        solver, (order, _, loaded) = self._solver, self._nearest(state, pose, ahead)
+        solver, order, loaded = self._solver, *self._nearest(state, pose, ahead)
         if not np.isin(order[:max(int(_NEEDED * self._most), loaded)], self._interface).all():
             self._interface = np.sort(order[:self._most])
         spare.take(solver._matrix, self._interface, self._equations[self._interface], solver.batches.volume_rates,
@@ -296,21 +293,19 @@ class SolidLinearisation:
         coming, self._coming = self._coming, None
         if coming is None or coming.factor is None:
             return False
-        order, gaps, loaded = self._nearest(state, pose, ahead)
-        wanted = max(loaded, self._count // 2, int((gaps <= _MARGIN * self.surface.radius).sum()))
-        nodes = order[np.isin(order, coming.interface)][:min(wanted, self._count)]
+        order, _ = self._nearest(state, pose, ahead)
+        nodes = order[np.isin(order, coming.interface)][:self._count]
         coming.choose(nodes, self._equations[nodes])
         self._tangent, self._base = coming, self._number + 1
         self._solver.batches.known_rates[:] = coming.volume_rates
         return True
 
-    def _nearest(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> tuple[np.ndarray, np.ndarray, int]:
-        """The nodes that the tool can meet, those that are loaded and those that it meets first in front; how far they
-        are from it at the nearest of the poses, m; and how many are loaded."""
+    def _nearest(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> tuple[np.ndarray, int]:
+        """The nodes that the tool can meet, those that are loaded and those that it meets first in front, and how many
+        are loaded."""
         meets, loaded = self._meets, np.abs(state.forces).sum(axis=1) > 0.0
-        gaps = np.stack([self._gaps(each) for each in (pose, *ahead)])[:, meets].min(axis=0)
-        order = np.lexsort((gaps, ~loaded[meets]))
-        return meets[order], gaps[order], int(loaded.sum())
+        gaps = np.stack([self._gaps(each) for each in (pose, *ahead)])[:, meets]
+        return meets[np.lexsort((gaps.min(axis=0), ~loaded[meets]))], int(loaded.sum())
 
     def _gaps(self, pose: Pose) -> np.ndarray:
         """Distances of the surface from the tool at a pose, m, shape (s,)."""
