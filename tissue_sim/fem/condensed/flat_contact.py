@@ -30,7 +30,7 @@ class FlatContact:
 
     def __init__(self, arrays: dict[str, np.ndarray], near: float, floor: float):
         n = len(arrays["lists"])
-        self._floor, self._found = floor, np.zeros(3)
+        self._floor, self._found = floor, np.zeros(4)
         self._matrix, self._right = np.zeros(9 * n * n), np.zeros(3 * n)
         self._limits = np.array([near, 0.0, floor, 0.0])
         own = {"found": self._found, "limits": self._limits, "flat": np.zeros((n, FLAT)), "matrix": self._matrix,
@@ -43,12 +43,11 @@ class FlatContact:
         from scipy.linalg import lapack
 
         self._limits[ENOUGH] = tolerance
-        left, unknown = self._look(0.0)
+        left, k = self._look(0.0)
         for _ in range(_MOST):
             if left <= tolerance:
                 return True
-            if unknown:
-                k = 3 * unknown
+            if k:
                 # The solution takes the place of the right-hand side, where the kernel looks for it.
                 right = self._right[:k]
                 *_, failed = lapack.dgesv(self._matrix[:k * k].reshape(k, k).T, right.reshape(k, 1), overwrite_a=1,
@@ -57,7 +56,7 @@ class FlatContact:
                     return False
             share = 1.0
             for halving in range(_HALVINGS + 1):
-                now, unknown = self._look(share)
+                now, k = self._look(share)
                 if now <= (1.0 - _BETTER * share) * left:
                     break
                 share *= 0.5
@@ -68,9 +67,9 @@ class FlatContact:
 
     def _look(self, share: float) -> tuple[float, int]:
         """Go a share of the way to the linear solution; what is left of the equation there, over the size of the
-        forces, and how many nodes are unknown in the next one."""
+        forces, and how many unknowns the next one has."""
         self._limits[SHARE] = share
         with LOCK:
             self._kernel()
-        left, forces, unknown = self._found.tolist()
-        return math.sqrt(left) / max(math.sqrt(forces), self._floor), int(unknown)
+        left, forces, _, unknowns = self._found.tolist()
+        return math.sqrt(left) / max(math.sqrt(forces), self._floor), int(unknowns)

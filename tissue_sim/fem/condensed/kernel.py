@@ -36,9 +36,10 @@ CARRIED = 9
 BOUND, MET, PRESSED, SLIPS, OUTLINE = range(5)
 STATES = 5
 #: Columns of `lists`: numbers of the model's nodes in the surface, and their states in the equations; then numbers of
-#: the nodes that have equations, that have forces, that are near the tool, and that the flat contact has equations of.
-NODE, SIGNATURE, ACTIVE_NODE, LOADED, NEAR_TOOL, UNKNOWN_NODE = range(6)
-LISTS = 6
+#: the nodes that have equations, that have forces, that are near the tool, and that the flat contact has equations of;
+#: which of these is the first of each, and how many it has.
+NODE, SIGNATURE, ACTIVE_NODE, LOADED, NEAR_TOOL, UNKNOWN_NODE, FIRST_ROW, ROWS = range(8)
+LISTS = 8
 #: Columns of `local`, of each node of the model: force at the beginning of a look; normal, slip, gap and friction that
 #: it found; rates of the force with the node's place, and with itself; force where nothing is missing; lever.
 GUESS, NORMAL, SLIP, GAP, ROUGH, RATE, TURN, INTERCEPT, LEVER = 0, 3, 6, 9, 10, 11, 20, 29, 32
