@@ -326,16 +326,20 @@ def contact_kernel():
             # Column by column, as it lies in memory; the compliance is symmetric.
             for q in range(count if rebuilt else 0):
                 j = lists[q, ACTIVE_NODE]
-                for b in range(3):
-                    start, at = (3 * q + b) * k, 3 * j + b
-                    for p in range(count):
-                        i = lists[p, ACTIVE_NODE]
-                        C = ti.Vector([compliance[at, 3 * i + c] for c in ti.static(range(3))])
+                start = 3 * q * k
+                for p in range(count):
+                    i = lists[p, ACTIVE_NODE]
+                    C = ti.Matrix([[compliance[3 * j + b, 3 * i + c] for b in ti.static(range(3))]
+                                   for c in ti.static(range(3))])
+                    A = ti.Matrix([[local[i, RATE + 3 * a + c] for c in ti.static(range(3))]
+                                   for a in ti.static(range(3))])
+                    value = A @ C
+                    for b in ti.static(range(3)):
                         for a in ti.static(range(3)):
-                            rate = ti.Vector([local[i, RATE + 3 * a + c] for c in ti.static(range(3))])
-                            matrix[start + 3 * p + a] = rate.dot(C)
+                            matrix[start + b * k + 3 * p + a] = value[a, b]
+                for b in ti.static(range(3)):
                     for a in ti.static(range(3)):
-                        matrix[start + 3 * q + a] = matrix[start + 3 * q + a] - local[j, TURN + 3 * a + b]
-                    matrix[start + 3 * q + b] = matrix[start + 3 * q + b] + 1.0
+                        at = start + b * k + 3 * q + a
+                        matrix[at] = matrix[at] - local[j, TURN + 3 * a + b] + (1.0 if a == b else 0.0)
 
     return iterate

@@ -276,13 +276,13 @@ class CondensedStepper:
             settings[ANEW] = 1.0
         if self._looked_at is None or self.distance(motion(self._looked_at, pose)) > _APART / 3.0 * self.surface.radius:
             self._looked_at, settings[LOOKED] = pose, 0.0
-        settings[[RELEASE, CHANGEABLE, BENDING]] = 0.0, 1.0, 1.0
+        settings[RELEASE], settings[CHANGEABLE], settings[BENDING] = 0.0, 1.0, 1.0
         converged, fresh, decided, iterations, solution = False, False, False, 0, None
         while True:
             with LOCK:
                 self._kernel()
             violation, pulling, unbalanced, size, active, rebuilt, slipping = results.tolist()
-            settings[[RELEASE, CHANGEABLE]], k = (0.0, 1.0), 3 * int(active)
+            settings[RELEASE], settings[CHANGEABLE], k = 0.0, 1.0, 3 * int(active)
             change, enough = math.sqrt(unbalanced), _SETTLED * max(math.sqrt(size), self.surface.floor)
             if not math.isfinite(unbalanced + size) or iterations >= (_MOST_EXACT if exact else _MOST):
                 break
@@ -305,10 +305,10 @@ class CondensedStepper:
                 chosen, step = self._active[:k // 3], self._solved(k)[:, 0]
                 self.forces[self._nodes[chosen]] = self._guess[chosen] + step.reshape(-1, 3)
                 decided = False
-                settings[[CHANGEABLE, ANEW]] = 0.0 if settles else 1.0, 1.0
+                settings[CHANGEABLE], settings[ANEW] = 0.0 if settles else 1.0, 1.0
             else:
                 decided = self._flat.solve(_FLAT) and iterations <= _CURVED
-                settings[[CHANGEABLE, ANEW]] = 0.0, 1.0
+                settings[CHANGEABLE], settings[ANEW] = 0.0, 1.0
         if converged:
             if solution is not None:
                 self._columns[:k] = solution[:, 1:]
