@@ -11,15 +11,14 @@ from tissue_sim.fem.taichi.scratch import LANES, VECTORS, scratch
 
 #: Stiffness of a held node over that of the springs; see `tissue_sim.fem.solid.contact`.
 HOLD = 3.0
-#: Places in `settings`: number of nodes, whether states may change, whether the curvature counts, negligible friction,
-#: tolerance, whether the tool is where it touched or deeper, whether pulling nodes are let go, whether equations are
-#: wanted anew, shear modulus, of how many nodes the forces follow the tool first, how many are looked at (0: all, which
-#: finds how many the next looks need), how near the others are not, m; then rotation (9) and place (3) of the tool, its
-#: motion from the pose of the model (6), and from that of the last step (6).
-(COUNT, CHANGEABLE, BENDING, NEGLIGIBLE, TOLERANCE, PRESSED_IN, RELEASE, ANEW, MODULUS, FOLLOWS, LOOKED,
- APART) = range(12)
-ROTATION, ORIGIN, MOTION, STEP = 12, 21, 24, 30
-SETTINGS = 36
+#: Places in `settings`: number of nodes, whether states may change, negligible friction, tolerance, whether the tool
+#: is where it touched or deeper, whether pulling nodes are let go, whether equations are wanted anew, shear modulus, of
+#: how many nodes the forces follow the tool first, how many are looked at (0: all, which finds how many the next looks
+#: need), how near the others are not, m; then rotation (9) and place (3) of the tool, its motion from the pose of the
+#: model (6), and from that of the last step (6).
+(COUNT, CHANGEABLE, NEGLIGIBLE, TOLERANCE, PRESSED_IN, RELEASE, ANEW, MODULUS, FOLLOWS, LOOKED, APART) = range(11)
+ROTATION, ORIGIN, MOTION, STEP = 11, 20, 23, 29
+SETTINGS = 35
 #: Places in `results`.
 VIOLATION, PULLING, UNBALANCED, SIZE, ACTIVE, REBUILT, SLIPPING = range(7)
 RESULTS = 7
@@ -199,8 +198,7 @@ def contact_kernel():
                 results[PULLING] = results[PULLING] + 1.0
         elif is_pressed:
             violation, state = ti.abs(gap), 1
-            A = k * nn + settings[BENDING] * normal * (bent * meridian.outer_product(meridian)
-                                                       + hoop * around.outer_product(around))
+            A = k * nn + normal * (bent * meridian.outer_product(meridian) + hoop * around.outer_product(around))
             missing, found = k * gap * n, normal * n
             rough = mu * ti.max(-normal - gap / give[0], 0.0)
             if mu > 0.0 and states[s, BOUND] == 2 and rough > settings[NEGLIGIBLE]:

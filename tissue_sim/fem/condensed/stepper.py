@@ -24,7 +24,6 @@ from tissue_sim.fem.condensed.kernel import (
     ANCHOR,
     ANEW,
     APART,
-    BENDING,
     CARRIED,
     CHANGEABLE,
     COLUMNS,
@@ -276,7 +275,7 @@ class CondensedStepper:
             settings[ANEW] = 1.0
         if self._looked_at is None or self.distance(motion(self._looked_at, pose)) > _APART / 3.0 * self.surface.radius:
             self._looked_at, settings[LOOKED] = pose, 0.0
-        settings[RELEASE], settings[CHANGEABLE], settings[BENDING] = 0.0, 1.0, 1.0
+        settings[RELEASE], settings[CHANGEABLE] = 0.0, 1.0
         converged, fresh, decided, iterations, solution = False, False, False, 0, None
         while True:
             with LOCK:
