@@ -8,6 +8,7 @@ from pathlib import Path
 from scenes.catalogue import SCENES
 from scenes.commands.shared.console import print_json, progress_console
 from scenes.commands.shared.experiment_flags import add_experiment_flags, check_scene, make_experiment
+from scenes.commands.shared.log_lines import status_of
 from scenes.commands.shared.parsing import Parser, add_json, at_least, between, not_negative, positive
 from scenes.commands.shared.tissue_flags import read_material
 from tissue_sim.errors import InputError
@@ -80,7 +81,7 @@ def run(arguments) -> int:
     folder = output.with_name(f"{output.name}.strokes")
     arguments.resume_hint = "the same command goes on with the strokes that are done"
     console = progress_console(quiet=arguments.json)
-    with console.status("making the mesh") as status:
+    with status_of(console, "making the mesh", quiet=arguments.json) as status:
         def tell(stage: str, done: int, of: int, *, note: str = "") -> None:
             status.update(f"{stage}: {done} of {of}{f', {note}' if note else ''}")
 

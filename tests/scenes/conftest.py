@@ -1,10 +1,17 @@
 """What tests of the commands and of the viewer share."""
 
 import importlib
+import math
 
 import pytest
 
 from haptics.loop.process import LoopProcess
+
+
+@pytest.fixture(autouse=True)
+def no_log_lines(monkeypatch):
+    """What a command says does not depend on how long it took here."""
+    monkeypatch.setattr("scenes.commands.shared.log_lines.EVERY", math.inf)
 
 
 @pytest.fixture

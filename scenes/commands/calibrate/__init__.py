@@ -6,6 +6,7 @@ from pathlib import Path
 
 from scenes.commands.shared.campaigns import add_figures_format, add_workers, claim_on, resume_hint
 from scenes.commands.shared.console import print_json, progress_console, results_console
+from scenes.commands.shared.log_lines import LogLines
 from scenes.commands.shared.parsing import Parser, add_json, add_overwrite
 
 SUMMARY = "fit strain-energy laws to the recordings of one or more campaigns"
@@ -30,7 +31,8 @@ def run(arguments) -> int:
 
     before = claim_on(arguments.output)
     try:
-        with CampaignProgress(progress_console(quiet=arguments.json), len(arguments.campaigns)) as progress:
+        with CampaignProgress(progress_console(quiet=arguments.json), len(arguments.campaigns),
+                              LogLines(quiet=arguments.json)) as progress:
             results = calibrate(arguments.campaigns, arguments.output, overwrite=arguments.overwrite,
                                 progress=progress.say, listen=progress.listen,
                                 figures_format=arguments.figures_format,

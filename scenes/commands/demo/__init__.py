@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from scenes.commands.shared.console import print_json, progress_console, results_console
+from scenes.commands.shared.log_lines import LogLines
 from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, at_least
 from scenes.commands.view import add_page_flags, page_options
 
@@ -78,7 +79,7 @@ def _progress(*, quiet: bool):
     """Gone before anything else is printed."""
     from scenes.commands.shared.progress import CampaignProgress
 
-    with CampaignProgress(progress_console(quiet=quiet)) as progress:
+    with CampaignProgress(progress_console(quiet=quiet), lines=LogLines(quiet=quiet)) as progress:
         yield progress.say
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from scenes.commands.shared.campaigns import add_workers
 from scenes.commands.shared.console import print_json, progress_console, results_console
+from scenes.commands.shared.log_lines import LogLines
 from scenes.commands.shared.parsing import Parser, add_json, at_least
 
 SUMMARY = "tell, before an experiment, how well it would know a material and which effects it would show"
@@ -32,7 +33,7 @@ def run(arguments) -> int:
     from calibration import Workers, design_experiments
     from scenes.commands.shared.progress import CampaignProgress
 
-    with CampaignProgress(progress_console(quiet=arguments.json)) as progress:
+    with CampaignProgress(progress_console(quiet=arguments.json), lines=LogLines(quiet=arguments.json)) as progress:
         design = design_experiments(arguments.campaign, law=arguments.law, replicates=arguments.replicates,
                                     samples=arguments.samples, progress=progress.say,
                                     workers=Workers(arguments.workers, arguments.dask))

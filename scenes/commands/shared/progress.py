@@ -12,6 +12,7 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
+from scenes.commands.shared.log_lines import LogLines, clock
 from scenes.commands.shared.text_table import text_table
 from tissue_sim.laws import find_law
 
@@ -34,12 +35,13 @@ class CampaignProgress:
     """What `calibration.calibrate` and `calibration.diagnose` report, live on a terminal; gone when the block ends.
 
     Args:
-        console: of the progress; when it is quiet nothing is shown.
+        console: of the progress; when it is quiet nothing is drawn.
         campaigns: how many there are.
+        lines: instead, where there is no terminal; None: none.
     """
 
-    def __init__(self, console: Console, campaigns: int = 1):
-        self._console, self._campaigns = console, campaigns
+    def __init__(self, console: Console, campaigns: int = 1, lines: LogLines | None = None):
+        self._console, self._campaigns, self._lines = console, campaigns, lines
         self._sentence, self._began, self._said = "reading", time.monotonic(), time.monotonic()
         self._part_began = self._began
         self._place, self._solves = ("", ""), 0
@@ -69,6 +71,9 @@ class CampaignProgress:
         if self._live.is_started:
             # At once: a kernel that is compiled, or runs, keeps the refreshing thread waiting.
             self._live.refresh()
+        elif self._lines is not None:
+            solves = f", {self._solves} solves" if self._solves else ""
+            self._lines.update(f"{sentence}{f': {done} of {of}' if of else ''}{solves}")
 
     def announce(self, sentence: str) -> None:
         """Say something that stays, above what is done."""
@@ -82,6 +87,8 @@ class CampaignProgress:
             self._seen.append(campaign)
         self._rows = [*self._rows, iteration][-_MOST_ROWS:]
         self._solves += 1
+        if self._lines is not None and not self._live.is_started:
+            self._lines.update(f"{campaign}: {law}, {self._solves} solves")
 
     def render(self) -> Group:
         """The table, if any, above a line that says what is done."""
@@ -91,7 +98,7 @@ class CampaignProgress:
         bar = ProgressBar(total=self._of, completed=self._done, width=_BAR_WIDTH) if self._of else \
             ProgressBar(width=_BAR_WIDTH, pulse=True, animation_time=now)
         line.add_row(self._spinner, bar, Text(f"{self._done} of {self._of}" if self._of else ""),
-                     Text(_clock(seconds)), Text(self._left(now)),
+                     Text(clock(seconds)), Text(self._left(now)),
                      Text(f"{self._solves} solves" if self._solves else ""),
                      Text(f"campaign {max(len(self._seen), 1)} of {self._campaigns}" if self._campaigns > 1 else ""))
         parts: list[RenderableType] = [self._table()] if self._rows else []
@@ -106,7 +113,7 @@ class CampaignProgress:
         if not 0 < self._done < self._of or taken < _TOLD_AFTER:
             return ""
         left = taken * (self._of - self._done) / self._done - (now - self._said)
-        return f"about {_clock(max(round(left), 1))} left of this part"
+        return f"about {clock(max(round(left), 1))} left of this part"
 
     def _table(self) -> Table:
         law = find_law(self._place[1])
@@ -122,8 +129,3 @@ class CampaignProgress:
                           f"{row.error:.6g}", f"{row.RMSE_N:.3g}", "corrected" if row.corrected else "fast")
         table.title, table.title_justify = Text(law.name, style="bold not italic"), "left"
         return table
-
-
-def _clock(seconds: int) -> str:
-    """``1:05``."""
-    return f"{seconds // 60}:{seconds % 60:02d}"

@@ -8,6 +8,7 @@ from pathlib import Path
 from scenes.catalogue import SCENES
 from scenes.commands.shared.console import print_json, progress_console, results_console
 from scenes.commands.shared.experiment_flags import add_experiment_flags, check_scene, make_experiment, make_protocol
+from scenes.commands.shared.log_lines import status_of
 from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, new_file
 from scenes.commands.shared.tissue_flags import add_solver_flags, check_solver
 from scenes.commands.simulate.replicates import add_rig_flags, make_rig, output_files, read_replicates
@@ -69,7 +70,7 @@ def run(arguments) -> int:
     model = ts.Model(experiment, material_file.material, rig.motion_only)
     failure = None
     again = not (arguments.no_force_error or experiment.slip) and arguments.solver == "axisymmetric"
-    with progress_console(quiet=arguments.json).status("simulating") as status:
+    with status_of(progress_console(quiet=arguments.json), "simulating", quiet=arguments.json) as status:
         try:
             recording = ts.simulate(
                 model, resolution=arguments.resolution, fields=True, solver=arguments.solver,
