@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -131,7 +132,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
 
     if progress:
         progress(0, protocol.displacement.size)
-    drive = _Drive(tissue, model)
+    drive, largest = _Drive(tissue, model), 0.0
     for sample, (place, dt, steps) in enumerate(drive.along(np.arange(protocol.time.size))):
         for step in steps:
             report["newton_iterations"] += step.iterations
@@ -148,6 +149,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
                                    depth=depth)
         _note_largest(report, step)
         wrenches.append(drive.arrive(step.wrench, dt))
+        if (size := math.hypot(*wrenches[-1][:3])) >= largest:
+            largest, report["warnings"] = size, list(tissue.doubts())
         travels.append(drive.travel)
         if watch:
             watch.sample(tissue, drive.share)
@@ -162,7 +165,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
         if found is not None:
             report["force_error"] = found.share
             if found.share > WORTH_A_WARNING:
-                report["warnings"] = [found.in_words(protocol.displacement, _REMEDIES.get(resolution, _REMEDY))]
+                report["warnings"] = [found.in_words(protocol.displacement, _REMEDIES.get(resolution, _REMEDY)),
+                                      *report["warnings"]]
     cuts = report["cuts"]
     return record("converged", f"converged at every sample{f', step cuts: {cuts}' if cuts else ''}")
 

@@ -16,8 +16,6 @@ from tissue_sim.errors import InputError
 SUMMARY = "reduce a solid in space to what a tool in a box of poses needs, for 1000 steps a second"
 EXAMPLE = ("tissue-sim reduce needle_indentation --material m.material.json --tool flat --tool-radius-mm 8 "
            "--depth-mm 4 --sideways-mm 3 --turn-deg 5 -o needle.reduced.npz")
-#: Depth of the box where nothing is said, mm.
-_DEPTH_MM = 4.0
 #: Error of the force, of its rms, from which on it is said what to do.
 _POOR = 0.03
 
@@ -32,7 +30,9 @@ def add_arguments(parser: Parser) -> None:
                              "(may be given several times)")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="NAME.reduced.npz")
     parser.add_argument("--overwrite", action="store_true", help="replace an output that is there")
-    box = parser.add_argument_group("box of poses (its depth is --depth-mm, default: 4)")
+    box = parser.add_argument_group("box of poses")
+    box.add_argument("--depth-mm", type=positive, metavar="N", default=4.0,
+                     help="how far the tool may go in (default: %(default)g)")
     box.add_argument("--sideways-mm", type=not_negative, metavar="N", default=0.0,
                      help="how far the tool may go aside, along x and y either way (default: 0)")
     box.add_argument("--turn-deg", type=between(0.0, 45.0), metavar="N", default=0.0,
@@ -54,16 +54,13 @@ def add_arguments(parser: Parser) -> None:
     effort.add_argument("--tried", type=at_least(1, 1000), metavar="N", default=3,
                         help="unseen strokes on which the result is tried, at least one with each material (default: "
                              "%(default)s)")
-    add_experiment_flags(parser)
+    add_experiment_flags(parser, motion=False)
     add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments) -> int:
     check_scene(arguments.scene)
-    if arguments.protocol is not None:
-        raise InputError("a reduced solid is made for a box of poses, not for a protocol; use --depth-mm",
-                         field="--protocol")
     output: Path = arguments.output
     if output.exists() and not arguments.overwrite:
         raise InputError("exists; add --overwrite, or choose another name", file=output)
@@ -75,7 +72,7 @@ def run(arguments) -> int:
     from tissue_sim.fem.reduced.reduction import forget_strokes
 
     material, also = read_material(arguments.material), [read_material(path) for path in arguments.also]
-    depth = (arguments.depth_mm or _DEPTH_MM) * 1e-3
+    depth = arguments.depth_mm * 1e-3
     experiment = make_experiment(arguments, ts.Protocol.ramp(depth, points=POINTS), material)
     box = ts.PoseBox(arguments.sideways_mm * 1e-3, depth, math.radians(arguments.turn_deg))
     folder = output.with_name(f"{output.name}.strokes")

@@ -336,6 +336,11 @@ class Solver(ABC):
     def surface(self) -> Surface:
         """The surface at the last committed state."""
 
+    def doubts(self) -> Sequence[str]:
+        """Why the force at the last committed state may be wrong, though it is an equilibrium: sentences, mostly
+        none."""
+        return ()
+
     @abstractmethod
     def report(self) -> dict[str, Any]:
         """What a recording's metadata say of the solver: ``element``, ``mesh``; with contact ``penetration_mm`` and

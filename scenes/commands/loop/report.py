@@ -16,6 +16,15 @@ if TYPE_CHECKING:
     from haptics.loop.ring import RingReader
 
 
+#: What it means that a tick was flagged, by the name in the report; see `haptics.safety.rendering.RenderFlag`.
+_FLAGGED = {
+    "limited": "with the force held at its limit", "rate_limited": "with a force that was let change more slowly",
+    "invalid": "without a force that is a number", "lost_pose": "without a pose from the device",
+    "active": "when the hand had got more energy than it had put in",
+    "energy": "with the force taken away for its energy", "paused": "in a pause",
+}
+
+
 class LiveLine:
     """The state of a loop in one line, from its ring: the loop itself is not asked.
 
@@ -52,11 +61,13 @@ def print_report(report: LoopReport, console: Console) -> None:
     console.print(table)
     print_sentence(console, f"{report.ticks} ticks in {report.seconds:.4g} s: {report.late} late (more than "
                             f"{LATE * 1e3:g} ms), {report.missed} missed ({answer['missed_percent']:.3g} %)")
-    for what, counts in (("answers", report.statuses), ("ticks that were", report.flagged)):
-        counted = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if count)
-        if counted:
-            print_sentence(console, f"{what}: {counted}")
-    if report.resolution:
+    answers = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in report.statuses.items() if count)
+    if answers:
+        print_sentence(console, f"answers: {answers}")
+    for name, count in report.flagged.items():
+        if count:
+            print_sentence(console, f"ticks {_FLAGGED.get(name, name)}: {count}")
+    if report.resolution not in ("", "own mesh"):
         error = "" if report.force_error is None else f", whose force errs by {100 * report.force_error:.2g} % at most"
         print_sentence(console, f"mesh: {report.resolution}{error}")
     print_sentence(console, f"largest force: {report.largest_force:.4g} N")

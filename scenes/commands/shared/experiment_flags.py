@@ -31,8 +31,15 @@ DEPTH_MM = 10.0
 USUAL_SIZES = {"radius_mm": 40.0, "height_mm": 70.0}
 
 
-def add_experiment_flags(parser: Parser) -> None:
-    """Motion, specimen, tool and interfaces, each in a group of its own."""
+def add_experiment_flags(parser: Parser, *, motion: bool = True) -> None:
+    """Motion (if wanted), specimen, tool and interfaces, each in a group of its own."""
+    if motion:
+        _add_motion(parser)
+    _add_specimen(parser)
+    _add_tool(parser)
+
+
+def _add_motion(parser: Parser) -> None:
     motion = parser.add_argument_group("motion")
     motion.add_argument("--depth-mm", type=positive, metavar="N",
                         help=f"largest tool displacement of a plain ramp (default: {DEPTH_MM:g})")
@@ -43,6 +50,9 @@ def add_experiment_flags(parser: Parser) -> None:
                         help="points of the ramp, or of each segment that moves, its start included (default: 21)")
     motion.add_argument("--speed-mm-s", type=positive, metavar="N", default=0.248,
                         help="of the tool, until the protocol names one (default: 0.248)")
+
+
+def _add_specimen(parser: Parser) -> None:
     specimen = parser.add_argument_group("specimen")
     specimen.add_argument("--shape", choices=tuple(SPECIMENS),
                           help="cylinder, or with --solid another (default: cylinder)")
@@ -63,6 +73,9 @@ def add_experiment_flags(parser: Parser) -> None:
     specimen.add_argument("--density-kg-m3", type=positive, metavar="N", help="default: that of the material file")
     specimen.add_argument("--height-is", choices=("moulded", "placed"),
                           help="--height-mm is that before (moulded) or after settling (placed; default: moulded)")
+
+
+def _add_tool(parser: Parser) -> None:
     tool = parser.add_argument_group("tool and interfaces (defaults: those of the scene)")
     tool.add_argument("--tool", metavar="SHAPE",
                       help=f"{', '.join(shapes_without_file())}, or a file with two columns, r and z of its profile")

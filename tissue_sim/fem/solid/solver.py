@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
+from tissue_sim.fem.solid.chords import doubts_of_chords
 from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Look
 from tissue_sim.fem.solid.contact_laws import NodeLaws
 from tissue_sim.fem.solid.fields import SolidFields
@@ -81,10 +82,8 @@ class SolidSolver(Solver):
         if settled is not None:
             self.x[:], self.batches.pressures[:] = settled.x, settled.batches.pressures
         self._start = self._pose = start
-        freedoms = np.arange(self.x.size).reshape(-1, 3)
-        stays = staying(mesh, fixed, pins)
-        self._bonded = np.asarray(bonded, dtype=np.intp)
-        moved = np.zeros_like(stays)
+        freedoms, stays = np.arange(self.x.size).reshape(-1, 3), staying(mesh, fixed, pins)
+        self._bonded, moved = np.asarray(bonded, dtype=np.intp), np.zeros_like(stays)
         moved[self._bonded] = True
         self._free = np.flatnonzero(~(stays | moved))
         self._reacting = np.flatnonzero(stays | moved)
@@ -122,8 +121,7 @@ class SolidSolver(Solver):
         for array in (*self._committed[1:], *self._rest[1:], self.batches.pressures, self.contact.forces):
             array *= material.mu0 / before
         self.contact.set_stiffness(material.mu0)
-        top = self.mesh.nodes[self.mesh.sets["top"]]
-        self._floor = 1e-6 * material.mu0 * float(np.prod(np.ptp(top[:, :2], axis=0)))
+        self._floor = 1e-6 * material.mu0 * float(np.prod(np.ptp(self.mesh.nodes[self.mesh.sets["top"], :2], axis=0)))
 
     @property
     def pose(self) -> Pose:
@@ -318,8 +316,7 @@ class SolidSolver(Solver):
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
 
     def differentiate(self, neighbours: Neighbours) -> SolidSensitivity | None:
-        """Carry exact derivatives along from now on; see `Solver.differentiate`. There are none with effects at
-        points."""
+        """See `Solver.differentiate`; there are none with effects at points."""
         begins = self._start_rates if neighbours else None
         start = None if begins is None else begins(neighbours)
         if self.tissue.effects or (begins is not None and start is None):
@@ -386,14 +383,17 @@ class SolidSolver(Solver):
         """The surface at the last committed state."""
         return SolidSurface(self.mesh, self._committed[0].reshape(-1, 3), self.datum)
 
+    def doubts(self) -> list[str]:
+        """See `Solver.doubts`."""
+        return doubts_of_chords(self.contact, self.mesh, self._committed[0].reshape(-1, 3))
+
     def report(self) -> dict[str, Any]:
         """What a recording's metadata say of the solver; see `Solver.report`."""
         report = {"element": self.mesh.element.name,
                   "mesh": {"elements": len(self.mesh.connectivity), "freedoms": int(self._free.size)}}
         if self.contact.nodes.size:
-            report |= {"penetration_mm": 0.0, "penetration_tolerance_mm": self._tolerance * 1e3}
-            if self.contact.has_friction:
-                report["slipping_points"] = 0
+            report |= {"penetration_mm": 0.0, "penetration_tolerance_mm": self._tolerance * 1e3,
+                       **({"slipping_points": 0} if self.contact.has_friction else {})}
         if self.tissue.specific_weight:
             report["self_weight"] = {"sag_mm": self.sag * 1e3, "moulded_height_mm": float(np.ptp(
                 self.mesh.nodes[:, 2])) * 1e3}

@@ -1,0 +1,44 @@
+"""Flat sides under a round tool: what is said of the force is what it really lacks."""
+
+import re
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
+from tissue_sim.mesh.solid import block_mesh, with_tool_sets
+
+MATERIAL = ts.Material("neo_hooke", {"C10": 1000.0}, ts.Bulk("bulk_ratio", 1e3))
+
+
+def pressed(size, element, tool=None, friction="frictionless"):
+    """Largest force, N, and what is said of it, of a ball that is 3 mm deep in a block with elements of one size."""
+    line = np.linspace(-0.02, 0.02, round(0.04 / size) + 1)
+    experiment = ts.KINDS["needle_indentation"].experiment(
+        specimen=ts.Specimen(0.02, 0.02), protocol=ts.Protocol.ramp(3e-3, points=2),
+        tool=tool or ts.Tool("round", radius=8e-3), friction=friction)
+    mesh = block_mesh(line, line, np.linspace(-0.02, 0.0, round(0.02 / size) + 1), element)
+    recording = ts.simulate(ts.Model(experiment, MATERIAL), solver="solid", mesh=with_tool_sets(mesh, 8e-3, (0.0, 0.0)))
+    return recording.force[-1], recording.metadata["solver"]["warnings"]
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """Of quadratic elements, of which nothing is said."""
+    force, warnings = pressed(0.04 / 12, HEX27P1)
+    assert warnings == []
+    return force
+
+
+@pytest.mark.parametrize("elements", [8, 10, 12])
+def test_the_share_that_is_named_is_missing(elements, truth):
+    force, (warning,) = pressed(0.04 / elements, HEX8P0)
+    named = float(re.search(r"some ([\d.]+) % too small", warning)[1]) / 100.0
+    assert 0.6 * named < 1.0 - force / truth < 1.6 * named, warning
+    assert f"{40 / elements:.2g} mm wide" in warning and "use elements of 1.5 mm there" in warning
+
+
+def test_nothing_is_said_of_a_flat_tool():
+    _, warnings = pressed(4e-3, HEX8P0, ts.Tool("flat", radius=8e-3), "stick")
+    assert warnings == []
