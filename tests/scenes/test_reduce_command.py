@@ -28,3 +28,13 @@ def test_a_poor_result_says_what_to_do(modes, says, tmp_path, capsys):
                  str(tmp_path / "poor.reduced.npz")]) == 0
     said = capsys.readouterr().out
     assert ("that is much: more strokes (--strokes 4)" in said) is says, said
+
+
+@pytest.mark.parametrize("shape", [["--radius-mm", "30", "--height-mm", "20"],
+                                   ["--shape", "block", "--length-mm", "60", "--width-mm", "40", "--height-mm", "20"]])
+def test_a_box_beyond_the_specimen_is_refused_at_once(shape, tmp_path, capsys):
+    path = tmp_path / "wide.reduced.npz"
+    assert main(["reduce", "needle_indentation", *shape, "--tool", "round", "--tool-radius-mm", "8", "--friction",
+                 "0.3", "--sideways-mm", "35", "-o", str(path)]) == 2
+    assert "there is none under it at -35 and -35 mm; make the box smaller" in capsys.readouterr().err
+    assert not path.exists()

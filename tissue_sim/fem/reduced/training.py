@@ -7,13 +7,14 @@ the nine entries of a rotation), so that the modes need not know them.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.errors import ConvergenceError
+from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, Rest
 from tissue_sim.fem.reduced.sampling import sparse_weights
 from tissue_sim.fem.reduced.solver import ReducedSolver
@@ -38,6 +39,8 @@ _LEAST_FORCE, _LOOKED_AT = 0.02, 240
 #: Elements are sampled with a bulk modulus over mu0 of at least this: with a softer one more are taken (195 in place of
 #: 169), and the force is no better.
 _SAMPLED_AT = 100.0
+#: Of the way to the edge of the top, how far elements are as fine as under the tool, at most.
+_ROOM = 0.9
 #: States are solved to 1e-7 of their forces: modes below this share of the strongest are noise, which nothing resists.
 _NOISE = 1e-6
 #: Motions that are watched beside the modes, for the estimate of the error; an even number of them.
@@ -350,7 +353,20 @@ def with_report(reduced: ReducedModel, factors: tuple[float, float], **more: flo
 
 
 def training_mesh(model: Model, box: PoseBox, resolution: str) -> SolidMesh:
-    """The mesh of a named resolution, fine wherever the tool can touch."""
-    experiment = model.experiment
-    return build_mesh(experiment, resolution, model.material.layers,
-                      beside=0.0 if experiment.friction == "bonded" else box.sideways)
+    """The mesh of a named resolution, fine wherever the tool can touch.
+
+    Raises:
+        InputError: a tool that can lift off goes aside to where no top is under it.
+    """
+    experiment, aside = model.experiment, box.sideways
+    if experiment.friction == "bonded":
+        return build_mesh(experiment, resolution, model.material.layers)
+    specimen, (x, y, _) = experiment.specimen, experiment.tool_pose(0.0).position
+    for corner in itertools.product((x - aside, x + aside), (y - aside, y + aside)):
+        if specimen.margin(*corner) < 0.0:
+            at = " and ".join(f"{1e3 * place:.3g}" for place in corner)
+            raise InputError(f"the tool would go beyond the specimen, {specimen.in_words}: there is none under it at "
+                             f"{at} mm; make the box smaller", field="box.sideways")
+    # Rings that fit into the top.
+    room = _ROOM * specimen.margin(x, y) - experiment.contact_radius
+    return build_mesh(experiment, resolution, model.material.layers, beside=max(0.0, min(aside, room)))
