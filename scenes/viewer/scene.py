@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +71,7 @@ class Scene:
         """From where to where the tool's axis may be at the height of the touch, along x, and along y, m; of a reduced
         solid where the tool stays in its box on its whole way down, or else where it comes nearest to that."""
         if self.reduced is None:
-            return ((-self.half_width, self.half_width),) * 2
+            return self._edges
         (x, y, _), aside = self.experiment.tool_pose(0.0).position, self.reduced.box.sideways
         # A tool that leans goes aside as it goes down.
         (end, *_) = self.experiment.tool_pose(self.deepest).position
@@ -78,6 +79,13 @@ class Scene:
         if low > high:
             low = high = 0.5 * (low + high)
         return (low, high), (y - aside, y + aside)
+
+    @cached_property
+    def _edges(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Where the top ends along x, and along y, m."""
+        specimen = self.experiment.specimen
+        return ((-_edge(specimen, -1.0, 0.0), _edge(specimen, 1.0, 0.0)),
+                (-_edge(specimen, 0.0, -1.0), _edge(specimen, 0.0, 1.0)))
 
     @property
     def highest(self) -> float:
@@ -128,3 +136,14 @@ def read_measurements(paths: Sequence[str | Path], scene: str) -> dict[str, Meas
                                 file=path, field="kind")
         by_kind.setdefault(kind, []).append(recording)
     return {kind: measurement(recordings) for kind, recordings in by_kind.items()}
+
+
+def _edge(specimen: ts.Specimen, x: float, y: float) -> float:
+    """How far its top goes from the axis in a direction, m."""
+    low, high = 0.0, specimen.outer_radius
+    if specimen.margin(high * x, high * y) >= 0.0:
+        return high
+    while high - low > 1e-6 * specimen.outer_radius:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if specimen.margin(middle * x, middle * y) >= 0.0 else (low, middle)
+    return low
