@@ -167,3 +167,30 @@ def test_a_state_of_another_model_waits_and_an_untouched_one_begins_again():
 def test_a_specimen_that_nothing_holds_is_refused():
     with pytest.raises(ts.InputError, match="the bulk would hold on to nothing"):
         two_rates(friction_base=0.3)
+
+
+@pytest.mark.parametrize("softer", [1.0, 2.0, 3.0, 10.0])
+@pytest.mark.parametrize("friction", ["frictionless", 0.3])
+def test_no_node_is_left_in_the_tool_where_tissue_becomes_softer_at_once(friction, softer):
+    """Forces that are far too large push the nodes away; those that come back are met again, wherever the tool has gone
+    since the model."""
+    bulk, stepper = two_rates(TIP, friction)
+    for depth in (1e-3, 2e-3, 3e-3):
+        there, pose = Pose((2e-4, 0.0, -depth)), Pose((2e-4 + depth, 0.0, -depth))
+        settle(bulk, stepper, there, 0.0)
+        last, other = stepper.model, CondensedStepper(bulk.surface)
+        other.adopt(last)
+        other.take(stepper.state(0.0, there, 0.0, there))
+        assert other.step(pose).converged
+        other.adopt(replace(last, number=10**6, base=10**6, compliance=softer * last.compliance,
+                            modulus=last.modulus / softer))
+        step = other.step(pose)
+        assert step.converged and step.pressed > 0
+        forces = other.forces[last.nodes]
+        u = last.middle - softer * (last.compliance @ forces.ravel()).reshape(-1, 3)
+        x, y, z = pose.position
+        middle = x, y, z + bulk.surface.datum + TIP.radius
+        gaps = np.linalg.norm(bulk.surface.places[last.nodes] + u - middle, axis=1) - TIP.radius
+        assert gaps.min() > -2.0 * bulk.surface.tolerance
+        np.testing.assert_allclose(gaps[forces.any(axis=1)], 0.0, atol=2.0 * bulk.surface.tolerance)
+        np.testing.assert_allclose(step.wrench[:3], forces.sum(axis=0), rtol=1e-9, atol=1e-12)

@@ -20,8 +20,8 @@ HOLD = 3.0
 ROTATION, ORIGIN, MOTION, STEP = 11, 20, 23, 29
 SETTINGS = 35
 #: Places in `results`.
-VIOLATION, PULLING, UNBALANCED, SIZE, ACTIVE, REBUILT, SLIPPING = range(7)
-RESULTS = 7
+VIOLATION, PULLING, UNBALANCED, SIZE, ACTIVE, REBUILT, SLIPPING, GONE = range(8)
+RESULTS = 8
 # Taichi takes a third of a microsecond for each array to start a kernel: what is known of nodes is in few.
 #: Columns of `surface`, of each node of the surface: its place; over the shear modulus its spring; friction with the
 #: tool's face and shaft.
@@ -40,9 +40,10 @@ STATES = 5
 NODE, SIGNATURE, ACTIVE_NODE, LOADED, NEAR_TOOL, UNKNOWN_NODE, FIRST_ROW, ROWS = range(8)
 LISTS = 8
 #: Columns of `local`, of each node of the model: force at the beginning of a look; normal, slip, gap and friction that
-#: it found; rates of the force with the node's place, and with itself; force where nothing is missing; lever.
-GUESS, NORMAL, SLIP, GAP, ROUGH, RATE, TURN, INTERCEPT, LEVER = 0, 3, 6, 9, 10, 11, 20, 29, 32
-LOCAL = 35
+#: it found; rates of the force with the node's place, and with itself; force where nothing is missing; lever; where it
+#: was against the tool when all were looked at.
+GUESS, NORMAL, SLIP, GAP, ROUGH, RATE, TURN, INTERCEPT, LEVER, THEN = 0, 3, 6, 9, 10, 11, 20, 29, 32, 35
+LOCAL = 38
 #: Displacements of nodes at most, three of each.
 MOST_FREEDOMS = LANES * VECTORS
 #: Right-hand sides: of the iteration, and of the six motions of the tool.
@@ -169,6 +170,11 @@ def contact_kernel():
         mu = surface[s, FRICTION]
         if best >= shaft and not (beyond and rounding > 0.0):
             mu = surface[s, FRICTION + 1]
+        # How far the nodes near the tool have gone against it since all were looked at: others may have come near.
+        for a in ti.static(range(3)):
+            if settings[LOOKED] == 0.0:
+                local[i, THEN + a] = at[a]
+            results[GONE] = ti.max(results[GONE], ti.abs(at[a] - local[i, THEN + a]))
         # States and forces.
         k = surface[s, SPRING] * settings[MODULUS]
         F = ti.Vector([carried[s, FORCE + a] for a in ti.static(range(3))])
@@ -283,6 +289,9 @@ def contact_kernel():
                 if lists[i, SIGNATURE] > 0 or local[i, GAP] < settings[APART]:
                     near = i + 1
             if all_nodes:
+                # What carried a force may be pressed again once others have let go.
+                if many > 0:
+                    near = ti.max(near, lists[many - 1, LOADED] + 1)
                 settings[LOOKED] = near
             k = 3 * count
             results[ACTIVE] = count

@@ -69,7 +69,8 @@ class CondensedContact:
         number: of the linearisation, from 1.
         base: number of the one with whose tangent it was made, whose nodes, compliance, drive and stiffness it has.
         time: when the tool was there, s. pose: of the tool then.
-        nodes: numbers in the `ContactSurface`, those first that the tool meets first, shape (n,).
+        nodes: numbers in the `ContactSurface`, shape (n,). A step is quick where those stand first that are loaded, and
+            then those that the tool meets first.
         middle: displacements without forces, m, shape (n, 3).
         compliance: m/N, symmetric, shape (3 n, 3 n). drive: shape (3 n, 6).
         wrench: of what the tool holds, N, N m, shape (6,). stiffness: of it, shape (6, 6).

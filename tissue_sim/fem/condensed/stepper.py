@@ -64,7 +64,8 @@ _MOST, _MOST_EXACT, _CURVED = 10, 24, 5
 #: Nodes that are nearer to the tool than this share of its radius take part in the flat contact, and what is left of
 #: its equation over its forces.
 _NEAR, _FLAT = 0.06, 1e-6
-#: Nodes that are farther from the tool are not looked at until it has gone a third of that way; share of its radius.
+#: Nodes that are farther from the tool are not looked at until it, or the tissue, has gone a third of that way; share
+#: of the contact's radius.
 _APART = 0.2
 #: A force is found where it changes by less than this share; an exact one by less than this share of that, where no
 #: condition is violated by more than that share of the tolerance. Friction below another share of the floor is none.
@@ -182,6 +183,7 @@ class CondensedStepper:
         #: Nodes whose forces' derivatives with the tool's motion are known, the first of `_active`.
         self._followed = 0
         self._settings[ANEW] = 1.0
+        #: Where the tool was when all nodes were looked at; None: they are next.
         self._looked_at: Pose | None = None
 
     def state(self, time: float, pose: Pose, earlier: float, before: Pose, epoch: int = 0) -> ContactState:
@@ -280,8 +282,10 @@ class CondensedStepper:
         while True:
             with LOCK:
                 self._kernel()
-            violation, pulling, unbalanced, size, active, rebuilt, slipping = results.tolist()
+            violation, pulling, unbalanced, size, active, rebuilt, slipping, gone = results.tolist()
             settings[RELEASE], settings[CHANGEABLE], k = 0.0, 1.0, 3 * int(active)
+            if stale := gone > _APART / 3.0 * self.surface.radius:
+                settings[LOOKED] = 0.0
             change, enough = math.sqrt(unbalanced), _SETTLED * max(math.sqrt(size), self.surface.floor)
             if not math.isfinite(unbalanced + size) or iterations >= (_MOST_EXACT if exact else _MOST):
                 break
@@ -291,7 +295,8 @@ class CondensedStepper:
                 self._factor, fresh = (None if failed else (lu, pivots)), True
             usable = fresh and self._factor is not None and len(self._factor[0]) == k
             settles = change < enough and violation <= self._tolerance
-            done = settles and (not exact or (change < _EXACT * enough and violation <= _CLOSE * self._tolerance))
+            done = settles and not stale and (
+                not exact or (change < _EXACT * enough and violation <= _CLOSE * self._tolerance))
             if done and pulling:
                 settings[RELEASE] = 1.0
             elif done and k and not usable and 3 * self._followed != k:
