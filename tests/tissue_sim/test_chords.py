@@ -12,11 +12,12 @@ from tissue_sim.mesh.solid import block_mesh, with_tool_sets
 MATERIAL = ts.Material("neo_hooke", {"C10": 1000.0}, ts.Bulk("bulk_ratio", 1e3))
 
 
-def pressed(size, element, tool=None, friction="frictionless"):
-    """Largest force, N, and what is said of it, of a ball that is 3 mm deep in a block with elements of one size."""
+def pressed(size, element, tool=None, friction="frictionless", depth=3e-3):
+    """Largest force, N, and what is said of it, of a tool, a ball if none is said, in a block with
+    elements of one size."""
     line = np.linspace(-0.02, 0.02, round(0.04 / size) + 1)
     experiment = ts.KINDS["needle_indentation"].experiment(
-        specimen=ts.Specimen(0.02, 0.02), protocol=ts.Protocol.ramp(3e-3, points=2),
+        specimen=ts.Specimen(0.02, 0.02), protocol=ts.Protocol.ramp(depth, points=2),
         tool=tool or ts.Tool("round", radius=8e-3), friction=friction)
     mesh = block_mesh(line, line, np.linspace(-0.02, 0.0, round(0.02 / size) + 1), element)
     recording = ts.simulate(ts.Model(experiment, MATERIAL), solver="solid", mesh=with_tool_sets(mesh, 8e-3, (0.0, 0.0)))
@@ -34,11 +35,23 @@ def truth():
 @pytest.mark.parametrize("elements", [8, 10, 12])
 def test_the_share_that_is_named_is_missing(elements, truth):
     force, (warning,) = pressed(0.04 / elements, HEX8P0)
-    named = float(re.search(r"some ([\d.]+) % too small", warning)[1]) / 100.0
+    named = float(re.search(r"takes some ([\d.]+) % of the force away", warning)[1]) / 100.0
     assert 0.6 * named < 1.0 - force / truth < 1.6 * named, warning
     assert f"{40 / elements:.2g} mm wide" in warning and "use elements of 1.5 mm there" in warning
 
 
-def test_nothing_is_said_of_a_flat_tool():
-    _, warnings = pressed(4e-3, HEX8P0, ts.Tool("flat", radius=8e-3), "stick")
+@pytest.mark.parametrize("friction", ["stick", 0.5])
+def test_what_sticks_is_told_the_same(friction):
+    _, (warning,) = pressed(4e-3, HEX8P0, friction=friction)
+    assert "takes some 17 % of the force away" in warning
+
+
+def test_where_most_is_missing_there_is_no_figure():
+    _, (warning,) = pressed(5e-3, HEX8P0, depth=3e-4)
+    assert "takes most of the force away; use elements of 0.49 mm there" in warning
+
+
+@pytest.mark.parametrize("tool", [ts.Tool("flat", radius=8e-3), ts.Tool("flat", radius=8e-3, edge_radius=1e-3)])
+def test_nothing_is_said_of_a_flat_tool(tool):
+    _, warnings = pressed(4e-3, HEX8P0, tool, "stick")
     assert warnings == []

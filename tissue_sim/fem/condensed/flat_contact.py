@@ -48,10 +48,10 @@ class FlatContact:
             if left <= tolerance:
                 return True
             if k:
-                # The solution takes the place of the right-hand side, where the kernel looks for it.
                 right = self._right[:k]
-                *_, failed = lapack.dgesv(self._matrix[:k * k].reshape(k, k).T, right.reshape(k, 1), overwrite_a=1,
-                                          overwrite_b=1)
+                *_, found, failed = lapack.dgesv(self._matrix[:k * k].reshape(k, k).T, right.reshape(k, 1),
+                                                 overwrite_a=1, overwrite_b=1)
+                right[:] = found[:, 0]  # where the kernel looks for it; mostly it is there already
                 if failed or not math.isfinite(right @ right):
                     return False
             share = 1.0

@@ -292,7 +292,7 @@ def contact_kernel():
                 # What carried a force may be pressed again once others have let go.
                 if many > 0:
                     near = ti.max(near, lists[many - 1, LOADED] + 1)
-                settings[LOOKED] = near
+                settings[LOOKED] = ti.min(near, n)
             k = 3 * count
             results[ACTIVE] = count
             rebuilt = settings[ANEW] > 0.0

@@ -9,13 +9,17 @@ import numpy as np
 from tissue_sim.fem.solid.contact import ContactNodes
 from tissue_sim.mesh.solid import SolidMesh
 
-#: The force of a round tool goes with this power of its depth (Hertz), and this share of it is worth a sentence.
-_POWER, _WORTH_A_WARNING = 1.5, 0.025
+#: The force of a round tool goes with this power of its depth (Hertz). This share of it is worth a sentence; more than
+#: the other one is not told by a rule for small ones.
+_POWER, _WORTH_A_WARNING, _MOST = 1.5, 0.025, 0.5
+#: Where a side is longer than half as many radii it spans an edge, of which the rule says nothing.
+_SPANS_AN_EDGE = 2.0
 
 
 def doubts_of_chords(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray) -> list[str]:
     """What to say of a force that is too small because the tool presses nodes only, and between nodes h apart a flat
-    side is inside of it by h^2 (k1 + k2) / 12 in the mean, with the curvatures k1 and k2 of the tool.
+    side is inside of it by h^2 (k1 + k2) / 12 in the mean, with the curvatures k1 and k2 of the tool. Coarse elements
+    are too stiff besides, which may hide it.
 
     Args:
         contact: at an equilibrium. mesh: undeformed; of elements whose sides are not flat nothing is said.
@@ -23,14 +27,21 @@ def doubts_of_chords(contact: ContactNodes, mesh: SolidMesh, displacement: np.nd
     """
     if len(mesh.element.corners) < mesh.element.nodes or not (contact.pressed & contact.moves).any():
         return []
-    state, pressed = contact.state, contact.pressed & contact.moves
-    areas = contact.areas[pressed]
-    inside = float((areas * np.trace(state.curved[pressed], axis1=1, axis2=2)).mean()) / 12.0
-    depth = float(np.abs(np.einsum("ni,ni->n", displacement[contact.nodes[pressed]], state.normals[pressed])).max())
-    share = _POWER * inside / depth if depth > 0.0 else 0.0
-    if share <= _WORTH_A_WARNING:
+    state, areas = contact.state, contact.areas
+    curvature = np.trace(state.curved, axis1=1, axis2=2)
+    carried = np.where((state.pressed | state.held) & contact.moves, np.maximum(-state.normal, 0.0), 0.0)
+    # Of edges, and of shafts, which turn by a right angle from node to node.
+    round_ones = np.where(np.sqrt(areas) * np.abs(curvature) < _SPANS_AN_EDGE, carried, 0.0)
+    if round_ones.sum() < 0.5 * carried.sum() or not carried.any():
         return []
-    size = 1e3 * math.sqrt(float(areas.mean()))
+    inside = float(np.average(areas * curvature, weights=round_ones)) / 12.0
+    way = np.abs(np.einsum("ni,ni->n", displacement[contact.nodes], state.normals))
+    depth = float(way[carried > 0.0].max())
+    if _POWER * inside <= _WORTH_A_WARNING * depth or not depth:
+        return []
+    share = _POWER * inside / depth
+    size = 1e3 * math.sqrt(float(np.average(areas, weights=round_ones)))
+    missing = "most of the force" if share > _MOST else f"some {100.0 * share:.2g} % of the force"
     return [f"the flat sides of the elements under the tool, {size:.2g} mm wide, are inside of its round outline by "
-            f"{1e3 * inside:.2g} mm in the mean: the force is some {100.0 * share:.2g} % too small; use elements of "
-            f"{size * math.sqrt(_WORTH_A_WARNING / share):.2g} mm there, or quadratic ones"]
+            f"{1e3 * inside:.2g} mm in the mean, where it is {1e3 * depth:.2g} mm deep: that alone takes {missing} "
+            f"away; use elements of {size * math.sqrt(_WORTH_A_WARNING / share):.2g} mm there, or quadratic ones"]
