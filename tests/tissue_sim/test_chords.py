@@ -27,7 +27,7 @@ def pressed(size, element, tool=None, friction="frictionless", depth=3e-3):
 @pytest.fixture(scope="module")
 def truth():
     """Of quadratic elements, of which nothing is said."""
-    force, warnings = pressed(0.04 / 12, HEX27P1)
+    force, warnings = pressed(0.04 / 10, HEX27P1)
     assert warnings == []
     return force
 

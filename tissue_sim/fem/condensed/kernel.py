@@ -19,14 +19,13 @@ HOLD = 3.0
 (COUNT, CHANGEABLE, NEGLIGIBLE, TOLERANCE, PRESSED_IN, RELEASE, ANEW, MODULUS, FOLLOWS, LOOKED, APART) = range(11)
 ROTATION, ORIGIN, MOTION, STEP = 11, 20, 23, 29
 SETTINGS = 35
-#: Places in `results`.
+#: Places in `results`; the last: how far nodes near the tool have gone against it since all were looked at, m.
 VIOLATION, PULLING, UNBALANCED, SIZE, ACTIVE, REBUILT, SLIPPING, GONE = range(8)
 RESULTS = 8
 # Taichi takes a third of a microsecond for each array to start a kernel: what is known of nodes is in few.
 #: Columns of `surface`, of each node of the surface: its place; over the shear modulus its spring; friction with the
 #: tool's face and shaft.
 PLACE, SPRING, FRICTION = 0, 3, 4
-SURFACE = 6
 #: Columns of `carried`, of each node of the surface: force; where it is bound to the tool, and where it has met it now.
 FORCE, ANCHOR, MET_AT = 0, 3, 6
 CARRIED = 9
