@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 
 from scenes.catalogue import SCENES
@@ -89,6 +90,8 @@ def run(arguments) -> int:
     ts.write_reduced(reduced, output)
     forget_strokes(folder)
     report = reduced.report
+    for doubt in report.get("doubts", ()):
+        print(f"tissue-sim: warning: {doubt}", file=sys.stderr)
     if arguments.json:
         print_json({**report, "file": str(output)})
         return 0

@@ -1,11 +1,13 @@
 """Flat sides under a round tool: what is said of the force is what it really lacks."""
 
+import json
 import re
 
 import numpy as np
 import pytest
 
 import tissue_sim as ts
+from scenes.cli import main
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid import block_mesh, with_tool_sets
 
@@ -55,3 +57,25 @@ def test_where_most_is_missing_there_is_no_figure():
 def test_nothing_is_said_of_a_flat_tool(tool):
     _, warnings = pressed(4e-3, HEX8P0, tool, "stick")
     assert warnings == []
+
+
+def test_a_reduced_solid_says_it_of_the_whole_one(tmp_path, capsys):
+    """Of the file of a mesh whose elements are too wide for the tool, whatever its own error is."""
+    line, numbers, text = np.arange(-20.0, 21.0, 4.0), {}, ["*NODE"]
+    places = [(x, y, z) for z in (-12.0, -8.0, -4.0, 0.0) for y in line for x in line]
+    for number, place in enumerate(places, start=1):
+        numbers[place] = number
+        text.append(", ".join(map(str, (number, *place))))
+    text.append("*ELEMENT, TYPE=C3D8, ELSET=body")
+    corners = [(x, y, z) for x, y, z in places if x < 20.0 and y < 20.0 and z < 0.0]
+    for number, (x, y, z) in enumerate(corners, start=1):
+        text.append(", ".join(map(str, (number, *(numbers[x + 4.0 * a, y + 4.0 * b, z + 4.0 * c] for a, b, c in (
+            (0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)))))))
+    (tmp_path / "block.inp").write_text("\n".join(text) + "\n", encoding="utf-8")
+    assert main(["reduce", "needle_indentation", "--mesh", str(tmp_path / "block.inp"), "--tool", "round",
+                 "--tool-radius-mm", "8", "--friction", "frictionless", "--depth-mm", "3", "--strokes", "2", "--modes",
+                 "4", "--tried", "1", "-o", str(tmp_path / "block.reduced.npz"), "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert "4 mm wide" in err and "of the force away" in err
+    assert json.loads(out)["doubts"] == ts.load_reduced(tmp_path / "block.reduced.npz").report["doubts"]
+    assert json.loads(out)["doubts"][0] in err

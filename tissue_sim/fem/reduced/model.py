@@ -138,7 +138,8 @@ class ReducedModel:
             estimates how far the force is off, as on motions that it was not made of.
         rest: how it stands; None: undeformed, as one that does not weigh.
         report: how it was made and how good it is: ``freedoms``, ``modes``, ``elements``, ``snapshots``,
-            ``force_rms_error`` and ``force_largest_error`` over the rms force, on motions that it was not made of.
+            ``force_rms_error`` and ``force_largest_error`` over the rms force, on motions that it was not made of;
+            ``doubts``, sentences about the force of the whole solid, where there are some.
     """
 
     model: Model

@@ -8,9 +8,10 @@ the nine entries of a rotation), so that the modes need not know them.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -58,10 +59,12 @@ class Snapshots:
     Attributes:
         displacements: of all freedoms at each pose, from where nobody touches it, m, shape (poses, freedoms).
         wrenches: on the tool, N and N m, shape (poses, 6).
+        doubts: see `Solver.doubts`, where the force is largest; not kept in files.
     """
 
     displacements: np.ndarray
     wrenches: np.ndarray
+    doubts: Sequence[str] = ()
 
 
 def whole_solver(model: Model, mesh: SolidMesh) -> SolidSolver:
@@ -89,13 +92,16 @@ def snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Sequence[np
         array[:] = memory[number] if memory else 0.0
     rest = solver.sample().displacement.ravel()
     displacements, wrenches, here = [], [], poses[0]
+    largest, doubts = 0.0, []
     for pose in poses:
         for part in _parts(solver, here, pose, tolerance):
             step = part
         here = pose
         displacements.append(solver.sample().displacement.ravel() - rest)
         wrenches.append(step.wrench)
-    return Snapshots(np.array(displacements), np.array(wrenches))
+        if (size := math.hypot(*step.wrench[:3])) > largest:
+            largest, doubts = size, solver.doubts()
+    return Snapshots(np.array(displacements), np.array(wrenches), doubts)
 
 
 def _parts(solver: SolidSolver, here: Pose, goal: Pose, tolerance: float) -> Iterator:
@@ -246,14 +252,15 @@ _FEWER = 4
 
 def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
            progress: Callable[[int, int], None] | None = None, *, materials: Sequence[Material] = (),
-           memory: Sequence[np.ndarray] = ()) -> tuple[dict[str, float], tuple[float, float]]:
+           memory: Sequence[np.ndarray] = ()) -> tuple[dict[str, Any], tuple[float, float]]:
     """How far the reduced solid is from the whole one on strokes that it was not made of, of these materials in turn,
     or of its own; `memory` as in `snapshots`.
 
     Returns:
         ``force_rms_error`` and ``force_largest_error`` over the rms force of the whole with the same material, the rms
         force of all, ``force_rms_N``, and
-        ``not_converged``, the share of steps that were not; and ``error_factors`` that fit, see `ReducedModel`.
+        ``not_converged``, the share of steps that were not, and where the whole solid has some its ``doubts`` (see
+        `Solver.doubts`); and ``error_factors`` that fit, see `ReducedModel`.
     """
     from scipy.optimize import nnls
 
@@ -264,13 +271,15 @@ def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
                                   reduced.model.material) for each in (0, more if reduced.watched else 0))
     missed, forces, estimates, kinds, lost, steps = [], [], [], [], 0, 0
     others: list[tuple[float, float, float]] = []
+    doubts: Sequence[str] = ()
     for done, number in enumerate(numbers):
         for each in (solver, small, fewer) if materials else ():
             if each.material is not (material := materials[done % len(materials)]):
                 each.set_material(material)
         poses = stroke(number, reduced.box, experiment.tool_pose(0.0), holds=reduced.lifting > 0,
                        reach=experiment.contact_radius)
-        true = snapshots(solver, poses, memory=memory).wrenches
+        whole = snapshots(solver, poses, memory=memory)
+        true, doubts = whole.wrenches, whole.doubts or doubts
         for each in (small, fewer):
             each.forget()
         here = poses[0]
@@ -297,7 +306,8 @@ def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
     factors, _ = nnls(known[:, :2], known[:, 2])
     return {"force_rms_error": float(np.sqrt(np.mean((error / rms) ** 2))),
             "force_largest_error": float((error / rms).max()), "force_rms_N": float(np.sqrt(np.mean(force**2))),
-            "not_converged": lost / steps}, (float(factors[0]), float(factors[1]))
+            "not_converged": lost / steps, **({"doubts": list(doubts)} if doubts else {})}, (
+        float(factors[0]), float(factors[1]))
 
 
 def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapshots],
@@ -347,7 +357,7 @@ def _rest(solver: SolidSolver) -> Rest | None:
     return Rest(standing.displacement.ravel(), standing.pressures)
 
 
-def with_report(reduced: ReducedModel, factors: tuple[float, float], **more: float) -> ReducedModel:
+def with_report(reduced: ReducedModel, factors: tuple[float, float], **more: Any) -> ReducedModel:
     """With more in its report, and factors of its estimate of the error."""
     return replace(reduced, report={**reduced.report, **more}, error_factors=factors)
 
