@@ -143,7 +143,7 @@ def _edge(specimen: ts.Specimen, x: float, y: float) -> float:
     low, high = 0.0, specimen.outer_radius
     if specimen.margin(high * x, high * y) >= 0.0:
         return high
-    while high - low > 1e-6 * specimen.outer_radius:
+    while high - low > 1e-9 * specimen.outer_radius:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if specimen.margin(middle * x, middle * y) >= 0.0 else (low, middle)
-    return low
+    return high

@@ -108,7 +108,7 @@ def test_how_far_the_tool_may_go(needle):
     """Over the whole top, and up; that of a reduced solid in its box, from where it comes down."""
     assert needle.reach == ((-0.04, 0.04),) * 2 and needle.highest == -5e-3
     block = replace(needle, experiment=replace(needle.experiment, specimen=ts.Block(0.06, 0.05, 0.03)))
-    np.testing.assert_allclose(block.reach, [(-0.03, 0.03), (-0.025, 0.025)], rtol=1e-5)
+    np.testing.assert_allclose(block.reach, [(-0.03, 0.03), (-0.025, 0.025)], rtol=1e-8)
     experiment = replace(needle.experiment, approach=ts.Approach(6e-3))
     of_box = replace(needle, experiment=experiment, reduced=SimpleNamespace(box=ts.PoseBox(2e-3, 4e-3), lifting=12))
     np.testing.assert_allclose(of_box.reach, [(4e-3, 8e-3), (-2e-3, 2e-3)])
