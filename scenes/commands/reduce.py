@@ -90,8 +90,6 @@ def run(arguments) -> int:
     ts.write_reduced(reduced, output)
     forget_strokes(folder)
     report = reduced.report
-    for doubt in report.get("doubts", ()):
-        print(f"tissue-sim: warning: {doubt}", file=sys.stderr)
     if arguments.json:
         print_json({**report, "file": str(output)})
         return 0
@@ -103,5 +101,7 @@ def run(arguments) -> int:
     if report["force_rms_error"] > _POOR:
         print(f"that is much: more strokes (--strokes {2 * report['strokes']}), more modes (--modes "
               f"{2 * report['modes']}) or a smaller box make it better")
+    for warning in report.get("warnings", ()):
+        print(f"tissue-sim: warning: {warning}", file=sys.stderr)
     print(f"written to {output}")
     return 0

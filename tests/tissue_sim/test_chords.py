@@ -72,10 +72,13 @@ def test_a_reduced_solid_says_it_of_the_whole_one(tmp_path, capsys):
         text.append(", ".join(map(str, (number, *(numbers[x + 4.0 * a, y + 4.0 * b, z + 4.0 * c] for a, b, c in (
             (0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)))))))
     (tmp_path / "block.inp").write_text("\n".join(text) + "\n", encoding="utf-8")
-    assert main(["reduce", "needle_indentation", "--mesh", str(tmp_path / "block.inp"), "--tool", "round",
-                 "--tool-radius-mm", "8", "--friction", "frictionless", "--depth-mm", "3", "--strokes", "2", "--modes",
-                 "4", "--tried", "1", "-o", str(tmp_path / "block.reduced.npz"), "--json"]) == 0
+    asked = ["reduce", "needle_indentation", "--mesh", str(tmp_path / "block.inp"), "--tool", "round",
+             "--tool-radius-mm", "8", "--friction", "frictionless", "--depth-mm", "3", "--strokes", "2", "--modes", "4",
+             "--tried", "1"]
+    assert main([*asked, "-o", str(tmp_path / "block.reduced.npz"), "--json"]) == 0
     out, err = capsys.readouterr()
-    assert "4 mm wide" in err and "of the force away" in err
-    assert json.loads(out)["doubts"] == ts.load_reduced(tmp_path / "block.reduced.npz").report["doubts"]
-    assert json.loads(out)["doubts"][0] in err
+    (warning,) = json.loads(out)["warnings"]
+    assert err == "" and "4 mm wide" in warning and "of the force away" in warning
+    assert ts.load_reduced(tmp_path / "block.reduced.npz").report["warnings"] == [warning]
+    assert main([*asked, "-o", str(tmp_path / "again.reduced.npz")]) == 0
+    assert f"tissue-sim: warning: {warning}" in capsys.readouterr().err

@@ -139,7 +139,7 @@ class ReducedModel:
         rest: how it stands; None: undeformed, as one that does not weigh.
         report: how it was made and how good it is: ``freedoms``, ``modes``, ``elements``, ``snapshots``,
             ``force_rms_error`` and ``force_largest_error`` over the rms force, on motions that it was not made of;
-            ``doubts``, sentences about the force of the whole solid, where there are some.
+            ``warnings``, sentences about the force of the whole solid, where there are some.
     """
 
     model: Model

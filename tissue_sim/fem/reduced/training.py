@@ -259,7 +259,7 @@ def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
     Returns:
         ``force_rms_error`` and ``force_largest_error`` over the rms force of the whole with the same material, the rms
         force of all, ``force_rms_N``, and
-        ``not_converged``, the share of steps that were not, and where the whole solid has some its ``doubts`` (see
+        ``not_converged``, the share of steps that were not, and where the whole solid has some ``warnings`` (see
         `Solver.doubts`); and ``error_factors`` that fit, see `ReducedModel`.
     """
     from scipy.optimize import nnls
@@ -306,7 +306,7 @@ def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
     factors, _ = nnls(known[:, :2], known[:, 2])
     return {"force_rms_error": float(np.sqrt(np.mean((error / rms) ** 2))),
             "force_largest_error": float((error / rms).max()), "force_rms_N": float(np.sqrt(np.mean(force**2))),
-            "not_converged": lost / steps, **({"doubts": list(doubts)} if doubts else {})}, (
+            "not_converged": lost / steps, **({"warnings": list(doubts)} if doubts else {})}, (
         float(factors[0]), float(factors[1]))
 
 
