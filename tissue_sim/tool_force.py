@@ -112,6 +112,13 @@ class ToolForce:
             None: this wrench with the stiffness within a step.
         step_stiffness_matrix: the same as the tool moves at once, within this step: it holds m/dt2 of the tissue that
             goes along. None: no other than the tissue's own.
+        stiffness_age: time since `stiffness_matrix` was evaluated, s; 0 if it belongs to this equilibrium.
+        force_error: estimated error of the force, N; None if the error is unknown.
+        error_age: time since `force_error` was estimated, s.
+        is_on_axis: whether the tool is on the axis of an axisymmetric scene and parallel to it, as the force assumes;
+            True in scenes that take the whole pose.
+        least_tool_mass: smallest mass, kg, of a tool that an explicit coupling (pose in, force out) keeps stable at
+            this step length; 0 if any mass is stable.
     """
 
     wrench: Screw
@@ -125,6 +132,11 @@ class ToolForce:
     pose: Pose = _AT_THE_TOUCH
     ahead: NextForce | None = None
     step_stiffness_matrix: Matrix | None = None
+    stiffness_age: float = 0.0
+    force_error: float | None = None
+    error_age: float = 0.0
+    is_on_axis: bool = True
+    least_tool_mass: float = 0.0
 
     @classmethod
     def axial(cls, force: float, stiffness: float, status: ForceStatus, iterations: int = 0, residual: float = 0.0,

@@ -10,6 +10,7 @@ from typing import Any
 
 from calibration.importing.motion import Motion
 from tissue_sim.frozen_mapping import read_only
+from tissue_sim.recording.formats.assumption import Assumption
 from tissue_sim.recording.formats.guesses import Reading, Stated, Understanding
 
 
@@ -102,9 +103,29 @@ class Imported:
     picture: Path | None = None
 
     @property
+    def assumptions(self) -> tuple[tuple[str, Assumption], ...]:
+        """(file name, assumption) of all files: about the file, its tables, then its recordings."""
+        found: dict[tuple[str, Assumption], None] = {}
+        for test in self.tests:
+            for part in test.parts:
+                for each in (*part.understanding.assumptions, *part.reading.assumptions,
+                             *(each for motion in part.motions for each in motion.assumptions)):
+                    found[part.file.name, each] = None
+        return tuple(found)
+
+    @property
+    def questions(self) -> tuple[str, ...]:
+        """Questions that the user must decide by a flag, each once, with the files that they concern."""
+        asked: dict[str, list[str]] = {}
+        for name, each in self.assumptions:
+            if each.is_question:
+                asked.setdefault(each.question, []).append(name)
+        return tuple(f"{', '.join(dict.fromkeys(names))}: {question}" for question, names in asked.items())
+
+    @property
     def complete(self) -> bool:
-        """Whether `calibration.calibrate` takes the campaign as it stands."""
-        return not self.missing and self.problem is None
+        """Whether `calibration.calibrate` takes the campaign as it is and no question is open."""
+        return not self.missing and self.problem is None and not self.questions
 
 
 def to_json(imported: Imported) -> dict[str, Any]:
@@ -116,7 +137,9 @@ def to_json(imported: Imported) -> dict[str, Any]:
         "tests": [{"name": test.name, "kind": test.kind, "recordings": [str(part.file) for part in test.parts],
                    "replicates": sum(len(part.motions) for part in test.parts), "reason": test.reason}
                   for test in imported.tests],
-        "missing": list(imported.missing), "problem": imported.problem, "warnings": list(imported.warnings)}
+        "assumptions": [{"file": name, **each.to_json()} for name, each in imported.assumptions],
+        "questions": list(imported.questions), "missing": list(imported.missing), "problem": imported.problem,
+        "warnings": list(imported.warnings)}
 
 
 def _file(understanding: Understanding, imported: Imported) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from tissue_sim.recording.contact import Contact
 from tissue_sim.recording.failure import Failure
+from tissue_sim.recording.formats.assumption import Assumption
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segments import Segmentation, find_segments
 
@@ -36,6 +37,7 @@ class Motion:
         channel: the motion that was looked at. reach: largest and smallest value of it, SI, from rest.
         rate: samples a second, None without time. duration: s, or None. speed: of the first loading, SI, or None.
         found: its segments, contact and failure. warnings: sentences.
+        assumptions: about this recording: zero, contact, controlled quantity, samples that are left out.
     """
 
     channel: str
@@ -45,6 +47,7 @@ class Motion:
     speed: float | None
     found: Segmentation
     warnings: tuple[str, ...] = ()
+    assumptions: tuple[Assumption, ...] = ()
 
     @property
     def segments(self) -> tuple[Segment, ...]:

@@ -57,12 +57,14 @@ def print_imported(imported: Imported, console: Console) -> None:
         print_sentence(console, f"note: {warning}")
     if imported.output is not None:
         console.print(f"wrote {imported.output} and {imported.picture}", markup=False, emoji=False, soft_wrap=True)
+    for question in imported.questions:
+        print_sentence(console, f"question: {question}")
     if imported.missing:
         fill = "" if imported.output is None else f": give the flags, or fill in the lines in {imported.output}"
         print_sentence(console, f"missing, and only you know it: {'; '.join(imported.missing)}{fill}")
     elif imported.problem:
         print_sentence(console, f"the campaign does not run as it stands: {imported.problem}")
-    elif imported.output is not None:
+    elif imported.output is not None and not imported.questions:
         print_sentence(console, f"next: tissue-sim calibrate {imported.output} -o results")
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tissue_sim.frozen_mapping import read_only
+from tissue_sim.recording.formats.assumption import Assumption
 from tissue_sim.recording.formats.columns import Sheets
 from tissue_sim.recording.recording import CHANNELS, Recording
 from tissue_sim.units import UNITS, quantity_of
@@ -77,6 +78,7 @@ class Reading:
         line: of the header, or of the first numbers. sheets: names of those that are read.
         stated: key -> value of what stands above the numbers. remarks: sentences on what was left out.
         specimen: key of ``[[specimen]]`` -> value, as the sidecar of the recording states them.
+        assumptions: about these tables: columns, units, kind of test, sizes.
     """
 
     name: str
@@ -90,6 +92,7 @@ class Reading:
     stated: Mapping[str, str] = field(default_factory=lambda: read_only({}))
     remarks: tuple[str, ...] = ()
     specimen: Mapping[str, float | str] = field(default_factory=lambda: read_only({}))
+    assumptions: tuple[Assumption, ...] = ()
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -107,6 +110,7 @@ class Understanding:
         delimiter, decimal_mark, encoding: of a text, else None.
         readings: at least one.
         warnings: sentences.
+        assumptions: about the whole file: format, separators.
     """
 
     file: Path
@@ -117,6 +121,7 @@ class Understanding:
     encoding: str | None
     readings: tuple[Reading, ...]
     warnings: tuple[str, ...] = ()
+    assumptions: tuple[Assumption, ...] = ()
 
 
 @dataclass(frozen=True)
