@@ -18,18 +18,23 @@ from tissue_sim.units import loose_header
 
 #: Columns -> recordings of the table.
 Read = Callable[[Sequence[ColumnGuess]], tuple[Recording, ...]]
-#: Largest strain, and largest stretch, above which numbers without a unit may be in %.
-_LARGEST_STRAIN, _LARGEST_STRETCH = 2.0, 12.0
+#: Strain above which numbers without a unit may be in %: specimens of soft tissue fail before.
+_LARGEST_STRAIN = 2.0
+#: The same of a shear strain, of a stretch, and of a column that the user names: elastomers reach 10.
+_LARGEST_CERTAIN = 12.0
 #: Relative difference of two strains that counts as agreement.
 _AGREEMENT = 0.02
 #: Relative difference above which two columns of the same quantity are reported.
 _NOTED_DIFFERENCE = 0.01
 #: Relative difference above which equally sure columns of the same quantity are a question.
 _DECISIVE_DIFFERENCE = 0.05
-#: Correlation below which a column does not measure the same quantity, and relative range below which it is not connected.
-_CORRELATION, _CONNECTED = 0.9, 0.02
-_TURNED = {"displacement": "it falls under load, so it is turned", "force": "against the motion, so it is turned",
-           "nominal stress": "against the motion, so it is turned", "stretch": "positive in compression, so it is turned"}
+#: Correlation below which a column does not measure the same quantity.
+_CORRELATION = 0.9
+#: Relative range below which the sensor of a column is not connected.
+_CONNECTED = 0.02
+#: Channel -> why its sign is turned.
+_TURNED = {"displacement": "falls under load", "force": "against the motion", "nominal stress": "against the motion",
+           "stretch": "positive in compression"}
 
 
 def flag_name(channel: str) -> str:
@@ -131,7 +136,8 @@ def _unit(read: Read, column: ColumnGuess, recordings: Sequence[Recording], othe
     channel, subject = column.channel, f"unit of {column.channel}"
     is_stated = not (stated.units.keys() | stated.scales.keys()).isdisjoint({channel, column.role})
     if column.unit is None and CHANNELS[channel] == "ratio" and column.scale is None:
-        alternatives = () if is_stated else _percent(read, column, recordings, others, flag)
+        alternatives = () if is_stated else _percent(read, column, recordings, others, flag,
+                                                            is_named=bool(stated.columns))
         return Assumption(subject, "-", ("no unit in the file: a ratio",), alternatives=alternatives,
                           flag=f"--unit {flag}=-", is_stated=is_stated)
     value = column.unit or "not stated"
@@ -144,13 +150,13 @@ def _unit(read: Read, column: ColumnGuess, recordings: Sequence[Recording], othe
     return Assumption(subject, value, evidence, flag=f"--unit {flag}={column.unit or '...'}", is_stated=is_stated)
 
 
-def _percent(read: Read, column: ColumnGuess, recordings: Sequence[Recording], others: Sequence[ColumnGuess], flag: str
-             ) -> tuple[Alternative, ...]:
+def _percent(read: Read, column: ColumnGuess, recordings: Sequence[Recording], others: Sequence[ColumnGuess],
+             flag: str, *, is_named: bool) -> tuple[Alternative, ...]:
     """Numbers without a unit that are large may be in %, unless another measure of strain agrees with them."""
     values = np.concatenate([each.channel(column.channel) for each in recordings])
-    is_stretch = column.role == "stretch"
-    largest = float(values.max() if is_stretch else np.abs(values - (column.channel == "stretch")).max())
-    if column.measure or largest <= (_LARGEST_STRETCH if is_stretch else _LARGEST_STRAIN):
+    largest = float(np.abs(values - (column.role == "strain")).max())
+    is_sure = column.role != "strain" or is_named
+    if column.measure or largest <= (_LARGEST_CERTAIN if is_sure else _LARGEST_STRAIN):
         return ()
     for other in others:
         if other.channel != column.channel or other.measure == column.measure:

@@ -114,6 +114,8 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
     line = header.line if header is not None else first.numbers.rows[0].line
     if not by_name and line > 1:
         options["skip_lines"] = line if header is not None else line - 1
+    elif stated.skip_lines:
+        options["skip_lines"] = stated.skip_lines
     columns, recordings, remarks = _readable(source.file, columns, options, first.speed)
     stated_above = stated_values(first.numbers.above)
     kind = guess_kind(recordings, columns, _hints(source, first, columns, titles), machine, stated.kind)
