@@ -24,6 +24,7 @@ class KindGuess:
         against: evidence against it. alternatives: names of kinds that other words of the file name.
         is_stated: whether the user stated it.
         refused: word for a test without a kind, for which no kind may be taken.
+        is_weak: whether only the name of the file says it.
     """
 
     kind: str | None
@@ -32,6 +33,7 @@ class KindGuess:
     alternatives: tuple[str, ...] = ()
     is_stated: bool = False
     refused: NamedTest | None = None
+    is_weak: bool = False
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from tissue_sim.recording.formats.assumption import Alternative, Assumption
 from tissue_sim.recording.formats.guesses import ColumnGuess, Stated
 from tissue_sim.recording.formats.measures import ENGINEERING, MEASURES, measure_of, other_measures
 from tissue_sim.recording.formats.pairing import with_measure
-from tissue_sim.recording.formats.vocabulary import Machine, plain
+from tissue_sim.recording.formats.vocabulary import Machine, plain, source_of
 from tissue_sim.recording.recording import CHANNELS, Recording
 from tissue_sim.units import loose_header
 
@@ -64,12 +64,12 @@ def column_assumptions(read: Read, columns: Sequence[ColumnGuess], recordings: S
         name = column.header or f"column {column.place}"
         is_named = bool(stated.columns)
         yield Assumption(f"column of {channel}", name, () if is_named else (column.reason.split(";")[0],), is_stated=is_named,
-                         flag=f"--column {flag}={column.header or column.place}")
+                         flag=f"--column {flag}={_quoted(column.header or str(column.place))}")
         yield _unit(read, column, recordings, others, stated, flag)
         if channel not in ("time", "temperature"):
             is_signed = not stated.signs.keys().isdisjoint({channel, column.role})
             turned = column.sign < 0
-            evidence = () if is_signed else (_TURNED.get(channel, "turned"),) if turned else ("it grows under load",)
+            evidence = () if is_signed else (_TURNED.get(channel, "negative under load"),) if turned else ("positive under load",)
             yield Assumption(f"sign of {channel}", "turned" if turned else "as in the file", evidence,
                              flag=f"--sign {flag}={column.sign}", is_stated=is_signed)
         if channel in ("stretch", "nominal stress") or column.measure:
@@ -116,8 +116,11 @@ def settle_rivals(read: Read, columns: tuple[ColumnGuess, ...], recordings: tupl
         modulus = ratio if CHANNELS[column.channel] in ("force", "stress") else 1.0 / ratio
         is_question = rival.rank == column.rank and abs(ratio - 1.0) > _DECISIVE_DIFFERENCE
         alternatives = (Alternative(rival.header, modulus, _all_columns(swapped)),) if is_question else ()
+        if source_of(plain(column.header)) == "specimen":
+            said += ", on the specimen: the height must be the gauge length of this sensor"
         assumptions.append(Assumption(f"source of {column.channel}", column.header, () if is_question else (
-            f"{column.reason}; the surest of these columns",), (said,), alternatives, _all_columns(columns)))
+            "measured on the specimen, corrected, or the more specific name",), (said,), alternatives,
+            _all_columns(columns) if is_question else ""))
         remarks.append(said)
     return columns, recordings, tuple(assumptions), tuple(remarks)
 

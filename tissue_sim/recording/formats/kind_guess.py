@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -37,8 +38,22 @@ def guess_kind(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], 
     refused = _unknown(named, hints)
     if refused is not None:
         return KindGuess(None, f"{refused.word!r} {refused.where}", refused=refused)
-    found = _by_columns(recordings, columns) or _by_words(named, hints) or _by_sign(recordings, columns, machine)
+    by_columns, by_words = _by_columns(recordings, columns), _by_words(named, hints)
+    if by_columns is not None and by_words is not None and by_columns.kind != by_words.kind:
+        return _reconciled(by_columns, by_words, columns)
+    found = by_columns or by_words or _by_sign(recordings, columns, machine)
     return found or KindGuess(None, "nothing in the file says how the specimen was loaded")
+
+
+def _reconciled(by_columns: KindGuess, by_words: KindGuess, columns: Sequence[ColumnGuess]) -> KindGuess:
+    """The kind of two that columns and words name: that of the words if it has such columns and the same direction, else
+    that of the columns; one with another closed form is an alternative."""
+    channels = {column.channel for column in columns}
+    own, named = KINDS[by_columns.kind or ""], KINDS[by_words.kind or ""]
+    if named.sign == own.sign and any(set(pair) <= channels for pair in named.channels):
+        return replace(by_words, reason=f"{by_words.reason}; {by_columns.reason}")
+    other = () if named.closed_form is own.closed_form or by_words.is_weak else (named.name,)
+    return replace(by_columns, against=(by_words.reason,), alternatives=other)
 
 
 def require_one_test(texts: Sequence[Sequence[Hint]]) -> None:
@@ -126,7 +141,7 @@ def _by_words(named: Sequence[NamedTest], hints: Sequence[Hint]) -> KindGuess | 
         each.where == hints[0].where and _sign(each) == _sign(first)) and not each.is_short]
     kind = first.kind
     between = f"; {_BETWEEN_PLATES}" if kind == "lubricated_compression" else ""
-    return KindGuess(kind, f"{first.word!r} {first.where}{between}",
+    return KindGuess(kind, f"{first.word!r} {first.where}{between}", is_weak=first.where in of_file,
                      against=tuple(f"{each.word!r} {each.where}" for each in conflicts),
                      alternatives=tuple(dict.fromkeys(each.kind for each in conflicts if each.kind)))
 
