@@ -9,6 +9,7 @@ from calibration.importing.imported import ImportedTest, Wishes
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.experiment.tools.tool import TOOLS, read_shape
+from tissue_sim.recording.formats.gauge_length import uses_gauge_length
 from tissue_sim.recording.formats.guesses import ColumnGuess, Understanding
 from tissue_sim.recording.formats.interpretation import flag_name
 from tissue_sim.recording.formats.measures import ENGINEERING, MEASURES
@@ -76,8 +77,10 @@ def _unused(wishes: Wishes, files: Sequence[Understanding], tests: Sequence[Impo
             yield f"--{key.replace('_', '-')}", f"{names} has no {key.removesuffix('_mm').replace('_', ' ')} to state"
     if "speed_mm_s" in wishes.test and not any(line.key == "speed_mm_s" for test in tests for line in test.lines):
         yield "--speed-mm-s", "the speed counts only where a file lacks the time or the displacement; these files have both"
-    if wishes.specimen and all(test.specimen is None for test in tests):
-        key = next(iter(wishes.specimen))
+    derived = any(uses_gauge_length(reading.columns) for each in files for reading in each.readings)
+    needless = [key for key in wishes.specimen if not (derived and key == "height_mm")]
+    if needless and all(test.specimen is None for test in tests):
+        key = needless[0]
         yield (f"--{key.replace('_', '-')}", "stress and strain are read, which need no size of the specimen; displacement "
                "and force are read if all sizes are stated")
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
+from tissue_sim.recording.formats.gauge_length import is_derived
 from tissue_sim.recording.formats.guesses import ColumnGuess, Stated
 from tissue_sim.recording.formats.measures import ENGINEERING, MEASURES, measure_of, other_measures
 from tissue_sim.recording.formats.pairing import with_measure
@@ -121,7 +122,8 @@ def settle_rivals(read: Read, columns: tuple[ColumnGuess, ...], recordings: tupl
         assumptions.append(Assumption(f"source of {column.channel}", column.header, () if is_question else (
             "measured on the specimen, corrected, or the more specific name",), (said,), alternatives,
             _all_columns(columns) if is_question else ""))
-        remarks.append(said)
+        if not is_question:
+            remarks.append(said)
     return columns, recordings, tuple(assumptions), tuple(remarks)
 
 
@@ -144,6 +146,8 @@ def _unit(read: Read, column: ColumnGuess, recordings: Sequence[Recording], othe
         return Assumption(subject, "-", ("no unit in the file: a ratio",), alternatives=alternatives,
                           flag=f"--unit {flag}=-", is_stated=is_stated)
     value = column.unit or "not stated"
+    if is_derived(column):
+        return Assumption(subject, value, (column.reason.split("; ")[-1],))
     if is_stated or column.missing:
         evidence: tuple[str, ...] = ()
     elif loose_header(column.header)[1] is not None:
@@ -157,7 +161,7 @@ def _percent(read: Read, column: ColumnGuess, recordings: Sequence[Recording], o
              flag: str, *, is_named: bool) -> tuple[Alternative, ...]:
     """Numbers without a unit that are large may be in %, unless another measure of strain agrees with them."""
     values = np.concatenate([each.channel(column.channel) for each in recordings])
-    largest = float(np.abs(values - (column.role == "strain")).max())
+    largest = float(np.abs(values - (column.channel == "stretch" and column.role == "strain")).max())
     is_sure = column.role != "strain" or is_named
     if column.measure or largest <= (_LARGEST_CERTAIN if is_sure else _LARGEST_STRAIN):
         return ()

@@ -25,7 +25,8 @@ def oriented(columns: Sequence[ColumnGuess], recordings: Sequence[Recording], ki
     for column in columns:
         if column.channel == "displacement":
             column = _travel(column, recordings, stated)
-        elif column.role == "strain" and kind == "lubricated_compression" and "stretch" not in stated \
+        elif column.channel == "stretch" and column.role != "stretch" and kind == "lubricated_compression" \
+                and "stretch" not in stated \
                 and _most(each.channel("stretch").max() - 1.0 > 1.0 - each.channel("stretch").min()
                           for each in recordings):
             column = replace(column, sign=-1, reason=f"{column.reason}; positive in compression, so turned")

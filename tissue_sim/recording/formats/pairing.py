@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.columns import column_number
+from tissue_sim.recording.formats.gauge_length import displacement_of_strain, gauge_length, stretch_of_displacement
 from tissue_sim.recording.formats.guesses import ColumnGuess, Stated
 from tissue_sim.recording.formats.header import matches
 from tissue_sim.recording.formats.kind_hints import title_hints
@@ -16,6 +17,7 @@ from tissue_sim.recording.formats.measures import ENGINEERING, MEASURES, measure
 from tissue_sim.recording.formats.sizes import find_sizes, size_signature
 from tissue_sim.recording.formats.sources import Numbers, stated_values
 from tissue_sim.recording.formats.vocabulary import Machine, plain, role_of, source_of
+from tissue_sim.recording.recording import CHANNELS
 from tissue_sim.units import UNITS
 
 #: Role of a column -> channel of a recording. The strain of a test is one less than its stretch.
@@ -79,10 +81,13 @@ def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated) -> li
     time = None
     for part in _beside(roles):
         chosen = _best(part)
-        speed = None
+        speed, gauge = None, None
         pair: tuple[str, ...] | None = _pair(chosen, stated)
         if pair is None and (speed := _speed_for(chosen, numbers, stated)):
             pair = ("force",)
+        elif derived := _derived_pair(part, chosen, pair):
+            gauge = gauge_length(numbers, stated)
+            pair = derived if gauge is not None else pair
         if pair is None:
             continue
         time = chosen.get("time", time)
@@ -91,12 +96,41 @@ def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated) -> li
         rank = {each.place: each.rank for each in part}
         columns = tuple(replace(_column(numbers, place, role, machine, stated), rank=rank.get(place, 0))
                         for role, place in wanted.items())
+        if gauge is not None:
+            columns = tuple(_with_gauge_length(column, pair[0], gauge) for column in columns)
         others = tuple(numbers.name(each.place) for each in part if each.place not in wanted.values())
+        same = {*pair, *(("displacement",) if gauge is not None and pair[1] == "force" else ())}
         rivals = tuple(replace(_column(numbers, each.place, each.role, machine, stated), rank=each.rank)
                        for each in sorted(part, key=lambda each: each.rank)
-                       if each.role in pair and each.place not in wanted.values())
+                       if each.role in same and each.place not in wanted.values())
+        if gauge is not None:
+            rivals = tuple(_with_gauge_length(column, pair[0], gauge) for column in rivals)
         groups.append(Group(numbers, columns, others, rivals, speed))
     return groups
+
+
+def _derived_pair(part: Sequence[KnownColumn], chosen: Mapping[str, int], pair: tuple[str, ...] | None
+                  ) -> tuple[str, str] | None:
+    """Roles of a motion and a load that belong together once the gauge length is known: a strain and a force, or a
+    displacement and a stress; None: no such columns.
+
+    A strain that is measured on the specimen replaces a displacement that is not.
+    """
+    by_place = {each.place: each for each in part}
+    strain = next((by_place[chosen[role]] for role in ("strain", "shear strain") if role in chosen), None)
+    if strain is not None and strain.variant[1] not in MEASURES and "force" in chosen and (
+            pair is None or pair == ("displacement", "force") and strain.variant[0] == "specimen"
+            and by_place[chosen["displacement"]].variant[0] != "specimen"):
+        return strain.role, "force"
+    return ("displacement", "stress") if pair is None and {"displacement", "stress"} <= chosen.keys() else None
+
+
+def _with_gauge_length(column: ColumnGuess, motion: str, gauge: tuple[float, str]) -> ColumnGuess:
+    """The column of the motion as the other quantity; any other column as it is."""
+    if column.role != motion or column.missing:
+        return column
+    convert = stretch_of_displacement if motion == "displacement" else displacement_of_strain
+    return convert(column, gauge)
 
 
 def _variant(numbers: Numbers, place: int, role: str) -> tuple[str, str]:
@@ -181,7 +215,7 @@ def _column(numbers: Numbers, place: int, role: str, machine: Machine | None, st
         reason += ", unit in the row below"
     if unit is not None and said["unit"] is None and unit not in UNITS and measure_of(plain(unit), role):
         # "Strain (true)": the brackets hold the measure.
-        unit = None
+        unit = "-" if CHANNELS[channel] == "ratio" else None
     column = ColumnGuess(channel, header, place + 1, unit, role, int(said["sign"] or 1),
                          None if said["scale"] is None else float(said["scale"]), None, bool(header), reason)
     return with_measure(column, stated.measures.get(role, stated.measures.get(channel)))
@@ -243,12 +277,14 @@ def no_pair(found: Sequence[Numbers], machine: Machine | None, stated: Stated) -
     lacks = [what for what, roles in (("a motion (displacement, stretch, strain)",
                                        {"displacement", "stretch", "strain", "shear strain"}),
                                       ("a load (force, stress)", {"force", "stress"})) if not known & roles]
-    measured = [name for place in numbers.columns if MEASURES.get(measure_of(
-        plain(name := numbers.name(place)), (role_of(numbers.bare_name(place), numbers.unit(place), machine) or ("",))[0])
-        or "") is not None]
-    if lacks and measured and "stress" in known:
-        return (f"has a true stress in {', '.join(map(repr, measured))}, which needs the stretch to become a nominal stress: "
-                f"{has}; add a column of stretch or strain")
+    if not lacks and not known & {"stretch"}:
+        return (f"needs the gauge length, which its columns and the text above them do not state: {has}; state it "
+                "(--height-mm), for a strain and a force, or a displacement and a stress, belong together by it")
+    true = [name for place in numbers.columns
+            if measure_of(plain(name := numbers.name(place)), "stress") in MEASURES]
+    if lacks and true and "stress" in known:
+        return (f"has a true stress in {', '.join(map(repr, true))}, which needs the stretch to become a nominal stress: "
+                f"{has}; add a column of stretch, strain or displacement")
     if "force" in known and "time" in known and len(lacks) == 1:
         return (f"shows no column with a motion (displacement, stretch, strain): {has}; name it, with its unit, such as "
                 "--column displacement=2 --unit displacement=mm, or state the constant speed (--speed-mm-s)")

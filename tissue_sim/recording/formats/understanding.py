@@ -116,17 +116,17 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
         options["skip_lines"] = line if header is not None else line - 1
     elif stated.skip_lines:
         options["skip_lines"] = stated.skip_lines
-    columns, recordings, remarks = _readable(source.file, columns, options, first.speed)
+    columns, recordings, remarks = _readable(source.file, _checked_shear(columns), options, first.speed)
     stated_above = stated_values(first.numbers.above)
     kind = guess_kind(recordings, columns, _hints(source, first, columns, titles), machine, stated.kind)
     if kind.is_stated and kind.against:
         remarks = (*remarks, f"kind of test as stated ({kind.kind}), though {'; '.join(kind.against)}")
     elif not kind.is_stated:
         require_one_test([title_hints(group.numbers) for group in groups if kind.refused is None])
-    if kind.kind == "simple_shear" and any(column.role == "strain" for column in columns):
+    if kind.kind == "simple_shear" and any(_is_strain(column) for column in columns):
         columns = tuple(replace(column, channel="shear strain", offset=None,
                                 reason=column.reason.replace("; a strain, which 1 makes a stretch", "; sheared"))
-                        if column.role == "strain" else column for column in columns)
+                        if _is_strain(column) else column for column in columns)
         recordings = _read(source.file, _checked_shear(columns), options, first.speed)
     signed = {column.channel for column in columns if stated.signs.keys() & {column.channel, column.role}}
 
@@ -134,7 +134,7 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
         return _read(source.file, chosen, options, first.speed)
 
     columns, recordings, rivals, compared = settle_rivals(read, columns, recordings, first.rivals)
-    turned = oriented(_checked_shear(columns), recordings, kind.kind, signed)
+    turned = oriented(columns, recordings, kind.kind, signed)
     recordings = _turned(source.file, recordings, columns, turned, options, first.speed)
     columns = turned
     options["columns"] = {column.channel: column.entry() for column in columns}
@@ -149,6 +149,11 @@ def _hints(source: Source, first: Group, columns: Sequence[ColumnGuess], titles:
     return [header_hint([each.header for each in columns], first.others), above, sheet,
             *(title for title in titles if title.text != above.text), *label_hints(first.numbers),
             Hint(source.file.stem, "in the name of the file", is_file_name=True)]
+
+
+def _is_strain(column: ColumnGuess) -> bool:
+    """Whether a stretch was recorded as a strain or a displacement."""
+    return column.channel == "stretch" and column.role != "stretch"
 
 
 def _checked_shear(columns: tuple[ColumnGuess, ...]) -> tuple[ColumnGuess, ...]:
