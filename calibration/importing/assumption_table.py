@@ -65,7 +65,8 @@ def campaign_comment(tests: Sequence[ImportedTest]) -> str:
     rows = assumption_rows(tests)
     if not rows:
         return ""
-    lines = ["Assumptions, with evidence, values that also fit (or), and the flag of tissue-sim import that states each:"]
+    lines = ["Assumptions, with evidence, values that also fit (or), and the flag of tissue-sim import that states "
+             "each:"]
     for row in rows:
         subject, value, *_ = row.cells
         details = [row.evidence, f"against: {row.against}" if row.against else "",
@@ -88,7 +89,8 @@ def picture_lines(tests: Sequence[ImportedTest], width: int, most: int) -> list[
         others = [f"or {row.alternatives} ({row.flag})" if row.alternatives else "",
                   f"against: {row.against}" if row.against else "", row.evidence]
         cells = (f"{'? ' if row.is_question else ''}{subject}", value, "; ".join(filter(None, others)))
-        lines.append("  ".join(f"{shortened(cell, size):<{size}}" for cell, size in zip(cells, sizes, strict=True)).rstrip())
+        padded = (f"{shortened(cell, size):<{size}}" for cell, size in zip(cells, sizes, strict=True))
+        lines.append("  ".join(padded).rstrip())
     if len(lines) > most:
         lines = [*lines[:most - 1], f"and {len(lines) - most + 1} more assumptions (--json)"]
     return lines

@@ -257,8 +257,8 @@ def _speed(parts: Sequence[Part], stated: float | None) -> list[Line]:
     reading = parts[0].reading
     if reading.speed is not None:
         speed, source = reading.speed
-        return [Line("speed_mm_s", round(1e3 * speed, 9), "no column of the motion: displacement = speed x time from the "
-                     f"first sample; {source}")]
+        return [Line("speed_mm_s", round(1e3 * speed, 9), "no column of the motion: displacement = speed x time from "
+                     f"the first sample; {source}")]
     has_clock = any(motion.rate is not None for part in parts for motion in part.motions)
     if has_clock or "displacement" not in reading.recordings[0]:
         return []

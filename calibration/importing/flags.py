@@ -26,8 +26,8 @@ def check_wishes(wishes: Wishes) -> None:
     """
     stated = wishes.stated
     if stated.format is not None and stated.format not in (*MACHINES, *_AFM, "table"):
-        raise InputError(f"format must be one of {', '.join((*MACHINES, 'afm', 'table'))}; got {stated.format!r}. Without "
-                         "it the format is found", field="--format")
+        raise InputError(f"format must be one of {', '.join((*MACHINES, 'afm', 'table'))}; got {stated.format!r}. "
+                         "Without the flag the format is found", field="--format")
     if {"strain", "stretch"} <= stated.columns.keys():
         raise InputError("a strain is read as a stretch; name a column for one of them", field="--column")
     for channel, measure in stated.measures.items():
@@ -76,13 +76,14 @@ def _unused(wishes: Wishes, files: Sequence[Understanding], tests: Sequence[Impo
             names = ", ".join(dict.fromkeys(kind.name for kind in kinds if kind is not None))
             yield f"--{key.replace('_', '-')}", f"{names} has no {key.removesuffix('_mm').replace('_', ' ')} to state"
     if "speed_mm_s" in wishes.test and not any(line.key == "speed_mm_s" for test in tests for line in test.lines):
-        yield "--speed-mm-s", "the speed counts only where a file lacks the time or the displacement; these files have both"
+        yield ("--speed-mm-s", "the speed counts only where a file lacks the time or the displacement; these files "
+               "have both")
     derived = any(uses_gauge_length(reading.columns) for each in files for reading in each.readings)
     needless = [key for key in wishes.specimen if not (derived and key == "height_mm")]
     if needless and all(test.specimen is None for test in tests):
         key = needless[0]
-        yield (f"--{key.replace('_', '-')}", "stress and strain are read, which need no size of the specimen; displacement "
-               "and force are read if all sizes are stated")
+        yield (f"--{key.replace('_', '-')}", "stress and strain are read, which need no size of the specimen; "
+               "displacement and force are read if all sizes are stated")
 
 
 def _of_files(wishes: Wishes, files: Sequence[Understanding]) -> Iterator[tuple[str, str]]:

@@ -1,4 +1,5 @@
-"""A picture of what an import understood: the way of each test against time, and its load against the way, and the assumptions."""
+"""A picture of what an import understood: the motion of each test against time, its load against the motion, and the
+assumptions."""
 
 from __future__ import annotations
 

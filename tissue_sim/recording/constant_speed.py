@@ -31,5 +31,5 @@ def with_constant_speed(recording: Recording, speed: float, path: Path) -> Recor
         return recording.with_channels(time=path_length / speed)
     if "time" in recording and "force" in recording:
         return recording.with_channels(displacement=speed * (recording.time - recording.time[0]))
-    raise InputError("a speed makes the time from the displacement, or the displacement from the time of a recording with "
-                     f"force; this file has {', '.join(recording.channels)}", file=path, field="speed")
+    raise InputError("a speed makes the time from the displacement, or the displacement from the time of a recording "
+                     f"with force; this file has {', '.join(recording.channels)}", file=path, field="speed")

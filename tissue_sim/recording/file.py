@@ -41,8 +41,8 @@ def read_recording(path: str | Path, *, format: str = "native", columns: Mapping
             `tissue_sim.recording.formats.columns.read_columns`.
         skip_lines: lines at the top that are not looked at; with `columns` only.
         delimiter: one character between the cells; with `columns` only. None: found.
-        speed: constant speed, m/s; makes the time from the displacement where the file has no time, and the displacement
-            from the time where it has force and no motion.
+        speed: constant speed, m/s; makes the time from the displacement where the file has no time, and the
+            displacement from the time where it has force and no motion.
         kind: kind of test, such as ``"lubricated_compression"``: refuse a recording without the channels it needs.
         options: what only some formats take: ``sheet`` of a spreadsheet; ``curve``, ``spring_constant`` and
             ``sensitivity`` of an AFM file.
@@ -95,7 +95,8 @@ def read_recordings(path: str | Path, *, format: str = "native", columns: Mappin
 
 
 def _finish(recording: Recording, path: Path, speed: float | None, kind: str | None) -> Recording:
-    """With time or displacement from the speed, its channels checked, and name, source, SHA-256 and sidecar in the metadata."""
+    """The recording with time or displacement from the speed, its channels checked, and name, source, SHA-256 and
+    sidecar in the metadata."""
     strained = not {"stretch", "shear strain"}.isdisjoint(recording.channels)
     if speed is not None and not (strained and "time" in recording):
         recording = with_constant_speed(recording, speed, path)

@@ -44,7 +44,7 @@ def add_arguments(parser: Parser) -> None:
     test.add_argument("--tool", metavar="SHAPE", help="of an indentation: flat, round, cone, sphere")
     test.add_argument("--tool-radius-mm", type=positive, metavar="N", help="of it")
     test.add_argument("--friction", type=interface, metavar="HOW", help="of the plates: a coefficient, or stick")
-    test.add_argument("--speed-mm-s", type=positive, metavar="N", 
+    test.add_argument("--speed-mm-s", type=positive, metavar="N",
                       help="of a test without a clock, or without a column of the motion")
     test.add_argument("--max-strain", type=positive, metavar="N", help="largest strain that is fitted")
     test.add_argument("--laws", metavar="LAW,...", help="to fit (default: a few of one or two parameters)")
@@ -53,8 +53,8 @@ def add_arguments(parser: Parser) -> None:
     for flag, value, text in (
             ("--column", "CHANNEL=COLUMN", "header, or place as a number or letter; then only what is named is read"),
             ("--unit", "CHANNEL=UNIT", "mm, um, in, N, mN, gf, lbf, kPa, psi, s, min, %%, ..."),
-            ("--measure", "CHANNEL=MEASURE", "of a strain: engineering, logarithmic, green_lagrange, almansi; of a stress: "
-                                             "engineering, true, second_piola_kirchhoff"),
+            ("--measure", "CHANNEL=MEASURE", "of a strain: engineering, logarithmic, green_lagrange, almansi; of a "
+                                             "stress: engineering, true, second_piola_kirchhoff"),
             ("--scale", "CHANNEL=N", "units in one of the file; SI units in 1 V or 1 count"),
             ("--sign", "CHANNEL=1|-1", "-1 turns a column")):
         columns.add_argument(flag, action="append", default=[], metavar=value, help=f"{text}; once for each")
@@ -73,7 +73,8 @@ def run(arguments) -> int:
     from calibration.importing.imported import to_json
 
     if arguments.overwrite and arguments.output is None:
-        raise InputError("nothing is written without -o, so nothing can be replaced. Leave the flag out", field="--overwrite")
+        raise InputError("nothing is written without -o, so nothing can be replaced. Leave the flag out",
+                         field="--overwrite")
     imported = import_files(arguments.files, arguments.output, _wishes(arguments), overwrite=arguments.overwrite)
     if arguments.json:
         print_json(to_json(imported))

@@ -64,13 +64,14 @@ def column_assumptions(read: Read, columns: Sequence[ColumnGuess], recordings: S
         channel, flag = column.channel, flag_name("strain" if column.role == "strain" else column.channel)
         name = column.header or f"column {column.place}"
         is_named = bool(stated.columns)
-        yield Assumption(f"column of {channel}", name, () if is_named else (column.reason.split(";")[0],), is_stated=is_named,
-                         flag=f"--column {flag}={_quoted(column.header or str(column.place))}")
+        yield Assumption(f"column of {channel}", name, () if is_named else (column.reason.split(";")[0],),
+                         is_stated=is_named, flag=f"--column {flag}={_quoted(column.header or str(column.place))}")
         yield _unit(read, column, recordings, others, stated, flag)
         if channel not in ("time", "temperature"):
             is_signed = not stated.signs.keys().isdisjoint({channel, column.role})
             turned = column.sign < 0
-            evidence = () if is_signed else (_TURNED.get(channel, "negative under load"),) if turned else ("positive under load",)
+            evidence = () if is_signed else (
+                (_TURNED.get(channel, "negative under load"),) if turned else ("positive under load",))
             yield Assumption(f"sign of {channel}", "turned" if turned else "as in the file", evidence,
                              flag=f"--sign {flag}={column.sign}", is_stated=is_signed)
         if channel in ("stretch", "nominal stress") or column.measure:
@@ -136,8 +137,8 @@ def _quoted(text: str) -> str:
     return f'"{text}"' if not text.isalnum() else text
 
 
-def _unit(read: Read, column: ColumnGuess, recordings: Sequence[Recording], others: Sequence[ColumnGuess], stated: Stated,
-          flag: str) -> Assumption:
+def _unit(read: Read, column: ColumnGuess, recordings: Sequence[Recording], others: Sequence[ColumnGuess],
+          stated: Stated, flag: str) -> Assumption:
     channel, subject = column.channel, f"unit of {column.channel}"
     is_stated = not (stated.units.keys() | stated.scales.keys()).isdisjoint({channel, column.role})
     if column.unit is None and CHANNELS[channel] == "ratio" and column.scale is None:
@@ -192,7 +193,8 @@ def _measure(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], re
         evidence = (*evidence, MEASURES[column.measure].formula)
     others = list(other_measures(words, column.role)) if not is_stated else []
     if named is None and not is_stated:
-        partner = {each.measure for each in columns if each is not column and each.channel in ("stretch", "nominal stress")}
+        partner = {each.measure for each in columns
+                   if each is not column and each.channel in ("stretch", "nominal stress")}
         if column.role == "stress" and partner & {"logarithmic", "almansi", "green_lagrange"}:
             others.append("true")
         elif column.role == "strain" and "true" in partner:
@@ -227,7 +229,8 @@ def _shear_modulus(recordings: Sequence[Recording]) -> float | None:
     """Least-squares shear modulus of a neo-Hookean specimen, P = mu (l - l^-2), Pa; None: no stretch and stress."""
     if not all({"stretch", "nominal stress"} <= set(each.channels) for each in recordings):
         return None
-    stretch, stress = (np.concatenate([each.channel(name) for each in recordings]) for name in ("stretch", "nominal stress"))
+    stretch, stress = (np.concatenate([each.channel(name) for each in recordings])
+                       for name in ("stretch", "nominal stress"))
     if stretch.min() <= 0:
         return None
     shape = stretch - stretch**-2

@@ -46,8 +46,8 @@ def guess_kind(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], 
 
 
 def _reconciled(by_columns: KindGuess, by_words: KindGuess, columns: Sequence[ColumnGuess]) -> KindGuess:
-    """The kind of two that columns and words name: that of the words if it has such columns and the same direction, else
-    that of the columns; one with another closed form is an alternative."""
+    """The kind of two that columns and words name: that of the words if it has such columns and the same direction,
+    else that of the columns; one with another closed form is an alternative."""
     channels = {column.channel for column in columns}
     own, named = KINDS[by_columns.kind or ""], KINDS[by_words.kind or ""]
     if named.sign == own.sign and any(set(pair) <= channels for pair in named.channels):
@@ -68,13 +68,13 @@ def require_one_test(texts: Sequence[Sequence[Hint]]) -> None:
     found: dict[frozenset[str], str] = {}
     for hints in texts:
         named = named_tests(hints)
-        tests = frozenset(each.kind or each.unknown.title for each in named if each.kind or each.unknown)
+        tests = frozenset(each.title for each in named)
         if tests:
             found.setdefault(tests, " and ".join(dict.fromkeys(each.word for each in named)))
     if len(found) > 1:
         words = "; ".join(map(repr, found.values()))
-        raise InputError(f"holds different tests with the same columns ({words} above the numbers); give each test a file "
-                         "of its own")
+        raise InputError(f"holds different tests with the same columns ({words} above the numbers); give each test a "
+                         "file of its own")
 
 
 def kind_assumption(guess: KindGuess) -> Assumption:
@@ -155,7 +155,8 @@ def _by_sign(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], ma
     """Compression, where a machine or a strain counts it as negative."""
     roles = {column.role for column in columns}
     if recordings and {"displacement", "force"} <= roles and machine is not None and machine.compresses_negative:
-        motion, load = (largest_excursion(np.asarray(recordings[0].channel(name))) for name in ("displacement", "force"))
+        motion, load = (largest_excursion(np.asarray(recordings[0].channel(name)))
+                        for name in ("displacement", "force"))
         if motion < 0 and load < 0:
             return KindGuess("lubricated_compression", f"travel and load are negative, as {machine.title} counts "
                              f"compression; {_BETWEEN_PLATES}")

@@ -52,6 +52,11 @@ class NamedTest:
     is_short: bool = False
 
     @property
+    def title(self) -> str:
+        """Name of the test: a kind in `KINDS`, or the title of the unknown test."""
+        return self.kind or (self.unknown.title if self.unknown else "")
+
+    @property
     def is_explicit(self) -> bool:
         """Whether the word has two words or more, as ``uniaxial tension``; one word may name a direction only."""
         return " " in self.word
@@ -64,8 +69,8 @@ class NamedTest:
         """
         if self.unknown is None:
             raise ValueError(f"{self.kind} is a kind of test")
-        return InputError(f"{self.unknown.title} ({self.word!r} {self.where}) is {self.unknown.difference}; there is no "
-                          "such kind of test. --kind overrules the word", field="kind")
+        return InputError(f"{self.unknown.title} ({self.word!r} {self.where}) is {self.unknown.difference}; there is "
+                          "no such kind of test. --kind overrules the word", field="kind")
 
 
 def plain_text(text: str) -> str:
@@ -122,4 +127,4 @@ def _patterns(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]
         words += [(rf"\b(?:{word})\b", kind, unknown, False) for word in test.words]
         words += [(rf"\b(?:{word})\b", kind, unknown, True) for word in test.short]
         words += [(rf"^(?:{word})$", kind, unknown, False) for word in test.alone]
-    return tuple((re.compile(pattern), *rest) for pattern, *rest in words)
+    return tuple((re.compile(pattern), kind, unknown, short) for pattern, kind, unknown, short in words)

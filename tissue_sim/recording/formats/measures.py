@@ -43,8 +43,8 @@ class Measure:
 def _from_logarithmic(strain: np.ndarray) -> np.ndarray:
     largest = float(np.abs(strain).max())
     if largest > _LARGEST_LOGARITHMIC:
-        raise InputError(f"logarithmic strains reach {largest:g}, which is a stretch of exp({largest:g}); state the unit, "
-                         'such as unit = "%"', field="stretch")
+        raise InputError(f"logarithmic strains reach {largest:g}, which is a stretch of exp({largest:g}); state the "
+                         'unit, such as unit = "%"', field="stretch")
     return np.exp(strain)
 
 
@@ -57,7 +57,8 @@ def _from_green_lagrange(strain: np.ndarray) -> np.ndarray:
 
 def _from_almansi(strain: np.ndarray) -> np.ndarray:
     if strain.max() >= 0.5:
-        raise InputError(f"Almansi strains must be below 0.5; got {strain.max():g}. Check unit and sign", field="stretch")
+        raise InputError(f"Almansi strains must be below 0.5; got {strain.max():g}. Check unit and sign",
+                         field="stretch")
     return 1.0 / np.sqrt(1.0 - 2.0 * strain)
 
 
@@ -106,8 +107,8 @@ def measure_of(words: str, role: str) -> str | None:
 
 
 def other_measures(words: str, role: str) -> tuple[str, ...]:
-    """Measures that the same words also name: a Lagrangian strain is that of Green-Lagrange or the engineering strain, a
-    Piola-Kirchhoff stress the first (nominal) or the second."""
+    """Measures that the same words also name: a Lagrangian strain is that of Green-Lagrange or the engineering strain,
+    a Piola-Kirchhoff stress the first (nominal) or the second."""
     channel, parts = _CHANNEL_OF_ROLE.get(role), words.split()
     if channel == "stretch" and any(part.startswith("lagrang") for part in parts) and "green" not in parts:
         return (ENGINEERING,)
@@ -128,8 +129,8 @@ def check_measure(measure: object, channel: str, channels: Mapping[str, object],
         raise InputError(f"measure of {channel} must be {expected}; got {measure!r}"
                          f"{nearest(str(measure), names) if names else ''}", field=f"{field}.measure")
     if channel == "nominal stress" and not {"stretch", "shear strain"} & channels.keys():
-        raise InputError(f"{MEASURES[str(measure)].title} needs the stretch to become a nominal stress; name a column of "
-                         "stretch or strain too", field=f"{field}.measure")
+        raise InputError(f"{MEASURES[str(measure)].title} needs the stretch to become a nominal stress; name a column "
+                         "of stretch or strain too", field=f"{field}.measure")
 
 
 def convert_measures(recording: Recording, measures: Mapping[str, str]) -> Recording:
@@ -156,6 +157,6 @@ def convert_measures(recording: Recording, measures: Mapping[str, str]) -> Recor
         return recording.with_channels(**{"nominal stress": MEASURES[stress].convert(
             recording.channel("nominal stress"), stretch)})
     if stress != "true":
-        raise InputError(f"{MEASURES[stress].title} has no conversion to nominal stress in simple shear; give the nominal "
-                         "or the true shear stress", field="nominal stress")
+        raise InputError(f"{MEASURES[stress].title} has no conversion to nominal stress in simple shear; give the "
+                         "nominal or the true shear stress", field="nominal stress")
     return recording

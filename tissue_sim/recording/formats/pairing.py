@@ -32,8 +32,8 @@ class KnownColumn(NamedTuple):
     """A column whose header says its role.
 
     Attributes:
-        place: from 0. role, rank: see `role_of`. variant: where it is measured and which measure it has; two columns of a
-            role and different variants belong to one recording.
+        place: from 0. role, rank: see `role_of`. variant: where it is measured and which measure it has; two columns
+            of a role and different variants belong to one recording.
     """
 
     place: int
@@ -48,8 +48,8 @@ class Group:
 
     Attributes:
         numbers: the run. columns: that are read. others: headers of further columns with a role.
-        rivals: columns that measure the same as one of those that are read, the surest first. Strains of another measure
-            count as the same.
+        rivals: columns that measure the same as one of those that are read, the surest first. Strains of another
+            measure count as the same.
         speed: constant speed that replaces a column of the motion, m/s, and its source; None: not needed.
     """
 
@@ -64,8 +64,9 @@ class Group:
         """The same for tables that are replicates, as far as columns, sizes and words for a test show."""
         sheet = self.numbers.table.name
         sizes = size_signature(stated_values(self.numbers.above)) if sheet else ()
-        tests = tuple(sorted({each.kind or each.word for each in named_tests(title_hints(self.numbers))})) if sheet else ()
-        return (*sizes, *tests, self.speed, *((each.channel, each.header or each.place, each.unit) for each in self.columns))
+        tests = sorted({each.title for each in named_tests(title_hints(self.numbers))}) if sheet else ()
+        return (*sizes, *tests, self.speed,
+                *((each.channel, each.header or each.place, each.unit) for each in self.columns))
 
 
 def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated) -> list[Group]:
@@ -119,8 +120,8 @@ def _derived_pair(part: Sequence[KnownColumn], chosen: Mapping[str, int], pair: 
     by_place = {each.place: each for each in part}
     strain = next((by_place[chosen[role]] for role in ("strain", "shear strain") if role in chosen), None)
     if strain is not None and strain.variant[1] not in MEASURES and "force" in chosen and (
-            pair is None or pair == ("displacement", "force") and strain.variant[0] == "specimen"
-            and by_place[chosen["displacement"]].variant[0] != "specimen"):
+            pair is None or (pair == ("displacement", "force") and strain.variant[0] == "specimen"
+                             and by_place[chosen["displacement"]].variant[0] != "specimen")):
         return strain.role, "force"
     return ("displacement", "stress") if pair is None and {"displacement", "stress"} <= chosen.keys() else None
 
@@ -283,11 +284,11 @@ def no_pair(found: Sequence[Numbers], machine: Machine | None, stated: Stated) -
     true = [name for place in numbers.columns
             if measure_of(plain(name := numbers.name(place)), "stress") in MEASURES]
     if lacks and true and "stress" in known:
-        return (f"has a true stress in {', '.join(map(repr, true))}, which needs the stretch to become a nominal stress: "
-                f"{has}; add a column of stretch, strain or displacement")
+        return (f"has a true stress in {', '.join(map(repr, true))}, which needs the stretch to become a nominal "
+                f"stress: {has}; add a column of stretch, strain or displacement")
     if "force" in known and "time" in known and len(lacks) == 1:
-        return (f"shows no column with a motion (displacement, stretch, strain): {has}; name it, with its unit, such as "
-                "--column displacement=2 --unit displacement=mm, or state the constant speed (--speed-mm-s)")
+        return (f"shows no column with a motion (displacement, stretch, strain): {has}; name it, with its unit, such "
+                "as --column displacement=2 --unit displacement=mm, or state the constant speed (--speed-mm-s)")
     wanted = " and ".join(lacks) if lacks else "a motion and a load that belong together"
     return (f"shows no column with {wanted}: {has}; name them, with units, such as --column displacement=2 --unit "
             "displacement=mm --column force=3 --unit force=N")

@@ -1,4 +1,4 @@
-"""Tables of dynamic moduli over frequency, amplitude, temperature or time, as rheometers and DMA machines write them."""
+"""Tables of dynamic moduli over frequency, amplitude or temperature, as rheometers and DMA machines write them."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 #: Headers of dynamic moduli and of their ratio, without the unit, in lower case: G', G'', E', E'', |G*|, tan delta.
 _MODULUS = re.compile(
-    r"\b(storage|loss|complex|dynamic|elastic shear|viscous) modul(us|i)\b|\bspeichermodul\w*|\bverlust(modul|faktor)\w*|"
-    r"\bmodule (de |d )?(conservation|stockage|perte|complexe)\b|\btan ?\(?(delta|δ)\)?|\bloss factor\b|\bcomplex viscosity\b|"
+    r"\b(storage|loss|complex|dynamic|elastic shear|viscous) modul(us|i)\b|\bspeichermodul\w*|"
+    r"\bverlust(modul|faktor)\w*|\bmodule (de |d )?(conservation|stockage|perte|complexe)\b|"
+    r"\btan ?\(?(delta|δ)\)?|\bloss factor\b|\bcomplex viscosity\b|"
     r"\bkomplexe\w* (modul|viskosität|schubmodul)\b|^\|?[ge]\*\|?(?!\w)|^[ge] ?['′’´`]{1,2}(?!\w)|^[ge] ?[\"″”](?!\w)|"
     r"^[ge][ _](double )?prime\b|^[ge]p{1,2}(?!\w)")
 #: Headers of the quantity over which the moduli are measured.
@@ -29,5 +30,5 @@ def is_sweep(headers: Sequence[str]) -> bool:
 def sweep_sentence(headers: Sequence[str]) -> str:
     """Why such a table is not imported."""
     named = ", ".join(repr(header) for header in headers if header)
-    return (f"moduli over frequency or amplitude are not a recording of a motion (columns {named}); give displacement and "
-            "force, or strain and stress, against time")
+    return (f"moduli over frequency or amplitude are not a recording of a motion (columns {named}); give displacement "
+            "and force, or strain and stress, against time")

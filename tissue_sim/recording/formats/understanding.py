@@ -59,7 +59,8 @@ def understand(path: str | Path, stated: Stated | None = None) -> Understanding:
         raise InputError(no_pair(found, machine, stated), file=path)
     with located(file=path):
         readings, refused = _of_known_tests([
-            _reading(source, group, stated, machine, titles, _unused(group[0].numbers, tables)) for group in alike(tables)])
+            _reading(source, group, stated, machine, titles, _unused(group[0].numbers, tables))
+            for group in alike(tables)])
     if len(readings) > 1:
         readings = _named(readings)
     delimiter = source.tables[0].delimiter
@@ -139,8 +140,9 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
     columns = turned
     options["columns"] = {column.channel: column.entry() for column in columns}
     assumptions = (*column_assumptions(read, columns, recordings, first.rivals, stated), *rivals, kind_assumption(kind))
-    return Reading("", columns, first.others, read_only(options), recordings, kind, line, sheets, read_only(stated_above),
-                   (*remarks, *compared), assumptions=assumptions, unused=unused, speed=first.speed)
+    return Reading("", columns, first.others, read_only(options), recordings, kind, line, sheets,
+                   read_only(stated_above), (*remarks, *compared), assumptions=assumptions, unused=unused,
+                   speed=first.speed)
 
 
 def _hints(source: Source, first: Group, columns: Sequence[ColumnGuess], titles: Sequence[Hint]) -> list[Hint]:
@@ -164,8 +166,8 @@ def _checked_shear(columns: tuple[ColumnGuess, ...]) -> tuple[ColumnGuess, ...]:
     """
     for column in columns:
         if column.channel == "shear strain" and column.measure:
-            raise InputError(f"column {column.header!r} holds a shear strain of another measure, which has no conversion; "
-                             "give displacement over height")
+            raise InputError(f"column {column.header!r} holds a shear strain of another measure, which has no "
+                             "conversion; give displacement over height")
     return columns
 
 
@@ -188,7 +190,8 @@ def _told_apart(groups: Sequence[Group]) -> bool:
 
 
 def _readable(path: Path, columns: tuple[ColumnGuess, ...], options: Mapping[str, Any],
-              speed: tuple[float, str] | None) -> tuple[tuple[ColumnGuess, ...], tuple[Recording, ...], tuple[str, ...]]:
+              speed: tuple[float, str] | None
+              ) -> tuple[tuple[ColumnGuess, ...], tuple[Recording, ...], tuple[str, ...]]:
     """Columns and what they give, without a clock that runs backwards, and with a stretch that falls below zero taken
     for the strain that it is."""
     remarks: tuple[str, ...] = ()

@@ -36,7 +36,8 @@ UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
     UnknownTest("planar_tension", "planar tension (pure shear)", (
         r"planar ?(tension|tensile|extension|elongation|stretch\w*|zug\w*|test)", r"pure ?shear",
         r"strip biax\w*", r"(width )?constrained (width )?(tension|tensile)", r"plane strain (tension|tensile)",
-        r"wide strip", r"eben\w* zug\w*", r"planar\w* (zug\w*|dehnung)", r"rein\w* (scher\w*|schub\w*)", r"reinscher\w*",
+        r"wide strip", r"eben\w* zug\w*", r"planar\w* (zug\w*|dehnung)", r"rein\w* (scher\w*|schub\w*)",
+        r"reinscher\w*",
         r"cisaillement pur", r"(traction|tension|extension) plan\w*"),
         "neither simple shear nor uniaxial tension: the width is held, and a modulus of either would be wrong",
         short=("ps", "pt"), alone=("planar",)),
@@ -57,7 +58,8 @@ UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
         r"deformation plane"),
         "not uniaxial: the specimen widens to one side only"),
     UnknownTest("volumetric_compression", "volumetric compression", (
-        r"volumetric (compress\w*|test\w*|loading|data)", r"hydrostat\w*( (compress\w*|druck\w*|test\w*))?", r"isostat\w*",
+        r"volumetric (compress\w*|test\w*|loading|data)", r"hydrostat\w*( (compress\w*|druck\w*|test\w*))?",
+        r"isostat\w*",
         r"volumetrisch\w* (druck\w*|kompress\w*|versuch\w*)", r"compress\w* (volum\w*|isostat\w*|hydrostat\w*)",
         r"kompressionsmodul"),
         "not compression between plates: it measures the bulk modulus and nothing of the shear modulus"),
@@ -67,7 +69,7 @@ UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
                 "not simple shear: the shear strain grows with the radius, and a torque is measured"),
     UnknownTest("bending", "bending", (
         r"bend(ing)?( tests?)?", r"flexur\w*", r"flexion", r"\w*bieg(e|ung|ever)\w*", r"cantilever",
-        r"(three|four|3|4|drei|vier|trois|quatre) ?(pt|pts|points?|punkte?) ?(bend\w*|\w*bieg\w*|flex\w*|load\w*|test\w*)?",
+        r"(three|four|3|4|drei|vier|trois|quatre) ?(pts?|points?|punkte?)( ?(bend|\w*bieg|flex|load|test)\w*)?",
         r"[34] ?pb"),
         "neither tension nor compression: one side is stretched and the other compressed"),
     UnknownTest("peel", "a peel test", (
@@ -75,7 +77,8 @@ UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
         r"(de)?pelage"),
         "not tension: its force measures the adhesion of a front that moves"),
     UnknownTest("fatigue", "a fatigue test", (
-        r"fatigue( tests?)?", r"ermudung\w*", r"ermuedung\w*", r"dauerschwing\w*", r"dauerfestigkeit\w*", r"w(o|oe)hler\w*",
+        r"fatigue( tests?)?", r"ermudung\w*", r"ermuedung\w*", r"dauerschwing\w*", r"dauerfestigkeit\w*",
+        r"w(o|oe)hler\w*",
         r"\w*schwellversuch\w*", r"endurance tests?"),
         "not one loading: the material changes from cycle to cycle"),
     UnknownTest("burst", "a burst test", (r"burst(ing)?", r"berst\w*", r"eclatement"),
@@ -84,26 +87,30 @@ UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
         r"inflat\w*", r"bulge( tests?)?", r"bubble (inflation|tests?)", r"aufbla(e|h)?s?\w*", r"gonfle?\w*"),
         "neither tension nor compression: a pressure loads the specimen in two directions"),
     UnknownTest("lap_shear", "a lap shear test", (
-        r"((single|double) )?lap ?(shear|joint)\w*", r"zugscher\w*", r"u(e)?berlapp\w*", r"(simple |double )?recouvrement"),
+        r"((single|double) )?lap ?(shear|joint)\w*", r"zugscher\w*", r"u(e)?berlapp\w*",
+        r"(simple |double )?recouvrement"),
         "simple shear only if the specimen fills the overlap: state --kind simple_shear then"),
     UnknownTest("tear", "a tear test", (
         r"(trouser|crescent|angle|graves) tear\w*", r"tear (tests?|strength|resistance|propagation|energy)",
         r"tearing( tests?)?", r"weiterrei(ss|sz)\w*", r"dechir\w*"),
         "not tension: its force measures the growth of a crack"),
     UnknownTest("fracture", "a fracture test", (
-        r"fracture (tests?|toughness|mechanics|energy)", r"compact tension", r"(single|double) edge (notch\w*|crack\w*)",
+        r"fracture (tests?|toughness|mechanics|energy)", r"compact tension",
+        r"(single|double) edge (notch\w*|crack\w*)",
         r"notch\w* (tension|tensile|specimens?)", r"crack (growth|propagation)\w*", r"bruch(mechan|zah|zaeh)\w*",
         r"gekerbt\w*", r"kerb\w*", r"entaill\w*"),
         "not tension of a whole specimen: a notch or crack decides the force"),
     UnknownTest("ring_tension", "ring tension", (
-        r"ring (tension|tensile|pull|tests?)", r"hoop (tension|tensile|tests?)", r"ringzug\w*", r"traction (sur |d )?anneau\w*"),
+        r"ring (tension|tensile|pull|tests?)", r"hoop (tension|tensile|tests?)", r"ringzug\w*",
+        r"traction (sur |d )?anneau\w*"),
         "not uniaxial tension: pins bend the ring before they stretch it"),
     UnknownTest("diametral_compression", "diametral compression", (
         r"diametr\w* (compress\w*|druck\w*)", r"compress\w* diametr\w*", r"brazilian\w*", r"indirect tens\w*",
         r"split(ting)? tens\w*", r"spaltzug\w*", r"scheiteldruck\w*"),
         "neither uniaxial compression nor tension: the disc is loaded along a line"),
     UnknownTest("impact", "an impact test", (
-        r"impact( tests?)?", r"drop (weight|tower|tests?)\w*", r"charpy", r"izod", r"(split )?hopkinson\w*", r"shpb", r"kolsky",
+        r"impact( tests?)?", r"drop (weight|tower|tests?)\w*", r"charpy", r"izod", r"(split )?hopkinson\w*", r"shpb",
+        r"kolsky",
         r"schlag(zah|zaeh|versuch|pruf|pruef|biege)\w*", r"fallgewicht\w*", r"(essai de )?choc"),
         "not a slow test: inertia is part of the force"),
     UnknownTest("pull_out", "a pull-out test", (
@@ -112,8 +119,8 @@ UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
     UnknownTest("tack", "a tack test", (r"(probe )?tack( tests?)?", r"adhesion tests?", r"debond\w*", r"hafttest\w*",
                                         r"haft(zug|festigkeits?)\w*"),
                 "not tension: its force measures the adhesion of two faces"),
-    UnknownTest("aspiration", "an aspiration test", (r"aspirat\w*", r"suction", r"cutometer", r"saug(versuch|napf|test)\w*",
-                                                     r"ventouse"),
+    UnknownTest("aspiration", "an aspiration test", (
+        r"aspirat\w*", r"suction", r"cutometer", r"saug(versuch|napf|test)\w*", r"ventouse"),
                 "neither tension nor compression: suction draws the tissue into an opening"),
     UnknownTest("buckling", "a buckling test", (r"buckl\w*", r"knick(versuch|last|ung)\w*", r"flamb(age|ement)"),
                 "not compression: the specimen bends aside"),

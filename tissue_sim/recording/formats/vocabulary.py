@@ -60,7 +60,8 @@ _NAMELESS = {"time": "time", "length": "displacement", "force": "force", "stress
 #: first: the specimen's own extension does not contain that of the machine and the grips.
 _SOURCES = {"specimen": re.compile(r"\b(extensomet\w*|extensomètre|video\w*|vidéo|dic|optical|optisch\w*|optique|laser|"
                                    r"feindehn\w*|clip gauge|clip gage)\b"),
-            "machine": re.compile(r"\b(crosshead|traverse|traversenweg|actuator|ram|grips?|machine|maschine|motor|stage)\b")}
+            "machine": re.compile(r"\b(crosshead|traverse|traversenweg|actuator|ram|grips?|machine|maschine|motor|"
+                                  r"stage)\b")}
 _CORRECTED = re.compile(r"\b(corrected|korrigiert\w*|corrigée?|tared|tarred|zeroed|net|compensated|kompensiert\w*)\b")
 #: Added to the rank of a column that is measured by the machine, and of one of another measure than the nominal one.
 _BY_MACHINE, _OTHER_MEASURE = 1, 4
