@@ -398,7 +398,7 @@ def test_every_measured_set_goes_from_raw_files_to_a_report(data_folder, tmp_pat
 
 @pytest.mark.parametrize(("folder", "pattern", "words"), [
     ("rubber_treloar_kawabata", "kawabata*.csv", "biaxial"),
-    ("rubber_treloar_kawabata", "treloar1944_three*.csv", r"rows are of different tests \(uniaxial, planar, equibiaxial"),
+    ("rubber_treloar_kawabata", "treloar1944_three*.csv", r"are of different tests \(uniaxial, planar, equibiaxial"),
     ("oca_vhb_viscoelastic", "cyclic*_1.xlsx", "have no names"), ("afm_formats", "*ntmdt*.txt", "have no names")])
 def test_of_the_other_sets_one_sentence_says_what_is_missing(data_folder, folder, pattern, words):
     with pytest.raises(ts.InputError, match=words):

@@ -1,4 +1,4 @@
-"""What columns and titles mean: measures of stress and strain, speed in place of a motion, tests without a kind, flags."""
+"""Meaning of columns and titles: measures of stress and strain, constant speed, tests without a kind, flags."""
 
 import json
 
@@ -68,7 +68,8 @@ def test_measures_are_converted(tmp_path, name):
 def test_a_column_that_the_user_names_keeps_the_measure_of_its_header(tmp_path):
     path = write(tmp_path, "True strain [-],True stress [kPa]", np.log(STRETCH), 1e-3 * STRESS * STRETCH,
                  above="Uniaxial tension\n")
-    imported = load(path, columns={"strain": "1", "nominal stress": "2"}, units={"strain": "-", "nominal stress": "kPa"})
+    imported = load(path, columns={"strain": "1", "nominal stress": "2"},
+                    units={"strain": "-", "nominal stress": "kPa"})
     assert 'measure = "logarithmic"' in imported.text and 'measure = "true"' in imported.text
     assert shear_modulus(imported, tmp_path) == pytest.approx(MU, rel=1e-4)
     stated = load(path, measures={"strain": "engineering", "nominal stress": "engineering"})
@@ -97,7 +98,7 @@ def test_measures_and_units_that_fit_as_well_are_a_question(tmp_path, capsys, he
     ({"stretch": {"name": "l", "measure": "true"}}, "must be one of logarithmic, green_lagrange, almansi; got 'true'"),
     ({"displacement": {"name": "l", "unit": "mm", "measure": "logarithmic"}}, "must be left out"),
     ({"shear strain": {"name": "l", "unit": "-"}, "nominal stress": {
-        "name": "P", "unit": "Pa", "measure": "second_piola_kirchhoff"}}, "no conversion to nominal stress in simple shear"),
+        "name": "P", "unit": "Pa", "measure": "second_piola_kirchhoff"}}, "no conversion to nominal stress in simple"),
     ({"stretch": {"name": "l", "measure": "logarithmic"}}, 'unit = "%"'),
     ({"stretch": {"name": "l", "unit": "%", "measure": "almansi"}}, "must be below 0.5")])
 def test_measures_without_a_conversion_are_refused(tmp_path, columns, words):
@@ -144,12 +145,14 @@ def test_moduli_over_frequency_or_amplitude_are_refused(tmp_path, title, header,
 def test_the_extensometer_is_read_before_the_crosshead_and_the_difference_is_noted(tmp_path):
     way, force = LENGTH * (STRETCH - 1), STRESS * AREA
     for header, own in (("Extensometer (mm)", way), ("Video strain (%)", 100 * (STRETCH - 1))):
-        path = write(tmp_path, f"Time (s),Crosshead (mm),Load (N),{header}", STRETCH, 1.2 * way, force, own, above=SHEET)
+        path = write(tmp_path, f"Time (s),Crosshead (mm),Load (N),{header}", STRETCH, 1.2 * way, force, own,
+                     above=SHEET)
         imported = load(path)
         assert any(f"'Crosshead (mm)' has 20 % more displacement than {header!r}" in each for each in imported.warnings)
         assert "Columns not used: a.csv: 'Crosshead (mm)'" in imported.text
         assert shear_modulus(imported, tmp_path) == pytest.approx(MU, rel=1e-3)
-    path = write(tmp_path, "Time (s),Crosshead (mm),Load (N),Extensometer (mm)", STRETCH, way, force, 0 * way, above=SHEET)
+    path = write(tmp_path, "Time (s),Crosshead (mm),Load (N),Extensometer (mm)", STRETCH, way, force, 0 * way,
+                 above=SHEET)
     imported = load(path)
     assert "does not move and is not read" in imported.warnings[0]
     assert shear_modulus(imported, tmp_path) == pytest.approx(MU, rel=1e-3)
@@ -169,8 +172,8 @@ def test_of_two_loads_the_corrected_one_is_read_and_equal_names_are_a_question(t
 
 
 def test_words_and_headers_that_contradict_each_other_are_a_question(tmp_path):
-    path = write(tmp_path, "Compression (mm),Load (N)", 10 * (1 - SHORT), -COMPRESSED * AREA, name="gel_indentation.csv",
-                 above="Diameter,20,mm\nHeight,10,mm\n\n")
+    path = write(tmp_path, "Compression (mm),Load (N)", 10 * (1 - SHORT), -COMPRESSED * AREA,
+                 name="gel_indentation.csv", above="Diameter,20,mm\nHeight,10,mm\n\n")
     question, = load(path).questions
     assert "--kind needle_indentation" in question and "'indentation' in the name of the file" in question
 
@@ -214,8 +217,8 @@ def test_sizes_are_refused_where_stress_and_strain_are_read(tmp_path, capsys):
 
 
 def test_assumptions_are_one_table_everywhere(tmp_path, capsys):
-    path = write(tmp_path, "Hencky strain [-],Engineering stress [kPa],Counter", np.log(STRETCH), 1e-3 * STRESS, STRETCH,
-                 above="Uniaxial tension\n\n")
+    path = write(tmp_path, "Hencky strain [-],Engineering stress [kPa],Counter", np.log(STRETCH), 1e-3 * STRESS,
+                 STRETCH, above="Uniaxial tension\n\n")
     assert main(["import", str(path), "-o", str(tmp_path / "a.toml")]) == 0
     said = " ".join(capsys.readouterr().out.split())
     campaign = " ".join((tmp_path / "a.toml").read_text(encoding="utf-8").replace("#", " ").split())

@@ -73,8 +73,8 @@ def require_one_test(texts: Sequence[Sequence[Hint]]) -> None:
             found.setdefault(tests, " and ".join(dict.fromkeys(each.word for each in named)))
     if len(found) > 1:
         words = "; ".join(map(repr, found.values()))
-        raise InputError(f"holds different tests with the same columns ({words} above the numbers); give each test a "
-                         "file of its own")
+        raise InputError(f"holds different tests with the same columns ({words} above the numbers); give each test "
+                         "its own file")
 
 
 def kind_assumption(guess: KindGuess) -> Assumption:

@@ -39,7 +39,7 @@ def header_hint(own: Sequence[str], others: Sequence[str]) -> Hint:
 
 
 def label_hints(numbers: Numbers) -> list[Hint]:
-    """Words in columns of labels beside the numbers.
+    """Words in the columns of labels of a table.
 
     Raises:
         InputError: the rows are of different tests, one of which has no kind.
@@ -55,7 +55,7 @@ def label_hints(numbers: Numbers) -> list[Hint]:
         named = [named_tests([Hint(label, where)]) for label in labels]
         unknown = {each.unknown.name for tests in named for each in tests if each.unknown is not None}
         if unknown and len({tuple((each.kind, each.unknown) for each in tests) for tests in named}) > 1:
-            raise InputError(f"its rows are of different tests ({', '.join(labels)} {where}); give each test a file of "
-                             "its own", line=numbers.rows[0].line)
+            raise InputError(f"its rows are of different tests ({', '.join(labels)} {where}); give each test its "
+                             "own file", line=numbers.rows[0].line)
         hints.append(Hint("\n".join(labels), where))
     return hints

@@ -151,7 +151,7 @@ def _speed_for(roles: Collection[str], numbers: Numbers, stated: Stated) -> tupl
 
 
 def _beside(roles: Sequence[KnownColumn]) -> list[list[KnownColumn]]:
-    """Columns of recordings beside each other: a new one begins where a role is repeated in the same variant and as
+    """Columns of adjacent recordings: a new one begins where a role is repeated in the same variant and as
     surely, if the columns before have a motion and a load, and the columns from there on have them too."""
     parts: list[list[KnownColumn]] = [[]]
     for i, known in enumerate(roles):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class UnknownTest:
-    """A test without a kind of its own.
+    """A test for which no kind is registered.
 
     Attributes:
         name: name that a kind of this test would have. title: for people.
