@@ -113,13 +113,14 @@ def settle_rivals(read: Read, columns: tuple[ColumnGuess, ...], recordings: tupl
         ratio = float(np.ptp(its) / np.ptp(own))
         if abs(ratio - 1.0) <= _NOTED_DIFFERENCE:
             continue
+        means = f" ({rival.reason.split('; ')[-1]})" if is_derived(rival) else ""
         said = (f"{rival.header!r} has {abs(100 * (ratio - 1)):.0f} % {'more' if ratio > 1 else 'less'} "
-                f"{column.channel} than {column.header!r}, which is read")
+                f"{column.channel} than {column.header!r}{means}")
         modulus = ratio if CHANNELS[column.channel] in ("force", "stress") else 1.0 / ratio
         is_question = rival.rank == column.rank and abs(ratio - 1.0) > _DECISIVE_DIFFERENCE
         alternatives = (Alternative(rival.header, modulus, _all_columns(swapped)),) if is_question else ()
         if source_of(plain(column.header)) == "specimen":
-            said += ", on the specimen: the height must be the gauge length of this sensor"
+            said += "; the height must be the gauge length of this sensor"
         assumptions.append(Assumption(f"source of {column.channel}", column.header, () if is_question else (
             "measured on the specimen, corrected, or the more specific name",), (said,), alternatives,
             _all_columns(columns) if is_question else ""))
@@ -130,7 +131,8 @@ def settle_rivals(read: Read, columns: tuple[ColumnGuess, ...], recordings: tupl
 
 def _all_columns(columns: Sequence[ColumnGuess]) -> str:
     """Flags that name all columns: a named column is read with the other named ones only."""
-    return " ".join(f"--column {flag_name(each.channel)}={_quoted(each.header or str(each.place))}" for each in columns)
+    return " ".join(f"--column {flag_name(each.role if is_derived(each) else each.channel)}="
+                    f"{_quoted(each.header or str(each.place))}" for each in columns)
 
 
 def _quoted(text: str) -> str:

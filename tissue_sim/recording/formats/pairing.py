@@ -14,8 +14,9 @@ from tissue_sim.recording.formats.header import matches
 from tissue_sim.recording.formats.kind_hints import title_hints
 from tissue_sim.recording.formats.kind_words import named_tests
 from tissue_sim.recording.formats.measures import ENGINEERING, MEASURES, measure_of
-from tissue_sim.recording.formats.sizes import find_sizes, size_signature
+from tissue_sim.recording.formats.sizes import size_signature
 from tissue_sim.recording.formats.sources import Numbers, stated_values
+from tissue_sim.recording.formats.speed_text import speeds_in
 from tissue_sim.recording.formats.vocabulary import Machine, plain, role_of, source_of
 from tissue_sim.recording.recording import CHANNELS
 from tissue_sim.units import UNITS
@@ -74,8 +75,7 @@ def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated) -> li
     if stated.columns:
         named = [column for channel, name in stated.columns.items()
                  if (column := _stated_column(numbers, channel, name, stated))]
-        return [Group(numbers, tuple(named), (), (), _speed_for({column.role for column in named}, numbers, stated))
-                ] if len(named) == len(stated.columns) else []
+        return [_stated_group(numbers, named, stated)] if len(named) == len(stated.columns) else []
     roles = [KnownColumn(place, *known, _variant(numbers, place, known[0])) for place in numbers.columns
              if (known := role_of(numbers.bare_name(place), numbers.unit(place), machine))]
     groups: list[Group] = []
@@ -106,8 +106,26 @@ def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated) -> li
                        if each.role in same and each.place not in wanted.values())
         if gauge is not None:
             rivals = tuple(_with_gauge_length(column, pair[0], gauge) for column in rivals)
+        elif pair == ("displacement", "force") and (length := gauge_length(numbers, stated)) is not None:
+            # A strain that is not the displacement over the gauge length comes from another sensor.
+            rivals = (*rivals, *(replace(displacement_of_strain(strain, length), rank=rank[chosen["displacement"]])
+                                 for each in part if each.role in ("strain", "shear strain")
+                                 and each.variant[1] not in MEASURES
+                                 and not (strain := _column(numbers, each.place, each.role, machine, stated)).missing))
         groups.append(Group(numbers, columns, others, rivals, speed))
     return groups
+
+
+def _stated_group(numbers: Numbers, named: Sequence[ColumnGuess], stated: Stated) -> Group:
+    """The recording of the columns that the user names."""
+    roles = {column.role: column for column in named}
+    motion = next((role for role, load in (("strain", "force"), ("shear strain", "force"), ("displacement", "stress"))
+                   if {role, load} <= roles.keys()), None)
+    mechanical = {"displacement", "force"} <= roles.keys()
+    gauge = gauge_length(numbers, stated) if motion is not None and not mechanical else None
+    if gauge is not None and motion is not None and roles[motion].measure is None:
+        named = [_with_gauge_length(column, motion, gauge) for column in named]
+    return Group(numbers, tuple(named), (), (), _speed_for(roles, numbers, stated))
 
 
 def _derived_pair(part: Sequence[KnownColumn], chosen: Mapping[str, int], pair: tuple[str, ...] | None
@@ -146,8 +164,8 @@ def _speed_for(roles: Collection[str], numbers: Numbers, stated: Stated) -> tupl
         return None
     if stated.speed is not None:
         return stated.speed, "stated"
-    size = find_sizes(stated_values(numbers.above), None).get("speed_mm_s")
-    return None if size is None else (1e-3 * size.value, size.reason)
+    speeds = speeds_in(numbers.above)
+    return next(((speed, f"in the file: {line}") for speed, line in speeds.items()), None) if len(speeds) == 1 else None
 
 
 def _beside(roles: Sequence[KnownColumn]) -> list[list[KnownColumn]]:
@@ -214,12 +232,17 @@ def _column(numbers: Numbers, place: int, role: str, machine: Machine | None, st
         unit, reason = machine.units[role], f"{reason} without unit: {machine.title} writes {machine.units[role]}"
     elif numbers.units is not None:
         reason += ", unit in the row below"
-    if unit is not None and said["unit"] is None and unit not in UNITS and measure_of(plain(unit), role):
-        # "Strain (true)": the brackets hold the measure.
+    if unit is not None and said["unit"] is None and unit not in UNITS and _is_remark(unit, role):
+        # "Strain (true)", "Load (corrected)", "ln(lambda)": the brackets hold no unit.
         unit = "-" if CHANNELS[channel] == "ratio" else None
     column = ColumnGuess(channel, header, place + 1, unit, role, int(said["sign"] or 1),
                          None if said["scale"] is None else float(said["scale"]), None, bool(header), reason)
     return with_measure(column, stated.measures.get(role, stated.measures.get(channel)))
+
+
+def _is_remark(text: str, role: str) -> bool:
+    words = plain(text)
+    return bool(measure_of(words, role) or source_of(words)) or words in ("lambda", "λ")
 
 
 def with_measure(column: ColumnGuess, stated: str | None = None) -> ColumnGuess:

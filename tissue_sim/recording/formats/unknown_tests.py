@@ -68,7 +68,7 @@ UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
     UnknownTest("torsion", "torsion", (r"torsion\w*", r"twist\w*", r"verdreh\w*", r"verdrill\w*"),
                 "not simple shear: the shear strain grows with the radius, and a torque is measured"),
     UnknownTest("bending", "bending", (
-        r"bend(ing)?( tests?)?", r"flexur\w*", r"flexion", r"\w*bieg(e|ung|ever)\w*", r"cantilever",
+        r"bending( tests?)?", r"bend tests?", r"flexur\w*", r"flexion", r"\w*bieg(e|ung|ever)\w*", r"cantilever",
         r"(three|four|3|4|drei|vier|trois|quatre) ?(pts?|points?|punkte?)( ?(bend|\w*bieg|flex|load|test)\w*)?",
         r"[34] ?pb"),
         "neither tension nor compression: one side is stretched and the other compressed"),
@@ -109,7 +109,8 @@ UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
         r"split(ting)? tens\w*", r"spaltzug\w*", r"scheiteldruck\w*"),
         "neither uniaxial compression nor tension: the disc is loaded along a line"),
     UnknownTest("impact", "an impact test", (
-        r"impact( tests?)?", r"drop (weight|tower|tests?)\w*", r"charpy", r"izod", r"(split )?hopkinson\w*", r"shpb",
+        r"impact (tests?|strength|loading|compress\w*|tension|tensile)",
+        r"drop (weight|tower|tests?)\w*", r"charpy", r"izod", r"(split )?hopkinson\w*", r"shpb",
         r"kolsky",
         r"schlag(zah|zaeh|versuch|pruf|pruef|biege)\w*", r"fallgewicht\w*", r"(essai de )?choc"),
         "not a slow test: inertia is part of the force"),
