@@ -17,7 +17,7 @@ _SPEED = re.compile(rf"(?<![\w.,]){_NUMBER}\W{{0,3}}({_LENGTH} ?/? ?(?:min|sec|s
 #: ``Speed (mm/min): 30``.
 _UNIT_FIRST = re.compile(rf"[\[(]({_LENGTH}/(?:min|sec|s))[\])]\W{{0,3}}{_NUMBER}(?![\w.,])", re.IGNORECASE)
 #: Words for speeds of other parts of a test.
-_OTHER_SPEED = re.compile(r"\b(approach|return|retract\w*|unload\w*|pre\w*|jog|max\w*|data|rück\w*|vor\w*|anfahr\w*|"
+_OTHER_SPEED = re.compile(r"\b(approach|return|retract\w*|unload\w*|pre\w*|jog|max\w*|data|rück\w*|vor(kraft|last|weg|spann)\w*|anfahr\w*|"
                           r"retour)\b", re.IGNORECASE)
 
 
@@ -25,14 +25,15 @@ def speeds_in(rows: Sequence[Row]) -> dict[float, str]:
     """Speed, m/s -> line, of each different speed that the rows state for the loading."""
     found: dict[float, str] = {}
     for row in rows:
-        line = " ".join(cell for cell in row.cells if cell)
+        line = " ".join(cell for cell in row.cells if cell).replace("⁻¹", "-1").replace("·", " ")
         if _OTHER_SPEED.search(line):
             continue
         pairs = [(number, unit) for number, unit in _SPEED.findall(line)]
         pairs += [(number, unit) for unit, number in _UNIT_FIRST.findall(line)]
         for number, unit in pairs:
-            factor = _SPEED_UNITS.get(unit.casefold().replace(" ", ""))
-            value = 0.0 if factor is None else round(float(number.replace(",", ".")) * factor, 12)
+            factor = _SPEED_UNITS.get(unit.casefold().replace(" ", ""), 0.0)
+            # Twelve digits: 30 mm/min and 0.5 mm/s are the same speed.
+            value = float(f"{float(number.replace(',', '.')) * factor:.12g}")
             if value > 0:
                 found.setdefault(value, line)
     return found
