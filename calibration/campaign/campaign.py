@@ -205,6 +205,10 @@ def load_campaign(path: str | Path, *, planned: bool = False) -> Campaign:
     table, data, defaults = decode_campaign(path)
     try:
         with located(file=path):
+            if table.questions:
+                first = table.questions[0].partition("?")[0]
+                raise InputError(f"{first}? Import again with the flag that decides, or delete this key to accept the "
+                                 "assumed values", field="questions")
             tests = _tests(table, specimens := read_specimens(table, path.parent), path.parent, planned)
             prisms = frozenset(name for name, entry in zip(specimens, table.specimen, strict=True)
                                if entry.shape == PRISM)

@@ -121,12 +121,17 @@ class NoiseTable(_Table, frozen=True, kw_only=True):
 
 
 class CampaignTable(_Table, frozen=True, kw_only=True):
-    """The whole file."""
+    """The whole file.
+
+    Attributes:
+        questions: of an import that the user has not decided yet; the campaign is refused until there is none.
+    """
 
     specimen: list[SpecimenTable] = []
     test: list[TestTable]
     fit: FitTable
     noise: NoiseTable = NoiseTable()
+    questions: list[str] = []
 
 
 def campaign_table() -> type[CampaignTable]:

@@ -21,17 +21,21 @@ FILL_IN = "FILL IN"
 
 
 def campaign_text(tests: Sequence[ImportedTest], specimens: Mapping[str, Sequence[Line]], fit: Sequence[Line],
-                  folder: Path) -> str:
+                  folder: Path, questions: Sequence[str] = ()) -> str:
     """A campaign file (TOML): what all tests share stands once, in ``[defaults]``.
 
     Args:
         tests: in order. specimens: name -> keys. fit: keys of ``[fit]``.
         folder: of the campaign, to which the places of the recordings are relative.
+        questions: that are open; a campaign with one is refused.
     """
     count = sum(len(part.motions) for test in tests for part in test.parts)
     parts = [f"# Written by tissue-sim import from {counted(count, 'recording')}. Behind a # stands why a line is as "
              "it is;\n# correct what is wrong."]
     parts += filter(None, [campaign_comment(tests)])
+    if questions:
+        parts.append(_line(Line("questions", list(questions), "import again with the flag that decides, or delete this "
+                                "key to accept the assumed values")))
     for name, lines in specimens.items():
         named = [Line("name", name)] if len(specimens) > 1 else []
         parts.append("\n".join(["[[specimen]]", *(_line(each) for each in (*named, *lines))]))

@@ -14,7 +14,7 @@ from calibration.importing.afm import is_afm, understand_afm
 from calibration.importing.campaign_text import FILL_IN, campaign_text
 from calibration.importing.flags import applies, check_wishes, require_used
 from calibration.importing.grouping import group, same_motion
-from calibration.importing.imported import Imported, ImportedTest, Line, Part, Wishes
+from calibration.importing.imported import Imported, ImportedTest, Line, Part, Wishes, questions_of
 from calibration.importing.motion import describe_motion
 from calibration.importing.picture import draw_imported
 from calibration.importing.sidecar import kind_said, read_sidecar, with_sidecar
@@ -69,10 +69,10 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     require_used(wishes, understood, tests)
     fit = _fit(tests, wishes)
 
-    def text_in(folder: Path) -> str:
-        return campaign_text(tests, specimens, fit, folder)
+    def text_in(folder: Path, questions: Sequence[str] = ()) -> str:
+        return campaign_text(tests, specimens, fit, folder, questions)
 
-    text = text_in(Path() if output is None else output.parent)
+    text = text_in(Path() if output is None else output.parent, questions_of(tests))
     imported = Imported(tuple(understood), tests, read_only(specimens), text, missing, _warnings(parts, tests))
     if not missing:
         imported = replace(imported, problem=_problem(text_in))

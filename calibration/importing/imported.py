@@ -110,11 +110,7 @@ class Imported:
     @property
     def questions(self) -> tuple[str, ...]:
         """Questions that the user must decide by a flag, each once, with the files that they concern."""
-        asked: dict[str, list[str]] = {}
-        for name, each in self.assumptions:
-            if each.is_question:
-                asked.setdefault(each.question, []).append(name)
-        return tuple(f"{', '.join(dict.fromkeys(names))}: {question}" for question, names in asked.items())
+        return questions_of(self.tests)
 
     @property
     def complete(self) -> bool:
@@ -131,6 +127,15 @@ def assumptions_of(tests: Sequence[ImportedTest]) -> tuple[tuple[str, Assumption
                          *(each for motion in part.motions for each in motion.assumptions)):
                 found[part.file.name, each] = None
     return tuple(found)
+
+
+def questions_of(tests: Sequence[ImportedTest]) -> tuple[str, ...]:
+    """Questions that the user must decide by a flag, each once, with the files that they concern."""
+    asked: dict[str, list[str]] = {}
+    for name, each in assumptions_of(tests):
+        if each.is_question:
+            asked.setdefault(each.question, []).append(name)
+    return tuple(f"{', '.join(dict.fromkeys(names))}: {question}" for question, names in asked.items())
 
 
 def to_json(imported: Imported) -> dict[str, Any]:

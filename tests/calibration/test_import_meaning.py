@@ -1,6 +1,7 @@
 """Meaning of columns and titles: measures of stress and strain, constant speed, tests without a kind, flags."""
 
 import json
+import re
 
 import numpy as np
 import openpyxl
@@ -169,6 +170,19 @@ def test_of_two_loads_the_corrected_one_is_read_and_equal_names_are_a_question(t
     assert '--column force="Load 2 (N)"' in question
     path = write(tmp_path, "Extension (mm),Load 1 (N),Load 2 (N)", way, force, 1.005 * force, above=SHEET)
     assert load(path).complete
+
+
+def test_a_campaign_with_an_open_question_is_refused(tmp_path):
+    path = write(tmp_path, "True strain,Stress (kPa)", np.log(STRETCH), 1e-3 * STRESS, above="Uniaxial tension\n")
+    imported = load(path)
+    with pytest.raises(ts.InputError, match=r"measure of nominal stress: engineering stress .* Import again"):
+        calibration.load_campaign(imported.output)
+    accepted = tmp_path / "accepted.toml"
+    without = re.sub(r"^questions = \[.*?\]\n\n", "", imported.text, flags=re.DOTALL | re.MULTILINE)
+    accepted.write_text(without, encoding="utf-8")
+    assert without != imported.text and len(calibration.load_campaign(accepted).tests) == 1
+    with pytest.raises(ts.InputError, match="measure of nominal stress: engineering"):
+        ts.read_recordings(path, format="table")
 
 
 def test_words_and_headers_that_contradict_each_other_are_a_question(tmp_path):

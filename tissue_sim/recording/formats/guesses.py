@@ -156,6 +156,7 @@ class Stated:
         direct: whether stress and strain are read where a file has force and displacement, too.
         measures: channel (or ``strain``) -> measure of strain or stress, ``engineering`` or a name in
             `tissue_sim.recording.formats.measures.MEASURES`.
+        any_test: whether tables of tests without a kind are read too: only their numbers are wanted.
         height: of the specimen, m: the gauge length by which a strain becomes a displacement; None: not stated.
         speed: constant speed of the test, m/s, for a file without a clock or without a motion; None: not stated.
     """
@@ -173,3 +174,4 @@ class Stated:
     measures: Mapping[str, str] = field(default_factory=dict)
     speed: float | None = None
     height: float | None = None
+    any_test: bool = False

@@ -18,6 +18,8 @@ from tissue_sim.recording.recording import Recording
 
 _BETWEEN_PLATES = ("taken as homogeneous, between plates that slip; where they hold the specimen it is "
                    "bonded_compression, and friction_compression between")
+#: Subject of the assumption about the kind of test.
+KIND_OF_TEST = "kind of test"
 
 
 def guess_kind(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], hints: Sequence[Hint],
@@ -79,7 +81,7 @@ def require_one_test(texts: Sequence[Sequence[Hint]]) -> None:
 
 def kind_assumption(guess: KindGuess) -> Assumption:
     """The guess with its evidence and the kinds that also fit."""
-    return Assumption("kind of test", guess.kind or "not known", () if guess.is_stated else (guess.reason,),
+    return Assumption(KIND_OF_TEST, guess.kind or "not known", () if guess.is_stated else (guess.reason,),
                       guess.against, tuple(Alternative(kind, None, f"--kind {kind}") for kind in guess.alternatives),
                       f"--kind {guess.kind}" if guess.kind else "--kind", guess.is_stated)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.columns import Sheets
 from tissue_sim.recording.formats.guesses import Stated
+from tissue_sim.recording.formats.kind_guess import KIND_OF_TEST
 from tissue_sim.recording.formats.understanding import understand
 from tissue_sim.recording.formats.vocabulary import MACHINES
 from tissue_sim.recording.recording import Recording
@@ -42,11 +43,16 @@ def _reader(machine: str) -> Callable[..., tuple[Recording, ...]]:
 
 def _read(path: str | Path, machine: str | None, sheet: Sheets | None, curve: int | None) -> tuple[Recording, ...]:
     path = Path(path)
-    understood = understand(path, Stated(format=machine, sheet=sheet))
+    understood = understand(path, Stated(format=machine, sheet=sheet, any_test=True))
     missing = [what for reading in understood.readings for what in reading.missing]
     if missing:
         raise InputError(f"does not state {', nor '.join(missing)}; give columns with unit, or scale, in place of the "
                          "format", file=path, line=understood.readings[0].line)
+    asked = [each.question for reading in understood.readings for each in reading.assumptions
+             if each.is_question and each.subject != KIND_OF_TEST]
+    if asked:
+        raise InputError(f"{asked[0]} Give columns in place of the format", file=path,
+                         line=understood.readings[0].line)
     found = [recording.with_metadata(format=understood.format, understood={
         column.channel: {**column.entry(), "reason": column.reason} for column in reading.columns})
         for reading in understood.readings for recording in reading.recordings]

@@ -17,8 +17,8 @@ _SPEED = re.compile(rf"(?<![\w.,]){_NUMBER}\W{{0,3}}({_LENGTH} ?/? ?(?:min|sec|s
 #: ``Speed (mm/min): 30``.
 _UNIT_FIRST = re.compile(rf"[\[(]({_LENGTH}/(?:min|sec|s))[\])]\W{{0,3}}{_NUMBER}(?![\w.,])", re.IGNORECASE)
 #: Words for speeds of other parts of a test.
-_OTHER_SPEED = re.compile(r"\b(approach|return|retract\w*|unload\w*|pre\w*|jog|max\w*|data|rück\w*|vor(kraft|last|weg|spann)\w*|anfahr\w*|"
-                          r"retour)\b", re.IGNORECASE)
+_OTHER_SPEED = re.compile(r"\b(approach|return|retract\w*|unload\w*|pre\w*|jog|max\w*|data|rück\w*|"
+                          r"vor(kraft|last|weg|spann)\w*|anfahr\w*|retour)\b", re.IGNORECASE)
 
 
 def speeds_in(rows: Sequence[Row]) -> dict[float, str]:

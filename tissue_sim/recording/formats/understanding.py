@@ -60,7 +60,7 @@ def understand(path: str | Path, stated: Stated | None = None) -> Understanding:
     with located(file=path):
         readings, refused = _of_known_tests([
             _reading(source, group, stated, machine, titles, _unused(group[0].numbers, tables))
-            for group in alike(tables)])
+            for group in alike(tables)], stated)
     if len(readings) > 1:
         readings = _named(readings)
     delimiter = source.tables[0].delimiter
@@ -86,7 +86,7 @@ def _without_sweeps(found: Sequence[Numbers], path: Path) -> tuple[list[Numbers]
             tuple(f"a table is left out: {sweep_sentence(names)}" for names in sweeps[:1]))
 
 
-def _of_known_tests(readings: Sequence[Reading]) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
+def _of_known_tests(readings: Sequence[Reading], stated: Stated) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
     """The readings whose kind of test may be registered, and sentences on the others.
 
     Raises:
@@ -94,6 +94,8 @@ def _of_known_tests(readings: Sequence[Reading]) -> tuple[tuple[Reading, ...], t
     """
     kept = tuple(reading for reading in readings if reading.kind.refused is None)
     refused = [reading.kind.refused.refusal() for reading in readings if reading.kind.refused is not None]
+    if stated.any_test:
+        return tuple(readings), ()
     if not kept:
         raise refused[0]
     return kept, tuple(dict.fromkeys(f"a table is left out: {each.problem}" for each in refused))
@@ -122,7 +124,7 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
     kind = guess_kind(recordings, columns, _hints(source, first, columns, titles), machine, stated.kind)
     if kind.is_stated and kind.against:
         remarks = (*remarks, f"kind of test as stated ({kind.kind}), though {'; '.join(kind.against)}")
-    elif not kind.is_stated:
+    elif not kind.is_stated and not stated.any_test:
         require_one_test([title_hints(group.numbers) for group in groups if kind.refused is None])
     if kind.kind == "simple_shear" and any(_is_strain(column) for column in columns):
         columns = tuple(replace(column, channel="shear strain", offset=None,
