@@ -78,6 +78,21 @@ def column_assumptions(read: Read, columns: Sequence[ColumnGuess], recordings: S
             yield _measure(read, column, columns, recordings, stated, flag)
 
 
+def speed_assumption(speed: tuple[float, str], recordings: Sequence[Recording]) -> Assumption:
+    """The displacement of a table of time and force: the motion goes on at a constant speed to the last sample."""
+    value, source = speed
+    against = []
+    for recording in recordings:
+        force = np.abs(recording.force)
+        peak = int(np.argmax(force))
+        if force[-1] < (1.0 - _DECISIVE_DIFFERENCE) * force[peak]:
+            against = [f"the force falls after {recording.time[peak]:.4g} s: if the motion stopped or turned there, only "
+                       "the part before counts"]
+    return Assumption("displacement", f"{1e3 * value:.6g} mm/s x time from the first sample",
+                      () if source == "stated" else (source,), tuple(against), flag=f"--speed-mm-s {1e3 * value:.6g}",
+                      is_stated=source == "stated")
+
+
 def settle_rivals(read: Read, columns: tuple[ColumnGuess, ...], recordings: tuple[Recording, ...],
                   rivals: Sequence[ColumnGuess]
                   ) -> tuple[tuple[ColumnGuess, ...], tuple[Recording, ...], tuple[Assumption, ...], tuple[str, ...]]:

@@ -16,9 +16,10 @@ from tissue_sim.recording.formats.unknown_tests import UNKNOWN_TESTS, UnknownTes
 _SHORT = {"simple_shear": ("ss",), "uniaxial_tension": ("ut",), "lubricated_compression": ("uc",)}
 #: Characters of a line that are searched.
 _LONGEST_LINE = 2000
-#: Entries above a table whose value is the name of a person, a company or a program.
+#: Entries above a table whose value is the name of a person, a company, a program or a machine.
 _PEOPLE = re.compile(r"^\W*(operator|tester|user|author|customer|company|client|laboratory|lab|prufer|bearbeiter|kunde|"
-                     r"firma|operateur|utilisateur|software|program|file|path|datei)\b")
+                     r"firma|operateur|utilisateur|software|program|file|path|datei|machine|device|instrument|"
+                     r"load frame|load cell|maschine|gerat|appareil)\b")
 
 
 @dataclass(frozen=True)
@@ -126,5 +127,5 @@ def _patterns(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]
         kind, unknown = (test.name, None) if test.name in names else (None, test)
         words += [(rf"\b(?:{word})\b", kind, unknown, False) for word in test.words]
         words += [(rf"\b(?:{word})\b", kind, unknown, True) for word in test.short]
-        words += [(rf"^(?:{word})$", kind, unknown, False) for word in test.alone]
+        words += [(rf"^(?:{word})(?: \d+)*$", kind, unknown, False) for word in test.alone]
     return tuple((re.compile(pattern), kind, unknown, short) for pattern, kind, unknown, short in words)

@@ -19,7 +19,12 @@ from tissue_sim.recording.constant_speed import with_constant_speed
 from tissue_sim.recording.formats.columns import read_blocks
 from tissue_sim.recording.formats.guesses import ColumnGuess, Reading, Stated, Understanding
 from tissue_sim.recording.formats.header import matches
-from tissue_sim.recording.formats.interpretation import column_assumptions, format_assumption, settle_rivals
+from tissue_sim.recording.formats.interpretation import (
+    column_assumptions,
+    format_assumption,
+    settle_rivals,
+    speed_assumption,
+)
 from tissue_sim.recording.formats.kind_guess import guess_kind, kind_assumption, require_one_test
 from tissue_sim.recording.formats.kind_hints import file_hints, header_hint, label_hints, title_hints
 from tissue_sim.recording.formats.kind_words import Hint
@@ -141,7 +146,10 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
     recordings = _turned(source.file, recordings, columns, turned, options, first.speed)
     columns = turned
     options["columns"] = {column.channel: column.entry() for column in columns}
-    assumptions = (*column_assumptions(read, columns, recordings, first.rivals, stated), *rivals, kind_assumption(kind))
+    moved = () if first.speed is None else (speed_assumption(first.speed, recordings),)
+    remarks = (*remarks, *(sentence for each in moved for sentence in each.against))
+    assumptions = (*column_assumptions(read, columns, recordings, first.rivals, stated), *moved, *rivals,
+                   kind_assumption(kind))
     return Reading("", columns, first.others, read_only(options), recordings, kind, line, sheets,
                    read_only(stated_above), (*remarks, *compared), assumptions=assumptions, unused=unused,
                    speed=first.speed)

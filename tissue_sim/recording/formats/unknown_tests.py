@@ -18,8 +18,8 @@ class UnknownTest:
         name: name that a kind of this test would have. title: for people.
         words: regular expressions in English, German and French.
         difference: why no registered kind may be taken for the test; completes "<title> is ...".
-        short: abbreviations that count in the name of a file only. alone: words that count only where nothing else
-            stands, as in the name of a sheet.
+        short: abbreviations that count in the name of a file only. alone: words that count only as the whole text, such
+            as the name of a sheet, with or without a number.
     """
 
     name: str
@@ -65,24 +65,26 @@ UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
         "not compression between plates: it measures the bulk modulus and nothing of the shear modulus"),
     UnknownTest("triaxial_compression", "triaxial compression", (r"tri ?axial\w*", r"dreiachs\w*", r"triax"),
                 "not uniaxial: a pressure acts on the sides of the specimen"),
-    UnknownTest("torsion", "torsion", (r"torsion\w*", r"twist\w*", r"verdreh\w*", r"verdrill\w*"),
-                "not simple shear: the shear strain grows with the radius, and a torque is measured"),
+    UnknownTest("torsion", "torsion", (r"torsion\w*", r"twist(ing)? tests?", r"verdreh\w*", r"verdrill\w*"),
+                "not simple shear: the shear strain grows with the radius, and a torque is measured", alone=("twist",)),
     UnknownTest("bending", "bending", (
-        r"bending( tests?)?", r"bend tests?", r"flexur\w*", r"flexion", r"\w*bieg(e|ung|ever)\w*", r"cantilever",
+        r"bending( tests?)?", r"bend tests?", r"flexur\w*", r"flexion", r"\w*bieg(e|ung|ever)\w*",
+        r"cantilever (bending|beam|tests?)",
         r"(three|four|3|4|drei|vier|trois|quatre) ?(pts?|points?|punkte?)( ?(bend|\w*bieg|flex|load|test)\w*)?",
         r"[34] ?pb"),
         "neither tension nor compression: one side is stretched and the other compressed"),
     UnknownTest("peel", "a peel test", (
-        r"(t )?peel(ing)?( tests?)?", r"(ab)?schae?l(versuch|prufung|pruefung|test|kraft|festigkeit|widerstand)\w*",
+        r"(t )?peel(ing)? (tests?|force|load|strength|angle)", r"t peel", r"peeling",
+        r"(ab)?schae?l(versuch|prufung|pruefung|test|kraft|festigkeit|widerstand)\w*",
         r"(de)?pelage"),
-        "not tension: its force measures the adhesion of a front that moves"),
+        "not tension: its force measures the adhesion of a front that moves", alone=("peel",)),
     UnknownTest("fatigue", "a fatigue test", (
         r"fatigue( tests?)?", r"ermudung\w*", r"ermuedung\w*", r"dauerschwing\w*", r"dauerfestigkeit\w*",
         r"w(o|oe)hler\w*",
         r"\w*schwellversuch\w*", r"endurance tests?"),
         "not one loading: the material changes from cycle to cycle"),
-    UnknownTest("burst", "a burst test", (r"burst(ing)?", r"berst\w*", r"eclatement"),
-                "neither tension nor compression: a pressure loads the specimen in two directions"),
+    UnknownTest("burst", "a burst test", (r"burst(ing)? (tests?|pressure|strength)", r"berst\w*", r"eclatement"),
+                "neither tension nor compression: a pressure loads the specimen in two directions", alone=("burst",)),
     UnknownTest("inflation", "an inflation test", (
         r"inflat\w*", r"bulge( tests?)?", r"bubble (inflation|tests?)", r"aufbla(e|h)?s?\w*", r"gonfle?\w*"),
         "neither tension nor compression: a pressure loads the specimen in two directions"),
@@ -98,7 +100,7 @@ UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
         r"fracture (tests?|toughness|mechanics|energy)", r"compact tension",
         r"(single|double) edge (notch\w*|crack\w*)",
         r"notch\w* (tension|tensile|specimens?)", r"crack (growth|propagation)\w*", r"bruch(mechan|zah|zaeh)\w*",
-        r"gekerbt\w*", r"kerb\w*", r"entaill\w*"),
+        r"gekerbt\w*", r"kerb(zug|versuch|schlag|biege)\w*", r"entaill\w*"),
         "not tension of a whole specimen: a notch or crack decides the force"),
     UnknownTest("ring_tension", "ring tension", (
         r"ring (tension|tensile|pull|tests?)", r"hoop (tension|tensile|tests?)", r"ringzug\w*",
@@ -112,24 +114,26 @@ UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
         r"impact (tests?|strength|loading|compress\w*|tension|tensile)",
         r"drop (weight|tower|tests?)\w*", r"charpy", r"izod", r"(split )?hopkinson\w*", r"shpb",
         r"kolsky",
-        r"schlag(zah|zaeh|versuch|pruf|pruef|biege)\w*", r"fallgewicht\w*", r"(essai de )?choc"),
+        r"schlag(zah|zaeh|versuch|pruf|pruef|biege)\w*", r"fallgewicht\w*", r"essai de choc"),
         "not a slow test: inertia is part of the force"),
     UnknownTest("pull_out", "a pull-out test", (
         r"pull ?out\w*", r"suture (retention|pull\w*)", r"auszieh\w*", r"ausrei(ss|sz)\w*", r"arrachement"),
         "not tension of a specimen: its force measures how an anchor holds"),
-    UnknownTest("tack", "a tack test", (r"(probe )?tack( tests?)?", r"adhesion tests?", r"debond\w*", r"hafttest\w*",
-                                        r"haft(zug|festigkeits?)\w*"),
-                "not tension: its force measures the adhesion of two faces"),
+    UnknownTest("tack", "a tack test", (r"probe tack( tests?)?", r"tack tests?", r"adhesion tests?", r"debond\w*",
+                                        r"hafttest\w*", r"haft(zug|festigkeits?)\w*"),
+                "not tension: its force measures the adhesion of two faces", alone=("tack",)),
     UnknownTest("aspiration", "an aspiration test", (
-        r"aspirat\w*", r"suction", r"cutometer", r"saug(versuch|napf|test)\w*", r"ventouse"),
+        r"aspirat\w*", r"suction (tests?|force)", r"cutometer", r"saug(versuch|napf|test)\w*", r"ventouse"),
                 "neither tension nor compression: suction draws the tissue into an opening"),
     UnknownTest("buckling", "a buckling test", (r"buckl\w*", r"knick(versuch|last|ung)\w*", r"flamb(age|ement)"),
                 "not compression: the specimen bends aside"),
     UnknownTest("cutting", "a cutting test", (
-        r"cutting( tests?| force)?", r"schneid\w*", r"warner bratzler( shear)?", r"kramer( shear)?", r"decoupe"),
-        f"a separation of the material, {_UNEQUAL}"),
-    UnknownTest("extrusion", "an extrusion test", (r"(back ?)?extrusion( tests?)?", r"ruckextrusion\w*"),
-                "not compression: the material flows through a gap"),
+        r"cutting (tests?|force)", r"schneid(versuch|test|kraft)\w*", r"warner bratzler( shear)?", r"kramer( shear)?",
+        r"decoupe"),
+        f"a separation of the material, {_UNEQUAL}", alone=("cutting", "cut")),
+    UnknownTest("extrusion", "an extrusion test", (r"(back|forward) ?extrusion( tests?)?", r"extrusion (tests?|force)",
+                                                   r"ruckextrusion\w*"),
+                "not compression: the material flows through a gap", alone=("extrusion",)),
     UnknownTest("surface_tension", "surface tension", (
         r"(surface|interfacial) tension", r"(ober|grenz)flac?h?e?n?spannung", r"tension (superficielle|interfaciale)"),
         "not tension of a specimen"),
