@@ -86,8 +86,8 @@ def speed_assumption(speed: tuple[float, str], recordings: Sequence[Recording]) 
         force = np.abs(recording.force)
         peak = int(np.argmax(force))
         if force[-1] < (1.0 - _DECISIVE_DIFFERENCE) * force[peak]:
-            against = [f"the force falls after {recording.time[peak]:.4g} s: if the motion stopped or turned there, only "
-                       "the part before counts"]
+            against = [f"the force falls after {recording.time[peak]:.4g} s: if the motion stopped or turned there, "
+                       "only the part before counts"]
     return Assumption("displacement", f"{1e3 * value:.6g} mm/s x time from the first sample",
                       () if source == "stated" else (source,), tuple(against), flag=f"--speed-mm-s {1e3 * value:.6g}",
                       is_stated=source == "stated")
