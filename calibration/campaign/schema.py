@@ -82,6 +82,7 @@ class TestTable(_Table, frozen=True, kw_only=True):
     hold_out: bool = False
     contact: Literal["recorded", "find"] | float = "recorded"
     failure: Literal["cut", "keep", "refuse"] = "cut"
+    leave_out: Literal["find"] | list[int] | dict[str, list[int]] = "find"
     rig: str | None = None
 
     @property

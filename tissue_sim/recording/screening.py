@@ -12,8 +12,7 @@ CREEPS = 0.02
 #: Loss factor (tangent of the phase angle) of an oscillation, above which the material dissipates.
 LOSES = 0.05
 #: The remedy where a material relaxes, creeps or dissipates.
-VISCOELASTIC_REMEDY = ("use method = \"inverse_fem\" and name viscoelastic.terms[0].g and viscoelastic.terms[0].tau_s "
-                       "in fit.start")
+VISCOELASTIC_REMEDY = 'use method = "inverse_fem" with viscoelastic.terms[0].g and .tau_s in start'
 
 
 @dataclass(frozen=True)
@@ -139,11 +138,22 @@ class Screening:
         return tuple(sorted({number for each in (*self.left_out, *self.saturation) for number in each.samples}))
 
     @property
+    def kept_before_saturation(self) -> float:
+        """Number of samples that are kept before the first saturated one; infinite without saturation."""
+        first = min((each.samples[0] for each in self.saturation), default=None)
+        return float("inf") if first is None else first - 1 - sum(number < first for number in self.samples)
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """One sentence for each group of outliers that is kept."""
+        return tuple(f"{numbered(each.samples)} kept, as leave_out does not list it: {each.reason}"
+                     for each in self.suspected)
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """One sentence for each finding."""
         found = [each.sentence for each in (*self.left_out, *self.saturation)]
-        found += [f"{numbered(each.samples)} kept, as the campaign does not list it in leave_out: {each.reason}"
-                  for each in self.suspected]
+        found += self.doubts
         found += [each.sentence for each in (self.preload, self.control) if each is not None]
         return tuple(filter(None, found))
 
@@ -151,7 +161,7 @@ class Screening:
     def contradictions(self) -> tuple[str, ...]:
         """The remarks by which the moduli of an elastic fit are wrong or doubtful."""
         found = [] if self.preload is None or self.preload.is_settled else [self.preload.sentence]
-        found += [each.reason for each in self.suspected]
+        found += self.doubts
         if self.control is not None and not self.control.is_elastic:
             found.append(self.control.sentence)
         return tuple(found)

@@ -10,7 +10,9 @@ import numpy as np
 
 from tissue_sim.experiment.kinds.kind import KINDS, STRETCH_STRESS, TestKind
 from tissue_sim.recording.contact import Contact, find_contact
+from tissue_sim.recording.control import creep_holds
 from tissue_sim.recording.failure import Failure, find_failure
+from tissue_sim.recording.oscillation import find_oscillation
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segmentation import count_cycles, label_motion
 
@@ -47,6 +49,11 @@ class Segmentation:
     stated: bool
     stressed: bool
     warnings: tuple[str, ...]
+
+    @property
+    def has_air(self) -> bool:
+        """Whether contact comes after the first samples."""
+        return self.contact is not None and self.contact.found
 
     def runs(self) -> Iterator[tuple[str, int, int]]:
         """Name, first sample and end (not included) of each segment, in order."""
@@ -96,11 +103,15 @@ def segments_of(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | 
     elif not ordered:
         labels, cycles = np.full(displacement.size, "ramp"), np.ones(displacement.size, int)
     else:
-        labels, cycles = count_cycles(label_motion(clock, displacement))
+        labels = label_motion(clock, displacement)
+        for first, last in creep_holds(displacement, force, time):
+            labels[first:last] = "hold"
+        labels, cycles = count_cycles(labels)
         labels = labels.astype("U15")
         if contact is not None and contact.status != "none":
             _label_preload(labels, displacement, force, contact, warnings, stressed)
-        _label_preconditioning(labels, cycles, displacement, warnings)
+        if cycles.max() > _FEWEST_ALIKE and not _oscillates(displacement, force, time):
+            _label_preconditioning(labels, cycles, displacement, warnings)
         if contact is not None and contact.found:
             # A later cycle comes through air again.
             in_air = (cycles > 1) & (displacement < contact.displacement)
@@ -112,6 +123,12 @@ def segments_of(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | 
     for values in (labels, cycles):
         values.flags.writeable = False
     return Segmentation(labels, cycles, contact, failure, stated, stressed, tuple(warnings))
+
+
+def _oscillates(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None) -> bool:
+    """Whether the cycles are an oscillation around an offset, which does not precondition."""
+    found = find_oscillation(displacement, force, time)
+    return found is not None and not found.returns
 
 
 def _is_ordered(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None) -> bool:
