@@ -25,10 +25,12 @@ def elastic_samples(places: np.ndarray, displacement: np.ndarray, screening: Scr
         places: samples that may be used, shape (k,). displacement: of all samples, m, shape (n,).
 
     Raises:
-        InputError: fewer than five samples.
+        InputError: fewer than five samples, an oscillation out of phase.
     """
     control = screening.control
     places = places[places < screening.kept_before_saturation]
+    if control is not None and control.dissipates:
+        raise InputError(f"{path.name}: {control.sentence}", field="recordings")
     if control is not None and control.pattern == "oscillation":
         return places
     if control is not None and control.pattern == "creep":

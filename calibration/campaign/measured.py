@@ -255,7 +255,8 @@ def _curve(recording: Recording, screening: Screening, name: str, path: Path, te
                           str(recording.metadata.get("sha256", "")), stressed, later,
                           whole=replace(whole, used=used),
                           notes=with_air_noted(whole, int(places.min()), stressed=stressed)
-                          | from_elsewhere(recording, test) | notes_of(screening), screening=screening)
+                          | from_elsewhere(recording, test) | notes_of(screening, remembering=remembering),
+                          screening=screening)
     if campaign.fit.method == "analytical":
         curve = with_noise(replace(curve, displacement=displacement[loading], force=force[loading]), campaign,
                            curve)

@@ -93,11 +93,15 @@ def _preload_words(found: LoadAtZero, *, stressed: bool, covers: bool) -> str:
     return f"{what}; the moduli are wrong; {remedy}"
 
 
-def notes_of(screening: Screening) -> dict[str, str]:
-    """Subject -> note of what a user has to know."""
+def notes_of(screening: Screening, *, remembering: bool) -> dict[str, str]:
+    """Subject -> note of what a user has to know.
+
+    Args:
+        remembering: whether the material has a memory, which describes relaxation and creep.
+    """
     subjects = {"outliers": [*(each.sentence for each in screening.left_out), *screening.doubts],
                 "saturation": [each.sentence for each in screening.saturation],
                 "preload": [screening.preload.sentence] if screening.preload is not None else [],
-                "control": [screening.control.sentence] if screening.control is not None else []}
+                "control": [screening.control.sentence] if screening.control is not None and not remembering else []}
     return {subject: "; ".join(dict.fromkeys(filter(None, sentences)))
             for subject, sentences in subjects.items() if any(sentences)}

@@ -24,14 +24,16 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
     """The recording without outliers and saturated samples, and the findings.
 
     Args:
-        recording: with a motion and a load.
+        recording: one without a motion or without a load is returned as it is.
         leave_out: numbers of the samples to leave out, from 1; None: outliers are found.
         zeroed: channels that were counted from the first sample; they are counted from the first sample that is kept.
 
     Raises:
         InputError: a number beyond the recording, too many outliers, or too few samples that are kept.
     """
-    motion, load = (next(name for name in names if name in recording) for names in (MOTIONS, LOADS))
+    motion, load = (next((name for name in names if name in recording), None) for names in (MOTIONS, LOADS))
+    if motion is None or load is None:
+        return recording, Screening()
     channels = {name: recording.channel(name) for name in (motion, load)}
     try:
         found = left_out(find_outliers(*channels.values()), channels, in_words)
@@ -60,6 +62,19 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
         rest = rest.with_channels(**{name: rest.channel(name) - rest.channel(name)[0] for name in zeroed
                                      if name in rest})
     return rest, Screening(found, saturation, suspected=suspected)
+
+
+def counted_from_kept(recording: Recording, zeroed: Sequence[str]) -> Recording:
+    """Count channels from the first sample that is kept, not from the first one.
+
+    Args:
+        recording: all of its samples. zeroed: channels that count from the first sample.
+    """
+    rest, screening = clean(recording)
+    if not zeroed or 1 not in screening.samples:
+        return recording
+    return recording.with_channels(**{name: recording.channel(name) - rest.channel(name)[0] for name in zeroed
+                                      if name in recording})
 
 
 def _as_stated(recording: Recording, leave_out: Sequence[int], found: tuple[LeftOut, ...]

@@ -43,18 +43,22 @@ def find_control(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None =
                        loading=_first_turn(motion, oscillation))
     rest = min(float(load[0]), float(np.median(load[:_AT_ENDS])))
     holds = list(_holds(label_motion(clock, motion)))
-    lost = [_lost(load, first, last, rest) for first, last in holds]
-    crept = list(_creep(motion, load, clock))
-    relaxation, creep = max(lost, default=0.0), max((gain for *_, gain in crept), default=0.0)
-    start = min((first for first, _, gain in crept if gain > CREEPS), default=motion.size)
-    if creep > CREEPS:
-        return Control("force", "creep", 0.0, creep, loading=start)
+    lost = max(((_lost(load, first, last, rest), first, last) for first, last in holds), default=(0.0, 0, 0))
+    crept = [each for each in _creep(motion, load, clock) if each[2] > CREEPS]
+    if crept:
+        first, last, creep = max(crept, key=lambda each: each[2])
+        start = crept[0][0]
+        return Control("force", "creep", 0.0, creep, loading=start, time_constant=_time_constant(motion, clock, first,
+                       last), loading_time=float(clock[start] - clock[0]))
     loaded = [first for first, last in holds if np.median(load[first:last]) - rest > _LOADED * np.ptp(load)]
     steps = [first for first in loaded if motion[first] >= 0.98 * motion[:first + 1].max()]
     pattern = "staircase" if len(steps) > 1 else "ramp and hold" if loaded else "cycles" if oscillation else "ramp"
     peak = int(np.argmax(motion))
     quantity = "displacement" if loaded else _straighter(motion, load, clock, peak + 1)
-    return Control(quantity, pattern, relaxation, 0.0, loading=min([*loaded, peak + 1]))
+    relaxation, first, last = lost
+    return Control(quantity, pattern, relaxation, loading=min([*loaded, peak + 1]),
+                   time_constant=_time_constant(load, clock, first, last) if relaxation else None,
+                   loading_time=float(clock[_arrival(motion)] - clock[0]))
 
 
 def creep_holds(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None = None) -> tuple[tuple[int, int], ...]:
@@ -63,6 +67,19 @@ def creep_holds(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None = 
     if motion.size < 2 * _FEWEST or not np.ptp(motion) > 0 or not np.ptp(load) > 0 or not clock[-1] > clock[0]:
         return ()
     return tuple((first, last) for first, last, gain in _creep(motion, load, clock) if gain > CREEPS)
+
+
+def _time_constant(values: np.ndarray, clock: np.ndarray, first: int, last: int) -> float:
+    """Time in which 63 % of the change from sample `first` to `last` (not included) takes place, s."""
+    part = values[first:last]
+    done = (part - part[0]) / ((float(np.median(part[-_AT_ENDS:])) - part[0]) or 1.0)
+    reached = first + int(np.argmax(done >= 1.0 - np.exp(-1.0)))
+    return float(max(clock[reached] - clock[first], clock[min(first + 1, last - 1)] - clock[first]))
+
+
+def _arrival(motion: np.ndarray) -> int:
+    """Sample at which the largest motion is reached; a hold trembles and may be larger anywhere in it."""
+    return int(np.argmax(motion >= 0.98 * motion.max()))
 
 
 def _first_turn(motion: np.ndarray, oscillation: Oscillation) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,8 +12,10 @@ RELAXES = 0.05
 CREEPS = 0.02
 #: Loss factor (tangent of the phase angle) of an oscillation, above which the material dissipates.
 LOSES = 0.05
+#: Estimated relative error of an elastic modulus by relaxation or creep during the loading, above which it is wrong.
+RATE_ERROR = 0.05
 #: The remedy where a material relaxes, creeps or dissipates.
-VISCOELASTIC_REMEDY = 'use method = "inverse_fem" with viscoelastic.terms[0].g and .tau_s in start'
+VISCOELASTIC_REMEDY = "state viscoelastic.terms[0].g and viscoelastic.terms[0].tau_s in [fit.start]"
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,8 @@ class Control:
         loss_factor: tangent of the phase angle of an oscillation; None without an oscillation.
         frequency: of the oscillation, Hz (1 / samples without time); None without one.
         loading: number of samples of the first loading before the first hold or creep.
+        time_constant: s (samples without time), in which 63 % of the relaxation or creep takes place; None without one.
+        loading_time: s (samples), from the first sample to the largest displacement, or to the start of the creep.
     """
 
     quantity: Literal["displacement", "force"] | None
@@ -93,25 +98,48 @@ class Control:
     loss_factor: float | None = None
     frequency: float | None = None
     loading: int = 0
+    time_constant: float | None = None
+    loading_time: float = 0.0
+
+    @property
+    def rate_error(self) -> float:
+        """Estimated relative error of an elastic modulus of the loading by what relaxes or creeps during it.
+
+        A material with the relaxed fraction g and the time constant tau, loaded at a constant rate for a time T, shows
+        a mean modulus that is smaller by g (1 - (tau / T) (1 - exp(-T / tau))).
+        """
+        lost = self.creep / (1.0 + self.creep) if self.pattern == "creep" else self.relaxation
+        if not self.time_constant or not self.loading_time > 0:
+            return 0.0
+        ratio = self.loading_time / self.time_constant
+        return lost * (1.0 - -math.expm1(-ratio) / ratio)
+
+    @property
+    def dissipates(self) -> bool:
+        """Whether the force of an oscillation is out of phase."""
+        return self.loss_factor is not None and abs(self.loss_factor) > LOSES
 
     @property
     def is_elastic(self) -> bool:
-        """Whether a law without memory can describe the whole recording, as far as the signals show."""
-        return (self.relaxation <= RELAXES and self.creep <= CREEPS
-                and (self.loss_factor is None or abs(self.loss_factor) <= LOSES))
+        """Whether a law without memory can describe the loading, as far as the signals show."""
+        return not self.dissipates and self.rate_error <= RATE_ERROR
 
     @property
     def sentence(self) -> str:
         """What an elastic law cannot describe, and the remedy; empty where there is nothing."""
-        if self.loss_factor is not None and abs(self.loss_factor) > LOSES:
-            return (f"oscillation at {self.frequency:.3g} Hz and loss factor {self.loss_factor:.2f}: the force is "
-                    f"out of phase, and an elastic law cannot describe it; {VISCOELASTIC_REMEDY}")
+        if self.dissipates:
+            return (f"oscillation at {self.frequency:.3g} Hz with the loss factor {self.loss_factor:.2f}: the force is "
+                    "out of phase, and an elastic law cannot describe it; measure the relaxation in a hold, and "
+                    f"{VISCOELASTIC_REMEDY}")
         if self.creep > CREEPS:
             return (f"the force is held and the displacement creeps by {100 * self.creep:.0f} %: an elastic law cannot "
                     f"describe it; {VISCOELASTIC_REMEDY}")
-        if self.relaxation > RELAXES:
+        if self.relaxation > RELAXES and not self.is_elastic:
             return (f"the force relaxes in holds by up to {100 * self.relaxation:.0f} %: an elastic law gives neither "
                     f"the modulus at once nor that at equilibrium; {VISCOELASTIC_REMEDY}")
+        if self.relaxation > RELAXES:
+            return (f"the force relaxes in holds by up to {100 * self.relaxation:.0f} %, which an elastic law leaves "
+                    f"out; to fit it, {VISCOELASTIC_REMEDY}")
         return ""
 
 

@@ -77,7 +77,7 @@ def find_segments(recording: Recording, kind: TestKind | str | None = None) -> S
         InputError: an unknown kind, a recording without motion and load.
     """
     kind = KINDS.find(kind, "kind") if isinstance(kind, str) else kind
-    motion, load, stressed = _loading(recording, kind)
+    motion, load, stressed = loading_of(recording, kind)
     time = recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
     stated = "segment" in recording.labels
     return segments_of(motion, load, time, recording.labels["segment"] if stated else None, stressed=stressed)
@@ -140,7 +140,7 @@ def _is_ordered(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | 
     return not both_sides and not table
 
 
-def _loading(recording: Recording, kind: TestKind | None) -> tuple[np.ndarray, np.ndarray, bool]:
+def loading_of(recording: Recording, kind: TestKind | None) -> tuple[np.ndarray, np.ndarray, bool]:
     """Motion and load, positive under load, and whether they are strain and stress."""
     pairs = [*(kind.channels if kind is not None else ())] or [
         pair for one in KINDS.values() for pair in one.channels]

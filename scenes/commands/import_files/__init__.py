@@ -46,6 +46,9 @@ def add_arguments(parser: Parser) -> None:
     test.add_argument("--friction", type=interface, metavar="HOW", help="of the plates: a coefficient, or stick")
     test.add_argument("--speed-mm-s", type=positive, metavar="N", help="of a test without a clock")
     test.add_argument("--max-strain", type=positive, metavar="N", help="largest strain that is fitted")
+    test.add_argument("--zero", choices=("preload", "sensor"),
+                      help="why the force is not zero at zero displacement: the displacement was zeroed at a preload, "
+                           "or the load cell was not zeroed (default: decided by the curve)")
     test.add_argument("--laws", metavar="LAW,...", help="to fit (default: a few of one or two parameters)")
     columns = parser.add_argument_group(
         "columns, over what is understood (CHANNEL: time, displacement, force, stretch, strain, shear_strain, stress)")
@@ -111,7 +114,7 @@ def _wishes(arguments):
                     _sheets(arguments.sheet), arguments.delimiter, arguments.skip_lines)
     specimen = _specimen(arguments)
     test = {key: value for key in _TEST_KEYS if (value := getattr(arguments, key)) is not None}
-    return Wishes(stated, specimen, test, laws)
+    return Wishes(stated, specimen, test, laws, arguments.zero)
 
 
 def _shapes() -> tuple[str, ...]:

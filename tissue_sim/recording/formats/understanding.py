@@ -15,6 +15,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.frozen_mapping import read_only
+from tissue_sim.recording.cleaning import clean, counted_from_kept
 from tissue_sim.recording.formats.columns import read_blocks
 from tissue_sim.recording.formats.guesses import ColumnGuess, KindGuess, Reading, Stated, Understanding
 from tissue_sim.recording.formats.header import matches
@@ -77,19 +78,27 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
     # The name of the file says least: it comes last.
     hints = [" ".join(each.header for each in columns) + " " + " ".join(first.others),
              " ".join(row for number in (first.numbers,) for row in _words(number)), source.file.stem]
-    kind = KindGuess(stated.kind, "stated") if stated.kind else guess_kind(recordings, columns, hints, machine)
+    kind = KindGuess(stated.kind, "stated") if stated.kind else guess_kind(_cleaned(recordings), columns, hints,
+                                                                           machine)
     if kind.kind == "simple_shear" and any(column.role == "strain" for column in columns):
         columns = tuple(replace(column, channel="shear strain", offset=None,
                                 reason=column.reason.replace("; a strain, which 1 makes a stretch", "; sheared"))
                         if column.role == "strain" else column for column in columns)
         recordings = _read(source.file, columns, options)
     signed = {column.channel for column in columns if stated.signs.keys() & {column.channel, column.role}}
-    turned = oriented(columns, recordings, kind.kind, signed)
+    turned = oriented(columns, _cleaned(recordings), kind.kind, signed)
     recordings = _turned(source.file, recordings, columns, turned, options)
+    zeroed = [column.channel for column in turned if column.offset == "start"]
+    recordings = tuple(counted_from_kept(each, zeroed) for each in recordings)
     columns = turned
     options["columns"] = {column.channel: column.entry() for column in columns}
     return Reading("", columns, first.others, read_only(options), recordings, kind, line, sheets,
                    read_only(stated_above), remarks)
+
+
+def _cleaned(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    """The recordings without outliers and saturated samples, on which no sign and no zero may depend."""
+    return tuple(clean(each)[0] for each in recordings)
 
 
 def _told_apart(groups: Sequence[Group]) -> bool:
