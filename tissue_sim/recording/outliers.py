@@ -28,10 +28,14 @@ class OutlierSettings:
         of_fit: distance from the prediction in deviations of the neighbours from their fit; at an end more.
         of_noise: distance in deviations of the noise. of_steps: distance from the running median in steps between
             neighbouring samples. of_resolution: distance in last digits.
+        core: distance of the samples of a group from the running median, over that of the farthest one.
         of_range: distance as a fraction of the range of the channel.
         event: change of the motion across a group, in the largest step of its neighbours, above which a peak of the
             load belongs to the motion.
         rest: fraction of the largest value below which a first or last sample is at rest.
+        correlated: correlation of motion and load above which their signs are known.
+        plausible: largest motion at rest over that of the test, where a machine counts from a position of its own.
+        stiffness: largest ratio of the stiffness of the first step from rest to that of the test.
         most: largest fraction of outliers; more are an error.
     """
 
@@ -43,10 +47,14 @@ class OutlierSettings:
     of_fit_at_end: float = 10.0
     of_noise: float = 8.0
     of_steps: float = 3.0
+    core: float = 0.25
     of_resolution: float = 3.5
     of_range: float = 0.01
     event: float = 2.0
     rest: float = 0.03
+    correlated: float = 0.5
+    plausible: float = 1.5
+    stiffness: float = 5.0
     most: float = 0.1
 
 
@@ -134,32 +142,57 @@ class _Channel:
         padded = np.concatenate([_line(values[:9], np.arange(-3, 0)), values,
                                  _line(values[:-10:-1], np.arange(-3, 0))[::-1]])
         self.smooth = _running_median(padded)
-        away = np.abs(values - self.smooth)
+        self.away = away = np.abs(values - self.smooth)
         local = np.abs(values - _interpolated(padded))
         steps = np.abs(np.diff(values))
         self.range = float(np.ptp(self.smooth))
-        positive = steps[steps > 1e-9 * float(np.abs(self.smooth).max() or 1.0)]
+        least = 1e-9 * float(np.abs(self.smooth).max() or 1.0)
+        positive = steps[steps > least]
+        if positive.size <= 2 * settings.longest:
+            # They may be those to outliers and back.
+            positive = np.abs(np.diff(self.smooth))
+            positive = positive[positive > least]
         self.resolution = float(positive.min()) if positive.size else 0.0
         self.noise = _local_scale(away) / _MEDIAN_DISTANCE
         self.steps = _local_scale(np.append(steps, steps[-1]))
         least = np.maximum(settings.of_range * self.range, settings.of_resolution * self.resolution)
         self.least = np.maximum(least, settings.of_noise * self.noise)
         noise = np.maximum(self.noise, _local_scale(local) / _MEDIAN_DISTANCE)
-        self.candidates = ((away > np.maximum(self.least, settings.of_steps * self.steps))
-                           | (local > np.maximum(least, settings.of_noise * noise))) & (self.range > 0)
+        self.groups = (away > np.maximum(self.least, settings.of_steps * self.steps)) & (self.range > 0)
+        # Predictions that use a group of outliers are wrong: they find only single samples far from groups.
+        near = np.convolve(self.groups, np.ones(_WINDOW), "same") > 0
+        self.singles = (local > np.maximum(least, settings.of_noise * noise)) & ~near & (self.range > 0)
 
     def outliers(self) -> Iterator[tuple[tuple[int, ...], float]]:
         """Groups of samples that their neighbours contradict, and the value that these predict for the first one."""
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], self.candidates, [False]]).astype(int)))
-        for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-            if last - first <= self.settings.longest and (predicted := self._contradicted(first, last)) is not None:
-                yield tuple(range(first, last)), predicted
+        for candidates in (self.groups, self.singles):
+            edges = np.flatnonzero(np.diff(np.concatenate([[False], candidates, [False]]).astype(int)))
+            runs = [self._core(*run) for run in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
+            bad = np.zeros(self.values.size, bool)
+            for first, last in runs:
+                bad[first:last] = True
+            good = np.flatnonzero(~bad)
+            for first, last in runs:
+                if last - first > self.settings.longest:
+                    continue
+                predicted = self._contradicted(first, last, good)
+                if predicted is not None:
+                    yield tuple(range(first, last)), predicted
 
-    def _contradicted(self, first: int, last: int) -> float | None:
-        """Prediction for sample `first` if all samples up to `last` (not included) lie far from theirs; else None."""
-        setting, good = self.settings, np.flatnonzero(~self.candidates)
-        before, after = good[good < first], good[good >= last]
-        one_sided = min(before.size, after.size) < self.settings.longest
+    def _core(self, first: int, last: int) -> tuple[int, int]:
+        """The samples of a run that are far away: next to three outliers the running median is off by several steps."""
+        far = first + np.flatnonzero(self.away[first:last] >= self.settings.core * self.away[first:last].max())
+        return int(far[0]), int(far[-1]) + 1
+
+    def _contradicted(self, first: int, last: int, good: np.ndarray) -> float | None:
+        """Prediction for sample `first` if all samples up to `last` (not included) lie far from theirs; else None.
+
+        Args:
+            good: samples that are no candidates, sorted.
+        """
+        setting, place = self.settings, int(np.searchsorted(good, first))
+        before, after = good[max(place - setting.one_sided, 0):place], good[place:place + setting.one_sided]
+        one_sided = min(before.size, after.size) < setting.longest
         if one_sided:
             around = after[:setting.one_sided] if after.size > before.size else before[-setting.one_sided:]
         else:
@@ -180,8 +213,12 @@ class _Channel:
         return float(predicted[0]) if abs(predicted[0]) > 1e-9 * self.range else 0.0
 
     def jump(self, first: int, last: int) -> float:
-        """Change of the values across samples `first` to `last` (not included); at an end that out of them."""
-        before, after = max(first - 1, 0), min(last, self.values.size - 1)
+        """Change of the values across samples `first` to `last` (not included); at an end the step next to them."""
+        before, after = first - 1, last
+        if first == 0:
+            before = last - 1
+        elif last == self.values.size:
+            after = first
         return float(self.values[after] - self.values[before])
 
     def largest_step(self, first: int, last: int) -> float:
@@ -201,16 +238,39 @@ def _belongs_to_test(name: str, group: tuple[int, ...], channels: Mapping[str, _
         step = abs(motion.jump(first, last))
         return name == "load" and step > max(settings.event * (last - first + 1) * motion.largest_step(first, last),
                                              0.02 * motion.range)
-    jumps = [one.jump(first, last) if first == 0 else -one.jump(first, last) for one in (motion, load)]
-    if not all(abs(jump) > max(0.05 * one.range, settings.event * one.largest_step(first, last) * (one is not
-               channels[name])) for jump, one in zip(jumps, (motion, load), strict=True)):
-        return False
-    chord = float(np.sum((motion.smooth - motion.smooth.mean()) * (load.smooth - load.smooth.mean())))
-    # Both leave rest together, as in a step of the motion or under a dead weight.
-    together = jumps[0] * jumps[1] * chord >= 0
-    rests = any(abs(one.values[group[0]]) <= settings.rest * float(np.abs(one.smooth).max())
-                for one in (motion, load))
-    return together and rests
+    if name == "load" and first == 0 and _relaxes(load.values[:last], float(load.values[last])):
+        return True
+    if first == 0:
+        return any(_leaves_rest(sample, sample + 1, motion, load, settings) for sample in group)
+    return any(_leaves_rest(sample, sample - 1, motion, load, settings) for sample in group)
+
+
+def _leaves_rest(sample: int, next_one: int, motion: _Channel, load: _Channel, settings: OutlierSettings) -> bool:
+    """Whether motion and load leave rest together between two samples, as in a step or under a dead weight."""
+    jumps = []
+    for one in (motion, load):
+        jump = float(one.values[next_one] - one.values[sample])
+        if abs(jump) <= 0.05 * one.range:
+            return False
+        jumps.append(jump)
+    away = motion.smooth - motion.smooth.mean(), load.smooth - load.smooth.mean()
+    correlation = float(np.sum(away[0] * away[1])) / (float(np.sqrt(np.sum(away[0]**2) * np.sum(away[1]**2))) or 1.0)
+    together = jumps[0] * jumps[1] * correlation >= 0 or abs(correlation) < settings.correlated
+    largest = [float(np.abs(one.smooth).max()) for one in (motion, load)]
+    rests = [abs(one.values[sample]) <= settings.rest * most for one, most in zip((motion, load), largest, strict=True)]
+    is_plausible = (abs(motion.values[sample]) <= settings.plausible * largest[0]
+                    and (rests[1] or abs(load.values[sample]) <= abs(load.values[next_one])))
+    # Where the motion goes on, the first step has a stiffness like that of all steps.
+    if motion.range > 0.3 * abs(jumps[0]):
+        stiffness = abs(jumps[1] / jumps[0]) * motion.range / load.range
+        is_plausible &= 1 / settings.stiffness <= stiffness <= settings.stiffness
+    return together and any(rests) and is_plausible
+
+
+def _relaxes(values: np.ndarray, following: float) -> bool:
+    """Whether the first loads are up to twice the following one, as where a recording starts at the peak of a step."""
+    return bool(np.all(values * following > 0) and np.all(np.abs(values) > abs(following))
+                and np.all(np.abs(values) < 2.0 * abs(following)))
 
 
 def _line(values: np.ndarray, at: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ class SaturationSettings:
         missing_noise: the same in deviations of the noise.
         travel: progress of the other channel, as a fraction of its range.
         speed: rate of the other channel over its rate before; a creeping displacement is slower.
+        at_rest: distance of the extreme value from the first ones, as a fraction of the range.
         gap: largest number of samples between two at the extreme value that are counted as saturated.
     """
 
@@ -30,6 +31,7 @@ class SaturationSettings:
     travel: float = 0.02
     speed: float = 0.5
     gap: int = 3
+    at_rest: float = 0.1
 
 
 SETTINGS = SaturationSettings()
@@ -62,18 +64,27 @@ def find_saturation(values: np.ndarray, other: np.ndarray, time: np.ndarray | No
     steps = steps[steps > 1e-9 * float(np.abs(values).max() or 1.0)]
     if not steps.size or not np.ptp(other) > 0:
         return ()
-    bend = np.abs(np.diff(values, 2))
-    # Equal values of a saturated sensor have no noise: their bends do not count.
-    noise = float(np.median(bend[bend > 0])) / (0.6745 * np.sqrt(6.0)) if np.any(bend > 0) else 0.0
     missing = max(settings.missing_range * float(np.ptp(values)), settings.missing_digits * float(steps.min()),
-                  settings.missing_noise * noise)
+                  settings.missing_noise * _noise(values))
+    steps = np.abs(np.diff(other))
+    travel = max(settings.travel * float(np.ptp(other)), settings.missing_digits * float(steps[steps > 0].min()),
+                 settings.missing_noise * _noise(other))
     found = []
     for side in (1.0, -1.0):
         extreme = side * float((side * values).max())
+        # The value at rest is no limit of a sensor.
+        if abs(extreme - np.median(values[:3])) <= settings.at_rest * np.ptp(values):
+            continue
         for run in _runs(np.flatnonzero(values == extreme), settings):
-            if _is_saturated(run, side * values, other, clock, missing, settings):
+            if _is_saturated(run, side * values, other, clock, missing, travel, settings):
                 found.append(run)
     return tuple(sorted(found, key=lambda run: run.first))
+
+
+def _noise(values: np.ndarray) -> float:
+    """Deviation of the noise. Equal values of a saturated sensor have none: their bends do not count."""
+    bend = np.abs(np.diff(values, 2))
+    return float(np.median(bend[bend > 0])) / (0.6745 * np.sqrt(6.0)) if np.any(bend > 0) else 0.0
 
 
 def _runs(places: np.ndarray, settings: SaturationSettings) -> list[SaturatedRun]:
@@ -85,8 +96,12 @@ def _runs(places: np.ndarray, settings: SaturationSettings) -> list[SaturatedRun
 
 
 def _is_saturated(run: SaturatedRun, values: np.ndarray, other: np.ndarray, clock: np.ndarray, missing: float,
-                  settings: SaturationSettings) -> bool:
-    """Whether the channel, positive towards its extreme value, would have gone on."""
+                  travel: float, settings: SaturationSettings) -> bool:
+    """Whether the channel, positive towards its extreme value, would have gone on.
+
+    Args:
+        missing: least change of the channel that is missing. travel: least progress of the other channel.
+    """
     first = max(run.first - settings.before, 0)
     if run.first - first < 3 or not clock[run.first - 1] > clock[first]:
         return False
@@ -98,7 +113,9 @@ def _is_saturated(run: SaturatedRun, values: np.ndarray, other: np.ndarray, cloc
     along = np.sign(rate_of_other) * (other[run.first:run.last + 1] - other[run.first])
     farthest = int(np.argmax(along))
     duration = clock[run.first + farthest] - clock[run.first]
-    if farthest < settings.fewest - 1 or not duration > 0 or along[farthest] <= settings.travel * np.ptp(other):
+    if farthest < settings.fewest - 1 or not duration > 0 or along[farthest] <= travel:
         return False
     goes_on = along[farthest] / duration >= settings.speed * abs(rate_of_other)
-    return bool(goes_on and rate / abs(rate_of_other) * along[farthest] > missing)
+    # At the peak of a cycle the other channel may lead, so that its rate alone says little.
+    expected = min(rate * duration, rate / abs(rate_of_other) * along[farthest])
+    return bool(goes_on and expected > missing)
