@@ -58,7 +58,9 @@ def read_columns_key(entry: TestTable, field: str) -> Mapping[str, Any] | None:
         columns = check_columns(entry.columns)
     except InputError as error:
         raise error.located(field=field) from None
-    KINDS[entry.kind].require_channels(columns, f"columns has {', '.join(columns)}", field=f"{field}.columns")
+    present = {*columns, "displacement"} if entry.speed_mm_s is not None and {"time", "force"} <= columns.keys() \
+        else columns
+    KINDS[entry.kind].require_channels(present, f"columns has {', '.join(columns)}", field=f"{field}.columns")
     return read_only(columns)
 
 

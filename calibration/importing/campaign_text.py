@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from calibration.importing.assumption_table import campaign_comment
 from calibration.importing.imported import ImportedTest, Line
 from calibration.report.drawing import counted
 
@@ -30,6 +31,7 @@ def campaign_text(tests: Sequence[ImportedTest], specimens: Mapping[str, Sequenc
     count = sum(len(part.motions) for test in tests for part in test.parts)
     parts = [f"# Written by tissue-sim import from {counted(count, 'recording')}. Behind a # stands why a line is as "
              "it is;\n# correct what is wrong."]
+    parts += filter(None, [campaign_comment(tests)])
     for name, lines in specimens.items():
         named = [Line("name", name)] if len(specimens) > 1 else []
         parts.append("\n".join(["[[specimen]]", *(_line(each) for each in (*named, *lines))]))

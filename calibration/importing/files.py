@@ -12,6 +12,7 @@ from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
 from calibration.importing.afm import is_afm, understand_afm
 from calibration.importing.campaign_text import FILL_IN, campaign_text
+from calibration.importing.flags import applies, check_wishes, require_used
 from calibration.importing.grouping import group, same_motion
 from calibration.importing.imported import Imported, ImportedTest, Line, Part, Wishes, Zero
 from calibration.importing.motion import describe_motion
@@ -61,6 +62,7 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     wishes, paths = wishes or Wishes(), [Path(file) for file in files]
     output = None if output is None else Path(output)
     _check(paths, output, overwrite)
+    check_wishes(wishes)
     understood = _understand(paths, wishes)
     parts = [Part(each, reading, tuple(describe_motion(recording, reading.kind.kind)
                                        for recording in reading.recordings))
@@ -68,6 +70,7 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     groups = [(name, *_with_zero(alike, wishes), reason) for name, alike, reason in group(parts)]
     parts = [part for _, alike, *_ in groups for part in alike]
     tests, specimens, missing = _tests(groups, wishes)
+    require_used(wishes, understood, tests)
     fit = _fit(tests, wishes)
 
     def text_in(folder: Path) -> str:
@@ -127,13 +130,14 @@ def _one(path: Path, wishes: Wishes) -> Understanding:
     if stated.format in ("afm", "jpk", "bruker") or (not stated.format and bounded(is_afm, path, file=path)):
         return understand_afm(path)
     said = read_sidecar(path)
-    if stated.kind is None:
-        stated = replace(stated, kind=kind_said(said))
+    speed, height = wishes.test.get("speed_mm_s"), wishes.specimen.get("height_mm")
+    stated = replace(stated, kind=stated.kind or kind_said(said), speed=None if speed is None else 1e-3 * speed,
+                     height=None if height is None else 1e-3 * float(height))
     found = with_sidecar(bounded(understand, path, stated, file=path), said,
                          kind_stated=wishes.stated.kind is not None)
     # Without the size of the specimen a force says nothing; where the file has stress and strain, these do.
-    lacking = [reading for reading in found.readings if {"displacement", "force"} <= {
-        column.channel for column in reading.columns} and not _sized(_sizes(reading, wishes))]
+    lacking = [reading for reading in found.readings if {"displacement", "force"} <= set(
+        reading.recordings[0].channels) and not _sized(_sizes(reading, wishes))]
     if lacking and not stated.columns:
         direct = bounded(understand, path, replace(stated, direct=True), file=path)
         if all({"nominal stress"} <= {column.channel for column in reading.columns} for reading in direct.readings):
@@ -171,8 +175,7 @@ def _tests(groups: Sequence[tuple[str, tuple[Part, ...], Zero | None, str]], wis
     for name, parts, zero, reason in groups:
         reading = parts[0].reading
         kind = KINDS[reading.kind.kind] if reading.kind.kind else None
-        channels = {column.channel for column in reading.columns} or {"displacement", "force"}
-        needs = "displacement" in channels or (kind is not None and kind.closed_form is None)
+        needs = "displacement" in reading.recordings[0] or (kind is not None and kind.closed_form is None)
         specimen = None
         if needs:
             lines, lacks = _specimen(reading, wishes, kind)
@@ -257,12 +260,25 @@ def _keys(parts: Sequence[Part], wishes: Wishes) -> tuple[list[Line], list[str]]
         missing.append("the friction of the plates (--friction)")
     lines += _found(parts)
     lines += leave_out_lines(parts)
-    if "speed_mm_s" not in test and all(motion.rate is None for part in parts for motion in part.motions):
-        speed = find_sizes(reading.stated, None).get("speed_mm_s")
-        if speed is not None and any(column.channel == "displacement" for column in reading.columns):
-            lines.append(Line("speed_mm_s", speed.value, f"no clock; {speed.reason}"))
-    lines += [Line(key, value, "stated") for key, value in test.items()]
+    lines += _speed(parts, test.pop("speed_mm_s", None))
+    lines += [Line(key, value, "stated") for key, value in test.items() if applies(key, value, kind)]
     return lines, missing
+
+
+def _speed(parts: Sequence[Part], stated: float | None) -> list[Line]:
+    """``speed_mm_s``, where the recordings lack the displacement or the time."""
+    reading = parts[0].reading
+    if reading.speed is not None:
+        speed, source = reading.speed
+        return [Line("speed_mm_s", round(1e3 * speed, 9), "no column of the motion: displacement = speed x time from "
+                     f"the first sample; {source}")]
+    has_clock = any(motion.rate is not None for part in parts for motion in part.motions)
+    if has_clock or "displacement" not in reading.recordings[0]:
+        return []
+    if stated is not None:
+        return [Line("speed_mm_s", stated, "no clock; stated")]
+    found = find_sizes(reading.stated, None).get("speed_mm_s")
+    return [] if found is None else [Line("speed_mm_s", found.value, f"no clock; {found.reason}")]
 
 
 def _tool(test: Mapping[str, Any], reading: Reading) -> tuple[list[Line], list[str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -122,13 +122,7 @@ class Imported:
     @property
     def assumptions(self) -> tuple[tuple[str, Assumption], ...]:
         """(file name, assumption) of all files: about the file, its tables, then its recordings."""
-        found: dict[tuple[str, Assumption], None] = {}
-        for test in self.tests:
-            for part in test.parts:
-                for each in (*part.understanding.assumptions, *part.reading.assumptions,
-                             *(each for motion in part.motions for each in motion.assumptions)):
-                    found[part.file.name, each] = None
-        return tuple(found)
+        return assumptions_of(self.tests)
 
     @property
     def questions(self) -> tuple[str, ...]:
@@ -143,6 +137,17 @@ class Imported:
     def complete(self) -> bool:
         """Whether `calibration.calibrate` takes the campaign as it is and no question is open."""
         return not self.missing and self.problem is None and not self.questions
+
+
+def assumptions_of(tests: Sequence[ImportedTest]) -> tuple[tuple[str, Assumption], ...]:
+    """(file name, assumption) of tests: about the file, its tables, then its recordings."""
+    found: dict[tuple[str, Assumption], None] = {}
+    for test in tests:
+        for part in test.parts:
+            for each in (*part.understanding.assumptions, *part.reading.assumptions,
+                         *(each for motion in part.motions for each in motion.assumptions)):
+                found[part.file.name, each] = None
+    return tuple(found)
 
 
 def to_json(imported: Imported) -> dict[str, Any]:
@@ -169,6 +174,7 @@ def _file(understanding: Understanding, imported: Imported) -> dict[str, Any]:
             "units": {column.channel: column.unit for part in parts for column in part.reading.columns},
             "columns": {column.channel: column.entry() for part in parts[:1] for column in part.reading.columns},
             "kind": parts[0].reading.kind.kind,
+            "unused_columns": list(dict.fromkeys(name for part in parts for name in part.reading.unused)),
             **{key: first[key] for key in ("contact_mm", "contact_interval_mm", "segments", "cycles", "failure")},
             "recordings": recordings,
             "warnings": [*understanding.warnings, *(remark for part in parts for remark in part.reading.remarks),

@@ -1,9 +1,13 @@
-"""A picture of what an import understood: the way of each test against time, and its load against the way."""
+"""A picture of what an import understood: the motion of each test against time, its load against the motion, and the
+assumptions."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from calibration.importing.assumption_table import picture_lines
 from calibration.importing.imported import Imported, ImportedTest
 from calibration.report.drawing import COLOURS, STYLE, new_figure, thinned
 from calibration.report.png import as_png
@@ -11,6 +15,10 @@ from tissue_sim.recording.recording import Recording
 
 #: Tests that are drawn, and recordings of a test that are named in its legend.
 _MOST_TESTS, _MOST_NAMES = 12, 8
+#: Height of the axes of a test, and of a line of the table below them, inches.
+_ROW_HEIGHT, _LINE_HEIGHT = 3.0, 0.13
+#: Points; characters in a line; lines.
+_FONT_SIZE, _TEXT_COLUMNS, _MOST_LINES = 6.5, 165, 40
 _SHOWN = {"displacement": ("displacement, mm", 1e3), "stretch": ("stretch", 1.0), "shear strain": ("shear strain", 1.0),
           "force": ("force, N", 1.0), "nominal stress": ("nominal stress, kPa", 1e-3)}
 _SHADES = {"hold": "0.85", "unload": "#fde3d0", "reload": "#dcebf7", "approach": "#e8f4fb", "preload": "#f5e4ee",
@@ -23,13 +31,24 @@ def draw_imported(imported: Imported) -> bytes:
 
     tests = imported.tests[:_MOST_TESTS]
     with matplotlib.rc_context(STYLE):
-        figure = new_figure(10.0, 3.0 * len(tests))
-        axes = np.atleast_2d(figure.subplots(len(tests), 2))
-        for row, test in zip(axes, tests, strict=True):
+        lines = picture_lines(tests, _TEXT_COLUMNS, _MOST_LINES)
+        heights = [_ROW_HEIGHT] * len(tests) + [max(len(lines), 1) * _LINE_HEIGHT]
+        figure = new_figure(10.0, sum(heights))
+        axes = figure.subplots(len(heights), 2, gridspec_kw={"height_ratios": heights})
+        for row, test in zip(axes[:-1], tests, strict=True):
             _draw(row[0], row[1], test)
+        _write(axes[-1], lines)
         if len(imported.tests) > len(tests):
             figure.supxlabel(f"the first {len(tests)} of {len(imported.tests)} tests", fontsize=9)
         return as_png(figure, 110)
+
+
+def _write(axes, lines: Sequence[str]) -> None:
+    """The table of assumptions, below the axes."""
+    for each in axes:
+        each.set_axis_off()
+    axes[0].text(0.0, 1.0, "\n".join(line.replace("$", r"\$") for line in lines), transform=axes[0].transAxes, va="top",
+                 ha="left", family="monospace", fontsize=_FONT_SIZE, linespacing=1.15, in_layout=False, clip_on=False)
 
 
 def _draw(left, right, test: ImportedTest) -> None:

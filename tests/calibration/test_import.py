@@ -368,7 +368,7 @@ SETS = {
        for name in ("gm", "wm")},
     **{f"foam {name}": ("foam_compressible", f"foam_{name}__*.csv", {}) for name in ("leap", "turbo")},
     "foam workbook": ("foam_compressible", "foam_leap__Foam.xlsx", {"units": {"nominal stress": "kPa"}}),
-    "treloar": ("rubber_treloar_kawabata", "treloar*.csv", {"units": {"nominal stress": "MPa"}}),
+    "treloar": ("rubber_treloar_kawabata", "treloar1944_uniaxial.csv", {"units": {"nominal stress": "MPa"}}),
     "vhb": ("oca_vhb_viscoelastic", "uniaxial*.xlsx", {"columns": TABLE, "units": UNITS}),
     "oca cyclic": ("oca_vhb_viscoelastic", "cyclic*.xlsx", {
         "columns": {"time": "A", "shear strain": "E", "nominal stress": "D"}, "units": UNITS}),
@@ -398,6 +398,7 @@ def test_every_measured_set_goes_from_raw_files_to_a_report(data_folder, tmp_pat
 
 @pytest.mark.parametrize(("folder", "pattern", "words"), [
     ("rubber_treloar_kawabata", "kawabata*.csv", "biaxial"),
+    ("rubber_treloar_kawabata", "treloar1944_three*.csv", r"rows are of different tests \(uniaxial, planar, equibiaxial"),
     ("oca_vhb_viscoelastic", "cyclic*_1.xlsx", "have no names"), ("afm_formats", "*ntmdt*.txt", "have no names")])
 def test_of_the_other_sets_one_sentence_says_what_is_missing(data_folder, folder, pattern, words):
     with pytest.raises(ts.InputError, match=words):

@@ -7,10 +7,8 @@ import hashlib
 import inspect
 import io
 import json
-import sys
 from collections.abc import Iterable, Mapping
 from functools import partial
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +20,7 @@ from tissue_sim.decode import as_json_types, read_json, require_writable
 from tissue_sim.errors import InputError, located
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.files import open_file
+from tissue_sim.recording.constant_speed import with_constant_speed
 from tissue_sim.recording.formats import FORMATS
 from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
 from tissue_sim.units import to_si
@@ -42,7 +41,8 @@ def read_recording(path: str | Path, *, format: str = "native", columns: Mapping
             `tissue_sim.recording.formats.columns.read_columns`.
         skip_lines: lines at the top that are not looked at; with `columns` only.
         delimiter: one character between the cells; with `columns` only. None: found.
-        speed: m/s; makes the time from the displacement where the file has none.
+        speed: constant speed, m/s; makes the time from the displacement where the file has no time, and the
+            displacement from the time where it has force and no motion.
         kind: kind of test, such as ``"lubricated_compression"``: refuse a recording without the channels it needs.
         options: what only some formats take: ``sheet`` of a spreadsheet; ``curve``, ``spring_constant`` and
             ``sensitivity`` of an AFM file.
@@ -95,10 +95,12 @@ def read_recordings(path: str | Path, *, format: str = "native", columns: Mappin
 
 
 def _finish(recording: Recording, path: Path, speed: float | None, kind: str | None) -> Recording:
-    """With its channels checked, time from the speed, and name, source, SHA-256 and sidecar in the metadata."""
+    """The recording with time or displacement from the speed, its channels checked, and name, source, SHA-256 and
+    sidecar in the metadata."""
+    strained = not {"stretch", "shear strain"}.isdisjoint(recording.channels)
+    if speed is not None and not (strained and "time" in recording):
+        recording = with_constant_speed(recording, speed, path)
     _require_channels(recording, kind, path)
-    if "time" not in recording and speed is not None:
-        recording = _with_time(recording, speed, path)
     with open_file(path, "a recording") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     metadata = {"name": path.stem, **_read_sidecar(path, digest), "source": str(path), "sha256": digest}
@@ -201,13 +203,3 @@ def _require_channels(recording: Recording, kind: str | None, path: Path) -> Non
         if not any(name in recording for name in names):
             raise InputError(f"the column with {words} is missing, expected {', '.join(names[:-1])} or {names[-1]}; "
                              f"this file has {has}", file=path)
-
-
-def _with_time(recording: Recording, speed: float, path: Path) -> Recording:
-    if isinstance(speed, bool) or not isinstance(speed, Real) or not 0 < speed <= sys.float_info.max:
-        raise InputError(f"{speed!r} is not a speed; give a positive number in m/s", field="speed")
-    if "displacement" not in recording:
-        raise InputError(f"a speed makes the time from the displacement, which this file lacks; it has "
-                         f"{', '.join(recording.channels)}", file=path, field="speed")
-    path_length = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(recording.displacement)))])
-    return recording.with_channels(time=path_length / speed)

@@ -44,7 +44,8 @@ def add_arguments(parser: Parser) -> None:
     test.add_argument("--tool", metavar="SHAPE", help="of an indentation: flat, round, cone, sphere")
     test.add_argument("--tool-radius-mm", type=positive, metavar="N", help="of it")
     test.add_argument("--friction", type=interface, metavar="HOW", help="of the plates: a coefficient, or stick")
-    test.add_argument("--speed-mm-s", type=positive, metavar="N", help="of a test without a clock")
+    test.add_argument("--speed-mm-s", type=positive, metavar="N",
+                      help="of a test without a clock, or without a column of the motion")
     test.add_argument("--max-strain", type=positive, metavar="N", help="largest strain that is fitted")
     test.add_argument("--zero", choices=("preload", "sensor"),
                       help="why the force is not zero at zero displacement: the displacement was zeroed at a preload, "
@@ -55,6 +56,8 @@ def add_arguments(parser: Parser) -> None:
     for flag, value, text in (
             ("--column", "CHANNEL=COLUMN", "header, or place as a number or letter; then only what is named is read"),
             ("--unit", "CHANNEL=UNIT", "mm, um, in, N, mN, gf, lbf, kPa, psi, s, min, %%, ..."),
+            ("--measure", "CHANNEL=MEASURE", "of a strain: engineering, logarithmic, green_lagrange, almansi; of a "
+                                             "stress: engineering, true, second_piola_kirchhoff"),
             ("--scale", "CHANNEL=N", "units in one of the file; SI units in 1 V or 1 count"),
             ("--sign", "CHANNEL=1|-1", "-1 turns a column")):
         columns.add_argument(flag, action="append", default=[], metavar=value, help=f"{text}; once for each")
@@ -72,6 +75,9 @@ def run(arguments) -> int:
     from calibration.importing.files import import_files
     from calibration.importing.imported import to_json
 
+    if arguments.overwrite and arguments.output is None:
+        raise InputError("nothing is written without -o, so nothing can be replaced. Leave the flag out",
+                         field="--overwrite")
     imported = import_files(arguments.files, arguments.output, _wishes(arguments), overwrite=arguments.overwrite)
     if arguments.json:
         print_json(to_json(imported))
@@ -111,7 +117,8 @@ def _wishes(arguments):
     stated = Stated(_pairs(arguments.column, "--column"), units,
                     {channel: _positive(text) for channel, text in scales.items()},
                     {channel: int(sign) for channel, sign in signs.items()}, arguments.kind, arguments.format,
-                    _sheets(arguments.sheet), arguments.delimiter, arguments.skip_lines)
+                    _sheets(arguments.sheet), arguments.delimiter, arguments.skip_lines,
+                    measures=_pairs(arguments.measure, "--measure"))
     specimen = _specimen(arguments)
     test = {key: value for key in _TEST_KEYS if (value := getattr(arguments, key)) is not None}
     return Wishes(stated, specimen, test, laws, arguments.zero)

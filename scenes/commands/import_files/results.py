@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rich.markup import escape
+
+from calibration.importing.assumption_table import HEADINGS, assumption_rows, unused_columns
 from scenes.commands.shared.text_table import print_sentence, text_table
 from tissue_sim.units import shown
 
@@ -12,7 +15,6 @@ if TYPE_CHECKING:
 
     from calibration.importing.imported import Imported, Part
     from calibration.importing.motion import Motion
-    from tissue_sim.recording.formats.guesses import ColumnGuess
 
 _MARKS = {"\t": "tab", " ": "blanks", ",": "comma", ";": "semicolon", "|": "bar", None: ""}
 #: Recordings in a table; all are in the JSON.
@@ -20,7 +22,7 @@ _MOST_ROWS = 40
 
 
 def print_imported(imported: Imported, console: Console) -> None:
-    """A row for each recording, the columns of each test, then what is missing and what was written."""
+    """A row for each recording, the assumptions, then what is missing and what was written."""
     files = text_table("file", "what", "test", "points", "Hz", "reaches", "contact", "cycles", "segments", text=3)
     for column in (0, 1, 2, 6, 8):
         files.columns[column].no_wrap, files.columns[column].overflow = False, "fold"
@@ -36,23 +38,11 @@ def print_imported(imported: Imported, console: Console) -> None:
     if len(rows) > _MOST_ROWS:
         print_sentence(console, f"and {len(rows) - _MOST_ROWS} more recordings")
     console.print()
-    columns = text_table("test", "channel", "column", "unit", "sign", "why", text=6)
-    for column in (0, 2, 5):
-        columns.columns[column].no_wrap, columns.columns[column].overflow = False, "fold"
-    alike: dict[tuple[ColumnGuess, ...], list[str]] = {}
+    _print_assumptions(imported, console)
     for test in imported.tests:
-        alike.setdefault(test.parts[0].reading.columns, []).append(test.name)
-    for guesses, names in alike.items():
-        for i, each in enumerate(guesses):
-            more = f" and {len(names) - 1} more" if len(names) > 1 else ""
-            columns.add_row(names[0] + more if i == 0 else "", each.channel, each.header or str(each.place),
-                            each.unit or ("-" if each.missing is None else "?"), f"{each.sign:+d}", each.reason)
-    if columns.row_count:
-        console.print(columns)
-        console.print()
-    for test in imported.tests:
-        kind = test.kind or "kind not known"
-        print_sentence(console, f"{test.name}: {kind} ({test.parts[0].reading.kind.reason}); {test.reason}")
+        print_sentence(console, f"{test.name}: {test.kind or 'kind not known'}; {test.reason}")
+    for each in unused_columns(imported.tests):
+        print_sentence(console, f"columns not used: {each}")
     for warning in imported.warnings:
         print_sentence(console, f"note: {warning}")
     if imported.output is not None:
@@ -66,6 +56,21 @@ def print_imported(imported: Imported, console: Console) -> None:
         print_sentence(console, f"the campaign does not run as it stands: {imported.problem}")
     elif imported.output is not None and not imported.questions:
         print_sentence(console, f"next: tissue-sim calibrate {imported.output} -o results")
+
+
+def _print_assumptions(imported: Imported, console: Console) -> None:
+    """One row for each assumption; columns that are empty in all rows are left out."""
+    rows = [row.cells for row in assumption_rows(imported.tests)]
+    if not rows:
+        return
+    used = [i for i in range(len(HEADINGS)) if any(cells[i] for cells in rows)]
+    table = text_table(*(HEADINGS[i] for i in used), text=len(used))
+    for column in table.columns:
+        column.no_wrap, column.overflow = False, "fold"
+    for cells in rows:
+        table.add_row(*(escape(cells[i]) for i in used))
+    console.print(table)
+    console.print()
 
 
 def _what(part: Part) -> str:

@@ -10,7 +10,11 @@ _DRY = Face(0.7, stated=True)
 
 LUBRICATED = TestKind(name="lubricated_compression", title="Lubricated compression", tool=Plate(), face=_SMOOTH,
                       base=_SMOOTH, sign=-1.0, channels=(DISPLACEMENT_FORCE, STRETCH_STRESS),
-                      closed_form=UNIAXIAL)
-BONDED = TestKind(name="bonded_compression", title="Bonded compression", tool=Plate(), sign=-1.0)
+                      closed_form=UNIAXIAL, title_words=(
+                          r"(unconfined |uniaxial )?compress\w*", r"kompress(?!ionsmodul)\w*", r"druck(?!scher)\w*",
+                          r"(ein ?achs\w* )?stauch\w*", r"unconfined", r"(un|non|not) confinee?( compress\w*)?",
+                          r"(un|non|not) confined( compress\w*)?", r"compress\w* non confinee?", r"ecrasement"))
+BONDED = TestKind(name="bonded_compression", title="Bonded compression", tool=Plate(), sign=-1.0,
+                  title_words=(r"(bonded|glued) compress\w*",))
 FRICTION = TestKind(name="friction_compression", title="Compression with friction", tool=Plate(), face=_DRY, base=_DRY,
-                    sign=-1.0)
+                    sign=-1.0, title_words=(r"compress\w* with friction",))

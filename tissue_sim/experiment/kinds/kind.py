@@ -55,6 +55,9 @@ class TestKind:
         sign: of strain and nominal stress under a positive displacement and force: -1 in compression, 1 in tension.
         channels: pairs (motion, load), one of which its recordings must have; the first is that of a load frame.
         closed_form: nominal stress of the homogeneous deformation; None where only the finite elements answer.
+        title_words: regular expressions of words by which titles and headers of files name the test, besides `name`
+            and `title`: lower case, without accents, words separated by one blank. Of words that overlap, the longest
+            counts; see `tissue_sim.recording.formats.kind_words`.
 
     Raises:
         InputError: another control, or neither a tool nor a closed form.
@@ -73,6 +76,7 @@ class TestKind:
     sign: float
     channels: tuple[tuple[str, str], ...] = (DISPLACEMENT_FORCE,)
     closed_form: ClosedForm | None = None
+    title_words: tuple[str, ...] = ()
 
     def __post_init__(self):
         if self.control != "displacement":

@@ -12,18 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.files import decode_text, read_bytes
 from tissue_sim.recording.formats.blocks import Block, named_blocks, placed_blocks
 from tissue_sim.recording.formats.containers import is_container, read_container
 from tissue_sim.recording.formats.header import DELIMITERS, DELIMITERS_OF_NUMBERS, text_tables
 from tissue_sim.recording.formats.long_text import NotPlainError, PlainEnd, split_long
+from tissue_sim.recording.formats.measures import check_measure, convert_measures
 from tissue_sim.recording.formats.table import Column, Row, Table, conversion, narrow, read_recording_table
 from tissue_sim.recording.formats.workbook import Sheet, is_workbook, read_sheet, read_sheets
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
 from tissue_sim.units import loose_header, split_header
 
-_KEYS = ("name", "column", "unit", "sign", "scale", "offset")
+_KEYS = ("name", "column", "unit", "sign", "scale", "offset", "measure")
 #: More than any table has.
 _MOST_COLUMNS = 1_000_000
 #: The last column of a spreadsheet is XFD.
@@ -63,6 +64,8 @@ def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int
             wanted, ``unit`` (in place of the one in the header's brackets or below it), ``sign`` (1 or -1), ``scale``
             (units in one of the file, SI where the unit is that of a signal) and ``offset`` (units, added last):
             the value is (sign * scale * cell + offset) units. An offset ``"start"`` counts from the first sample.
+            ``measure`` of a stretch or nominal stress, a name in `tissue_sim.recording.formats.measures.MEASURES`:
+            the value is of that measure and is converted for an incompressible specimen.
         skip_lines: lines (rows) at the top of the file that are not looked at.
         delimiter: one character; a blank stands for any number of blanks. None: found. Text only.
         sheet: name or number (from 1) of a spreadsheet's sheet, or of a container's table, or a list of them, which
@@ -153,8 +156,11 @@ def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, met
         else:
             found.append(recording)
     from_start = [channel for channel, entry in wanted.items() if entry.get("offset") == "start"]
-    return [each.with_channels(**{channel: each.channel(channel) - each.channel(channel)[0]
-                                  for channel in from_start}) for each in found]
+    found = [each.with_channels(**{channel: each.channel(channel) - each.channel(channel)[0]
+                                   for channel in from_start}) for each in found]
+    measures = {channel: entry["measure"] for channel, entry in wanted.items() if "measure" in entry}
+    with located(file=path):
+        return [convert_measures(each, measures) for each in found] if measures else found
 
 
 def _goes_on(first: Recording, second: Recording) -> bool:
@@ -262,6 +268,8 @@ def check_columns(columns: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
             entry = {**entry, "column": column_number(entry["column"], f"{field}.column")}
         elif not entry.get("name", "").strip():
             raise InputError("the name of the column is missing", field=f"{field}.name")
+        if "measure" in entry:
+            check_measure(entry["measure"], channel, columns, field)
         if channel in LABELS and set(entry) & {"unit", "sign", "scale", "offset"}:
             raise InputError("a label has neither unit nor sign; give its name only", field=field)
         checked[channel] = dict(entry)

@@ -10,16 +10,30 @@ from typing import Any
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.recording.formats.assumption import Assumption
 from tissue_sim.recording.formats.columns import Sheets
+from tissue_sim.recording.formats.kind_words import NamedTest
 from tissue_sim.recording.recording import CHANNELS, Recording
 from tissue_sim.units import UNITS, quantity_of
 
 
 @dataclass(frozen=True)
 class KindGuess:
-    """A kind of test (None: it does not show) and why it is thought to be it."""
+    """The kind of test of a table, and the evidence.
+
+    Attributes:
+        kind: name in `KINDS`; None: unknown. reason: evidence in one sentence.
+        against: evidence against it. alternatives: names of kinds that other words of the file name.
+        is_stated: whether the user stated it.
+        refused: word for a test without a kind, for which no kind may be taken.
+        is_weak: whether only the name of the file says it.
+    """
 
     kind: str | None
     reason: str
+    against: tuple[str, ...] = ()
+    alternatives: tuple[str, ...] = ()
+    is_stated: bool = False
+    refused: NamedTest | None = None
+    is_weak: bool = False
 
 
 @dataclass(frozen=True)
@@ -28,10 +42,11 @@ class ColumnGuess:
 
     Attributes:
         channel: of the recording. header: of the column, empty where it has none. place: from 1.
-        unit: None: not known. sign, scale, offset: as in ``columns`` of a campaign; None: not stated there.
+        unit: None: not known. sign, scale, offset, measure: as in ``columns`` of a campaign; None: not stated there.
         by_name: whether the header tells it from all others.
         reason: why, for people.
         role: what the header says: a strain is read as a stretch.
+        rank: of `tissue_sim.recording.formats.vocabulary.role_of`; the lowest of a role is read.
     """
 
     channel: str
@@ -44,12 +59,14 @@ class ColumnGuess:
     offset: float | str | None = None
     by_name: bool = True
     reason: str = ""
+    measure: str | None = None
+    rank: int = 0
 
     def entry(self) -> dict[str, Any]:
         """As it stands in ``columns`` of a campaign."""
         entry: dict[str, Any] = {"name": self.header} if self.by_name else {"column": self.place}
         stated = {"unit": self.unit, "sign": self.sign if self.sign != 1 else None, "scale": self.scale,
-                  "offset": self.offset}
+                  "offset": self.offset, "measure": self.measure}
         return entry | {key: value for key, value in stated.items() if value is not None}
 
     @property
@@ -79,6 +96,8 @@ class Reading:
         stated: key -> value of what stands above the numbers. remarks: sentences on what was left out.
         specimen: key of ``[[specimen]]`` -> value, as the sidecar of the recording states them.
         assumptions: about these tables: columns, units, kind of test, sizes.
+        unused: headers (places, where there is none) of the columns that are not read.
+        speed: constant speed that makes the displacement from the time, m/s, and its source; None: not needed.
     """
 
     name: str
@@ -93,6 +112,8 @@ class Reading:
     remarks: tuple[str, ...] = ()
     specimen: Mapping[str, float | str] = field(default_factory=lambda: read_only({}))
     assumptions: tuple[Assumption, ...] = ()
+    unused: tuple[str, ...] = ()
+    speed: tuple[float, str] | None = None
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -133,6 +154,10 @@ class Stated:
         units, scales, signs: channel -> it.
         kind: of test. format: of a machine. sheet, delimiter, skip_lines: where the table is.
         direct: whether stress and strain are read where a file has force and displacement, too.
+        measures: channel (or ``strain``) -> measure of strain or stress, ``engineering`` or a name in
+            `tissue_sim.recording.formats.measures.MEASURES`.
+        height: of the specimen, m: the gauge length by which a strain becomes a displacement; None: not stated.
+        speed: constant speed of the test, m/s, for a file without a clock or without a motion; None: not stated.
     """
 
     columns: Mapping[str, str | int] = field(default_factory=dict)
@@ -145,3 +170,6 @@ class Stated:
     delimiter: str | None = None
     skip_lines: int = 0
     direct: bool = False
+    measures: Mapping[str, str] = field(default_factory=dict)
+    speed: float | None = None
+    height: float | None = None

@@ -2,35 +2,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.columns import column_number
+from tissue_sim.recording.formats.gauge_length import displacement_of_strain, gauge_length, stretch_of_displacement
 from tissue_sim.recording.formats.guesses import ColumnGuess, Stated
 from tissue_sim.recording.formats.header import matches
-from tissue_sim.recording.formats.sizes import size_signature
+from tissue_sim.recording.formats.kind_hints import title_hints
+from tissue_sim.recording.formats.kind_words import named_tests
+from tissue_sim.recording.formats.measures import ENGINEERING, MEASURES, measure_of
+from tissue_sim.recording.formats.sizes import find_sizes, size_signature
 from tissue_sim.recording.formats.sources import Numbers, stated_values
-from tissue_sim.recording.formats.vocabulary import Machine, role_of
+from tissue_sim.recording.formats.vocabulary import Machine, plain, role_of, source_of
+from tissue_sim.recording.recording import CHANNELS
+from tissue_sim.units import UNITS
 
 #: Role of a column -> channel of a recording. The strain of a test is one less than its stretch.
 _CHANNEL = {"time": "time", "displacement": "displacement", "force": "force", "stretch": "stretch",
             "strain": "stretch", "shear strain": "shear strain", "stress": "nominal stress",
             "temperature": "temperature"}
+#: A shear strain keeps the measure that its header names, which has no conversion.
+_CHANNEL_OF_MEASURE = {"shear strain": "stretch"}
+
+
+class KnownColumn(NamedTuple):
+    """A column whose header says its role.
+
+    Attributes:
+        place: from 0. role, rank: see `role_of`. variant: where it is measured and which measure it has; two columns
+            of a role and different variants belong to one recording.
+    """
+
+    place: int
+    role: str
+    rank: int
+    variant: tuple[str, str] = ("", "")
 
 
 @dataclass(frozen=True)
 class Group:
-    """Columns of one recording in a run of numbers."""
+    """Columns of one recording in a run of numbers.
+
+    Attributes:
+        numbers: the run. columns: that are read. others: headers of further columns with a role.
+        rivals: columns that measure the same as one of those that are read, the surest first. Strains of another
+            measure count as the same.
+        speed: constant speed that replaces a column of the motion, m/s, and its source; None: not needed.
+    """
 
     numbers: Numbers
     columns: tuple[ColumnGuess, ...]
     others: tuple[str, ...]
+    rivals: tuple[ColumnGuess, ...] = ()
+    speed: tuple[float, str] | None = None
 
     @property
     def signature(self) -> tuple:
-        sizes = size_signature(stated_values(self.numbers.above)) if self.numbers.table.name else ()
-        return (*sizes, *((each.channel, each.header or each.place, each.unit) for each in self.columns))
+        """The same for tables that are replicates, as far as columns, sizes and words for a test show."""
+        sheet = self.numbers.table.name
+        sizes = size_signature(stated_values(self.numbers.above)) if sheet else ()
+        tests = sorted({each.title for each in named_tests(title_hints(self.numbers))}) if sheet else ()
+        return (*sizes, *tests, self.speed,
+                *((each.channel, each.header or each.place, each.unit) for each in self.columns))
 
 
 def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated) -> list[Group]:
@@ -38,41 +74,99 @@ def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated) -> li
     if stated.columns:
         named = [column for channel, name in stated.columns.items()
                  if (column := _stated_column(numbers, channel, name, stated))]
-        return [Group(numbers, tuple(named), ())] if len(named) == len(stated.columns) else []
-    roles = [(place, *known) for place in numbers.columns
+        return [Group(numbers, tuple(named), (), (), _speed_for({column.role for column in named}, numbers, stated))
+                ] if len(named) == len(stated.columns) else []
+    roles = [KnownColumn(place, *known, _variant(numbers, place, known[0])) for place in numbers.columns
              if (known := role_of(numbers.bare_name(place), numbers.unit(place), machine))]
     groups: list[Group] = []
     time = None
     for part in _beside(roles):
         chosen = _best(part)
-        pair = _pair(chosen, stated)
+        speed, gauge = None, None
+        pair: tuple[str, ...] | None = _pair(chosen, stated)
+        if pair is None and (speed := _speed_for(chosen, numbers, stated)):
+            pair = ("force",)
+        elif derived := _derived_pair(part, chosen, pair):
+            gauge = gauge_length(numbers, stated)
+            pair = derived if gauge is not None else pair
         if pair is None:
             continue
         time = chosen.get("time", time)
         wanted = {**({"time": time} if time is not None else {}), **{role: chosen[role] for role in pair},
                   **({"temperature": chosen["temperature"]} if "temperature" in chosen else {})}
-        columns = tuple(_column(numbers, place, role, machine, stated) for role, place in wanted.items())
-        others = tuple(numbers.name(place) for place, *_ in part if place not in wanted.values())
-        groups.append(Group(numbers, columns, others))
+        rank = {each.place: each.rank for each in part}
+        columns = tuple(replace(_column(numbers, place, role, machine, stated), rank=rank.get(place, 0))
+                        for role, place in wanted.items())
+        if gauge is not None:
+            columns = tuple(_with_gauge_length(column, pair[0], gauge) for column in columns)
+        others = tuple(numbers.name(each.place) for each in part if each.place not in wanted.values())
+        same = {*pair, *(("displacement",) if gauge is not None and pair[1] == "force" else ())}
+        rivals = tuple(replace(_column(numbers, each.place, each.role, machine, stated), rank=each.rank)
+                       for each in sorted(part, key=lambda each: each.rank)
+                       if each.role in same and each.place not in wanted.values())
+        if gauge is not None:
+            rivals = tuple(_with_gauge_length(column, pair[0], gauge) for column in rivals)
+        groups.append(Group(numbers, columns, others, rivals, speed))
     return groups
 
 
-def _beside(roles: Sequence[tuple[int, str, int]]) -> list[list[tuple[int, str, int]]]:
-    """Columns of recordings beside each other: a new one begins where a role comes again as surely, if what stood
-    before has a motion and a load, and what follows has them too."""
-    parts: list[list[tuple[int, str, int]]] = [[]]
-    for i, (place, role, rank) in enumerate(roles):
-        same = [each for each in parts[-1] if _like(each[1]) == _like(role) and each[2] <= rank]
+def _derived_pair(part: Sequence[KnownColumn], chosen: Mapping[str, int], pair: tuple[str, ...] | None
+                  ) -> tuple[str, str] | None:
+    """Roles of a motion and a load that belong together once the gauge length is known: a strain and a force, or a
+    displacement and a stress; None: no such columns.
+
+    A strain that is measured on the specimen replaces a displacement that is not.
+    """
+    by_place = {each.place: each for each in part}
+    strain = next((by_place[chosen[role]] for role in ("strain", "shear strain") if role in chosen), None)
+    if strain is not None and strain.variant[1] not in MEASURES and "force" in chosen and (
+            pair is None or (pair == ("displacement", "force") and strain.variant[0] == "specimen"
+                             and by_place[chosen["displacement"]].variant[0] != "specimen")):
+        return strain.role, "force"
+    return ("displacement", "stress") if pair is None and {"displacement", "stress"} <= chosen.keys() else None
+
+
+def _with_gauge_length(column: ColumnGuess, motion: str, gauge: tuple[float, str]) -> ColumnGuess:
+    """The column of the motion as the other quantity; any other column as it is."""
+    if column.role != motion or column.missing:
+        return column
+    convert = stretch_of_displacement if motion == "displacement" else displacement_of_strain
+    return convert(column, gauge)
+
+
+def _variant(numbers: Numbers, place: int, role: str) -> tuple[str, str]:
+    words = plain(numbers.name(place))
+    return source_of(words), measure_of(words, role) or ""
+
+
+def _speed_for(roles: Collection[str], numbers: Numbers, stated: Stated) -> tuple[float, str] | None:
+    """The constant speed of a table of time and force without a motion, m/s, and its source; None: not such a table, or
+    no speed is known."""
+    if not {"time", "force"} <= set(roles) or set(roles) & {"displacement", "stretch", "strain", "shear strain"}:
+        return None
+    if stated.speed is not None:
+        return stated.speed, "stated"
+    size = find_sizes(stated_values(numbers.above), None).get("speed_mm_s")
+    return None if size is None else (1e-3 * size.value, size.reason)
+
+
+def _beside(roles: Sequence[KnownColumn]) -> list[list[KnownColumn]]:
+    """Columns of recordings beside each other: a new one begins where a role is repeated in the same variant and as
+    surely, if the columns before have a motion and a load, and the columns from there on have them too."""
+    parts: list[list[KnownColumn]] = [[]]
+    for i, known in enumerate(roles):
+        same = [each for each in parts[-1] if _like(each.role) == _like(known.role) and each.rank <= known.rank
+                and each.variant == known.variant]
         if same and _complete(parts[-1]) and _complete(_until_repeated(roles[i:])):
             parts.append([])
-        parts[-1].append((place, role, rank))
+        parts[-1].append(known)
     return parts
 
 
-def _until_repeated(roles: Sequence[tuple[int, str, int]]) -> list[tuple[int, str, int]]:
-    seen: list[tuple[int, str, int]] = []
+def _until_repeated(roles: Sequence[KnownColumn]) -> list[KnownColumn]:
+    seen: list[KnownColumn] = []
     for each in roles:
-        if any(_like(other[1]) == _like(each[1]) for other in seen):
+        if any(_like(other.role) == _like(each.role) and other.variant == each.variant for other in seen):
             break
         seen.append(each)
     return seen
@@ -82,18 +176,18 @@ def _like(role: str) -> str:
     return "strain" if role in ("strain", "stretch", "shear strain") else role
 
 
-def _complete(part: Sequence[tuple[int, str, int]]) -> bool:
-    roles = {_like(role) for _, role, _ in part}
+def _complete(part: Sequence[KnownColumn]) -> bool:
+    roles = {_like(each.role) for each in part}
     return bool(roles & {"displacement", "strain"}) and bool(roles & {"force", "stress"})
 
 
-def _best(part: Sequence[tuple[int, str, int]]) -> dict[str, int]:
+def _best(part: Sequence[KnownColumn]) -> dict[str, int]:
     """Role -> place of the column whose name says it most surely, the first of several."""
-    best: dict[str, tuple[int, int]] = {}
-    for place, role, rank in part:
-        if role not in best or rank < best[role][0]:
-            best[role] = (rank, place)
-    return {role: place for role, (_, place) in best.items()}
+    best: dict[str, KnownColumn] = {}
+    for each in part:
+        if each.role not in best or each.rank < best[each.role].rank:
+            best[each.role] = each
+    return {role: each.place for role, each in best.items()}
 
 
 def _pair(chosen: Mapping[str, int], stated: Stated) -> tuple[str, str] | None:
@@ -105,10 +199,13 @@ def _pair(chosen: Mapping[str, int], stated: Stated) -> tuple[str, str] | None:
     return next((pair for pair in pairs if set(pair) <= set(chosen)), None)
 
 
-def _column(numbers: Numbers, place: int, role: str, machine: Machine | None, stated: Stated) -> ColumnGuess:
+def _column(numbers: Numbers, place: int, role: str, machine: Machine | None, stated: Stated, *,
+            is_named: bool = False) -> ColumnGuess:
     channel = _CHANNEL[role]
     unit, header = numbers.unit(place), numbers.name(place)
     reason = f"header {header!r}" if header else f"column {place + 1}"
+    if is_named:
+        reason = f"stated ({reason})" if header else "stated"
     said = {name: values.get(role, values.get(channel)) for name, values in
             (("unit", stated.units), ("scale", stated.scales), ("sign", stated.signs))}
     if said["unit"] is not None:
@@ -117,12 +214,32 @@ def _column(numbers: Numbers, place: int, role: str, machine: Machine | None, st
         unit, reason = machine.units[role], f"{reason} without unit: {machine.title} writes {machine.units[role]}"
     elif numbers.units is not None:
         reason += ", unit in the row below"
-    offset: float | None = None
-    if role == "strain" and channel == "stretch":
-        offset = 100.0 if unit == "%" else 1.0
-        reason += "; a strain, which 1 makes a stretch"
-    return ColumnGuess(channel, header, place + 1, unit, role, int(said["sign"] or 1),
-                       None if said["scale"] is None else float(said["scale"]), offset, bool(header), reason)
+    if unit is not None and said["unit"] is None and unit not in UNITS and measure_of(plain(unit), role):
+        # "Strain (true)": the brackets hold the measure.
+        unit = "-" if CHANNELS[channel] == "ratio" else None
+    column = ColumnGuess(channel, header, place + 1, unit, role, int(said["sign"] or 1),
+                         None if said["scale"] is None else float(said["scale"]), None, bool(header), reason)
+    return with_measure(column, stated.measures.get(role, stated.measures.get(channel)))
+
+
+def with_measure(column: ColumnGuess, stated: str | None = None) -> ColumnGuess:
+    """The column with the offset or the conversion that its measure of strain or stress needs.
+
+    Args:
+        column: without either. stated: measure that replaces that of the header.
+    """
+    measure = stated or measure_of(plain(column.header), column.role)
+    if column.role == "stretch" and measure == ENGINEERING and not stated:
+        measure = None
+    own = MEASURES.get(measure or "")
+    reason = f"{column.reason}; measure as stated" if stated else column.reason
+    if own is not None and own.channel in (column.channel, _CHANNEL_OF_MEASURE.get(column.channel)):
+        return replace(column, measure=measure, role="strain" if column.channel == "stretch" else column.role,
+                       reason=f"{reason}; a {own.title}: {own.formula}")
+    if column.channel == "stretch" and (column.role == "strain" or measure == ENGINEERING):
+        return replace(column, role="strain", offset=100.0 if column.unit == "%" else 1.0,
+                       reason=f"{reason}; a strain, which 1 makes a stretch")
+    return replace(column, reason=reason)
 
 
 def _stated_column(numbers: Numbers, channel: str, name: str | int, stated: Stated) -> ColumnGuess | None:
@@ -139,8 +256,7 @@ def _stated_column(numbers: Numbers, channel: str, name: str | int, stated: Stat
         if place not in numbers.columns:
             return None
     role = {"nominal stress": "stress"}.get(channel, channel)
-    column = _column(numbers, place, role, None, stated)
-    return replace(column, reason=f"stated{f' (header {column.header!r})' if column.header else ''}")
+    return _column(numbers, place, role, None, stated, is_named=True)
 
 
 def no_pair(found: Sequence[Numbers], machine: Machine | None, stated: Stated) -> str:
@@ -162,6 +278,17 @@ def no_pair(found: Sequence[Numbers], machine: Machine | None, stated: Stated) -
     lacks = [what for what, roles in (("a motion (displacement, stretch, strain)",
                                        {"displacement", "stretch", "strain", "shear strain"}),
                                       ("a load (force, stress)", {"force", "stress"})) if not known & roles]
+    if not lacks and not known & {"stretch"}:
+        return (f"needs the gauge length, which its columns and the text above them do not state: {has}; state it "
+                "(--height-mm), for a strain and a force, or a displacement and a stress, belong together by it")
+    true = [name for place in numbers.columns
+            if measure_of(plain(name := numbers.name(place)), "stress") in MEASURES]
+    if lacks and true and "stress" in known:
+        return (f"has a true stress in {', '.join(map(repr, true))}, which needs the stretch to become a nominal "
+                f"stress: {has}; add a column of stretch, strain or displacement")
+    if "force" in known and "time" in known and len(lacks) == 1:
+        return (f"shows no column with a motion (displacement, stretch, strain): {has}; name it, with its unit, such "
+                "as --column displacement=2 --unit displacement=mm, or state the constant speed (--speed-mm-s)")
     wanted = " and ".join(lacks) if lacks else "a motion and a load that belong together"
     return (f"shows no column with {wanted}: {has}; name them, with units, such as --column displacement=2 --unit "
             "displacement=mm --column force=3 --unit force=N")

@@ -13,15 +13,21 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import InputError
+from tissue_sim.errors import InputError, located
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.recording.cleaning import clean, counted_from_kept
+from tissue_sim.recording.constant_speed import with_constant_speed
 from tissue_sim.recording.formats.columns import read_blocks
-from tissue_sim.recording.formats.guesses import ColumnGuess, KindGuess, Reading, Stated, Understanding
+from tissue_sim.recording.formats.guesses import ColumnGuess, Reading, Stated, Understanding
 from tissue_sim.recording.formats.header import matches
-from tissue_sim.recording.formats.orientation import guess_kind, oriented
+from tissue_sim.recording.formats.interpretation import column_assumptions, format_assumption, settle_rivals
+from tissue_sim.recording.formats.kind_guess import guess_kind, kind_assumption, require_one_test
+from tissue_sim.recording.formats.kind_hints import file_hints, header_hint, label_hints, title_hints
+from tissue_sim.recording.formats.kind_words import Hint
+from tissue_sim.recording.formats.orientation import oriented
 from tissue_sim.recording.formats.pairing import Group, alike, find_groups, no_pair
 from tissue_sim.recording.formats.sources import Numbers, Source, find_numbers, open_source, stated_values
+from tissue_sim.recording.formats.sweeps import is_sweep, sweep_sentence
 from tissue_sim.recording.formats.vocabulary import MACHINES, Machine, find_machine
 from tissue_sim.recording.recording import Recording
 from tissue_sim.units import UNITS
@@ -43,11 +49,19 @@ def understand(path: str | Path, stated: Stated | None = None) -> Understanding:
     if not found:
         raise InputError("holds no table of numbers in columns", file=path)
     words = "\n".join(text for numbers in found[:8] for text in _words(numbers))
-    machine = MACHINES.get(stated.format or "") or find_machine(words)
+    machine = MACHINES.get(stated.format or "") or (None if stated.format == "table" else find_machine(words))
+    found, warnings = _without_sweeps(found, path)
     tables = [group for numbers in found for group in find_groups(numbers, machine, stated)]
+    titles = file_hints(source, found)
     if not tables:
+        kind = guess_kind((), (), [*title_hints(found[0]), *titles], machine, stated.kind)
+        if kind.refused is not None:
+            raise kind.refused.refusal().located(file=path)
         raise InputError(no_pair(found, machine, stated), file=path)
-    readings = tuple(_reading(source, group, stated, machine, words) for group in alike(tables))
+    with located(file=path):
+        readings, refused = _of_known_tests([
+            _reading(source, group, stated, machine, titles, _unused(group[0].numbers, tables))
+            for group in alike(tables)])
     if len(readings) > 1:
         readings = _named(readings)
     delimiter = source.tables[0].delimiter
@@ -55,10 +69,39 @@ def understand(path: str | Path, stated: Stated | None = None) -> Understanding:
                     for cell in row.cells[column.place - 1:column.place])
     return Understanding(path, machine.name if machine else "table", source.kind, delimiter,
                          None if delimiter is None else "," if "," in cells else ".", source.encoding, readings,
-                         _warnings(source, readings))
+                         (*warnings, *refused, *_warnings(source, readings)),
+                         (format_assumption(machine, stated),))
 
 
-def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: Machine | None, words: str) -> Reading:
+def _without_sweeps(found: Sequence[Numbers], path: Path) -> tuple[list[Numbers], tuple[str, ...]]:
+    """The tables that may be recordings, and sentences on those that hold moduli over frequency or amplitude.
+
+    Raises:
+        InputError: all tables hold moduli.
+    """
+    headers = [[numbers.name(place) for place in numbers.columns] for numbers in found]
+    sweeps = [names for names in headers if is_sweep(names)]
+    if len(sweeps) == len(found):
+        raise InputError(sweep_sentence(sweeps[0]), file=path, line=found[0].rows[0].line)
+    return ([numbers for numbers, names in zip(found, headers, strict=True) if not is_sweep(names)],
+            tuple(f"a table is left out: {sweep_sentence(names)}" for names in sweeps[:1]))
+
+
+def _of_known_tests(readings: Sequence[Reading]) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
+    """The readings whose kind of test may be registered, and sentences on the others.
+
+    Raises:
+        InputError: all are of tests without a kind.
+    """
+    kept = tuple(reading for reading in readings if reading.kind.refused is None)
+    refused = [reading.kind.refused.refusal() for reading in readings if reading.kind.refused is not None]
+    if not kept:
+        raise refused[0]
+    return kept, tuple(dict.fromkeys(f"a table is left out: {each.problem}" for each in refused))
+
+
+def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: Machine | None,
+             titles: Sequence[Hint], unused: tuple[str, ...]) -> Reading:
     """How to read the tables, with columns turned so that a load is positive."""
     first = groups[0]
     sheets = tuple(dict.fromkeys(group.numbers.table.name for group in groups if group.numbers.table.name))
@@ -73,27 +116,68 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
     line = header.line if header is not None else first.numbers.rows[0].line
     if not by_name and line > 1:
         options["skip_lines"] = line if header is not None else line - 1
-    columns, recordings, remarks = _readable(source.file, columns, options)
+    elif stated.skip_lines:
+        options["skip_lines"] = stated.skip_lines
+    columns, recordings, remarks = _readable(source.file, _checked_shear(columns), options, first.speed)
     stated_above = stated_values(first.numbers.above)
-    # The name of the file says least: it comes last.
-    hints = [" ".join(each.header for each in columns) + " " + " ".join(first.others),
-             " ".join(row for number in (first.numbers,) for row in _words(number)), source.file.stem]
-    kind = KindGuess(stated.kind, "stated") if stated.kind else guess_kind(_cleaned(recordings), columns, hints,
-                                                                           machine)
-    if kind.kind == "simple_shear" and any(column.role == "strain" for column in columns):
+    kind = guess_kind(_cleaned(recordings), columns, _hints(source, first, columns, titles), machine, stated.kind)
+    if kind.is_stated and kind.against:
+        remarks = (*remarks, f"kind of test as stated ({kind.kind}), though {'; '.join(kind.against)}")
+    elif not kind.is_stated:
+        require_one_test([title_hints(group.numbers) for group in groups if kind.refused is None])
+    if kind.kind == "simple_shear" and any(_is_strain(column) for column in columns):
         columns = tuple(replace(column, channel="shear strain", offset=None,
                                 reason=column.reason.replace("; a strain, which 1 makes a stretch", "; sheared"))
-                        if column.role == "strain" else column for column in columns)
-        recordings = _read(source.file, columns, options)
+                        if _is_strain(column) else column for column in columns)
+        recordings = _read(source.file, _checked_shear(columns), options, first.speed)
     signed = {column.channel for column in columns if stated.signs.keys() & {column.channel, column.role}}
+
+    def read(chosen: Sequence[ColumnGuess]) -> tuple[Recording, ...]:
+        return _read(source.file, chosen, options, first.speed)
+
+    columns, recordings, rivals, compared = settle_rivals(read, columns, recordings, first.rivals)
     turned = oriented(columns, _cleaned(recordings), kind.kind, signed)
-    recordings = _turned(source.file, recordings, columns, turned, options)
+    recordings = _turned(source.file, recordings, columns, turned, options, first.speed)
     zeroed = [column.channel for column in turned if column.offset == "start"]
     recordings = tuple(counted_from_kept(each, zeroed) for each in recordings)
     columns = turned
     options["columns"] = {column.channel: column.entry() for column in columns}
+    assumptions = (*column_assumptions(read, columns, recordings, first.rivals, stated), *rivals, kind_assumption(kind))
     return Reading("", columns, first.others, read_only(options), recordings, kind, line, sheets,
-                   read_only(stated_above), remarks)
+                   read_only(stated_above), (*remarks, *compared), assumptions=assumptions, unused=unused,
+                   speed=first.speed)
+
+
+def _hints(source: Source, first: Group, columns: Sequence[ColumnGuess], titles: Sequence[Hint]) -> list[Hint]:
+    """Texts in which words for a test count, the surest first; the name of the file says least."""
+    above, sheet = title_hints(first.numbers)
+    return [header_hint([each.header for each in columns], first.others), above, sheet,
+            *(title for title in titles if title.text != above.text), *label_hints(first.numbers),
+            Hint(source.file.stem, "in the name of the file", is_file_name=True)]
+
+
+def _is_strain(column: ColumnGuess) -> bool:
+    """Whether a stretch was recorded as a strain or a displacement."""
+    return column.channel == "stretch" and column.role != "stretch"
+
+
+def _checked_shear(columns: tuple[ColumnGuess, ...]) -> tuple[ColumnGuess, ...]:
+    """The columns, of which a shear strain must be an angle or a displacement over a height.
+
+    Raises:
+        InputError: a shear strain of another measure.
+    """
+    for column in columns:
+        if column.channel == "shear strain" and column.measure:
+            raise InputError(f"column {column.header!r} holds a shear strain of another measure, which has no "
+                             "conversion; give displacement over height")
+    return columns
+
+
+def _unused(numbers: Numbers, tables: Sequence[Group]) -> tuple[str, ...]:
+    """Headers of the columns that no recording reads, places where there is none."""
+    used = {column.place for group in tables if group.numbers is numbers for column in group.columns}
+    return tuple(numbers.name(place) or str(place + 1) for place in numbers.columns if place + 1 not in used)
 
 
 def _cleaned(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
@@ -113,29 +197,31 @@ def _told_apart(groups: Sequence[Group]) -> bool:
     return True
 
 
-def _readable(path: Path, columns: tuple[ColumnGuess, ...], options: Mapping[str, Any]
+def _readable(path: Path, columns: tuple[ColumnGuess, ...], options: Mapping[str, Any],
+              speed: tuple[float, str] | None
               ) -> tuple[tuple[ColumnGuess, ...], tuple[Recording, ...], tuple[str, ...]]:
     """Columns and what they give, without a clock that runs backwards, and with a stretch that falls below zero taken
     for the strain that it is."""
     remarks: tuple[str, ...] = ()
     try:
-        recordings = _read(path, columns, options)
+        recordings = _read(path, columns, options, speed)
     except InputError as error:
         if not error.problem.startswith("time runs backwards"):
             raise
         columns = tuple(column for column in columns if column.channel != "time")
-        recordings = _read(path, columns, options)
+        recordings = _read(path, columns, options, speed)
         remarks = (f"the clock is left out: line {error.line}: {error.problem.split(' in column')[0]}",)
     if any(column.role == "stretch" for column in columns) and min(
             each.channel("stretch").min() for each in recordings) <= 0:
         columns = tuple(replace(column, role="strain", offset=1.0, reason=f"{column.reason}; not above zero, as a "
                                 "stretch is; a strain, which 1 makes a stretch")
                         if column.role == "stretch" else column for column in columns)
-        recordings = _read(path, columns, options)
+        recordings = _read(path, columns, options, speed)
     return columns, recordings, remarks
 
 
-def _read(path: Path, columns: Sequence[ColumnGuess], options: Mapping[str, Any]) -> tuple[Recording, ...]:
+def _read(path: Path, columns: Sequence[ColumnGuess], options: Mapping[str, Any],
+          speed: tuple[float, str] | None = None) -> tuple[Recording, ...]:
     entries = {}
     for column in columns:
         # Where only a person knows the unit, the numbers as they stand show the shape of the test.
@@ -143,6 +229,8 @@ def _read(path: Path, columns: Sequence[ColumnGuess], options: Mapping[str, Any]
         if column.missing and column.unit not in UNITS:
             entries[column.channel].pop("unit", None)
     recordings = read_blocks(path, entries, **{key: value for key, value in options.items() if key != "columns"})
+    if speed is not None:
+        recordings = tuple(with_constant_speed(each, speed[0], path) for each in recordings)
     for recording in recordings:
         for channel, values in recording.channels.items():
             if np.abs(values).max() > _LARGEST:
@@ -152,11 +240,12 @@ def _read(path: Path, columns: Sequence[ColumnGuess], options: Mapping[str, Any]
 
 
 def _turned(path: Path, recordings: tuple[Recording, ...], before: Sequence[ColumnGuess],
-            after: Sequence[ColumnGuess], options: Mapping[str, Any]) -> tuple[Recording, ...]:
+            after: Sequence[ColumnGuess], options: Mapping[str, Any],
+            speed: tuple[float, str] | None) -> tuple[Recording, ...]:
     """The recordings of columns of which some have got another sign."""
     other = [column for was, column in zip(before, after, strict=True) if column.entry() != was.entry()]
-    if any(column.offset is not None for column in other):
-        return _read(path, after, options)
+    if any(column.offset is not None for column in other) or (other and any(column.measure for column in after)):
+        return _read(path, after, options, speed)
     # From zero: no zero becomes a negative one.
     return tuple(each.with_channels(**{column.channel: 0.0 - each.channel(column.channel) for column in other})
                  if other else each for each in recordings)

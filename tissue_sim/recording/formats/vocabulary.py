@@ -13,11 +13,12 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from tissue_sim.recording.formats.measures import MEASURES, measure_of
 from tissue_sim.units import quantity_of
 
-#: Columns that are derived, commanded or of another direction: nothing that is fitted.
+#: Columns that are derived, commanded, amplitudes or of another direction: nothing that is fitted.
 _OTHER = re.compile(
-    r"\b(true|wahre|cauchy|std|stdev|stddev|deviation|sd|error|rate|speed|velocity|geschwindigkeit|energy|work|"
+    r"\b(amplitude|oscillation|amplitudes|std|stdev|stddev|deviation|sd|error|rate|speed|velocity|geschwindigkeit|energy|work|"
     r"power|arbeit|modulus|modul|setpoint|command|target|demand|soll|torque|moment|index|points?|number|nr|no|frame|"
     r"cycles?|"
     r"zyklus|width|breite|area|querschnitt|angle|storage|loss|viscosity|position [xy]|f[xy]|transverse|"
@@ -29,10 +30,11 @@ _WORDS: dict[str, tuple[str, ...]] = {
     "stretch": (r"stretch|stretch ratio|lambda|λ|streckung",),
     "shear strain": (r"shear strain|shr strain|gamma|γ|scherung|schiebung|scherdehnung",),
     "strain": (r"engineering strain|nominal strain|compressive strain|tensile strain|technische dehnung",
-               r"strain|dehnung|stauchung|nominal deformation|déformation|deformación|eps|epsilon|ε"),
+               r"strain|dehnung|umformgrad|stauchung|nominal deformation|déformation|deformación|eps|epsilon|ε"),
     "stress": (r"engineering stress|nominal stress|first piola|pk1",
                r"stress|spannung|contrainte|tensión|sigma|σ|tau|τ"),
     "displacement": (
+        r"extensometer|extensometer extension|video extension|video displacement|feindehnungsaufnehmer|extensomètre|"
         r"compressive extension|compressive displacement|compression|standardweg|standard travel|indentation|"
         r"indentation depth|eindringtiefe|eindringung|depth|position z|tensile extension|tensile displacement",
         r"displacement|displ|disp|extension|distance|weg|prüfweg|travel|deformation|verformung|elongation|déplacement|"
@@ -54,6 +56,17 @@ _QUANTITY = {"time": "time", "displacement": "length", "force": "force", "stress
 #: Quantity -> role of a column whose name says nothing.
 _NAMELESS = {"time": "time", "length": "displacement", "force": "force", "stress": "stress",
              "temperature": "temperature"}
+#: Words of a column that is measured on the specimen, by the machine away from it, and after a correction. The surest
+#: first: the specimen's own extension does not contain that of the machine and the grips.
+_SOURCES = {"specimen": re.compile(r"\b(extensomet\w*|extensomètre|video\w*|vidéo|dic|optical|optisch\w*|optique|laser|"
+                                   r"feindehn\w*|clip gauge|clip gage)\b"),
+            "machine": re.compile(r"\b(crosshead|traverse|traversenweg|actuator|ram|grips?|machine|maschine|motor|"
+                                  r"stage)\b")}
+_CORRECTED = re.compile(r"\b(corrected|korrigiert\w*|corrigée?|tared|tarred|zeroed|net|compensated|kompensiert\w*)\b")
+#: Added to the rank of a column that is measured by the machine, and of one of another measure than the nominal one.
+_BY_MACHINE, _OTHER_MEASURE = 1, 4
+#: Words of measures that make no sense of a time, a force or a temperature.
+_TRUE = re.compile(r"\b(true|cauchy|wahre[rn]?|vraie?s?)\b")
 _SHEAR = re.compile(r"\b(shear|shr|scher\w*|schub\w*|cisaillement)\b")
 
 
@@ -106,7 +119,10 @@ def plain(name: str) -> str:
 
 
 def role_of(name: str, unit: str | None, machine: Machine | None = None) -> tuple[str, int] | None:
-    """What a column is, and how sure its name says so (0: surely; 9: its unit only).
+    """Role of a column, and its rank among columns of this role: the lowest is taken.
+
+    The rank is 0 for the surest name, -1 where it is measured on the specimen or corrected, 4 and more for a measure of
+    stress or strain that is not the nominal one, 9 where the unit alone says the role.
 
     Args:
         name: header without unit. unit: of it, None: not stated. machine: of the file.
@@ -133,7 +149,23 @@ def role_of(name: str, unit: str | None, machine: Machine | None = None) -> tupl
         role = _with_unit(role, quantity)
     if role == "strain" and _SHEAR.search(words):
         role = "shear strain"
-    return (role, rank) if role in _QUANTITY else None
+    if role not in _QUANTITY:
+        return None
+    if role in ("stress", "strain", "shear strain", "stretch"):
+        rank += _OTHER_MEASURE * (measure_of(words, role) in MEASURES)
+    elif _TRUE.search(words):
+        return None
+    source = source_of(words)
+    if source in ("specimen", "corrected"):
+        rank = min(rank - 1, -1) if rank < _OTHER_MEASURE else rank - 1
+    return role, rank + _BY_MACHINE * (source == "machine")
+
+
+def source_of(words: str) -> str:
+    """Where a column is measured, by its header in lower case: ``specimen``, ``machine``, ``corrected`` or empty."""
+    if _CORRECTED.search(words):
+        return "corrected"
+    return next((name for name, pattern in _SOURCES.items() if pattern.search(words)), "")
 
 
 def _with_unit(role: str, quantity: str | None) -> str:

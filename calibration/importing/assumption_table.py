@@ -1,0 +1,106 @@
+"""The assumptions of an import as one table: for the terminal, the picture and the campaign."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from calibration.importing.imported import ImportedTest, assumptions_of
+from tissue_sim.errors import shortened
+
+HEADINGS = ("assumption", "value", "evidence", "against", "or", "flag")
+#: Characters of a line of a campaign.
+_CAMPAIGN_WIDTH = 118
+#: Characters of a value that comes from a file.
+_LONGEST_VALUE = 60
+
+
+class AssumptionRow(NamedTuple):
+    """One assumption in words. `files` names the files that share it; empty: all."""
+
+    files: str
+    subject: str
+    value: str
+    evidence: str
+    against: str
+    alternatives: str
+    flag: str
+    is_question: bool
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """As under `HEADINGS`."""
+        subject = f"{self.subject} ({self.files})" if self.files else self.subject
+        return subject, self.value, self.evidence, self.against, self.alternatives, self.flag
+
+
+def assumption_rows(tests: Sequence[ImportedTest]) -> list[AssumptionRow]:
+    """A row for each assumption; files that share one have one row."""
+    found = assumptions_of(tests)
+    files = list(dict.fromkeys(name for name, _ in found))
+    rows = []
+    for each in dict.fromkeys(assumption for _, assumption in found):
+        of = [name for name, assumption in found if assumption == each]
+        names = "" if len(of) == len(files) else of[0] if len(of) == 1 else f"{of[0]} and {len(of) - 1} more"
+        rows.append(AssumptionRow(
+            names, each.subject, _plain(each.value), "stated" if each.is_stated else _plain("; ".join(each.evidence)),
+            _plain("; ".join(each.against)), _plain("; ".join(
+                f"{other.value}{_ratio(other.modulus_ratio)}" for other in each.alternatives)), _plain(each.flag),
+            each.is_question))
+    return rows
+
+
+def _ratio(modulus_ratio: float | None) -> str:
+    return "" if modulus_ratio is None else f" (modulus x {modulus_ratio:.3g})"
+
+
+def _plain(text: str) -> str:
+    """The text on one line, without characters that move the cursor."""
+    return " ".join("".join(each if each.isprintable() or each.isspace() else "?" for each in text).split())
+
+
+def campaign_comment(tests: Sequence[ImportedTest]) -> str:
+    """The table as comments of a campaign, with the columns that are not used; empty: no assumptions."""
+    rows = assumption_rows(tests)
+    if not rows:
+        return ""
+    lines = ["Assumptions, with evidence, values that also fit (or), and the flag of tissue-sim import that states "
+             "each:"]
+    for row in rows:
+        subject, value, *_ = row.cells
+        details = [row.evidence, f"against: {row.against}" if row.against else "",
+                   f"or: {row.alternatives}" if row.alternatives else "", row.flag]
+        said = "; ".join(filter(None, details))
+        lines.append(f"{'QUESTION ' if row.is_question else ''}{subject}: {shortened(value, _LONGEST_VALUE)}"
+                     f"{f' ({said})' if said else ''}")
+    lines += [f"Columns not used: {each}" for each in unused_columns(tests)]
+    return "\n".join(textwrap.fill(line, _CAMPAIGN_WIDTH, initial_indent="# ", subsequent_indent="#     ",
+                                   break_long_words=False, break_on_hyphens=False) for line in lines)
+
+
+def picture_lines(tests: Sequence[ImportedTest], width: int, most: int) -> list[str]:
+    """The table in lines of `width` characters, at most `most` of them: subject, value, evidence and alternatives."""
+    rows = assumption_rows(tests)
+    sizes = (36, 26, width - 36 - 26 - 4)
+    lines = []
+    for row in rows:
+        subject, value, *_ = row.cells
+        others = [f"or {row.alternatives} ({row.flag})" if row.alternatives else "",
+                  f"against: {row.against}" if row.against else "", row.evidence]
+        cells = (f"{'? ' if row.is_question else ''}{subject}", value, "; ".join(filter(None, others)))
+        padded = (f"{shortened(cell, size):<{size}}" for cell, size in zip(cells, sizes, strict=True))
+        lines.append("  ".join(padded).rstrip())
+    if len(lines) > most:
+        lines = [*lines[:most - 1], f"and {len(lines) - most + 1} more assumptions (--json)"]
+    return lines
+
+
+def unused_columns(tests: Sequence[ImportedTest]) -> list[str]:
+    """``file: 'column', ...`` of each file that has columns which are not read."""
+    found: dict[str, dict[str, None]] = {}
+    for test in tests:
+        for part in test.parts:
+            if part.reading.unused:
+                found.setdefault(part.file.name, {}).update(dict.fromkeys(map(_plain, part.reading.unused)))
+    return [f"{name}: {', '.join(map(repr, columns))}" for name, columns in found.items()]

@@ -1,0 +1,111 @@
+"""Statements of the user that no file needs: each is refused, as a flag without effect may hide a mistake."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from calibration.importing.imported import ImportedTest, Wishes
+from tissue_sim.errors import InputError
+from tissue_sim.experiment.kinds.kind import KINDS, TestKind
+from tissue_sim.experiment.tools.tool import TOOLS, read_shape
+from tissue_sim.recording.formats.gauge_length import uses_gauge_length
+from tissue_sim.recording.formats.guesses import ColumnGuess, Understanding
+from tissue_sim.recording.formats.interpretation import flag_name
+from tissue_sim.recording.formats.measures import ENGINEERING, MEASURES
+from tissue_sim.recording.formats.vocabulary import MACHINES
+
+_AFM = ("afm", "jpk", "bruker")
+
+
+def check_wishes(wishes: Wishes) -> None:
+    """Refuse statements that contradict each other, whatever the files hold.
+
+    Raises:
+        InputError: with the flag.
+    """
+    stated = wishes.stated
+    if stated.format is not None and stated.format not in (*MACHINES, *_AFM, "table"):
+        raise InputError(f"format must be one of {', '.join((*MACHINES, 'afm', 'table'))}; got {stated.format!r}. "
+                         "Without the flag the format is found", field="--format")
+    if {"strain", "stretch"} <= stated.columns.keys():
+        raise InputError("a strain is read as a stretch; name a column for one of them", field="--column")
+    for channel, measure in stated.measures.items():
+        becomes = {"strain": "stretch"}.get(channel, channel)
+        names = [ENGINEERING, *(name for name, each in MEASURES.items() if each.channel == becomes)]
+        if measure not in names or len(names) == 1:
+            expected = f"one of {', '.join(names)}" if len(names) > 1 else "that of a strain, stretch or stress"
+            raise InputError(f"measure of {flag_name(channel)} must be {expected}; got {measure!r}", field="--measure")
+
+
+def require_used(wishes: Wishes, files: Sequence[Understanding], tests: Sequence[ImportedTest]) -> None:
+    """Refuse statements that no file needs.
+
+    Raises:
+        InputError: with the flag and the reason.
+    """
+    problem = next(_unused(wishes, files, tests), None)
+    if problem is not None:
+        flag, reason = problem
+        raise InputError(f"{reason}. Leave the flag out", field=flag)
+
+
+def applies(key: str, value: Any, kind: TestKind | None) -> bool:
+    """Whether a test of this kind (None: not known yet) has the key of ``[[test]]`` with this value."""
+    if kind is None:
+        return True
+    if key == "friction":
+        return kind.tool is not None and not kind.face.fixed
+    if key == "tool":
+        return kind.tool is not None and (kind.tool_stated or _is_plate(value))
+    return key != "tool_radius_mm" or kind.tool_stated
+
+
+def _is_plate(shape: Any) -> bool:
+    name = read_shape(shape)[0]
+    return name in TOOLS and TOOLS[name].is_plate
+
+
+def _unused(wishes: Wishes, files: Sequence[Understanding], tests: Sequence[ImportedTest]) -> Iterator[tuple[str, str]]:
+    """(flag, reason) of each statement without effect."""
+    yield from _of_files(wishes, files)
+    yield from _of_columns(wishes, files)
+    kinds = [KINDS[test.kind] if test.kind else None for test in tests]
+    for key, value in wishes.test.items():
+        if not any(applies(key, value, kind) for kind in kinds):
+            names = ", ".join(dict.fromkeys(kind.name for kind in kinds if kind is not None))
+            yield f"--{key.replace('_', '-')}", f"{names} has no {key.removesuffix('_mm').replace('_', ' ')} to state"
+    if "speed_mm_s" in wishes.test and not any(line.key == "speed_mm_s" for test in tests for line in test.lines):
+        yield ("--speed-mm-s", "the speed counts only where a file lacks the time or the displacement; these files "
+               "have both")
+    derived = any(uses_gauge_length(reading.columns) for each in files for reading in each.readings)
+    needless = [key for key in wishes.specimen if not (derived and key == "height_mm")]
+    if needless and all(test.specimen is None for test in tests):
+        key = needless[0]
+        yield (f"--{key.replace('_', '-')}", "stress and strain are read, which need no size of the specimen; "
+               "displacement and force are read if all sizes are stated")
+
+
+def _of_files(wishes: Wishes, files: Sequence[Understanding]) -> Iterator[tuple[str, str]]:
+    stated, kinds = wishes.stated, {each.kind_of_file for each in files}
+    if stated.sheet is not None and not kinds & {"workbook", "container"}:
+        yield "--sheet", "only spreadsheets and containers of arrays have sheets"
+    if stated.delimiter is not None and "text" not in kinds:
+        yield "--delimiter", "only text has a delimiter"
+    if kinds == {"afm"}:
+        if stated.skip_lines:
+            yield "--skip-lines", "files of an AFM have no lines to leave out"
+        if stated.columns:
+            yield "--column", "files of an AFM name their channels"
+
+
+def _of_columns(wishes: Wishes, files: Sequence[Understanding]) -> Iterator[tuple[str, str]]:
+    columns: list[ColumnGuess] = [column for each in files for reading in each.readings for column in reading.columns]
+    read = {name for column in columns for name in (column.channel, column.role)}
+    stated = wishes.stated
+    for flag, values in (("--unit", stated.units), ("--scale", stated.scales), ("--sign", stated.signs),
+                         ("--measure", stated.measures)):
+        for channel in values:
+            if channel not in read:
+                has = ", ".join(dict.fromkeys(flag_name(column.channel) for column in columns)) or "none"
+                yield flag, f"no column of {flag_name(channel)} is read; columns are read for {has}"

@@ -1,0 +1,78 @@
+"""Words for tests: those of registered kinds, and those of tests without a kind, which no kind may be taken for."""
+
+import pytest
+
+import tissue_sim as ts
+from tissue_sim.recording.formats.guesses import Stated
+from tissue_sim.recording.formats.kind_words import Hint, named_tests, plain_text
+from tissue_sim.recording.formats.understanding import understand
+from tissue_sim.recording.formats.unknown_tests import UNKNOWN_TESTS
+
+ROWS = "".join(f"{0.5 * i:g},{0.1 * i:.3f},{0.2 * i:.3f}\n" for i in range(21))
+TABLE = "Time (s),Travel (mm),Load (N)\n" + ROWS
+
+
+def names(text):
+    return [each.kind or each.unknown.name for each in named_tests([Hint(text, "here")])]
+
+
+@pytest.mark.parametrize(("text", "expected"), [
+    ("Planar tension test", "planar_tension"), ("PureShear_1", "planar_tension"), ("reine Scherung", "planar_tension"),
+    ("Essai de cisaillement pur", "planar_tension"), ("Confined compression, porous platen", "confined_compression"),
+    ("Compression confinée", "confined_compression"), ("equi-biaxial", "equibiaxial_tension"),
+    ("Äquibiaxialer Versuch", "equibiaxial_tension"), ("hydrostatic compression", "volumetric_compression"),
+    ("Torsionsversuch", "torsion"), ("Dreipunktbiegung", "bending"), ("3-Punkt-Biegeversuch", "bending"),
+    ("four-point bending", "bending"), ("3PB", "bending"), ("Schaelversuch", "peel"), ("Ermüdung", "fatigue"),
+    ("Essai d'éclatement", "burst"), ("Zugscherversuch", "lap_shear"), ("compact tension", "fracture"),
+    ("trouser tear", "tear"), ("Brazilian disc", "diametral_compression"), ("plane-strain compression",
+                                                                            "plane_strain_compression"),
+    ("surface tension", "surface_tension"), ("planar", "planar_tension")])
+def test_words_of_tests_without_a_kind(text, expected):
+    assert expected in {each.name for each in UNKNOWN_TESTS}
+    assert names(text) == [expected]
+
+
+@pytest.mark.parametrize(("text", "expected"), [
+    ("Unconfined compression", "lubricated_compression"), ("un-confined compression test", "lubricated_compression"),
+    ("Simple shear", "simple_shear"), ("Zugversuch", "uniaxial_tension"), ("Essai de traction", "uniaxial_tension"),
+    ("Druckversuch", "lubricated_compression"), ("Kompressionsversuch", "lubricated_compression"),
+    ("Scherversuch", "simple_shear"), ("needle_indentation", "needle_indentation"),
+    ("bonded compression", "bonded_compression")])
+def test_words_of_registered_kinds(text, expected):
+    assert names(text) == [expected]
+
+
+@pytest.mark.parametrize("text", ["Volumetric strain", "Operator: Peel", "planar sheet", "Load cell", "gel 3"])
+def test_words_that_name_no_test(text):
+    assert names(text) == []
+
+
+def test_plain_text_has_no_accents_and_single_blanks():
+    assert plain_text("Ermüdung_PureShear-3pt") == "ermudung pure shear 3 pt"
+
+
+@pytest.mark.parametrize(("name", "above", "header"), [
+    ("a.csv", "Pure shear test\n", ""), ("pure_shear_7.csv", "Tensile test\n", ""), ("a.csv", "", "Peel "),
+    ("a.csv", "Uniaxial tension\nFatigue: 1000 cycles before\n", "")])
+def test_a_file_of_such_a_test_is_refused_until_the_user_states_a_kind(tmp_path, name, above, header):
+    path = tmp_path / name
+    path.write_text(above + TABLE.replace("Load", f"{header}Load"), encoding="utf-8")
+    with pytest.raises(ts.InputError, match=r"there is no such kind of test\. --kind overrules the word"):
+        understand(path)
+    reading, = understand(path, Stated(kind="uniaxial_tension")).readings
+    assert reading.kind.kind == "uniaxial_tension" and "names" in reading.kind.against[0]
+    assert "as stated" in reading.remarks[0]
+
+
+def test_two_words_in_the_file_overrule_its_name(tmp_path):
+    path = tmp_path / "fatigue_control.csv"
+    path.write_text("Uniaxial tension\n" + TABLE, encoding="utf-8")
+    assert understand(path).readings[0].kind.kind == "uniaxial_tension"
+
+
+def test_rows_of_different_tests_are_refused(tmp_path):
+    path = tmp_path / "a.csv"
+    rows = [f"{label},{1 + 0.1 * i:.2f},{i}" for label in ("uniaxial", "planar") for i in range(9)]
+    path.write_text("test,stretch,stress (kPa)\n" + "\n".join(rows), encoding="utf-8")
+    with pytest.raises(ts.InputError, match=r"rows are of different tests \(uniaxial, planar in column 'test'\)"):
+        understand(path)

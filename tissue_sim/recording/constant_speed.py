@@ -1,0 +1,35 @@
+"""Time from displacement, or displacement from time, of a test at a constant speed."""
+
+from __future__ import annotations
+
+import sys
+from numbers import Real
+from pathlib import Path
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+from tissue_sim.recording.recording import Recording
+
+
+def with_constant_speed(recording: Recording, speed: float, path: Path) -> Recording:
+    """The recording with the time that the path length took, or with the displacement since the first sample.
+
+    Args:
+        recording: lacks the time or the displacement; one that has both is returned as it is.
+        speed: m/s. path: for messages.
+
+    Raises:
+        InputError: not a positive speed; neither time nor displacement.
+    """
+    if isinstance(speed, bool) or not isinstance(speed, Real) or not 0 < speed <= sys.float_info.max:
+        raise InputError(f"{speed!r} is not a speed; give a positive number in m/s", field="speed")
+    if "displacement" in recording:
+        if "time" in recording:
+            return recording
+        path_length = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(recording.displacement)))])
+        return recording.with_channels(time=path_length / speed)
+    if "time" in recording and "force" in recording:
+        return recording.with_channels(displacement=speed * (recording.time - recording.time[0]))
+    raise InputError("a speed makes the time from the displacement, or the displacement from the time of a recording "
+                     f"with force; this file has {', '.join(recording.channels)}", file=path, field="speed")

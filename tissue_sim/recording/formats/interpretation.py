@@ -1,0 +1,237 @@
+"""Assumptions on the columns of a table, and the alternatives that the evidence does not exclude."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+from tissue_sim.recording.formats.assumption import Alternative, Assumption
+from tissue_sim.recording.formats.gauge_length import is_derived
+from tissue_sim.recording.formats.guesses import ColumnGuess, Stated
+from tissue_sim.recording.formats.measures import ENGINEERING, MEASURES, measure_of, other_measures
+from tissue_sim.recording.formats.pairing import with_measure
+from tissue_sim.recording.formats.vocabulary import Machine, plain, source_of
+from tissue_sim.recording.recording import CHANNELS, Recording
+from tissue_sim.units import loose_header
+
+#: Columns -> recordings of the table.
+Read = Callable[[Sequence[ColumnGuess]], tuple[Recording, ...]]
+#: Strain above which numbers without a unit may be in %: specimens of soft tissue fail before.
+_LARGEST_STRAIN = 2.0
+#: The same of a shear strain, of a stretch, and of a column that the user names: elastomers reach 10.
+_LARGEST_CERTAIN = 12.0
+#: Relative difference of two strains that counts as agreement.
+_AGREEMENT = 0.02
+#: Relative difference above which two columns of the same quantity are reported.
+_NOTED_DIFFERENCE = 0.01
+#: Relative difference above which equally sure columns of the same quantity are a question.
+_DECISIVE_DIFFERENCE = 0.05
+#: Correlation below which a column does not measure the same quantity.
+_CORRELATION = 0.9
+#: Relative range below which the sensor of a column is not connected.
+_CONNECTED = 0.02
+#: Channel -> why its sign is turned.
+_TURNED = {"displacement": "falls under load", "force": "against the motion", "nominal stress": "against the motion",
+           "stretch": "positive in compression"}
+
+
+def flag_name(channel: str) -> str:
+    """A channel as the command line names it."""
+    return {"nominal stress": "stress"}.get(channel, channel.replace(" ", "_"))
+
+
+def format_assumption(machine: Machine | None, stated: Stated) -> Assumption:
+    """The machine whose words and units count."""
+    if machine is None:
+        return Assumption("format", "table", ("no mark of a known machine",), flag="--format table",
+                          is_stated=stated.format == "table")
+    return Assumption("format", machine.title, () if stated.format else ("its marks are in the file",),
+                      flag=f"--format {machine.name}", is_stated=stated.format is not None)
+
+
+def column_assumptions(read: Read, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
+                       others: Sequence[ColumnGuess], stated: Stated) -> Iterator[Assumption]:
+    """Role, unit, sign and measure of each column.
+
+    Args:
+        read: reads the table with other columns. columns: that are read. recordings: of them.
+        others: further columns of the same quantities. stated: by the user.
+    """
+    for column in columns:
+        channel, flag = column.channel, flag_name("strain" if column.role == "strain" else column.channel)
+        name = column.header or f"column {column.place}"
+        is_named = bool(stated.columns)
+        yield Assumption(f"column of {channel}", name, () if is_named else (column.reason.split(";")[0],),
+                         is_stated=is_named, flag=f"--column {flag}={_quoted(column.header or str(column.place))}")
+        yield _unit(read, column, recordings, others, stated, flag)
+        if channel not in ("time", "temperature"):
+            is_signed = not stated.signs.keys().isdisjoint({channel, column.role})
+            turned = column.sign < 0
+            evidence = () if is_signed else (
+                (_TURNED.get(channel, "negative under load"),) if turned else ("positive under load",))
+            yield Assumption(f"sign of {channel}", "turned" if turned else "as in the file", evidence,
+                             flag=f"--sign {flag}={column.sign}", is_stated=is_signed)
+        if channel in ("stretch", "nominal stress") or column.measure:
+            yield _measure(read, column, columns, recordings, stated, flag)
+
+
+def settle_rivals(read: Read, columns: tuple[ColumnGuess, ...], recordings: tuple[Recording, ...],
+                  rivals: Sequence[ColumnGuess]
+                  ) -> tuple[tuple[ColumnGuess, ...], tuple[Recording, ...], tuple[Assumption, ...], tuple[str, ...]]:
+    """Compare each column with others of the same quantity.
+
+    A column that is measured on the specimen, or corrected, is preferred; one that does not move is not connected, and
+    the other is read. Equally sure columns that differ are a question.
+
+    Returns:
+        Columns, recordings, assumptions with the difference, and sentences.
+    """
+    assumptions: list[Assumption] = []
+    remarks: list[str] = []
+    for rival in rivals:
+        column = next((each for each in columns if each.channel == rival.channel), None)
+        if column is None or column.missing or rival.missing or column.measure != rival.measure:
+            continue
+        swapped = tuple(replace(rival, sign=each.sign) if each is column else each for each in columns)
+        try:
+            other = read(swapped)
+        except InputError:
+            continue
+        own, its = (np.concatenate([each.channel(column.channel) - each.channel(column.channel)[0] for each in found])
+                    for found in (recordings, other))
+        if own.size != its.size or np.ptp(its) == 0:
+            continue
+        if np.ptp(own) < _CONNECTED * np.ptp(its) and rival.rank > column.rank:
+            remarks.append(f"column {column.header!r} does not move and is not read; {rival.header!r} is")
+            columns, recordings = swapped, other
+            continue
+        if np.ptp(own) == 0 or abs(np.corrcoef(own, its)[0, 1]) < _CORRELATION:
+            continue
+        ratio = float(np.ptp(its) / np.ptp(own))
+        if abs(ratio - 1.0) <= _NOTED_DIFFERENCE:
+            continue
+        said = (f"{rival.header!r} has {abs(100 * (ratio - 1)):.0f} % {'more' if ratio > 1 else 'less'} "
+                f"{column.channel} than {column.header!r}, which is read")
+        modulus = ratio if CHANNELS[column.channel] in ("force", "stress") else 1.0 / ratio
+        is_question = rival.rank == column.rank and abs(ratio - 1.0) > _DECISIVE_DIFFERENCE
+        alternatives = (Alternative(rival.header, modulus, _all_columns(swapped)),) if is_question else ()
+        if source_of(plain(column.header)) == "specimen":
+            said += ", on the specimen: the height must be the gauge length of this sensor"
+        assumptions.append(Assumption(f"source of {column.channel}", column.header, () if is_question else (
+            "measured on the specimen, corrected, or the more specific name",), (said,), alternatives,
+            _all_columns(columns) if is_question else ""))
+        if not is_question:
+            remarks.append(said)
+    return columns, recordings, tuple(assumptions), tuple(remarks)
+
+
+def _all_columns(columns: Sequence[ColumnGuess]) -> str:
+    """Flags that name all columns: a named column is read with the other named ones only."""
+    return " ".join(f"--column {flag_name(each.channel)}={_quoted(each.header or str(each.place))}" for each in columns)
+
+
+def _quoted(text: str) -> str:
+    return f'"{text}"' if not text.isalnum() else text
+
+
+def _unit(read: Read, column: ColumnGuess, recordings: Sequence[Recording], others: Sequence[ColumnGuess],
+          stated: Stated, flag: str) -> Assumption:
+    channel, subject = column.channel, f"unit of {column.channel}"
+    is_stated = not (stated.units.keys() | stated.scales.keys()).isdisjoint({channel, column.role})
+    if column.unit is None and CHANNELS[channel] == "ratio" and column.scale is None:
+        alternatives = () if is_stated else _percent(read, column, recordings, others, flag,
+                                                            is_named=bool(stated.columns))
+        return Assumption(subject, "-", ("no unit in the file: a ratio",), alternatives=alternatives,
+                          flag=f"--unit {flag}=-", is_stated=is_stated)
+    value = column.unit or "not stated"
+    if is_derived(column):
+        return Assumption(subject, value, (column.reason.split("; ")[-1],))
+    if is_stated or column.missing:
+        evidence: tuple[str, ...] = ()
+    elif loose_header(column.header)[1] is not None:
+        evidence = (f"in the header {column.header!r}",)
+    else:
+        evidence = (column.reason.split(";")[-1].strip() if "writes" in column.reason else "in the row of units",)
+    return Assumption(subject, value, evidence, flag=f"--unit {flag}={column.unit or '...'}", is_stated=is_stated)
+
+
+def _percent(read: Read, column: ColumnGuess, recordings: Sequence[Recording], others: Sequence[ColumnGuess],
+             flag: str, *, is_named: bool) -> tuple[Alternative, ...]:
+    """Numbers without a unit that are large may be in %, unless another measure of strain agrees with them."""
+    values = np.concatenate([each.channel(column.channel) for each in recordings])
+    largest = float(np.abs(values - (column.channel == "stretch" and column.role == "strain")).max())
+    is_sure = column.role != "strain" or is_named
+    if column.measure or largest <= (_LARGEST_CERTAIN if is_sure else _LARGEST_STRAIN):
+        return ()
+    for other in others:
+        if other.channel != column.channel or other.measure == column.measure:
+            continue
+        try:
+            its = np.concatenate([each.channel(column.channel) for each in read([other])])
+        except InputError:
+            continue
+        if its.size == values.size and np.abs(its - values).max() <= _AGREEMENT * largest:
+            return ()
+    percent = replace(column, unit="%", offset=100.0 if column.offset == 1.0 else column.offset)
+    return (Alternative("%", _ratio(read, column, percent, recordings), f"--unit {flag}=%"),)
+
+
+def _measure(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
+             stated: Stated, flag: str) -> Assumption:
+    """The measure of a strain or stress, with those that the other columns suggest."""
+    words = plain(column.header)
+    named = measure_of(words, column.role)
+    is_stated = not stated.measures.keys().isdisjoint({column.channel, column.role, flag})
+    value = MEASURES[column.measure].title if column.measure else (
+        "stretch" if column.role == "stretch" else f"engineering {'stress' if column.role == 'stress' else 'strain'}")
+    evidence: tuple[str, ...] = ("words of the header",) if named and not is_stated else () if is_stated else (
+        ("by convention, as the header names no measure",) if column.role != "stretch" else ("header",))
+    if column.measure:
+        evidence = (*evidence, MEASURES[column.measure].formula)
+    others = list(other_measures(words, column.role)) if not is_stated else []
+    if named is None and not is_stated:
+        partner = {each.measure for each in columns
+                   if each is not column and each.channel in ("stretch", "nominal stress")}
+        if column.role == "stress" and partner & {"logarithmic", "almansi", "green_lagrange"}:
+            others.append("true")
+        elif column.role == "strain" and "true" in partner:
+            others.append("logarithmic")
+    alternatives = []
+    for other in dict.fromkeys(others):
+        bare = replace(column, measure=None, offset=None)
+        changed = with_measure(bare, other)
+        alternatives.append(Alternative(other, _ratio(read, column, changed, recordings, columns),
+                                        f"--measure {flag}={other}"))
+    return Assumption(f"measure of {column.channel}", value, evidence, alternatives=tuple(alternatives),
+                      flag=f"--measure {flag}={column.measure or ENGINEERING}", is_stated=is_stated)
+
+
+def _ratio(read: Read, column: ColumnGuess, changed: ColumnGuess, recordings: Sequence[Recording],
+           columns: Sequence[ColumnGuess] = ()) -> float | None:
+    """Shear modulus with the changed column over that with the column; None: it cannot be read so."""
+    try:
+        other = read([changed if each is column else each for each in columns] if columns else [changed])
+    except InputError:
+        return None
+    if not columns:
+        # Small strains of an elastic specimen: the modulus is inverse to the strain.
+        own, its = (np.concatenate([np.abs(each.channel(column.channel) - (column.channel == "stretch"))
+                                    for each in found]).max() for found in (recordings, other))
+        return float(own / its) if its > 0 else None
+    own, its = (_shear_modulus(found) for found in (recordings, other))
+    return its / own if own and its else None
+
+
+def _shear_modulus(recordings: Sequence[Recording]) -> float | None:
+    """Least-squares shear modulus of a neo-Hookean specimen, P = mu (l - l^-2), Pa; None: no stretch and stress."""
+    if not all({"stretch", "nominal stress"} <= set(each.channels) for each in recordings):
+        return None
+    stretch, stress = (np.concatenate([each.channel(name) for each in recordings])
+                       for name in ("stretch", "nominal stress"))
+    if stretch.min() <= 0:
+        return None
+    shape = stretch - stretch**-2
+    return float(np.dot(stress, shape) / np.dot(shape, shape)) if np.any(shape) else None

@@ -1,0 +1,166 @@
+"""The kind of test that a table shows: by its columns, its words, and the signs of its values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+from tissue_sim.experiment.kinds.kind import KINDS
+from tissue_sim.recording.formats.assumption import Alternative, Assumption
+from tissue_sim.recording.formats.guesses import ColumnGuess, KindGuess
+from tissue_sim.recording.formats.kind_words import Hint, NamedTest, named_tests
+from tissue_sim.recording.formats.orientation import largest_excursion
+from tissue_sim.recording.formats.vocabulary import Machine
+from tissue_sim.recording.recording import Recording
+
+_BETWEEN_PLATES = ("taken as homogeneous, between plates that slip; where they hold the specimen it is "
+                   "bonded_compression, and friction_compression between")
+
+
+def guess_kind(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], hints: Sequence[Hint],
+               machine: Machine | None, stated: str | None = None) -> KindGuess:
+    """The kind of test that a table shows.
+
+    Words for a test without a kind (`UNKNOWN_TESTS`) are never overruled by other evidence, except that a kind named by
+    two words in the file, as "uniaxial tension", overrules the name of the file.
+
+    Args:
+        recordings: of the table, signs as in the file. columns: of the table.
+        hints: texts in which words count, the surest first; the name of the file last.
+        machine: that wrote the file. stated: kind that the user states; overrules everything.
+    """
+    named = named_tests(hints)
+    if stated is not None:
+        return KindGuess(stated, "stated", against=_against(stated, named), is_stated=True)
+    refused = _unknown(named, hints)
+    if refused is not None:
+        return KindGuess(None, f"{refused.word!r} {refused.where}", refused=refused)
+    by_columns, by_words = _by_columns(recordings, columns), _by_words(named, hints)
+    if by_columns is not None and by_words is not None and by_columns.kind != by_words.kind:
+        return _reconciled(by_columns, by_words, columns)
+    found = by_columns or by_words or _by_sign(recordings, columns, machine)
+    return found or KindGuess(None, "nothing in the file says how the specimen was loaded")
+
+
+def _reconciled(by_columns: KindGuess, by_words: KindGuess, columns: Sequence[ColumnGuess]) -> KindGuess:
+    """The kind of two that columns and words name: that of the words if it has such columns and the same direction,
+    else that of the columns; one with another closed form is an alternative."""
+    channels = {column.channel for column in columns}
+    own, named = KINDS[by_columns.kind or ""], KINDS[by_words.kind or ""]
+    if named.sign == own.sign and any(set(pair) <= channels for pair in named.channels):
+        return replace(by_words, reason=f"{by_words.reason}; {by_columns.reason}")
+    other = () if named.closed_form is own.closed_form or by_words.is_weak else (named.name,)
+    return replace(by_columns, against=(by_words.reason,), alternatives=other)
+
+
+def require_one_test(texts: Sequence[Sequence[Hint]]) -> None:
+    """Refuse tables that would be read as replicates and whose words name different tests.
+
+    Args:
+        texts: hints of each table.
+
+    Raises:
+        InputError: with the words.
+    """
+    found: dict[frozenset[str], str] = {}
+    for hints in texts:
+        named = named_tests(hints)
+        tests = frozenset(each.title for each in named)
+        if tests:
+            found.setdefault(tests, " and ".join(dict.fromkeys(each.word for each in named)))
+    if len(found) > 1:
+        words = "; ".join(map(repr, found.values()))
+        raise InputError(f"holds different tests with the same columns ({words} above the numbers); give each test a "
+                         "file of its own")
+
+
+def kind_assumption(guess: KindGuess) -> Assumption:
+    """The guess with its evidence and the kinds that also fit."""
+    return Assumption("kind of test", guess.kind or "not known", () if guess.is_stated else (guess.reason,),
+                      guess.against, tuple(Alternative(kind, None, f"--kind {kind}") for kind in guess.alternatives),
+                      f"--kind {guess.kind}" if guess.kind else "--kind", guess.is_stated)
+
+
+def _against(kind: str, named: Sequence[NamedTest]) -> tuple[str, ...]:
+    """What the words of the file say against a kind that the user states."""
+    found = []
+    for each in named:
+        if each.unknown is not None:
+            found.append(f"{each.word!r} {each.where} names {each.unknown.title}, which is {each.unknown.difference}")
+        elif each.kind != kind and KINDS[each.kind or kind].sign != KINDS[kind].sign:
+            found.append(f"{each.word!r} {each.where} names {each.kind}")
+    return tuple(dict.fromkeys(found))
+
+
+def _unknown(named: Sequence[NamedTest], hints: Sequence[Hint]) -> NamedTest | None:
+    """The first word for a test without a kind that decides."""
+    of_file = {hint.where for hint in hints if hint.is_file_name}
+    known = [each for each in named if each.kind is not None and each.where not in of_file]
+    for each in named:
+        if each.unknown is None:
+            continue
+        overruled = each.where in of_file and (bool(known) if each.is_short else
+                                               any(other.is_explicit for other in known))
+        if not overruled:
+            return each
+    return None
+
+
+def _by_columns(recordings: Sequence[Recording], columns: Sequence[ColumnGuess]) -> KindGuess | None:
+    roles = {column.role for column in columns}
+    if "shear strain" in roles:
+        return KindGuess("simple_shear", "it has a shear strain")
+    if "stretch" not in roles:
+        return None
+    values = np.concatenate([each.channel("stretch") for each in recordings])
+    low, high = 1.0 - values.min(), values.max() - 1.0
+    if low > 0.1 * high and high > 0.1 * low:
+        return KindGuess("uniaxial_tension", "stretches on both sides of 1: tension and compression")
+    return KindGuess("uniaxial_tension", "stretches above 1") if high > low else \
+        KindGuess("lubricated_compression", f"stretches below 1; {_BETWEEN_PLATES}")
+
+
+def _by_words(named: Sequence[NamedTest], hints: Sequence[Hint]) -> KindGuess | None:
+    """The first text that names one kind decides; headers name a direction, which a title may specify."""
+    levels: list[NamedTest] = []
+    for hint in hints:
+        here = [each for each in named if each.where == hint.where and each.kind is not None]
+        if len({each.kind for each in here}) == 1:
+            levels.append(here[0])
+    if not levels:
+        return None
+    first, *others = levels
+    of_file = {hint.where for hint in hints if hint.is_file_name}
+    title = next((each for each in others if each.where not in of_file), None)
+    if title is not None and first.where == hints[0].where and _sign(title) == _sign(first):
+        first = title
+    conflicts = [each for each in levels if each.kind != first.kind and not (
+        each.where == hints[0].where and _sign(each) == _sign(first)) and not each.is_short]
+    kind = first.kind
+    between = f"; {_BETWEEN_PLATES}" if kind == "lubricated_compression" else ""
+    return KindGuess(kind, f"{first.word!r} {first.where}{between}", is_weak=first.where in of_file,
+                     against=tuple(f"{each.word!r} {each.where}" for each in conflicts),
+                     alternatives=tuple(dict.fromkeys(each.kind for each in conflicts if each.kind)))
+
+
+def _sign(named: NamedTest) -> float:
+    return KINDS[named.kind or ""].sign
+
+
+def _by_sign(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], machine: Machine | None
+             ) -> KindGuess | None:
+    """Compression, where a machine or a strain counts it as negative."""
+    roles = {column.role for column in columns}
+    if recordings and {"displacement", "force"} <= roles and machine is not None and machine.compresses_negative:
+        motion, load = (largest_excursion(np.asarray(recordings[0].channel(name)))
+                        for name in ("displacement", "force"))
+        if motion < 0 and load < 0:
+            return KindGuess("lubricated_compression", f"travel and load are negative, as {machine.title} counts "
+                             f"compression; {_BETWEEN_PLATES}")
+    if "strain" in roles and recordings and "stretch" in recordings[0] \
+            and largest_excursion(recordings[0].channel("stretch")) < 0:
+        return KindGuess("lubricated_compression", f"strains are negative; {_BETWEEN_PLATES}")
+    return None

@@ -1,0 +1,61 @@
+"""Where a file may name its test: headers, titles, names of sheets, columns of labels, and the name of the file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from tissue_sim.errors import InputError
+from tissue_sim.recording.formats.kind_words import Hint, named_tests
+from tissue_sim.recording.formats.sources import Numbers, Source
+
+#: Rows above a table, and of a sheet without numbers, that are searched.
+_TITLE_ROWS, _SHEET_ROWS = 40, 60
+#: Different labels of a column; one with more holds no names of tests.
+_MOST_LABELS = 20
+
+
+def title_hints(numbers: Numbers) -> list[Hint]:
+    """The text above a table, and the name of its sheet."""
+    above = "\n".join(" ".join(row.cells) for row in numbers.above[-_TITLE_ROWS:])
+    return [Hint(above, "above the numbers"), Hint(numbers.table.name, "in the name of the sheet")]
+
+
+def file_hints(source: Source, found: Sequence[Numbers]) -> list[Hint]:
+    """The text at the top of the file, and in sheets without numbers."""
+    first = found[0]
+    hints = [Hint("\n".join(" ".join(row.cells) for row in first.above[:_TITLE_ROWS]), "at the top of the file")
+             ] if not first.table.name else []
+    with_numbers = {id(numbers.table) for numbers in found}
+    return hints + [Hint("\n".join(" ".join(row.cells) for row in table.rows[:_SHEET_ROWS]), f"in sheet {table.name!r}")
+                    for table in source.tables if id(table) not in with_numbers]
+
+
+def header_hint(own: Sequence[str], others: Sequence[str]) -> Hint:
+    """Headers of the columns that are read, and of the others as far as they name no test without a kind: a column of
+    bending strain that is not read says nothing of the test."""
+    where = "in the headers"
+    harmless = [name for name in others if all(each.unknown is None for each in named_tests([Hint(name, where)]))]
+    return Hint(" ".join((*own, *harmless)), where)
+
+
+def label_hints(numbers: Numbers) -> list[Hint]:
+    """Words in columns of labels beside the numbers.
+
+    Raises:
+        InputError: the rows are of different tests, one of which has no kind.
+    """
+    hints = []
+    width = max(len(row.cells) for row in numbers.rows)
+    for place in (place for place in range(width) if place not in numbers.columns):
+        labels = list(dict.fromkeys(row.cells[place] for row in numbers.rows if place < len(row.cells)
+                                    and row.cells[place]))
+        if not 1 <= len(labels) <= _MOST_LABELS:
+            continue
+        where = f"in column {numbers.name(place) or place + 1!r}"
+        named = [named_tests([Hint(label, where)]) for label in labels]
+        unknown = {each.unknown.name for tests in named for each in tests if each.unknown is not None}
+        if unknown and len({tuple((each.kind, each.unknown) for each in tests) for tests in named}) > 1:
+            raise InputError(f"its rows are of different tests ({', '.join(labels)} {where}); give each test a file of "
+                             "its own", line=numbers.rows[0].line)
+        hints.append(Hint("\n".join(labels), where))
+    return hints

@@ -1,0 +1,162 @@
+"""Measures of strain and stress other than stretch and nominal stress: words in headers, and conversion.
+
+The conversions hold for an incompressible specimen that deforms homogeneously (Holzapfel, Nonlinear Solid Mechanics,
+2000, chapters 2 and 3). Uniaxial, of stretch l: logarithmic strain ln l; Green-Lagrange strain (l^2 - 1) / 2; Almansi
+strain (1 - l^-2) / 2; nominal stress = true stress / l = l * second Piola-Kirchhoff stress. In simple shear the true
+shear stress equals the nominal one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.recording.recording import Recording
+
+ENGINEERING = "engineering"
+#: Logarithmic strain above which a unit is wrong: a stretch of 148.
+_LARGEST_LOGARITHMIC = 5.0
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A measure of strain or stress.
+
+    Attributes:
+        channel: of a recording that the values become. title: for people.
+        words: pattern of the words by which a header names it, lower case.
+        convert: values, SI -> those of the channel; a stress takes the stretch as second argument.
+        formula: of the conversion, for people.
+    """
+
+    channel: str
+    title: str
+    words: str
+    convert: Callable[..., np.ndarray]
+    formula: str
+
+
+def _from_logarithmic(strain: np.ndarray) -> np.ndarray:
+    largest = float(np.abs(strain).max())
+    if largest > _LARGEST_LOGARITHMIC:
+        raise InputError(f"logarithmic strains reach {largest:g}, which is a stretch of exp({largest:g}); state the "
+                         'unit, such as unit = "%"', field="stretch")
+    return np.exp(strain)
+
+
+def _from_green_lagrange(strain: np.ndarray) -> np.ndarray:
+    if strain.min() <= -0.5:
+        raise InputError(f"Green-Lagrange strains must be above -0.5; got {strain.min():g}. Check unit and sign",
+                         field="stretch")
+    return np.sqrt(1.0 + 2.0 * strain)
+
+
+def _from_almansi(strain: np.ndarray) -> np.ndarray:
+    if strain.max() >= 0.5:
+        raise InputError(f"Almansi strains must be below 0.5; got {strain.max():g}. Check unit and sign",
+                         field="stretch")
+    return 1.0 / np.sqrt(1.0 - 2.0 * strain)
+
+
+#: Name in a campaign -> measure.
+MEASURES: dict[str, Measure] = {
+    "logarithmic": Measure("stretch", "logarithmic strain", r"true|log|ln|logarithmic|hencky|natural|wahre[rn]?|"
+                           r"logarithmische[rn]?|vraie?s?|logarithmique|umformgrad", _from_logarithmic,
+                           "stretch = exp(strain)"),
+    "green_lagrange": Measure("stretch", "Green-Lagrange strain", r"green|lagrange|lagrangian|lagrangesche",
+                              _from_green_lagrange, "stretch = sqrt(1 + 2 strain)"),
+    "almansi": Measure("stretch", "Almansi strain", r"almansi|euler|eulerian", _from_almansi,
+                       "stretch = 1 / sqrt(1 - 2 strain)"),
+    "true": Measure("nominal stress", "true (Cauchy) stress", r"true|cauchy|wahre[rn]?|vraie?s?|(?<!piola )kirchhoff",
+                    lambda stress, stretch: stress / stretch, "nominal stress = true stress / stretch"),
+    "second_piola_kirchhoff": Measure(
+        "nominal stress", "second Piola-Kirchhoff stress", r"(second|2nd|zweite[rn]?|deuxième|2) (piola|pk)|pk ?2|"
+        r"piola kirchhoff (2|ii)", lambda stress, stretch: stress * stretch,
+        "nominal stress = stretch * second Piola-Kirchhoff stress"),
+}
+_ENGINEERING = re.compile(r"\b(engineering|eng|nominal|nominale[rn]?|nominell\w*|technische[rn]?|technical|nenn\w*|"
+                          r"ingenieur\w*|ingénieur|conventional|conventionnelle|first piola|pk ?1|1st piola|biot|"
+                          r"cauchy strain)\b")
+#: What makes a column of stretches one of logarithmic strains.
+_LOGARITHM = re.compile(r"\b(ln|log|logarithmi\w*|hencky|strain|dehnung)\b")
+_WORDS = {name: re.compile(rf"\b({measure.words})\b") for name, measure in MEASURES.items()}
+_CHANNEL_OF_ROLE = {"strain": "stretch", "stretch": "stretch", "shear strain": "stretch", "stress": "nominal stress",
+                    "nominal stress": "nominal stress"}
+
+
+def measure_of(words: str, role: str) -> str | None:
+    """Name of the measure that a header states, `ENGINEERING` included; None: no word for a measure.
+
+    Args:
+        words: of the header, lower case, separated by single blanks. role: of the column.
+    """
+    channel = _CHANNEL_OF_ROLE.get(role)
+    if channel is None:
+        return None
+    if channel == "stretch" and "cauchy" in words.split():
+        return ENGINEERING
+    for name, measure in MEASURES.items():
+        if measure.channel == channel and _WORDS[name].search(words) and not (
+                role == "stretch" and name == "logarithmic" and not _LOGARITHM.search(words)):
+            return name
+    return ENGINEERING if _ENGINEERING.search(words) else None
+
+
+def other_measures(words: str, role: str) -> tuple[str, ...]:
+    """Measures that the same words also name: a Lagrangian strain is that of Green-Lagrange or the engineering strain,
+    a Piola-Kirchhoff stress the first (nominal) or the second."""
+    channel, parts = _CHANNEL_OF_ROLE.get(role), words.split()
+    if channel == "stretch" and any(part.startswith("lagrang") for part in parts) and "green" not in parts:
+        return (ENGINEERING,)
+    if channel == "nominal stress" and "piola" in parts and measure_of(words, role) is None:
+        return ("second_piola_kirchhoff",)
+    return ()
+
+
+def check_measure(measure: object, channel: str, channels: Mapping[str, object], field: str) -> None:
+    """Refuse a measure that the channel does not have, or that lacks the stretch for its conversion.
+
+    Raises:
+        InputError: with the field.
+    """
+    names = [name for name, each in MEASURES.items() if each.channel == channel]
+    if measure not in names:
+        expected = f"one of {', '.join(names)}" if names else "left out: the channel has one measure only"
+        raise InputError(f"measure of {channel} must be {expected}; got {measure!r}"
+                         f"{nearest(str(measure), names) if names else ''}", field=f"{field}.measure")
+    if channel == "nominal stress" and not {"stretch", "shear strain"} & channels.keys():
+        raise InputError(f"{MEASURES[str(measure)].title} needs the stretch to become a nominal stress; name a column "
+                         "of stretch or strain too", field=f"{field}.measure")
+
+
+def convert_measures(recording: Recording, measures: Mapping[str, str]) -> Recording:
+    """The recording with stretch and nominal stress in place of other measures.
+
+    Args:
+        recording: values of other measures stand in the channels that they become.
+        measures: channel -> name in `MEASURES`.
+
+    Raises:
+        InputError: values that the measure cannot have; a measure of stress that has no conversion in simple shear.
+    """
+    if "stretch" in measures:
+        recording = recording.with_channels(
+            stretch=MEASURES[measures["stretch"]].convert(recording.channel("stretch")))
+    stress = measures.get("nominal stress")
+    if stress is None:
+        return recording
+    if "stretch" in recording:
+        stretch = recording.channel("stretch")
+        if stretch.min() <= 0:
+            raise InputError(f"{MEASURES[stress].title} needs stretches above zero; got {stretch.min():g}",
+                             field="stretch")
+        return recording.with_channels(**{"nominal stress": MEASURES[stress].convert(
+            recording.channel("nominal stress"), stretch)})
+    if stress != "true":
+        raise InputError(f"{MEASURES[stress].title} has no conversion to nominal stress in simple shear; give the "
+                         "nominal or the true shear stress", field="nominal stress")
+    return recording

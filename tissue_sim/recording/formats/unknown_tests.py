@@ -1,0 +1,138 @@
+"""Tests that have no kind in this program, and the words by which files name them: one table.
+
+The words are regular expressions for text without accents, in lower case, words separated by one blank (see
+`tissue_sim.recording.formats.kind_words.plain_text`). A kind that is registered under a name of this table, or with the
+same words among its `title_words`, takes the words over.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class UnknownTest:
+    """A test without a kind of its own.
+
+    Attributes:
+        name: name that a kind of this test would have. title: for people.
+        words: regular expressions in English, German and French.
+        difference: why no registered kind may be taken for the test; completes "<title> is ...".
+        short: abbreviations that count in the name of a file only. alone: words that count only where nothing else
+            stands, as in the name of a sheet.
+    """
+
+    name: str
+    title: str
+    words: tuple[str, ...]
+    difference: str
+    short: tuple[str, ...] = ()
+    alone: tuple[str, ...] = ()
+
+
+_UNEQUAL = "not homogeneous: a modulus from the whole force and displacement would be wrong"
+
+UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
+    UnknownTest("planar_tension", "planar tension (pure shear)", (
+        r"planar ?(tension|tensile|extension|elongation|stretch\w*|zug\w*|test)", r"pure ?shear",
+        r"strip biax\w*", r"(width )?constrained (width )?(tension|tensile)", r"plane strain (tension|tensile)",
+        r"wide strip", r"eben\w* zug\w*", r"planar\w* (zug\w*|dehnung)", r"rein\w* (scher\w*|schub\w*)",
+        r"reinscher\w*",
+        r"cisaillement pur", r"(traction|tension|extension) plan\w*"),
+        "neither simple shear nor uniaxial tension: the width is held, and a modulus of either would be wrong",
+        short=("ps", "pt"), alone=("planar",)),
+    UnknownTest("equibiaxial_tension", "biaxial tension", (
+        r"equi ?biax\w*", r"bi ?axial\w*", r"biax\w*", r"(a|ae)qui ?biax\w*", r"gleichbiax\w*", r"zweiachs\w*",
+        r"biaxialzug\w*"),
+        "not uniaxial tension: the specimen is loaded along two axes, and its stress would be taken for that of one",
+        short=("eb", "ebt", "bt")),
+    UnknownTest("confined_compression", "confined compression", (
+        r"confined( compress\w*)?", r"(radially |laterally )?(confined|constrained|restrained) compress\w*",
+        r"compress\w* confinee?", r"confinee?", r"o?edomet\w*", r"laterally (confined|constrained|restrained)",
+        r"uniaxial strain", r"(ein|um)geschlossen\w* (kompress\w*|druck\w*)",
+        r"(behindert\w*|verhindert\w*) (quer|seiten)dehnung", r"eingeschrankt\w* (kompress\w*|druck\w*)",
+        r"aggregate modulus"),
+        "not compression between plates: the specimen cannot widen, and its force measures the aggregate modulus"),
+    UnknownTest("plane_strain_compression", "plane strain compression", (
+        r"plane strain( compress\w*)?", r"channel die", r"eben\w* (dehnung\w*|stauch\w*|verzerrung\w*)",
+        r"deformation plane"),
+        "not uniaxial: the specimen widens to one side only"),
+    UnknownTest("volumetric_compression", "volumetric compression", (
+        r"volumetric (compress\w*|test\w*|loading|data)", r"hydrostat\w*( (compress\w*|druck\w*|test\w*))?",
+        r"isostat\w*",
+        r"volumetrisch\w* (druck\w*|kompress\w*|versuch\w*)", r"compress\w* (volum\w*|isostat\w*|hydrostat\w*)",
+        r"kompressionsmodul"),
+        "not compression between plates: it measures the bulk modulus and nothing of the shear modulus"),
+    UnknownTest("triaxial_compression", "triaxial compression", (r"tri ?axial\w*", r"dreiachs\w*", r"triax"),
+                "not uniaxial: a pressure acts on the sides of the specimen"),
+    UnknownTest("torsion", "torsion", (r"torsion\w*", r"twist\w*", r"verdreh\w*", r"verdrill\w*"),
+                "not simple shear: the shear strain grows with the radius, and a torque is measured"),
+    UnknownTest("bending", "bending", (
+        r"bend(ing)?( tests?)?", r"flexur\w*", r"flexion", r"\w*bieg(e|ung|ever)\w*", r"cantilever",
+        r"(three|four|3|4|drei|vier|trois|quatre) ?(pts?|points?|punkte?)( ?(bend|\w*bieg|flex|load|test)\w*)?",
+        r"[34] ?pb"),
+        "neither tension nor compression: one side is stretched and the other compressed"),
+    UnknownTest("peel", "a peel test", (
+        r"(t )?peel(ing)?( tests?)?", r"(ab)?schae?l(versuch|prufung|pruefung|test|kraft|festigkeit|widerstand)\w*",
+        r"(de)?pelage"),
+        "not tension: its force measures the adhesion of a front that moves"),
+    UnknownTest("fatigue", "a fatigue test", (
+        r"fatigue( tests?)?", r"ermudung\w*", r"ermuedung\w*", r"dauerschwing\w*", r"dauerfestigkeit\w*",
+        r"w(o|oe)hler\w*",
+        r"\w*schwellversuch\w*", r"endurance tests?"),
+        "not one loading: the material changes from cycle to cycle"),
+    UnknownTest("burst", "a burst test", (r"burst(ing)?", r"berst\w*", r"eclatement"),
+                "neither tension nor compression: a pressure loads the specimen in two directions"),
+    UnknownTest("inflation", "an inflation test", (
+        r"inflat\w*", r"bulge( tests?)?", r"bubble (inflation|tests?)", r"aufbla(e|h)?s?\w*", r"gonfle?\w*"),
+        "neither tension nor compression: a pressure loads the specimen in two directions"),
+    UnknownTest("lap_shear", "a lap shear test", (
+        r"((single|double) )?lap ?(shear|joint)\w*", r"zugscher\w*", r"u(e)?berlapp\w*",
+        r"(simple |double )?recouvrement"),
+        "simple shear only if the specimen fills the overlap: state --kind simple_shear then"),
+    UnknownTest("tear", "a tear test", (
+        r"(trouser|crescent|angle|graves) tear\w*", r"tear (tests?|strength|resistance|propagation|energy)",
+        r"tearing( tests?)?", r"weiterrei(ss|sz)\w*", r"dechir\w*"),
+        "not tension: its force measures the growth of a crack"),
+    UnknownTest("fracture", "a fracture test", (
+        r"fracture (tests?|toughness|mechanics|energy)", r"compact tension",
+        r"(single|double) edge (notch\w*|crack\w*)",
+        r"notch\w* (tension|tensile|specimens?)", r"crack (growth|propagation)\w*", r"bruch(mechan|zah|zaeh)\w*",
+        r"gekerbt\w*", r"kerb\w*", r"entaill\w*"),
+        "not tension of a whole specimen: a notch or crack decides the force"),
+    UnknownTest("ring_tension", "ring tension", (
+        r"ring (tension|tensile|pull|tests?)", r"hoop (tension|tensile|tests?)", r"ringzug\w*",
+        r"traction (sur |d )?anneau\w*"),
+        "not uniaxial tension: pins bend the ring before they stretch it"),
+    UnknownTest("diametral_compression", "diametral compression", (
+        r"diametr\w* (compress\w*|druck\w*)", r"compress\w* diametr\w*", r"brazilian\w*", r"indirect tens\w*",
+        r"split(ting)? tens\w*", r"spaltzug\w*", r"scheiteldruck\w*"),
+        "neither uniaxial compression nor tension: the disc is loaded along a line"),
+    UnknownTest("impact", "an impact test", (
+        r"impact( tests?)?", r"drop (weight|tower|tests?)\w*", r"charpy", r"izod", r"(split )?hopkinson\w*", r"shpb",
+        r"kolsky",
+        r"schlag(zah|zaeh|versuch|pruf|pruef|biege)\w*", r"fallgewicht\w*", r"(essai de )?choc"),
+        "not a slow test: inertia is part of the force"),
+    UnknownTest("pull_out", "a pull-out test", (
+        r"pull ?out\w*", r"suture (retention|pull\w*)", r"auszieh\w*", r"ausrei(ss|sz)\w*", r"arrachement"),
+        "not tension of a specimen: its force measures how an anchor holds"),
+    UnknownTest("tack", "a tack test", (r"(probe )?tack( tests?)?", r"adhesion tests?", r"debond\w*", r"hafttest\w*",
+                                        r"haft(zug|festigkeits?)\w*"),
+                "not tension: its force measures the adhesion of two faces"),
+    UnknownTest("aspiration", "an aspiration test", (
+        r"aspirat\w*", r"suction", r"cutometer", r"saug(versuch|napf|test)\w*", r"ventouse"),
+                "neither tension nor compression: suction draws the tissue into an opening"),
+    UnknownTest("buckling", "a buckling test", (r"buckl\w*", r"knick(versuch|last|ung)\w*", r"flamb(age|ement)"),
+                "not compression: the specimen bends aside"),
+    UnknownTest("cutting", "a cutting test", (
+        r"cutting( tests?| force)?", r"schneid\w*", r"warner bratzler( shear)?", r"kramer( shear)?", r"decoupe"),
+        f"a separation of the material, {_UNEQUAL}"),
+    UnknownTest("extrusion", "an extrusion test", (r"(back ?)?extrusion( tests?)?", r"ruckextrusion\w*"),
+                "not compression: the material flows through a gap"),
+    UnknownTest("surface_tension", "surface tension", (
+        r"(surface|interfacial) tension", r"(ober|grenz)flac?h?e?n?spannung", r"tension (superficielle|interfaciale)"),
+        "not tension of a specimen"),
+    UnknownTest("scratch", "a scratch or friction test", (r"scratch( tests?)?", r"tribo\w*", r"friction tests?",
+                                                          r"reib(versuch|test|pruf|pruef)\w*"),
+                "not a loading of a specimen: its force measures friction"),
+)
