@@ -9,7 +9,7 @@ from typing import Any
 
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.recording.formats.assumption import Assumption
-from tissue_sim.recording.formats.columns import Sheets
+from tissue_sim.recording.formats.columns import Curves, Sheets
 from tissue_sim.recording.recording import CHANNELS, Recording
 from tissue_sim.units import UNITS, quantity_of
 
@@ -133,6 +133,9 @@ class Stated:
         units, scales, signs: channel -> it.
         kind: of test. format: of a machine. sheet, delimiter, skip_lines: where the table is.
         direct: whether stress and strain are read where a file has force and displacement, too.
+        decimal: decimal mark of the numbers, ``"."`` or ``","``; None: found.
+        curve: number from 1, or numbers, of the recordings of each file that are read; None: all.
+        one_material: whether titled blocks of one file are replicates of one material whatever their names.
     """
 
     columns: Mapping[str, str | int] = field(default_factory=dict)
@@ -145,3 +148,6 @@ class Stated:
     delimiter: str | None = None
     skip_lines: int = 0
     direct: bool = False
+    decimal: str | None = None
+    curve: Curves | None = None
+    one_material: bool = False

@@ -28,6 +28,11 @@ class Group:
     others: tuple[str, ...]
 
     @property
+    def line(self) -> int:
+        """Line of the header, or of the first row of numbers."""
+        return (self.numbers.header or self.numbers.rows[0]).line
+
+    @property
     def signature(self) -> tuple:
         sizes = size_signature(stated_values(self.numbers.above)) if self.numbers.table.name else ()
         return (*sizes, *((each.channel, each.header or each.place, each.unit) for each in self.columns))

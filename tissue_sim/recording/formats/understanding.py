@@ -15,9 +15,11 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.frozen_mapping import read_only
-from tissue_sim.recording.formats.columns import read_blocks
+from tissue_sim.recording.formats.columns import MarkedRecording, read_marked_blocks
+from tissue_sim.recording.formats.decimal_mark import NumberMarks, marks_beside
 from tissue_sim.recording.formats.guesses import ColumnGuess, KindGuess, Reading, Stated, Understanding
 from tissue_sim.recording.formats.header import matches
+from tissue_sim.recording.formats.materials import by_material
 from tissue_sim.recording.formats.orientation import guess_kind, oriented
 from tissue_sim.recording.formats.pairing import Group, alike, find_groups, no_pair
 from tissue_sim.recording.formats.sources import Numbers, Source, find_numbers, open_source, stated_values
@@ -46,19 +48,23 @@ def understand(path: str | Path, stated: Stated | None = None) -> Understanding:
     tables = [group for numbers in found for group in find_groups(numbers, machine, stated)]
     if not tables:
         raise InputError(no_pair(found, machine, stated), file=path)
-    readings = tuple(_reading(source, group, stated, machine, words) for group in alike(tables))
+    parts = [_reading(source, group, stated, machine, words) for group in alike(tables)]
+    readings = tuple(reading for several, _ in parts for reading in several)
+    every = [marks for _, marks in parts]
+    marks = next((each for each in every if each.is_open), next((each for each in every if each.thousands), every[0]))
     if len(readings) > 1:
         readings = _named(readings)
-    delimiter = source.tables[0].delimiter
-    cells = "".join(cell for column in readings[0].columns for row in found[0].rows[:200]
-                    for cell in row.cells[column.place - 1:column.place])
-    return Understanding(path, machine.name if machine else "table", source.kind, delimiter,
-                         None if delimiter is None else "," if "," in cells else ".", source.encoding, readings,
-                         _warnings(source, readings))
+    return Understanding(path, machine.name if machine else "table", source.kind, source.tables[0].delimiter,
+                         marks.decimal if source.kind == "text" else None, source.encoding, readings,
+                         _warnings(source, readings), marks.assumptions())
 
 
-def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: Machine | None, words: str) -> Reading:
-    """How to read the tables, with columns turned so that a load is positive."""
+def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: Machine | None, words: str
+             ) -> tuple[list[Reading], NumberMarks]:
+    """How to read the tables, with columns turned so that a load is positive, and the marks of their numbers.
+
+    Tables whose titles name different materials are readings of their own.
+    """
     first = groups[0]
     sheets = tuple(dict.fromkeys(group.numbers.table.name for group in groups if group.numbers.table.name))
     by_name = _told_apart(groups)
@@ -68,11 +74,20 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
         options["sheet"] = list(sheets) if len(sheets) > 1 else sheets[0]
     if source.kind == "text" and first.numbers.table.delimiter in ("|", " "):
         options["delimiter"] = first.numbers.table.delimiter
-    header = first.numbers.header
-    line = header.line if header is not None else first.numbers.rows[0].line
+    header, line = first.numbers.header, first.line
     if not by_name and line > 1:
         options["skip_lines"] = line if header is not None else line - 1
-    columns, recordings, remarks = _readable(source.file, columns, options)
+    if stated.decimal is not None:
+        options["decimal"] = stated.decimal
+    if stated.curve is not None:
+        options["curve"] = stated.curve
+    columns, marked, remarks = _readable(source.file, columns, options)
+    marks = _settled(marked, groups)
+    if marks.decimal != marked[0].marks.decimal:
+        columns, marked, remarks = _readable(source.file, columns, {**options, "decimal": marks.decimal})
+    if marks.thousands or (marks.example and not marks.is_certain):
+        options["decimal"] = marks.decimal
+    recordings = _recordings_of(marked)
     stated_above = stated_values(first.numbers.above)
     # The name of the file says least: it comes last.
     hints = [" ".join(each.header for each in columns) + " " + " ".join(first.others),
@@ -82,14 +97,31 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
         columns = tuple(replace(column, channel="shear strain", offset=None,
                                 reason=column.reason.replace("; a strain, which 1 makes a stretch", "; sheared"))
                         if column.role == "strain" else column for column in columns)
-        recordings = _read(source.file, columns, options)
+        recordings = _recordings_of(_read(source.file, columns, options))
     signed = {column.channel for column in columns if stated.signs.keys() & {column.channel, column.role}}
     turned = oriented(columns, recordings, kind.kind, signed)
     recordings = _turned(source.file, recordings, columns, turned, options)
     columns = turned
     options["columns"] = {column.channel: column.entry() for column in columns}
-    return Reading("", columns, first.others, read_only(options), recordings, kind, line, sheets,
-                   read_only(stated_above), remarks)
+    if marks.is_open:
+        del options["decimal"]
+    reading = Reading("", columns, first.others, read_only(options), recordings, kind, line, sheets,
+                      read_only(stated_above), remarks)
+    return by_material(reading, groups, [(each.sheet, each.line) for each in marked], stated), marks
+
+
+def _settled(marked: Sequence[MarkedRecording], groups: Sequence[Group]) -> NumberMarks:
+    """The marks of the numbers; where these are open, quantities outside of the table decide."""
+    every = [each.marks for each in marked]
+    found = next((marks for marks in every if marks.is_open or marks.thousands), every[0])
+    if not found.is_open:
+        return found
+    rows = [row for group in groups for row in (*group.numbers.above, *group.numbers.below)]
+    return marks_beside(found, "\n".join(" ".join(row.cells) for row in rows))
+
+
+def _recordings_of(marked: Sequence[MarkedRecording]) -> tuple[Recording, ...]:
+    return tuple(each.recording for each in marked)
 
 
 def _told_apart(groups: Sequence[Group]) -> bool:
@@ -105,41 +137,41 @@ def _told_apart(groups: Sequence[Group]) -> bool:
 
 
 def _readable(path: Path, columns: tuple[ColumnGuess, ...], options: Mapping[str, Any]
-              ) -> tuple[tuple[ColumnGuess, ...], tuple[Recording, ...], tuple[str, ...]]:
+              ) -> tuple[tuple[ColumnGuess, ...], tuple[MarkedRecording, ...], tuple[str, ...]]:
     """Columns and what they give, without a clock that runs backwards, and with a stretch that falls below zero taken
     for the strain that it is."""
     remarks: tuple[str, ...] = ()
     try:
-        recordings = _read(path, columns, options)
+        marked = _read(path, columns, options)
     except InputError as error:
         if not error.problem.startswith("time runs backwards"):
             raise
         columns = tuple(column for column in columns if column.channel != "time")
-        recordings = _read(path, columns, options)
+        marked = _read(path, columns, options)
         remarks = (f"the clock is left out: line {error.line}: {error.problem.split(' in column')[0]}",)
     if any(column.role == "stretch" for column in columns) and min(
-            each.channel("stretch").min() for each in recordings) <= 0:
+            each.recording.channel("stretch").min() for each in marked) <= 0:
         columns = tuple(replace(column, role="strain", offset=1.0, reason=f"{column.reason}; not above zero, as a "
                                 "stretch is; a strain, which 1 makes a stretch")
                         if column.role == "stretch" else column for column in columns)
-        recordings = _read(path, columns, options)
-    return columns, recordings, remarks
+        marked = _read(path, columns, options)
+    return columns, marked, remarks
 
 
-def _read(path: Path, columns: Sequence[ColumnGuess], options: Mapping[str, Any]) -> tuple[Recording, ...]:
+def _read(path: Path, columns: Sequence[ColumnGuess], options: Mapping[str, Any]) -> tuple[MarkedRecording, ...]:
     entries = {}
     for column in columns:
         # Where only a person knows the unit, the numbers as they stand show the shape of the test.
         entries[column.channel] = {**column.entry(), "scale": column.scale or 1.0} if column.missing else column.entry()
         if column.missing and column.unit not in UNITS:
             entries[column.channel].pop("unit", None)
-    recordings = read_blocks(path, entries, **{key: value for key, value in options.items() if key != "columns"})
-    for recording in recordings:
-        for channel, values in recording.channels.items():
+    marked = read_marked_blocks(path, entries, **{key: value for key, value in options.items() if key != "columns"})
+    for each in marked:
+        for channel, values in each.recording.channels.items():
             if np.abs(values).max() > _LARGEST:
                 raise InputError(f"{channel} reaches {values[np.argmax(np.abs(values))]:g}, which no machine measures: "
                                  "a cell is damaged", file=path)
-    return recordings
+    return marked
 
 
 def _turned(path: Path, recordings: tuple[Recording, ...], before: Sequence[ColumnGuess],
@@ -147,7 +179,7 @@ def _turned(path: Path, recordings: tuple[Recording, ...], before: Sequence[Colu
     """The recordings of columns of which some have got another sign."""
     other = [column for was, column in zip(before, after, strict=True) if column.entry() != was.entry()]
     if any(column.offset is not None for column in other):
-        return _read(path, after, options)
+        return _recordings_of(_read(path, after, options))
     # From zero: no zero becomes a negative one.
     return tuple(each.with_channels(**{column.channel: 0.0 - each.channel(column.channel) for column in other})
                  if other else each for each in recordings)
@@ -159,7 +191,7 @@ def _named(readings: Sequence[Reading]) -> tuple[Reading, ...]:
     for number, reading in enumerate(readings, start=1):
         heads = [column.header for column in reading.columns if column.channel in _NAMING]
         common = _common_beginning(heads)
-        name = common or (reading.sheets[0] if len(reading.sheets) == 1 else "") or str(number)
+        name = reading.name or common or (reading.sheets[0] if len(reading.sheets) == 1 else "") or str(number)
         if name in [other.name for other in named]:
             name = f"{name}_{number}"
         named.append(replace(reading, name=name))
