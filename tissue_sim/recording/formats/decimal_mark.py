@@ -27,6 +27,8 @@ _THREE_DECIMALS = -math.log(0.9)
 _NO_MARK = math.log(1000.0)
 #: The same of a zero, which some programs write without decimals.
 _ZERO_WITHOUT_MARK = math.log(10.0)
+#: Values with three decimals from which one with fewer decimals is unlikely where trailing zeros are left out.
+_MOST_SHORT = 30
 #: Fewest values with a mark from which the number of digits decides.
 _FEWEST_MARKED = 3
 #: Decimal mark -> words of the messages.
@@ -144,7 +146,7 @@ def marks_beside(marks: NumberMarks, text: str) -> NumberMarks:
     if len(found) != 1:
         return marks
     (mark, quantity), = found.items()
-    return replace(marks, decimal=mark, is_open=False, evidence=(
+    return replace(marks, decimal=mark, is_open=False, thousands="".join({*marks.example} & {_other(mark)}), evidence=(
         f"{quantity!r} outside of the table has {DECIMAL_WORDS[mark]}",))
 
 
@@ -230,12 +232,21 @@ def _detailed_vote(cells: Sequence[str]) -> _Vote | None:
         return _Vote(smoother, jumps, bool(refused[other].any()) and not refused[smoother].any(), example)
     fewest = min(DECIMAL_MARKS, key=lambda mark: int(refused[mark].sum()))
     if refused[_other(fewest)].any():
+        if example and not refused[fewest].any() and _is_damage(cells, refused[_other(fewest)], int(number.sum())):
+            return _Vote(None, example=example)
         return _Vote(fewest, _only_reading(cells, refused[_other(fewest)], fewest), True, example)
     return _by_digits(cells, marked, readings, example) if example else None
 
 
 def _other(mark: str) -> str:
     return "," if mark == "." else "."
+
+
+def _is_damage(cells: Sequence[str], refused: np.ndarray, count: int) -> bool:
+    """Whether the few refused cells may be damaged, and prove nothing: none of them begins with a zero."""
+    odd = [cells[i] for i in np.flatnonzero(refused)]
+    return len(odd) <= _DAMAGED_FRACTION * count + 1 and count > _MOST_SHORT and not any(
+        cell.lstrip("+-").startswith("0") for cell in odd)
 
 
 def _only_reading(cells: Sequence[str], refused: np.ndarray, mark: str) -> str:

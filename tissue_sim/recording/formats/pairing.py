@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.columns import column_number
 from tissue_sim.recording.formats.guesses import ColumnGuess, Stated
 from tissue_sim.recording.formats.header import matches
+from tissue_sim.recording.formats.number_text import is_number
 from tissue_sim.recording.formats.sizes import size_signature
-from tissue_sim.recording.formats.sources import Numbers, stated_values
+from tissue_sim.recording.formats.sources import Numbers
+from tissue_sim.recording.formats.statements import constant_columns
 from tissue_sim.recording.formats.vocabulary import Machine, role_of
 
 #: Role of a column -> channel of a recording. The strain of a test is one less than its stretch.
@@ -21,11 +23,12 @@ _CHANNEL = {"time": "time", "displacement": "displacement", "force": "force", "s
 
 @dataclass(frozen=True)
 class Group:
-    """Columns of one recording in a run of numbers."""
+    """Columns of one recording in a run of numbers, and what the file states about it (key -> value with unit)."""
 
     numbers: Numbers
     columns: tuple[ColumnGuess, ...]
     others: tuple[str, ...]
+    stated: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def line(self) -> int:
@@ -34,7 +37,7 @@ class Group:
 
     @property
     def signature(self) -> tuple:
-        sizes = size_signature(stated_values(self.numbers.above)) if self.numbers.table.name else ()
+        sizes = size_signature(self.stated) if self.numbers.table.name else ()
         return (*sizes, *((each.channel, each.header or each.place, each.unit) for each in self.columns))
 
 
@@ -44,8 +47,10 @@ def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated) -> li
         named = [column for channel, name in stated.columns.items()
                  if (column := _stated_column(numbers, channel, name, stated))]
         return [Group(numbers, tuple(named), ())] if len(named) == len(stated.columns) else []
+    # A constant column "Height" is the size of the specimen, not the position of the crosshead.
+    sizes = {place for place, _ in constant_columns(numbers)}
     roles = [(place, *known) for place in numbers.columns
-             if (known := role_of(numbers.bare_name(place), numbers.unit(place), machine))]
+             if place not in sizes and (known := role_of(numbers.bare_name(place), numbers.unit(place), machine))]
     groups: list[Group] = []
     time = None
     for part in _beside(roles):
@@ -132,20 +137,24 @@ def _column(numbers: Numbers, place: int, role: str, machine: Machine | None, st
 
 def _stated_column(numbers: Numbers, channel: str, name: str | int, stated: Stated) -> ColumnGuess | None:
     """The column that a person names; None: this table has none of that name."""
-    role = channel
-    places = [] if isinstance(name, int) or numbers.header is None else matches(numbers.header.cells, name)
-    if places:
-        place = places[0]
-    else:
-        try:
-            place = column_number(int(name) if isinstance(name, str) and name.isdigit() else name) - 1
-        except InputError:
-            return None
-        if place not in numbers.columns:
-            return None
+    place = _place(numbers, name)
+    if place is None or place not in numbers.columns:
+        return None
     role = {"nominal stress": "stress"}.get(channel, channel)
     column = _column(numbers, place, role, None, stated)
     return replace(column, reason=f"stated{f' (header {column.header!r})' if column.header else ''}")
+
+
+def _place(numbers: Numbers, name: str | int) -> int | None:
+    """Place from 0 of the column with this header, number or letter; None: there is none."""
+    places = [] if isinstance(name, int) or numbers.header is None else matches(numbers.header.cells, name)
+    if places:
+        return places[0]
+    try:
+        place = column_number(int(name) if isinstance(name, str) and name.isdigit() else name) - 1
+    except InputError:
+        return None
+    return place if place < numbers.width else None
 
 
 def no_pair(found: Sequence[Numbers], machine: Machine | None, stated: Stated) -> str:
@@ -155,9 +164,12 @@ def no_pair(found: Sequence[Numbers], machine: Machine | None, stated: Stated) -
     has = (f"the columns are {', '.join(map(repr, names))}" if any(names)
            else f"its {len(numbers.columns)} columns of numbers have no names")
     if stated.columns:
-        missing = [f"{channel} = {name}" for channel, name in stated.columns.items()
+        missing = [(channel, name) for channel, name in stated.columns.items()
                    if _stated_column(numbers, channel, name, stated) is None]
-        return f"has no column {' and none '.join(missing)}: {has}"
+        broken = [f"column {channel} = {name} cannot be read: {said}" for channel, name in missing
+                  if (said := _unreadable(numbers, _place(numbers, name)))]
+        absent = [f"{channel} = {name}" for channel, name in missing if not _unreadable(numbers, _place(numbers, name))]
+        return "; ".join([*broken, *([f"has no column {' and none '.join(absent)}: {has}"] if absent else [])])
     bare = [numbers.bare_name(place).casefold().replace(" ", "").replace("_", "") for place in numbers.columns]
     if any({f"{word}1", f"{word}2"} <= set(bare) for word in ("lambda", "stretch", "λ")):
         return (f"is a biaxial test ({has}), of which there is no kind here; of its rows, those with a free second "
@@ -168,8 +180,23 @@ def no_pair(found: Sequence[Numbers], machine: Machine | None, stated: Stated) -
                                        {"displacement", "stretch", "strain", "shear strain"}),
                                       ("a load (force, stress)", {"force", "stress"})) if not known & roles]
     wanted = " and ".join(lacks) if lacks else "a motion and a load that belong together"
+    broken = [said for place in range(numbers.width) if place not in numbers.columns
+              and (said := _unreadable(numbers, place))]
+    if lacks and broken:
+        return f"has columns that cannot be read: {'; '.join(broken)}; {has}"
     return (f"shows no column with {wanted}: {has}; name them, with units, such as --column displacement=2 --unit "
             "displacement=mm --column force=3 --unit force=N")
+
+
+def _unreadable(numbers: Numbers, place: int | None) -> str:
+    """Which cell of a column is not a number, in words; empty for a column that is not there."""
+    if place is None:
+        return ""
+    row = next((row for row in numbers.rows if place < len(row.cells) and row.cells[place]
+                and not is_number(row.cells[place])), None)
+    name = numbers.name(place)
+    return "" if row is None else (f"line {row.line}: {f'{name!r} holds ' if name else ''}{row.cells[place][:40]!r}, "
+                                   "which is not a number")
 
 
 def alike(groups: Sequence[Group]) -> list[list[Group]]:

@@ -25,8 +25,6 @@ EXPECTED = "a recording (text, spreadsheet, MATLAB, LabVIEW, HDF5 or AFM)"
 _DELIMITERS = ("\t", ";", ",", "|", " ")
 #: Lines by which the delimiter is found.
 _SAMPLE = 2000
-_PAIR = re.compile(r"^(?P<key>[^:=]{1,80}?)\s*[:=]\s*(?P<value>.*?)\s*[;,]*$")
-_QUANTITY = re.compile(r"^(?P<number>[-+]?\d+([.,]\d*)?([eE][-+]?\d+)?)\s*(?P<unit>[^\d\s]\S*)?$")
 
 
 @dataclass(frozen=True)
@@ -65,6 +63,11 @@ class Numbers:
     units: Row | None
     above: tuple[Row, ...] = field(repr=False)
     below: tuple[Row, ...] = field(default=(), repr=False)
+
+    @property
+    def width(self) -> int:
+        """Number of columns, those without numbers included."""
+        return max(len(row.cells) for row in (self.rows[0], *([self.header] if self.header else [])))
 
     def name(self, place: int) -> str:
         """The whole header of a column; empty: it has none."""
@@ -206,29 +209,3 @@ def _runs(table: Table) -> Iterator[tuple[list[Row], tuple[int, ...]]]:
         if len(run) >= MIN_POINTS and len(columns) >= 2:
             yield run, columns
         run, counts = [], {}
-
-
-def stated_values(rows: Sequence[Row]) -> dict[str, str]:
-    """What stands above a table as ``key: value``, ``key;value`` or ``key (unit);value``: key -> text with unit."""
-    found: dict[str, str] = {}
-    for row in rows:
-        cells = [cell for cell in row.cells if cell]
-        if not cells:
-            continue
-        match = _PAIR.match(cells[0])
-        if match and match["value"]:
-            key, value = match["key"], match["value"]
-        elif len(cells) >= 2:
-            key, value = cells[0].rstrip(" :="), " ".join(cells[1:3] if known_unit(cells[-1]) or len(cells) == 2
-                                                          else cells[1:2])
-        else:
-            continue
-        name, unit = loose_header(key)
-        found.setdefault(name, f"{value} {unit}" if unit else value)
-    return found
-
-
-def quantity_in(text: str) -> tuple[float, str | None] | None:
-    """A number and its unit, ``50mm`` or ``12,5 mm``; None: the text is no such thing."""
-    match = _QUANTITY.match(text.strip())
-    return None if match is None else (float(match["number"].replace(",", ".")), match["unit"])

@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,9 @@ from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recordi
 from tissue_sim.units import quantity_of, to_si
 
 _BLANKS = re.compile(r"[ \t]+")
+#: A group of thousands with decimals, and the digits before it.
+_GROUP = re.compile(r"\d{3}(\.\d*)?")
+_LEADING = re.compile(r"[+-]?[1-9]\d{0,2}")
 #: SI units in words of the messages.
 _SI = {"time": "s", "length": "m", "force": "N", "torque": "Nm", "stress": "Pa", "ratio": "units",
        "temperature": "K"}
@@ -113,8 +117,8 @@ def read_recording_table(header: Row, rows: Sequence[Row], columns: Sequence[Col
     for row in rows:
         # Loggers end their lines with the delimiter: empty cells behind the last column carry nothing.
         if len(row.cells) < width or any(row.cells[width:]):
-            raise InputError(f"{_count(len(row.cells), 'cell')}, expected {width} as on line {header.line}",
-                             file=file, line=row.line)
+            raise InputError(f"{_count(len(row.cells), 'cell')}, expected {width} as on line {header.line}"
+                             f"{_split_thousands(row, width, delimiter)}", file=file, line=row.line)
     if len(rows) < MIN_POINTS:
         raise InputError(f"{_count(len(rows), 'point')} in the table on line {header.line}, expected at least "
                          f"{MIN_POINTS}", file=file)
@@ -138,6 +142,15 @@ def read_recording_table(header: Row, rows: Sequence[Row], columns: Sequence[Col
                              "times that never fall", file=file, line=rows[back[0] + 1].line)
     labels = {column.channel: _labels(rows, column, file) for column in columns if column.channel in LABELS}
     return Recording(channels, labels, metadata or {})
+
+
+def _split_thousands(row: Row, width: int, delimiter: str) -> str:
+    """A hint that thousands separators may have split numbers into cells; empty if they have not."""
+    groups = [cell for before, cell in pairwise(row.cells) if _GROUP.fullmatch(cell) and _LEADING.fullmatch(before)]
+    if delimiter not in (",", " ") or not 0 < len(row.cells) - width <= len(groups):
+        return ""
+    return ("; a thousands separator that is also the delimiter may have split a number: quote the numbers "
+            "or export without thousands separators")
 
 
 def cells_of(rows: Sequence[Row], columns: Iterable[Column]) -> list[list[str]]:

@@ -16,19 +16,22 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.recording.formats.columns import MarkedRecording, read_marked_blocks
-from tissue_sim.recording.formats.decimal_mark import NumberMarks, marks_beside
+from tissue_sim.recording.formats.decimal_mark import NumberMarks, find_marks, marks_beside
 from tissue_sim.recording.formats.guesses import ColumnGuess, KindGuess, Reading, Stated, Understanding
 from tissue_sim.recording.formats.header import matches
 from tissue_sim.recording.formats.materials import by_material
 from tissue_sim.recording.formats.orientation import guess_kind, oriented
 from tissue_sim.recording.formats.pairing import Group, alike, find_groups, no_pair
-from tissue_sim.recording.formats.sources import Numbers, Source, find_numbers, open_source, stated_values
+from tissue_sim.recording.formats.sources import Numbers, Source, find_numbers, open_source
+from tissue_sim.recording.formats.statements import merged, table_statements
 from tissue_sim.recording.formats.vocabulary import MACHINES, Machine, find_machine
 from tissue_sim.recording.recording import Recording
 from tissue_sim.units import UNITS
 
 #: Of any channel, SI or in the units of the file.
 _LARGEST = 1e20
+#: Rows of a table from which the decimal mark of the lines around it is taken.
+_MARKED_ROWS = 2000
 _NAMING = ("displacement", "stretch", "shear strain", "force", "nominal stress")
 
 
@@ -48,6 +51,7 @@ def understand(path: str | Path, stated: Stated | None = None) -> Understanding:
     tables = [group for numbers in found for group in find_groups(numbers, machine, stated)]
     if not tables:
         raise InputError(no_pair(found, machine, stated), file=path)
+    tables = _with_statements(source, tables, stated)
     parts = [_reading(source, group, stated, machine, words) for group in alike(tables)]
     readings = tuple(reading for several, _ in parts for reading in several)
     every = [marks for _, marks in parts]
@@ -57,6 +61,29 @@ def understand(path: str | Path, stated: Stated | None = None) -> Understanding:
     return Understanding(path, machine.name if machine else "table", source.kind, source.tables[0].delimiter,
                          marks.decimal if source.kind == "text" else None, source.encoding, readings,
                          _warnings(source, readings), marks.assumptions())
+
+
+def _with_statements(source: Source, groups: Sequence[Group], stated: Stated) -> list[Group]:
+    """The tables with what the file states about each; a table without sizes takes those of the table before it."""
+    numbered = {id(group.numbers.table) for group in groups}
+    elsewhere = [row for table in source.tables if id(table) not in numbered for row in table.rows]
+    # Rows below the last table may state the sizes of all.
+    trailing = [row for group in groups[-1:] for row in group.numbers.below]
+    found: list[Group] = []
+    for i, group in enumerate(groups):
+        used = [column.place - 1 for column in group.columns]
+        last = group.numbers is groups[-1].numbers
+        statements = table_statements(group.numbers, used, decimal=stated.decimal or _probable_mark(group), table=i,
+                                      tables=len(groups), elsewhere=elsewhere if last else [*trailing, *elsewhere])
+        found.append(replace(group, stated=merged(found[-1].stated, statements) if found else dict(statements)))
+    return found
+
+
+def _probable_mark(group: Group) -> str:
+    """The decimal mark of the first rows of a table."""
+    rows = group.numbers.rows[:_MARKED_ROWS]
+    return find_marks([[row.cells[column.place - 1] for row in rows if column.place <= len(row.cells)]
+                       for column in group.columns], delimiter=group.numbers.table.delimiter).decimal
 
 
 def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: Machine | None, words: str
@@ -88,7 +115,6 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
     if marks.thousands or (marks.example and not marks.is_certain):
         options["decimal"] = marks.decimal
     recordings = _recordings_of(marked)
-    stated_above = stated_values(first.numbers.above)
     # The name of the file says least: it comes last.
     hints = [" ".join(each.header for each in columns) + " " + " ".join(first.others),
              " ".join(row for number in (first.numbers,) for row in _words(number)), source.file.stem]
@@ -106,7 +132,7 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
     if marks.is_open:
         del options["decimal"]
     reading = Reading("", columns, first.others, read_only(options), recordings, kind, line, sheets,
-                      read_only(stated_above), remarks)
+                      read_only(first.stated), remarks)
     return by_material(reading, groups, [(each.sheet, each.line) for each in marked], stated), marks
 
 
