@@ -50,8 +50,9 @@ def by_material(reading: Reading, groups: Sequence[Group], places: Sequence[tupl
 def _question(different: Sequence[str], titles: Sequence[str], materials: Sequence[str], numbers: Sequence[int]
               ) -> tuple[Assumption, ...]:
     """Whether tables with different names are of one material."""
-    first = [materials.index(each) for each in different]
-    listed = ", ".join(f"{titles[i]!r} (--curve {numbers[i]})" for i in first)
+    flags = {each: " ".join(f"--curve {number}" for number, material in zip(numbers, materials, strict=True)
+                            if material == each) for each in different}
+    listed = ", ".join(f"{titles[materials.index(each)]!r} ({flags[each]})" for each in different)
     return (Assumption(
         "titles of the tables", f"different materials, imported one by one: {listed}",
         ("the titles differ by more than a running number",), (),

@@ -14,6 +14,8 @@ from tissue_sim.units import UNITS, known_unit, loose_header
 
 #: Relative difference of two statements of one size that is a contradiction.
 CONTRADICTION = 0.005
+#: Largest relative rounding that excuses a contradiction.
+_LARGEST_ROUNDING = 0.02
 _QUANTITY = re.compile(
     r"^(?P<number>[-+]?\d[\d.,'\u2019\u00a0\u202f]*(?:[eE][-+]?\d+)?)\s*(?P<unit>[^\d\s]\S*(?:\s*\^?2)?)?$")
 _SQUARE = re.compile(r"^\(?\[?(?P<unit>m|cm|mm|in|um|µm)\s*(\^2|²|2)[\])]?$")
@@ -42,7 +44,7 @@ class Size:
 
 @dataclass(frozen=True)
 class _Stated:
-    """A size as a file states it: m or m2, and half a unit of its last digit, relative."""
+    """A size as a file states it: m or m2, and its relative rounding."""
 
     key: str
     value: float
@@ -97,7 +99,7 @@ def _rectangles(known: Mapping[str, Sequence[_Stated]], kind: str | None, height
     """Width times thickness, mm2; of a sheared or compressed block width times length."""
     others = {"simple_shear": ("length",), "uniaxial_tension": ("thickness",)}.get(kind or "", ("length", "thickness"))
     other = next((name for name in others if name in known and name != height), None)
-    if other is None or "width" not in known or (kind is None and "thickness" == other):
+    if other is None or "width" not in known or (kind is None and other == "thickness"):
         return []
     return [(1e6 * width.value * each.value, width.rounding + each.rounding, (width.key, each.key))
             for width, each in zip(known["width"], known[other], strict=False)]
@@ -159,9 +161,9 @@ def _area(key: str, text: str) -> _Stated | None:
 
 
 def _rounding(text: str, value: float) -> float:
-    """Half a unit of the last digit of a number, relative."""
-    match = re.match(r"[-+]?\d+[.,]?(\d*)", text.strip())
-    return 0.5 * 10.0 ** -len(match[1]) / value if match else 0.0
+    """Half a unit of the last decimal of a number, relative; 0 for a number without decimals."""
+    match = re.match(r"[-+]?\d+[.,](\d+)", text.strip())
+    return min(0.5 * 10.0 ** -len(match[1]) / value, _LARGEST_ROUNDING) if match else 0.0
 
 
 def _speed(key: str, text: str) -> tuple[float | None, str | None]:

@@ -15,6 +15,7 @@ from tissue_sim.recording.formats.columns import Sheets, check_delimiter
 from tissue_sim.recording.formats.containers import is_container, read_container
 from tissue_sim.recording.formats.long_text import split_long
 from tissue_sim.recording.formats.number_text import is_number
+from tissue_sim.recording.formats.size_words import size_class
 from tissue_sim.recording.formats.table import Row, Table, split_rows
 from tissue_sim.recording.formats.workbook import is_workbook, read_sheets
 from tissue_sim.recording.recording import MIN_POINTS
@@ -180,7 +181,7 @@ def _names(above: list[Row], columns: Sequence[int]) -> tuple[Row | None, Row | 
         named = [i for i in columns if i < len(row.cells) and row.cells[i] and not is_number(row.cells[i])]
         if units is None and named and is_unit_row(row, columns):
             units = row
-        elif header is None and 2 * len(named) >= len(columns) and len(named) >= 2:
+        elif header is None and not _states_size(row) and 2 * len(named) >= len(columns) and len(named) >= 2:
             header = row
         else:
             break
@@ -188,6 +189,12 @@ def _names(above: list[Row], columns: Sequence[int]) -> tuple[Row | None, Row | 
         if header is not None and units is not None:
             break
     return header, units, rest
+
+
+def _states_size(row: Row) -> bool:
+    """Whether a row states a size, as ``Height 12 mm`` does, rather than names."""
+    cells = [cell for cell in row.cells if cell]
+    return len(cells) > 1 and is_number(cells[1]) and size_class(cells[0]) is not None
 
 
 def _runs(table: Table) -> Iterator[tuple[list[Row], tuple[int, ...]]]:

@@ -25,6 +25,8 @@ _NUMBER_FIRST = re.compile(rf"{_NUMBER}\s*{_UNIT}\s*(?:in\s+|de\s+)?(?P<key>(?:{
 #: "Ø 20 x 12 mm": diameter and height.
 _ROUND = re.compile(r"[Øø⌀]\s*(?P<diameter>\d+(?:[.,]\d+)?)\s*(?:mm|cm)?\s*[x\u00d7]\s*(?P<height>\d+(?:[.,]\d+)?)\s*"
                     r"(?P<unit>mm|cm)\b")
+#: A cell that may hold a unit, known or not.
+_UNIT_CELL = re.compile(r"^[\[(]?[^\W\d]{1,10}(\s*(\^2|²|2)|/[^\W\d]{1,5})?[\])]?$")
 #: Rows of a small table that summarise others.
 _SUMMARY = re.compile(r"^(mean|average|std|sd|stdev|min|max|median|cv|mittelwert|moyenne|standardabweichung)\b",
                       re.IGNORECASE)
@@ -79,7 +81,7 @@ def row_statements(rows: Sequence[Row], found: Statements, decimal: str = ".", t
             for key, value in _pairs(row, decimal):
                 found.add(key, value, f"line {row.line}")
     for row in rows:
-        for key, value in _sentences(row):
+        for key, value in _sentences(row, decimal):
             # A line "Diameter: 20 mm" is a sentence too.
             if not any(size_class(other) == size_class(key) and _same(found[other], value) for other in found):
                 found.add(key, value, f"line {row.line}")
@@ -111,17 +113,13 @@ def _pairs(row: Row, decimal: str) -> Iterator[tuple[str, str]]:
         unit = cells[1] if len(cells) > 1 and is_number(match["value"]) and known_unit(cells[1]) else ""
         yield _pair(match["key"], f"{_canonical(match['value'], decimal)} {unit}")
     elif len(cells) >= 2:
-        unit = cells[2] if len(cells) > 2 and (known_unit(cells[2]) or _is_area_unit(cells[2])) else ""
+        unit = cells[2] if len(cells) > 2 and is_number(cells[1]) and _UNIT_CELL.match(cells[2]) else ""
         yield _pair(cells[0].rstrip(" :="), f"{_canonical(cells[1], decimal)} {unit}")
 
 
 def _pair(key: str, value: str) -> tuple[str, str]:
     name, unit = loose_header(key.strip("# "))
     return name, f"{value} {unit}" if unit else value
-
-
-def _is_area_unit(text: str) -> bool:
-    return re.fullmatch(r"[\[(]?\s*(mm|cm|m)\s*(\^2|²|2)\s*[\])]?", text) is not None
 
 
 def _canonical(cell: str, decimal: str) -> str:
@@ -165,7 +163,8 @@ def _small_table(rows: Sequence[Row], header: int, found: Statements, decimal: s
     return set(range(header, last + 1))
 
 
-def _sentences(row: Row) -> Iterator[tuple[str, str]]:
+def _sentences(row: Row, decimal: str) -> Iterator[tuple[str, str]]:
+    """Sizes with units in running text."""
     cells: Iterable[str] = [cell for cell in row.cells if cell]
     if sum(map(len, cells)) > _LONGEST_SENTENCE:
         return
@@ -176,9 +175,14 @@ def _sentences(row: Row) -> Iterator[tuple[str, str]]:
         for match in _ROUND.finditer(cell):
             yield "diameter", f"{match['diameter']} {match['unit']}"
             yield "height", f"{match['height']} {match['unit']}"
+        taken: set[int] = set()
         for pattern in (_WORD_FIRST, _NUMBER_FIRST):
             for match in pattern.finditer(cell):
-                yield match["key"].strip(), f"{match['number']} {match['unit']}{'^2' if match['square'] else ''}"
+                # In "diameter 20 mm height 12 mm" the first number belongs to the first word.
+                if match.start("number") not in taken:
+                    taken.add(match.start("number"))
+                    square = "^2" if match["square"] else ""
+                    yield match["key"].strip(), f"{_canonical(match['number'], decimal)} {match['unit']}{square}"
 
 
 def _same(first: str, second: str) -> bool:
