@@ -66,8 +66,10 @@ def is_number(cell: str) -> bool:
     try:
         float(cell.replace(",", "."))
     except ValueError:
+        if not cell[-1:].isdigit() and cell[-1:] not in DECIMAL_MARKS:
+            return False
         plain = cell.translate(_SPELLINGS)
-        return (plain[-1:].isascii() and any(pattern.fullmatch(plain) for pattern in _GROUPED.values())) or (
+        return any(pattern.fullmatch(plain) for pattern in _GROUPED.values()) or (
             plain != cell and not math.isnan(parse_number(cell)))
     return True
 

@@ -138,8 +138,8 @@ def _find_delimiter(lines: list[str], path: Path) -> str:
                 continue
             scores[delimiter] = sum(len(run) * len(columns) for run, columns in _runs(table))
             # A blank between digits separates thousands where another delimiter makes a table of the same lines.
-            if delimiter == " " and any(scores.get(other) and _has_same_rows(sample, other, table, path)
-                                        for other in _DELIMITERS[:-1]):
+            if delimiter == " " and scores[delimiter] > max([0, *scores.values()][:-1]) and any(
+                    scores.get(other) and _has_same_rows(sample, other, table, path) for other in _DELIMITERS[:-1]):
                 del scores[delimiter]
         best = max(scores, key=lambda each: scores[each], default=None)
         if best is not None and scores[best]:

@@ -30,6 +30,8 @@ _UNIT_CELL = re.compile(r"^[\[(]?[^\W\d]{1,10}(\s*(\^2|²|2)|/[^\W\d]{1,5})?[\])
 #: Rows of a small table that summarise others.
 _SUMMARY = re.compile(r"^(mean|average|std|sd|stdev|min|max|median|cv|mittelwert|moyenne|standardabweichung)\b",
                       re.IGNORECASE)
+#: Rows of numbers that are searched for statements beside the columns of a table.
+_ROWS_BESIDE = 60
 #: Characters of a row that is searched for sentences.
 _LONGEST_SENTENCE = 1000
 
@@ -61,6 +63,11 @@ def table_statements(numbers: Numbers, used: Sequence[int], *, decimal: str, tab
     for place, value in constant_columns(numbers):
         if place not in used:
             found.add(numbers.bare_name(place), f"{_canonical(value, decimal)} {numbers.unit(place) or ''}", "column")
+    for row in (*((numbers.header,) if numbers.header else ()), *numbers.rows[:_ROWS_BESIDE]):
+        beside = Row(row.line, tuple(cell for i, cell in enumerate(row.cells) if i not in used))
+        for key, value in _pairs(beside, decimal):
+            if size_class(key) is not None:
+                found.add(key, value, f"line {row.line}")
     more = Statements()
     row_statements(elsewhere, more, decimal, table, tables)
     stated = {size_class(key) for key in found}

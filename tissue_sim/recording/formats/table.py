@@ -185,11 +185,10 @@ def _numbers(rows: Sequence[Row], columns: Sequence[Column], marks: NumberMarks,
             values[i, j] = number = parse_number(cell, marks.decimal)
             if not math.isfinite(number):
                 found = f"holds {cell[:40]!r}" if cell else "is empty"
-                mixed = (f"; it mixes decimal points and decimal commas with {marks.example!r}"
+                mixed = (f" with {DECIMAL_WORDS[marks.decimal]}; the table mixes decimal points and decimal commas"
                          if math.isfinite(parse_number(cell, marks.other)) else "")
-                raise InputError(f"column {column.header!r} {found}, expected a finite number"
-                                 f"{f' with {DECIMAL_WORDS[marks.decimal]}' if mixed else ''}{mixed}",
-                                 file=file, line=row.line)
+                raise InputError(f"column {column.header!r} {found}, expected a finite number{mixed}", file=file,
+                                 line=row.line)
     return values
 
 
