@@ -45,7 +45,7 @@ from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Bulk, Material
-from tissue_sim.recording.formats.columns import check_delimiter
+from tissue_sim.recording.formats.columns import check_decimal, check_delimiter
 from tissue_sim.rig.rig import Rig
 from tissue_sim.specimen import Specimen
 
@@ -249,12 +249,14 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
                              field=f"{field}.contact")
         if entry.skip_lines is not None and entry.skip_lines < 0:
             raise InputError(f"{entry.skip_lines} is negative; give a number of lines", field=f"{field}.skip_lines")
-        for key in ("skip_lines", "delimiter"):
+        for key in ("skip_lines", "delimiter", "decimal"):
             if getattr(entry, key) and entry.columns is None:
                 raise InputError(f"{key} is for files whose columns are named; give columns too, or leave it out",
                                  field=f"{field}.{key}")
         if entry.delimiter:
             check_delimiter(entry.delimiter, f"{field}.delimiter")
+        if entry.decimal is not None:
+            check_decimal(entry.decimal, f"{field}.decimal")
         specimen = find_specimen(entry, specimens, table, field)
         tests[name] = Test(
             name, kind, specimen, () if entry.protocol is not None and not entry.recordings else
@@ -286,7 +288,8 @@ def _leave_out(entry: TestTable, field: str) -> Mapping[str, tuple[int, ...]]:
 def _reading(entry: TestTable, columns: Mapping[str, Any] | None) -> Mapping[str, Any]:
     """Options of `tissue_sim.read_recordings`, those that the test states."""
     stated = {"columns": columns, "skip_lines": entry.skip_lines, "delimiter": entry.delimiter, "sheet": entry.sheet,
-              "curve": entry.curve, "speed": None if entry.speed_mm_s is None else entry.speed_mm_s * 1e-3}
+              "curve": entry.curve, "decimal": entry.decimal,
+              "speed": None if entry.speed_mm_s is None else entry.speed_mm_s * 1e-3}
     return _read_only({"format": entry.format, **{key: value for key, value in stated.items() if value is not None}})
 
 

@@ -65,7 +65,8 @@ class TestTable(_Table, frozen=True, kw_only=True):
     skip_lines: int | None = None
     delimiter: str | None = None
     sheet: str | int | list[str | int] | None = None
-    curve: int | None = None
+    curve: int | list[int] | None = None
+    decimal: str | None = None
     tool: str | None = None
     friction: str | float | None = None
     friction_base: str | float | None = None

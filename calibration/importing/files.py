@@ -12,6 +12,7 @@ from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
 from calibration.importing.afm import is_afm, understand_afm
 from calibration.importing.campaign_text import FILL_IN, campaign_text
+from calibration.importing.decimal_marks import same_decimal_mark
 from calibration.importing.flags import applies, check_wishes, require_used
 from calibration.importing.grouping import group, same_motion
 from calibration.importing.imported import Imported, ImportedTest, Line, Part, Wishes, Zero
@@ -19,6 +20,7 @@ from calibration.importing.motion import describe_motion
 from calibration.importing.picture import draw_imported
 from calibration.importing.sidecar import kind_said, read_sidecar, with_sidecar
 from calibration.importing.signal_lines import leave_out_lines, offset_lines, start_lines
+from calibration.importing.size_assumptions import seen_without_unit, with_size_assumptions
 from calibration.importing.zero import linear_laws, with_zero
 from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.bounded import bounded
@@ -63,7 +65,7 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     output = None if output is None else Path(output)
     _check(paths, output, overwrite)
     check_wishes(wishes)
-    understood = _understand(paths, wishes)
+    understood = same_decimal_mark([with_size_assumptions(each, wishes) for each in _understand(paths, wishes)])
     parts = [Part(each, reading, tuple(describe_motion(recording, reading.kind.kind)
                                        for recording in reading.recordings))
              for each in understood for reading in each.readings]
@@ -222,8 +224,10 @@ def _specimen(reading: Reading, wishes: Wishes, kind: TestKind | None) -> tuple[
         else:
             flag = f"--{key.replace('_', '-')}"
             also = " (or --radius-mm)" if key == "area_mm2" else ""
-            lines.append(Line(key, None, f"{what} of the specimen, which no file states; {flag}{also}"))
-            missing.append(f"the {what} of the specimen ({flag}{also})")
+            seen = seen_without_unit(reading, key)
+            why = f"the file states {seen!r} without a known unit" if seen else "which no file states"
+            lines.append(Line(key, None, f"{what} of the specimen, {why}; {flag}{also}"))
+            missing.append(f"the {what} of the specimen ({flag}{also}{f'; {why}' if seen else ''})")
     return tuple(lines), missing
 
 

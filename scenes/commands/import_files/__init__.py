@@ -65,6 +65,12 @@ def add_arguments(parser: Parser) -> None:
                                                           "trios, afm (default: found)")
     columns.add_argument("--sheet", action="append", metavar="NAME", help="of a spreadsheet; once for each replicate")
     columns.add_argument("--delimiter", metavar="C", help="between columns of a text (default: found)")
+    columns.add_argument("--decimal", choices=(".", ","), metavar=".|,",
+                         help="decimal mark of the numbers; the other one separates thousands (default: found)")
+    columns.add_argument("--curve", action="append", type=at_least(1), metavar="N",
+                         help="number of the recording in the file, from 1; once for each (default: all)")
+    columns.add_argument("--one-material", action="store_true",
+                         help="tables of a file are replicates of one material, whatever their titles")
     columns.add_argument("--skip-lines", type=at_least(0), default=0, metavar="N", help="lines at the top to leave out")
     add_overwrite(parser)
     add_json(parser)
@@ -118,7 +124,8 @@ def _wishes(arguments):
                     {channel: _positive(text) for channel, text in scales.items()},
                     {channel: int(sign) for channel, sign in signs.items()}, arguments.kind, arguments.format,
                     _sheets(arguments.sheet), arguments.delimiter, arguments.skip_lines,
-                    measures=_pairs(arguments.measure, "--measure"))
+                    measures=_pairs(arguments.measure, "--measure"), decimal=arguments.decimal, curve=arguments.curve,
+                    one_material=arguments.one_material)
     specimen = _specimen(arguments)
     test = {key: value for key in _TEST_KEYS if (value := getattr(arguments, key)) is not None}
     return Wishes(stated, specimen, test, laws, arguments.zero)

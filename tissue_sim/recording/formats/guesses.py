@@ -9,7 +9,7 @@ from typing import Any
 
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.recording.formats.assumption import Assumption
-from tissue_sim.recording.formats.columns import Sheets
+from tissue_sim.recording.formats.columns import Curves, Sheets
 from tissue_sim.recording.formats.kind_words import NamedTest
 from tissue_sim.recording.recording import CHANNELS, Recording
 from tissue_sim.units import UNITS, quantity_of
@@ -158,6 +158,9 @@ class Stated:
             `tissue_sim.recording.formats.measures.MEASURES`.
         height: of the specimen, m: the gauge length by which a strain becomes a displacement; None: not stated.
         speed: constant speed of the test, m/s, for a file without a clock or without a motion; None: not stated.
+        decimal: decimal mark of the numbers, ``"."`` or ``","``; None: found.
+        curve: number from 1, or numbers, of the recordings of each file that are read; None: all.
+        one_material: whether titled blocks of one file are replicates of one material whatever their names.
     """
 
     columns: Mapping[str, str | int] = field(default_factory=dict)
@@ -173,3 +176,6 @@ class Stated:
     measures: Mapping[str, str] = field(default_factory=dict)
     speed: float | None = None
     height: float | None = None
+    decimal: str | None = None
+    curve: Curves | None = None
+    one_material: bool = False

@@ -8,7 +8,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.recording.formats.table import Row, Table, is_number, split_rows
+from tissue_sim.recording.formats.number_text import is_number
+from tissue_sim.recording.formats.table import Row, Table, split_rows
 from tissue_sim.units import loose_header, split_header
 
 DELIMITERS = (",", ";", "\t")
