@@ -18,6 +18,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.material.material import Material
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.recording import MIN_POINTS, Recording
+from tissue_sim.recording.screening import Screening
 from tissue_sim.recording.segmentation import label_motion, number_runs
 from tissue_sim.specimen.specimen import with_article
 
@@ -57,6 +58,7 @@ class MeasuredCurve:
         interpolation: what takes the samples of the file to these points, shape (n, samples); None: they are samples.
         whole: all of the recording, with its segments; None of one that is made up.
         notes: subject -> what a user has to know of it.
+        screening: findings about the signals: samples left out, saturation, preload, control.
     """
 
     name: str
@@ -73,6 +75,7 @@ class MeasuredCurve:
     interpolation: csr_array | None = None
     whole: SegmentedRecording | None = None
     notes: Mapping[str, str] = field(default_factory=dict)
+    screening: Screening = field(default_factory=Screening)
 
     @property
     def clock(self) -> np.ndarray:
