@@ -46,7 +46,7 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
                                                             max(STRETCH_RANGE[1], stretches[1])))
     mu0 = law.mu0(moduli)
     units = {each.name: each.declaration.unit for each in space.unknowns}
-    alternatives = find_alternatives(law, moduli, [(minimum, space.of_law(minimum.parameters))
+    alternatives = find_alternatives(law, space.of_law(values), [(minimum, space.of_law(minimum.parameters))
                                                    for minimum in estimate.minima], stretches)
     clauses, status, unusable = judge(Evidence(estimate, stability, reached, mu0, specimens, alternatives,
                                                space.symbols, units))

@@ -1,6 +1,7 @@
 """Compression of a cylinder between plates."""
 
 from tissue_sim.closed_form.homogeneous import UNIAXIAL
+from tissue_sim.experiment.interfaces import AS_TOOL
 from tissue_sim.experiment.kinds.kind import DISPLACEMENT_FORCE, STRETCH_STRESS, Face, TestKind
 from tissue_sim.experiment.tools.plate import Plate
 
@@ -12,5 +13,5 @@ LUBRICATED = TestKind(name="lubricated_compression", title="Lubricated compressi
                       base=_SMOOTH, sign=-1.0, channels=(DISPLACEMENT_FORCE, STRETCH_STRESS),
                       closed_form=UNIAXIAL)
 BONDED = TestKind(name="bonded_compression", title="Bonded compression", tool=Plate(), sign=-1.0)
-FRICTION = TestKind(name="friction_compression", title="Compression with friction", tool=Plate(), face=_DRY, base=_DRY,
-                    sign=-1.0)
+FRICTION = TestKind(name="friction_compression", title="Compression with friction", tool=Plate(), face=_DRY,
+                    base=Face(AS_TOOL), sign=-1.0)
