@@ -103,10 +103,12 @@ class CampaignFit:
         fitted = [curve for test in self.campaign.tests if not test.hold_out for curve in self.measured[test.name]]
         message = rank_message(fits, predictions, fitted)
         for disagreement in disagreements:
-            message = f"{disagreement}. {message}"
+            message = message if disagreement in message else f"{disagreement}. {message}"
         for law, failure in failures.items():
             message += f" {law} has no fit: {failure}."
-        message += notes_in_short((curve.test.name, curve.name, curve.notes) for curve in self.recordings)
+        said = message
+        message += notes_in_short((curve.test.name, curve.name, {
+            subject: note for subject, note in curve.notes.items() if note not in said}) for curve in self.recordings)
         noises = {name: several[0].noise for name, several in self.measured.items()}
         noise = tuple(SensorStatement(test=name, deviation_N=one.deviation, correlation_time_s=one.correlation_time,
                                       source=one.source) for name, one in noises.items())

@@ -33,11 +33,14 @@ class UsabilitySettings:
         smallest_R2: share of the variance of the force (of the displacement where the force is controlled) that a law
             must explain in each test, over the samples in which the controlled quantity moves. The initial modulus of
             a law that leaves more than a twentieth was wrong by more than 10 % in all cases of the calibration guide.
+        beyond_loading: relaxation and creep contradict a law without memory where at least this share of the fitted
+            samples comes after the first loading.
         noise_ratio: residuals below this many times the noise fail no clause on residuals.
     """
 
     largest_residual: float = 0.10
     smallest_R2: float = 0.95
+    beyond_loading: float = 0.10
     noise_ratio: float = MODEL_ERROR_RATIO
 
 
@@ -79,7 +82,9 @@ def judge(evidence: Evidence) -> tuple[list[Clause], str, str | None]:
     first = failed[:1] if failed[0].name in ("physical", "converged") else \
         [clause for clause in failed if clause.name != "unique" or len(failed) == 1]
     remedies = dict.fromkeys(clause.remedy for clause in first if clause.remedy)
-    specific = [remedy for remedy in remedies if remedy != _OTHER_LAW] or list(remedies)
+    # Where the recordings themselves are at fault, another law is no remedy.
+    at_fault = any(clause.name in ("recordings", "replicates") for clause in first)
+    specific = [remedy for remedy in remedies if remedy != _OTHER_LAW] or ([] if at_fault else list(remedies))
     return clauses, first[0].status, "; ".join([*(clause.reason for clause in first), *specific])
 
 
@@ -160,9 +165,17 @@ def contradictions(curve: MeasuredCurve, remembers: bool) -> list[str]:
     found = [] if screening.preload is None or screening.preload.is_settled else [screening.preload.sentence]
     found += [each.reason for each in screening.suspected]
     control = screening.control
-    if control is not None and not remembers and not control.is_elastic and curve.force.size > control.loading:
+    if control is not None and not remembers and not control.is_elastic and _fits_beyond(curve, control.loading):
         found.append(control.sentence)
     return found
+
+
+def _fits_beyond(curve: MeasuredCurve, loading: int) -> bool:
+    """Whether a tenth or more of the fitted samples come after the first loading, which has `loading` samples."""
+    if curve.whole is None:
+        return curve.force.size > loading
+    fitted = np.flatnonzero(curve.whole.used)
+    return bool(np.mean(fitted >= loading) >= SETTINGS.beyond_loading) if fitted.size else False
 
 
 def _replicates(evidence: Evidence) -> Clause:
