@@ -107,8 +107,11 @@ class CampaignFit:
         for law, failure in failures.items():
             message += f" {law} has no fit: {failure}."
         said = message
+        # Relaxation and creep are what a material with a memory describes.
+        left_out = {"control"} if self.campaign.fit.material.remembers else set()
         message += notes_in_short((curve.test.name, curve.name, {
-            subject: note for subject, note in curve.notes.items() if note not in said}) for curve in self.recordings)
+            subject: note for subject, note in curve.notes.items() if note not in said and subject not in left_out})
+            for curve in self.recordings)
         noises = {name: several[0].noise for name, several in self.measured.items()}
         noise = tuple(SensorStatement(test=name, deviation_N=one.deviation, correlation_time_s=one.correlation_time,
                                       source=one.source) for name, one in noises.items())

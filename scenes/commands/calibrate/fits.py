@@ -120,7 +120,8 @@ def _parameter_table(fits: Sequence[Fit], units: Units) -> Table:
         if len(fits) > 1:
             table.add_row(fit.law, "", "")
         for name in fit.parameters:
-            undetermined = fit.standard_errors.get(name) is None and name not in fit.on_bound
+            undetermined = fit.standard_errors.get(name) is None and name not in fit.on_bound \
+                and not fit.alternatives
             table.add_row(f"{'  ' if len(fits) > 1 else ''}{fit.symbols[name]}",
                           f"{estimate_of(fit, name, units)}{' (not determined)' if undetermined else ''}",
                           f"{interval_of(fit, name, units)}{' (cut)' if name in fit.interval_notes else ''}")
