@@ -20,11 +20,13 @@ class ReplicateSettings:
             them (logarithms).
         compared: recordings are compared over this upper share of the displacement that all of them reach, where an
             offset of the contact matters least.
+        unit: a ratio within this many decades of 1000 is named as a factor of units.
     """
 
     ratio: float = 1.5
     scatter: float = 3.0
     compared: float = 0.5
+    unit: float = 0.1
 
 
 SETTINGS = ReplicateSettings()
@@ -55,9 +57,12 @@ class Disagreement:
             times = ratio if ratio >= 1 else 1.0 / ratio
             what = f"are {times:.3g} times {'stiffer' if ratio > 1 else 'softer'} than"
         odd = ", ".join(self.odd)
+        suspects = odd if len(self.odd) < len(self.others) else f"{odd} and {_names(self.others)}"
+        unit = " (a factor of 1000 is that of N to mN or of m to mm)" if \
+            ratio > 0 and abs(abs(np.log10(ratio)) - 3.0) < SETTINGS.unit else ""
         verb = what if len(self.odd) > 1 else what.replace("have", "has", 1).replace("are", "is", 1)
-        return (f"recordings of {self.test} disagree: {odd} {verb} {_names(self.others)}; check unit, sign and size of "
-                f"the specimen of {odd}, and give another material a [[test]] and a [fit] of its own")
+        return (f"recordings of {self.test} disagree: {odd} {verb} {_names(self.others)}; check unit{unit}, sign and "
+                f"size of the specimen of {suspects}; recordings of another material belong in another campaign")
 
 
 def find_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]) -> list[Disagreement]:
