@@ -115,7 +115,8 @@ def _profiles(estimate: Estimate, spread: Uncertainty, sides: Sequence[ProfileSi
             cuts = [f"{end}: {side.note}" for end, side in (("low", down), ("high", up)) if side.note]
             profiles[name] = Profile(values=[v for v, _ in points], rises=[r for _, r in points],
                                      level=float(spread.quantile[i]**2), notes=cuts)
-            intervals[name] = (down.end, up.end)
+            # One of several equal optima has no interval.
+            intervals[name] = (down.end, up.end) if np.isfinite(spread.standard_errors[i]) else None
             if cuts:
                 notes[name] = "; ".join(cuts)
         else:
