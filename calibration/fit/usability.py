@@ -31,8 +31,8 @@ class UsabilitySettings:
     Attributes:
         largest_residual: root mean square residual of a test, relative to its largest force.
         smallest_R2: share of the variance of the force (of the displacement where the force is controlled) that a law
-            must explain in each test, over the samples in which the controlled quantity moves. The initial modulus of
-            a law that leaves more than a twentieth was wrong by more than 10 % in all cases of the calibration guide.
+            must explain in each test, over the samples in which the controlled quantity moves; docs/calibration.md
+            compares the limit with measured data.
         beyond_loading: relaxation and creep contradict a law without memory where at least this share of the fitted
             samples comes after the first loading.
         noise_ratio: residuals below this many times the noise fail no clause on residuals.
