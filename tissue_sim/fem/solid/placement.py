@@ -28,6 +28,7 @@ class PlacedSolver(KernelOwner, Solver):
         placement: makes the solver for a first touch at another pose; None: the solver stays where it is.
     """
 
+    ignores_twist = True
     placement: Placement | None = None
     contact: ContactNodes
     tissue: Tissue
