@@ -205,12 +205,66 @@ class ToolForce:
         return math.isfinite(total)
 
 
+class TouchState:
+    """Whether the tool has touched the tissue since the last reset.
+
+    The tool touches in the first step in which its height is zero or negative. Until then the tissue is at rest, no
+    step solves anything, and every force is zero, also that of a bonded tool. A tool that has touched counts as
+    having touched until the next reset, even after lift-off.
+
+    Attributes:
+        has_touched: whether the tool has touched.
+        height: height of the tool in the last step, m; None before the first step. The first step has no past: the
+            motion up to its pose is not known, so that it must not count as a speed.
+    """
+
+    __slots__ = ("has_touched", "height")
+
+    def __init__(self, has_touched: bool = False, height: float | None = None):
+        self.has_touched, self.height = has_touched, height
+
+    def advance(self, height: float, dt: float) -> float | None:
+        """Register a step.
+
+        Args:
+            height: distance that the tool must go down until it touches the undeformed tissue, m; negative if the tool
+                is inside. Over a flat top this is z of an upright tool's pose.
+            dt: length of the step, s.
+
+        Returns:
+            Time of the step after the first touch, s, at constant speed; None if the tool has not touched yet.
+        """
+        before, self.height = self.height, height
+        if self.has_touched:
+            return dt
+        if height > 0.0:
+            return None
+        self.has_touched = True
+        return dt if before is None or before <= 0.0 else dt * height / (height - before)
+
+    def copy(self) -> TouchState:
+        """An independent copy, for saved states."""
+        return TouchState(self.has_touched, self.height)
+
+
 class Tissue(Protocol):
-    """What answers a tool's motion with a force: a `Simulator`, or what stands in for one. It may have a `prepare()`,
-    which a loop calls between two ticks, when the force has gone out."""
+    """The tissue that a loop or a server steps: a `Simulator`, a `MultiRateTissue`, or one of a plug-in.
+
+    Contract of `step`: until the tool touches for the first time after a reset, every force is zero and the pose in the
+    air has no influence on later forces (`TouchState`). Three members are optional:
+
+    - ``has_touched``: bool, whether the tool has touched since the last reset; read it with `has_touched`.
+    - ``reset()``: back to the undeformed tissue that has not been touched.
+    - ``prepare()``: a loop calls it between two ticks, after the force has been sent.
+    """
 
     def step(self, pose: float | Pose, dt: float) -> ToolForce:
-        """The force where the tool is now, a depth, m, or a pose, dt s after the last step."""
+        """Force on the tool at a pose, or at a depth in m, dt s after the last step."""
+
+
+def has_touched(tissue: Tissue) -> bool:
+    """Whether the tool has touched the tissue since the last reset; True for a tissue that does not state it."""
+    return bool(getattr(tissue, "has_touched", True))
 
 
 def depth_of(pose: float | Pose) -> float:
