@@ -64,6 +64,9 @@ class Experiment:
     approach: Approach | None = None
 
     def __post_init__(self):
+        if not isinstance(self.tool, Tool):
+            raise InputError(f"tool must be one Tool; got {_kind_of(self.tool)}. An experiment has one tool: make one "
+                             "experiment for each.", field="tool")
         given = self.contact_laws.values() if isinstance(self.contact_laws, Mapping) else self.contact_laws
         object.__setattr__(self, "contact_laws", read_only({law.name: law for law in given}))
         for name in ("friction", "friction_base", "friction_wall"):
@@ -169,3 +172,9 @@ class Experiment:
         """Whether a specimen of one material deforms homogeneously, so that closed forms hold."""
         return (self.tool.is_plate and self.friction == self.base_interface == "frictionless"
                 and self.specimen.is_prism and not self.specimen.specific_weight and not self.contact_laws)
+
+
+def _kind_of(value: object) -> str:
+    """Type of a value in a message: ``list of 2``, ``str``."""
+    name = type(value).__name__
+    return f"{name} of {len(value)}" if isinstance(value, list | tuple | set | dict) else name
