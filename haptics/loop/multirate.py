@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+import threading
 import time as clock
 from collections import deque
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NoReturn
 
 from haptics.loop.bulk_link import BulkLink, BulkProcess
 from haptics.loop.model_transition import ModelTransition
@@ -15,36 +16,42 @@ from haptics.loop.touch_frame import TouchFrame, first_touch
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import LINEARISATIONS, CondensedContact
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStep
+from tissue_sim.kernel_owner import CopyError, KernelOwner, exclusive
 from tissue_sim.live_material import require_same_layers, require_tissue
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.material.material import BULK_RATIOS
 from tissue_sim.model import Model
+from tissue_sim.motion_limits import LimitError, MotionLimits, checked_pose
 from tissue_sim.parameters import with_values
 from tissue_sim.pose import Pose, scaled
 from tissue_sim.simulator import Simulator
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import (
+    ERROR_FLOOR,
+    ERROR_SHARE,
     ForceStatus,
     ToolForce,
     TouchState,
     axial_stiffness,
     axial_wrench,
-    pose_of,
+    is_known_well,
     scaled_matrix,
 )
 
+__all__ = ["ERROR_FLOOR", "ERROR_SHARE", "OLDEST", "MultiRateTissue", "real_time_tissue"]
+
 #: Age from which on a model is not used for a CONVERGED answer, s.
 OLDEST = 1.0
-#: Estimated error, as a fraction of the force, above which an answer is LATE.
-ERROR_SHARE = 0.25
-#: Estimated error, N, up to which an answer is not LATE, however small the force is.
-ERROR_FLOOR = 0.05
 #: Ticks from one state that is sent to the bulk to the next.
 _SEND_EVERY = 4
 #: Ticks over which the speed of the tool is taken.
 _LOOK_BACK = 8
 #: Depths of the touch before the first tick, over the contact's radius.
 _TOUCHES = (0.02, 0.04, 0.05)
+#: Age up to which a step that waits uses a model, s.
+_RECENT = 0.01
+#: Distance up to which a step that waits uses a model, as a fraction of `LinearisationError.short`.
+_NEAR = 0.25
 #: Most exchanges of state and model in a step that waits for the bulk.
 _MOST_EXCHANGES = 16
 #: Change of the force in the last exchange of a step that waits, as a fraction of the force.
@@ -54,7 +61,7 @@ _SETTLED_FLOOR = 1e-4
 _AT_REST = ToolForce(axial_wrench(0.0), axial_stiffness(0.0), ForceStatus.STOPPED)
 
 
-class MultiRateTissue:
+class MultiRateTissue(KernelOwner):
     """A `Tissue` of a solid: `warm_up`, `step`, `reset`, `set_parameters`, `snapshot` as of a `Simulator`.
 
     Each tick solves lift-off, touch and friction on the newest linearisation of the bulk. The process of the bulk gets
@@ -78,6 +85,7 @@ class MultiRateTissue:
         oldest: see `OLDEST`, s.
         waits: whether a step blocks until the bulk has answered for its pose. For simulated clocks, which run faster
             than the bulk; a haptic loop refuses such a tissue.
+        limits: of poses and time steps; see `MotionLimits`.
 
     Attributes:
         error: estimated error of the force, N; infinite while it is unknown.
@@ -88,18 +96,20 @@ class MultiRateTissue:
         InputError: what a `Simulator` refuses, and what the linearisation does (in `warm_up`).
     """
 
+    copy_remedy = "Its bulk runs in another process. Make another MultiRateTissue of the same model."
     force_error: float | None = None
     budget: float | None = None
     mesh: Any = None
 
     def __init__(self, model: Model, *, solver: str = "solid", resolution: str = "realtime", mesh: Any = None,
-                 link: BulkLink | None = None, oldest: float = OLDEST, waits: bool = False):
+                 link: BulkLink | None = None, oldest: float = OLDEST, waits: bool = False,
+                 limits: MotionLimits | None = None):
         if not oldest > 0.0:
             raise InputError(f"oldest must be positive; got {oldest:g} s. Use more than the period of the bulk, such "
                              "as 1.", field="oldest")
         require_tissue(model.material)
         self.model, self.resolution, self.oldest = model, resolution if mesh is None else "own mesh", oldest
-        self.waits = waits
+        self.waits, self.limits, self._guard = waits, limits or MotionLimits(), threading.RLock()
         self._link = link or BulkProcess(model, solver=solver, resolution=resolution, mesh=mesh)
         self._stepper: CondensedStepper | None = None
         self._epoch, self._material, self.models = 0, 0, 0
@@ -114,7 +124,7 @@ class MultiRateTissue:
         self._step: ContactStep | None = None
         self._poses: deque[tuple[float, Pose]] = deque(maxlen=_LOOK_BACK)
         self._touch = TouchState()
-        self._above: Pose | None = None
+        self._last_pose: Pose | None = None
         #: Times at which the bulk had the state of the model, and of its tangent, s.
         self._made = self._tangent_made = 0.0
         self._prepared = False
@@ -123,6 +133,7 @@ class MultiRateTissue:
         #: Whether the last exchange of a step that waits has settled.
         self._settled = True
 
+    @exclusive
     def warm_up(self) -> None:
         """Start the process of the bulk and compile what a tick needs.
 
@@ -160,17 +171,28 @@ class MultiRateTissue:
         if link is not None:
             link.close()
 
+    def clone(self) -> NoReturn:
+        """Refused: a multirate tissue has no copy.
+
+        Raises:
+            CopyError: always.
+        """
+        raise CopyError(f"{type(self).__name__} cannot be cloned. {self.copy_remedy}")
+
     @property
     def has_touched(self) -> bool:
         """Whether the tool has touched the tissue since the last reset."""
         return self._touch.has_touched
 
+    @exclusive
     def step(self, pose: float | Pose, dt: float) -> ToolForce:
         """The force where the tool is now; see `Simulator.step`."""
         began = clock.perf_counter()
         self.warm_up()
-        pose = pose_of(pose)
-        if not (pose.is_finite and math.isfinite(dt) and dt >= 0.0):
+        pose = checked_pose(pose)
+        try:
+            self.limits.require(pose, self._last_pose, dt)
+        except LimitError:
             return replace(self._answer, status=ForceStatus.REFUSED, iterations=0,
                            compute_time=clock.perf_counter() - began)
         self._time += dt
@@ -196,14 +218,14 @@ class MultiRateTissue:
         height = start.position[2]
         inside = self._touch.advance(pose.position[2] - height, dt)
         if inside is not None and not touched:
-            touch = first_touch(self._above, pose, height)
+            touch = first_touch(self._last_pose, pose, height)
             if self._holds:
                 self._frame = TouchFrame(start, touch)
                 touch = start
                 self._poses.clear()
             self._stepper.bring_down(touch)
             self._transition.free, self._step = touch, None
-        self._above = pose
+        self._last_pose = pose
         return inside
 
     def _in_the_air(self, pose: Pose, began: float) -> ToolForce:
@@ -230,13 +252,15 @@ class MultiRateTissue:
         else:
             transition.free = here
         if self.waits:
-            self._step = step = self._exchanged(step, here)
+            if any(step.wrench) and self._needs_exchange(step, here):
+                self._step = step = self._exchanged(step, here)
         elif known is not None or self._ticks % _SEND_EVERY == 0:
             earlier, there = self._poses[0]
             self._link.send(stepper.state(self._time, here, earlier, there, self._epoch, self.has_touched))
         transition.reduce_offset()
         return self._found(step, here, pose, dt, began)
 
+    @exclusive
     def prepare(self) -> None:
         """Take the newest model, where one has come: between two ticks, or `step` does it."""
         self._prepared, stepper = True, self._stepper
@@ -253,6 +277,14 @@ class MultiRateTissue:
         if model.is_whole:
             self._tangent_made = model.time
         self._stepper.adopt(model)
+
+    def _needs_exchange(self, step: ContactStep, pose: Pose) -> bool:
+        """Whether the model is too old or too far from a pose for a step that waits."""
+        assert self._stepper is not None and self._stepper.model is not None
+        model, transition = self._stepper.model, self._transition
+        return (not (step.converged and self._settled) or model.material != self._material
+                or self._time - self._made > _RECENT
+                or transition.distance(model, pose) > _NEAR * transition.estimate.short)
 
     def _exchanged(self, step: ContactStep, pose: Pose) -> ContactStep:
         """Exchange states and models with the bulk until the force at a pose settles; the last step."""
@@ -293,7 +325,7 @@ class MultiRateTissue:
         self.error, judged = transition.error(step, here)
         age = self._time - self._made
         good = (step.converged and self._settled and self._link.alive and age <= self.oldest
-                and not stepper.leaves(here) and judged <= max(ERROR_FLOOR, ERROR_SHARE * math.hypot(*wrench[:3]))
+                and not stepper.leaves(here) and is_known_well(wrench, judged)
                 and (model.material == self._material or not self.has_touched))
         self._left = self._reduced.go(pose.depth, dt)
         if self._left != 1.0:
@@ -306,6 +338,7 @@ class MultiRateTissue:
             force_error=self._left * self.error if is_known else None,
             error_age=max(0.0, self._time - transition.estimate.time) if is_known else 0.0)
 
+    @exclusive
     def reset(self) -> None:
         """Back to the specimen that the tool has not touched."""
         self._epoch += 1
@@ -317,6 +350,7 @@ class MultiRateTissue:
             start = self._link.surface.start
             self._link.send(self._stepper.state(0.0, start, 0.0, start, self._epoch, touched=False))
 
+    @exclusive
     def set_parameters(self, **values: float) -> None:
         """Change parameters of the material. See `Simulator.set_parameters`.
 

@@ -6,9 +6,6 @@ from dataclasses import replace
 
 from tissue_sim.pose import Pose, between, motion, turned
 
-#: Component of the tool's axis along z below which its path to the surface is taken to be vertical.
-_LEAST_UPRIGHT = 0.1
-
 
 class TouchFrame:
     """Maps poses in the scene to poses of a bulk whose mesh was made for one pose of first touch.
@@ -40,20 +37,14 @@ def first_touch(before: Pose | None, pose: Pose, height: float) -> Pose:
 
     Args:
         before: the last pose in the air; None: the first step of a tool that is in the tissue. It is then taken to have
-            come down along its own axis.
+            come straight down.
         pose: at or below the surface.
         height: of the surface, m.
     """
-    below = height - pose.position[2]
+    touch = pose
     if before is not None and before.position[2] > height:
         above = before.position[2] - height
-        touch = between(before, pose, above / (above + below))
-    else:
-        axis = tuple(row[2] for row in pose.rotation)
-        if axis[2] < _LEAST_UPRIGHT:
-            axis = (0.0, 0.0, 1.0)
-        x, y, _ = (part + below / axis[2] * along for part, along in zip(pose.position, axis, strict=True))
-        touch = replace(pose, position=(x, y, height))
+        touch = between(before, pose, above / (before.position[2] - pose.position[2]))
     return replace(touch, position=(*touch.position[:2], height))
 
 
