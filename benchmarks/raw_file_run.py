@@ -60,7 +60,7 @@ class Result:
         return asdict(self)
 
 
-def draw_traps(rng: np.random.Generator, only: str | None = None) -> list[Trap]:
+def draw_traps(rng: np.random.Generator, only: str | None = None, areas: Sequence[str] = AREAS) -> list[Trap]:
     """One to three traps that may stand in one file; areas are drawn first, so that each has an equal share."""
     count = 1 + int(rng.choice(len(COUNTS), p=COUNTS))
     if only is not None:
@@ -69,7 +69,7 @@ def draw_traps(rng: np.random.Generator, only: str | None = None) -> list[Trap]:
     for _ in range(20 * count):
         if len(picked) == count:
             break
-        area = str(rng.choice(AREAS))
+        area = str(rng.choice(areas))
         names = [trap for trap in TRAPS.values() if trap.area == area]
         trap = names[int(rng.integers(len(names)))]
         if not any(trap.groups & other.groups for other in picked) and _shared([*picked, trap]):
@@ -83,10 +83,11 @@ def _shared(traps: Sequence[Trap]) -> list[tuple[str, str]]:
             and all(kind in trap.kinds and name in trap.layouts for trap in traps)]
 
 
-def draw_file(seed: int, index: int, clean: bool = False, only: str | None = None) -> tuple[Draft, list[Trap]]:
+def draw_file(seed: int, index: int, clean: bool = False, only: str | None = None, areas: Sequence[str] = AREAS
+              ) -> tuple[Draft, list[Trap]]:
     """The draft of one file, and its traps."""
     rng = np.random.default_rng([seed, index, int(clean)])
-    traps = [] if clean else draw_traps(rng, only)
+    traps = [] if clean else draw_traps(rng, only, areas)
     places = _shared(traps)
     weights = np.array([{KINDS[0]: 0.55, KINDS[1]: 0.3, KINDS[2]: 0.15}[kind] for kind, _ in places])
     kind, layout = places[int(rng.choice(len(places), p=weights / weights.sum()))]
@@ -109,9 +110,9 @@ def draw_file(seed: int, index: int, clean: bool = False, only: str | None = Non
 
 
 def run_file(seed: int, index: int, *, clean: bool = False, only: str | None = None,
-             keep: Path | None = None) -> Result:
+             areas: Sequence[str] = AREAS, keep: Path | None = None) -> Result:
     """Draw, write, import and calibrate one file; `keep` is a folder in which its files stay."""
-    draft, traps = draw_file(seed, index, clean, only)
+    draft, traps = draw_file(seed, index, clean, only, areas)
     with tempfile.TemporaryDirectory(prefix="raw_file_") as place:
         folder = Path(place) if keep is None else keep / f"{index:05d}"
         folder.mkdir(parents=True, exist_ok=True)

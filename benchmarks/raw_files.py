@@ -1,6 +1,7 @@
 """Raw files of test machines with a known modulus and random traps: is what import and calibrate report true?
 
-    python benchmarks/raw_files.py --count 5000 --seed 1 [--clean] [--workers 2] [--only TRAP] [--json FILE]
+    python benchmarks/raw_files.py --count 5000 --seed 1 [--clean] [--workers 2] [--only TRAP]
+        [--areas AREA ...] [--json FILE]
     python benchmarks/raw_files.py --seed 1 --index 17 --keep DIR     (one file again, with its files)
     python benchmarks/raw_files.py --traps                            (names of the traps)
 
@@ -35,7 +36,7 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
-from raw_file_run import OUTCOMES, RIGHT, TRAPS, WRONG, Result, run_file
+from raw_file_run import AREAS, OUTCOMES, RIGHT, TRAPS, WRONG, Result, run_file
 
 
 def options() -> argparse.ArgumentParser:
@@ -44,6 +45,8 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of all files (default 1)")
     parser.add_argument("--index", type=int, metavar="K", help="only file K")
     parser.add_argument("--clean", action="store_true", help="files without traps")
+    parser.add_argument("--areas", nargs="+", choices=AREAS, default=AREAS, metavar="AREA",
+                        help=f"traps of these areas only: {', '.join(AREAS)}")
     parser.add_argument("--only", choices=tuple(TRAPS), metavar="TRAP", help="one trap in every file")
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default 1)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="all results as JSON lines")
@@ -56,17 +59,17 @@ def run_all(chosen: argparse.Namespace) -> list[Result]:
     """All results, in the order of their index."""
     indices = range(chosen.count) if chosen.index is None else [chosen.index]
     keep = None if chosen.keep is None else chosen.keep.resolve()
-    one = partial(_quiet, chosen.seed, chosen.clean, chosen.only, keep)
+    one = partial(_quiet, chosen.seed, chosen.clean, chosen.only, tuple(chosen.areas), keep)
     if chosen.workers == 1:
         return [one(index) for index in indices]
     with ProcessPoolExecutor(chosen.workers) as pool:
         return list(pool.map(one, indices, chunksize=20))
 
 
-def _quiet(seed: int, clean: bool, only: str | None, keep: Path | None, index: int) -> Result:
+def _quiet(seed: int, clean: bool, only: str | None, areas: tuple[str, ...], keep: Path | None, index: int) -> Result:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return run_file(seed, index, clean=clean, only=only, keep=keep)
+        return run_file(seed, index, clean=clean, only=only, areas=areas, keep=keep)
 
 
 def figures(results: Sequence[Result]) -> dict[str, Counter]:
