@@ -45,7 +45,7 @@ LEAST_PEAK = 0.1
 #: Most that the force of a STOPPED step may be, over the largest converged force and the nominal one.
 STOPPED_BOUND = 3.0
 #: CPU time of a step after which it counts as one that does not end, s.
-STEP_LIMIT = 10.0
+STEP_LIMIT = 5.0
 #: Wrong answers of a motion that are described.
 DESCRIBED = 3
 
@@ -132,7 +132,8 @@ def judged(motion: Motion) -> Judgement:
         if operation.truth is None:
             _judge_refusal(judgement, index, operation, answer)
             continue
-        _judge(judgement, motion, index, answer, known[index], float(peak), most)
+        if index in known:
+            _judge(judgement, motion, index, answer, known[index], float(peak), most)
         if isinstance(answer, ts.ToolForce) and answer.status is ts.ForceStatus.CONVERGED:
             most = max(most, float(np.linalg.norm(answer.force_vector)))
     judgement.seconds = time.process_time() - began

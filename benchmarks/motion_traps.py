@@ -318,10 +318,12 @@ def budget(chance: np.random.Generator) -> Motion:
     """A steady push, and one that turns round, with few linear solutions a step: no stale stiffness is unmarked."""
     inertia = str(chance.choice(["on", "auto", "off"], p=[0.6, 0.2, 0.2]))
     scene = axisymmetric_scene(chance, inertia=inertia)
+    while scene.shape == "plate" and inertia != "off":  # waves of a plate depend on the ticks that a LATE step merges
+        scene = axisymmetric_scene(chance, inertia=inertia)
     scene = replace(scene, max_solves=int(chance.integers(3, 7)))
     speed = float(chance.uniform(0.005, 0.05))
     count = min(160, round(scene.depth / (speed * 1e-3)))
-    poses = [Pose((0.0, 0.0, -speed * 1e-3 * k)) for k in range(1, count + 1)]
+    poses = [Pose((0.0, 0.0, -speed * 1e-3 * k)) for k in range(count + 1)]
     poses += poses[:len(poses) // 2:-1]
     return Motion("few solutions a step", scene, tuple(moves(poses, 1e-3)), checks_stiffness=scene.is_bonded)
 

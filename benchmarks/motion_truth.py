@@ -25,6 +25,10 @@ from tissue_sim.pose import Pose, between, motion
 LARGEST_SUBSTEP = 1.0 / 48.0
 #: Smallest number of substeps of a tick in contact, by solver.
 LEAST_SUBSTEPS = {"axisymmetric": 3, "reduced": 2, "solid": 1}
+#: Largest distance of ticks that are merged for the truth of a multirate scene, m.
+LARGEST_MERGED = 1e-4
+#: Largest time of ticks that are merged for the truth of a multirate scene, s.
+MERGED_TIME = 8e-3
 #: Depth at which the reference touches first, m: friction there is negligible.
 TOUCH_DEPTH = 1e-9
 #: Height above which tissue without mass cannot reach a tool that lifted off, m.
@@ -55,11 +59,29 @@ def truths(scene: Scene, path: Sequence[PathTick]) -> dict[int, Truth]:
     reference = _Reference(replace(scene, solver="solid") if scene.solver == "multirate" else scene,
                            _start_of(scene, path))
     found = {}
-    for tick in path:
+    for tick in _sampled(path) if scene.solver == "multirate" else path:
         truth = reference.go(tick)
         if tick.index != NOT_COMPARED:
             found[tick.index] = truth
     return found
+
+
+def _sampled(path: Sequence[PathTick]) -> list[PathTick]:
+    """A path with short ticks in the tissue merged, for a reference that is slower than what is tested."""
+    kept: list[PathTick] = []
+    waiting = 0.0
+    for tick, following in zip(path, [*path[1:], None], strict=True):
+        dt = waiting + tick.dt
+        last = kept[-1].pose if kept else None
+        can_merge = (last is not None and following is not None and following.factor == tick.factor
+                     and math.dist(last.position, following.pose.position) < LARGEST_MERGED
+                     and dt < MERGED_TIME and max(pose.position[2] for pose in (last, tick.pose, following.pose)) < 0.0)
+        if can_merge:
+            waiting = dt
+            continue
+        kept.append(replace(tick, dt=dt))
+        waiting = 0.0
+    return kept
 
 
 def _start_of(scene: Scene, path: Sequence[PathTick]) -> tuple[float, float]:
