@@ -303,9 +303,8 @@ class _Player:
         text = f"{index}: {type(operation).__name__}: {type(error).__name__}: {str(error)[:120]}"
         if isinstance(operation, Fork) and isinstance(error, AttributeError) and operation.how == "clone":
             self._judgement.notes.append("no clone()")
-        elif isinstance(error, ts.InputError) and isinstance(operation, ForeignState | RefusedParameters):
-            self._judgement.counts[Verdict.REFUSED] += 1
-        elif isinstance(operation, Fork) and _is_refusal(self._motion.scene, operation, error):
+        elif (isinstance(error, ts.InputError) if isinstance(operation, ForeignState | RefusedParameters) else
+              isinstance(operation, Fork) and _is_refusal(self._motion.scene, operation, error)):
             self._judgement.counts[Verdict.REFUSED] += 1
         else:
             self._judgement.note(Verdict.FAULT, text)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from motion_scenes import Scene
@@ -64,8 +65,7 @@ def smooth(keys: Sequence[Key], ticks: int, dt: float, top_speed: float | None) 
         top_speed: largest speed of the tool along its path, m/s, which adds ticks; None: no limit.
     """
     arrays = [key.array() for key in keys]
-    lengths = [max(1e-5, float(np.linalg.norm((end - start)[:3]))) for start, end in zip(arrays, arrays[1:],
-                                                                                         strict=False)]
+    lengths = [max(1e-5, float(np.linalg.norm((end - start)[:3]))) for start, end in pairwise(arrays)]
     poses = [pose_at(arrays[0])] * (1 + keys[0].hold)
     for length, start, end, key in zip(lengths, arrays, arrays[1:], keys[1:], strict=False):
         count = max(4, round(ticks * length / sum(lengths)))

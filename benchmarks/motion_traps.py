@@ -250,7 +250,7 @@ def copies(how: str) -> Callable[[np.random.Generator, Scene], Motion]:
         poses = profile(scene, chance, dt)
         at = a_third(poses, chance)
         other = [poses[at - 1]] * 3 + poses[at - 1:max(0, at - 12):-1]
-        operations = moves(poses[:at], dt) + [Fork(how)]
+        operations = [*moves(poses[:at], dt), Fork(how)]
         for number, pose in enumerate(poses[at:]):
             operations.append(Move(pose, dt, pose, copy=True))
             if number < len(other):

@@ -80,6 +80,7 @@ class Result:
 
 def motion_of(task: Task):
     """The motion of a task."""
+    from motion_coupling import light_tool
     from motion_scenes import multirate_scene, spatial_scene
     from motion_space_traps import MULTIRATE, SPATIAL
     from motion_traps import AXISYMMETRIC, clean
@@ -89,7 +90,8 @@ def motion_of(task: Task):
         scene = {"axisymmetric": lambda: None, "spatial": lambda: spatial_scene(chance),
                  "multirate": lambda: multirate_scene(chance)}[task.group]()
         return clean(chance, scene)
-    table = {"axisymmetric": AXISYMMETRIC, "spatial": SPATIAL, "multirate": MULTIRATE}[task.group]
+    table: dict = {"axisymmetric": {**AXISYMMETRIC, "light tool": (light_tool, 1.0)}, "spatial": SPATIAL,
+                   "multirate": MULTIRATE}[task.group]
     if task.only is not None:
         return table[task.only][0](chance)
     weights = np.array([weight for _, weight in table.values()])
@@ -99,10 +101,11 @@ def motion_of(task: Task):
 
 def play(task: Task) -> Result:
     """Draw, play and judge one motion."""
+    from motion_coupling import Coupling, coupled
     from motion_judge import judged
 
     motion = motion_of(task)
-    judgement = judged(motion)
+    judgement = coupled(motion) if isinstance(motion, Coupling) else judged(motion)
     answered, valid = judgement.answered
     return Result(task.group, task.index, motion.trap, motion.scene.name, judgement.outcome, answered, valid,
                   {verdict.value: count for verdict, count in judgement.counts.items()}, judgement.notes,
