@@ -1,9 +1,9 @@
 """A light tool on a servo, coupled explicitly to a simulator: pose in, force out, once a tick.
 
 A tissue with mass makes this coupling unstable below some mass of the tool (added-mass instability: Causin, Gerbeau
-and Nobile, Comput. Methods Appl. Mech. Eng. 194 (2005) 4506). The unstable solution alternates from tick to tick, unlike
-the slow free oscillation of a tissue on a servo. A force that alternates in a hold is silently wrong unless the answers
-stated a larger `least_tool_mass`.
+and Nobile, Comput. Methods Appl. Mech. Eng. 194 (2005) 4506). The unstable solution alternates from tick to tick; the
+slow free oscillation of a tissue on a servo does not. A force that alternates in a hold is silently wrong unless the
+answers stated a larger `least_tool_mass`.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ class Coupling:
 
 
 def light_tool(chance: np.random.Generator) -> Coupling:
-    """A random tool of 1 to 50 g on a servo of 200 to 2000 N/m, critically damped."""
+    """A random tool of 0.5 to 20 g on a servo of 200 to 2000 N/m, critically damped."""
     scene = axisymmetric_scene(chance, elastic=True)
     while scene.shape == "plate":
         scene = axisymmetric_scene(chance, elastic=True)
     mass, servo = (float(np.exp(chance.uniform(math.log(low), math.log(high)))) for low, high in
-                   ((1e-3, 50e-3), (200.0, 2000.0)))
+                   ((0.5e-3, 20e-3), (200.0, 2000.0)))
     return Coupling(scene, mass, servo, float(chance.choice([0.5e-3, 1e-3])))
 
 
@@ -74,8 +74,8 @@ def coupled(coupling: Coupling) -> Judgement:
     last = felt[-JUDGED_TICKS:]
     swing = 0.5 * float(np.abs(np.diff(last, 2)).max()) / max(abs(float(np.mean(last))), 1e-6)
     is_sure = all(status is ts.ForceStatus.CONVERGED for status in statuses[-JUDGED_TICKS:])
-    text = (f"a tool of {1e3 * mass:.3g} g on {servo:.0f} N/m at {1e3 * dt:g} ms alternates by {100 * swing:.0f} % of the "
-            f"force in a hold; stated least mass {1e3 * stated:.3g} g")
+    text = (f"a tool of {1e3 * mass:.3g} g on {servo:.0f} N/m at {1e3 * dt:g} ms alternates by "
+            f"{100 * swing:.0f} % of the force in a hold; stated least mass {1e3 * stated:.3g} g")
     if swing <= LARGEST_SWING:
         judgement.counts[Verdict.RIGHT] += 1
     elif stated > mass or not is_sure:
