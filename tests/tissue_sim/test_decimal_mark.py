@@ -140,7 +140,7 @@ def test_separators_below_the_beginning_of_a_long_text_count(tmp_path, style, pl
 def test_a_number_that_its_separator_cuts_gets_a_hint(tmp_path):
     path = tmp_path / "cut.csv"
     path.write_text("Time,Way,Load\n" + "".join(f"{i},{i},{1000 + i:,}.5\n" for i in range(9)), encoding="utf-8")
-    with pytest.raises(InputError, match="4 cells, expected 3 .* quote the numbers"):
+    with pytest.raises(InputError, match=r"4 cells, expected 3 .* quote the numbers"):
         read_recordings(path, columns=COLUMNS)
 
 

@@ -127,7 +127,7 @@ def begins_with_word(row: Row) -> bool:
 def _goes_on(rows: Sequence[Row], text: int, places: Sequence[int]) -> bool:
     """Whether rows of the same table stand below the row of text at `text`.
 
-    Rows of numbers below a second row of names are of another table, unless their first column goes on evenly.
+    Rows of numbers below a second row of names are of another table, unless their first column continues evenly.
     """
     named = False
     for row in rows[text:]:
@@ -139,7 +139,7 @@ def _goes_on(rows: Sequence[Row], text: int, places: Sequence[int]) -> bool:
 
 
 def _follows(before: Sequence[Row], row: Row, place: int) -> bool:
-    """Whether the number at `place` goes on from the rows before by at most `_LARGEST_GAP` of their steps."""
+    """Whether the number at `place` continues the rows before by at most `_LARGEST_GAP` of their steps."""
     values = [any_number(each.cells[place]) for each in (*before, row) if place < len(each.cells)]
     if len(values) < 3:
         return False

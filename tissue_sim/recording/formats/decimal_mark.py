@@ -244,7 +244,7 @@ def _other(mark: str) -> str:
 
 def _is_damage(cells: Sequence[str], refused: np.ndarray, count: int) -> bool:
     """Whether the few refused cells may be damaged, and prove nothing: none of them begins with a zero."""
-    odd = [cells[i] for i in np.flatnonzero(refused)]
+    odd = [cell for cell, is_odd in zip(cells, refused.tolist(), strict=True) if is_odd]
     return len(odd) <= _DAMAGED_FRACTION * count + 1 and count > _MOST_SHORT and not any(
         cell.lstrip("+-").startswith("0") for cell in odd)
 

@@ -74,11 +74,11 @@ def _tables(groups: Sequence[Group], places: Sequence[tuple[str, int]]) -> list[
     seen: dict[tuple[str, int], int] = {}
     found: list[tuple[Group, str]] = []
     for place in places:
-        beside, number = tables.get(place, []), seen.get(place, 0)
+        shared, number = tables.get(place, []), seen.get(place, 0)
         seen[place] = number + 1
-        if number >= len(beside):
+        if number >= len(shared):
             return None
-        group = beside[number]
-        title = block_title(group.numbers, [column.place - 1 for column in group.columns], beside=len(beside) > 1)
+        group = shared[number]
+        title = block_title(group.numbers, [column.place - 1 for column in group.columns], side_by_side=len(shared) > 1)
         found.append((group, f"{place[0]} {title}".strip() if several_sheets else title))
     return found

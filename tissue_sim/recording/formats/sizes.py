@@ -31,6 +31,8 @@ _HEIGHTS = {"uniaxial_tension": ("gauge length", "length", "height"),
 _ANY_HEIGHT = ("height", "thickness", "length", "gauge length", "gap")
 #: Kinds whose specimen is gripped, so that its cross-section may have any shape.
 _GRIPPED = ("uniaxial_tension", "simple_shear")
+#: A size in mm or mm2, its relative rounding, and the keys that state it.
+_Candidate = tuple[float, float, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
@@ -82,10 +84,12 @@ def stated_sizes(stated: Mapping[str, str], kind: str | None) -> dict[str, tuple
                                                       for each in known[height]], stated)
     flat = kind in _GRIPPED
     rectangles = _rectangles(known, kind, height)
-    radii = [(1e3 * factor * each.value, each.rounding, (each.key,))
+    radii: list[_Candidate] = [
+             (1e3 * factor * each.value, each.rounding, (each.key,))
              for name, factor in (("diameter", 0.5), ("radius", 1.0), ("circumference", 0.5 / math.pi))
              for each in known.get(name, ())]
-    areas = [(1e6 * each.value, each.rounding, (each.key,)) for each in known.get("area", ())] + rectangles
+    areas: list[_Candidate] = [
+             (1e6 * each.value, each.rounding, (each.key,)) for each in known.get("area", ())] + rectangles
     if radii or (areas and not flat):
         radii += [(math.sqrt(area / math.pi), 0.5 * rounding, keys) for area, rounding, keys in areas]
         found["radius_mm"] = _different("radius_mm", radii, stated)
@@ -95,7 +99,7 @@ def stated_sizes(stated: Mapping[str, str], kind: str | None) -> dict[str, tuple
 
 
 def _rectangles(known: Mapping[str, Sequence[_Stated]], kind: str | None, height: str | None
-                ) -> list[tuple[float, float, tuple[str, ...]]]:
+                ) -> list[_Candidate]:
     """Width times thickness, mm2; of a sheared or compressed block width times length."""
     others = {"simple_shear": ("length",), "uniaxial_tension": ("thickness",)}.get(kind or "", ("length", "thickness"))
     other = next((name for name in others if name in known and name != height), None)
@@ -105,10 +109,10 @@ def _rectangles(known: Mapping[str, Sequence[_Stated]], kind: str | None, height
             for width, each in zip(known["width"], known[other], strict=False)]
 
 
-def _different(key: str, candidates: Sequence[tuple[float, float, tuple[str, ...]]], stated: Mapping[str, str]
+def _different(key: str, candidates: Sequence[_Candidate], stated: Mapping[str, str]
                ) -> tuple[Size, ...]:
     """The first candidate, and each that contradicts all before it."""
-    kept: list[tuple[float, float, tuple[str, ...]]] = []
+    kept: list[_Candidate] = []
     for value, rounding, keys in candidates:
         if all(abs(value / other - 1.0) > max(CONTRADICTION, rounding + also) for other, also, _ in kept):
             kept.append((value, rounding, keys))

@@ -30,7 +30,7 @@ _UNIT_CELL = re.compile(r"^[\[(]?[^\W\d]{1,10}(\s*(\^2|²|2)|/[^\W\d]{1,5})?[\])
 #: Rows of a small table that summarise others.
 _SUMMARY = re.compile(r"^(mean|average|std|sd|stdev|min|max|median|cv|mittelwert|moyenne|standardabweichung)\b",
                       re.IGNORECASE)
-#: Rows of numbers that are searched for statements beside the columns of a table.
+#: Rows of numbers that are searched for statements outside of the columns of a table.
 _ROWS_BESIDE = 60
 #: Characters of a row that is searched for sentences.
 _LONGEST_SENTENCE = 1000
@@ -64,8 +64,8 @@ def table_statements(numbers: Numbers, used: Sequence[int], *, decimal: str, tab
         if place not in used:
             found.add(numbers.bare_name(place), f"{_canonical(value, decimal)} {numbers.unit(place) or ''}", "column")
     for row in (*((numbers.header,) if numbers.header else ()), *numbers.rows[:_ROWS_BESIDE]):
-        beside = Row(row.line, tuple(cell for i, cell in enumerate(row.cells) if i not in used))
-        for key, value in _pairs(beside, decimal):
+        others = Row(row.line, tuple(cell for i, cell in enumerate(row.cells) if i not in used))
+        for key, value in _pairs(others, decimal):
             if size_class(key) is not None:
                 found.add(key, value, f"line {row.line}")
     more = Statements()
@@ -144,7 +144,9 @@ def _small_table(rows: Sequence[Row], header: int, found: Statements, decimal: s
                  ) -> set[int]:
     """Add the sizes in the rows below a row of names; returns the rows that belong to the small table."""
     names, places = rows[header], range(len(rows[header].cells))
-    units, values, last = None, [], header
+    units: Row | None = None
+    values: list[Row] = []
+    last = header
     for i in range(header + 1, len(rows)):
         row = rows[i]
         if units is None and not values and is_unit_row(row, places):

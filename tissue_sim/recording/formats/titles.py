@@ -31,15 +31,16 @@ _UNITS = re.compile(r"^(%|kpa|pa|mpa|mm|um|mg|g|ml|wt|vol|mol|mm/s|°c|degc)$")
 _SEARCHED = 12
 
 
-def block_title(numbers: Numbers, places: Sequence[int], *, beside: bool) -> str:
+def block_title(numbers: Numbers, places: Sequence[int], *, side_by_side: bool) -> str:
     """The title of a table; empty if it has none.
 
     Args:
         numbers: rows of numbers with what stands above them. places: from 0, of the columns of the recording.
-        beside: whether other recordings stand beside it, so that only cells above its own columns count.
+        side_by_side: whether other tables share its rows, so that only cells above its own columns count.
     """
     for row in reversed(numbers.above[-_SEARCHED:]):
-        cells = [cell for i, cell in enumerate(row.cells) if cell and (not beside or min(places) <= i <= max(places))]
+        cells = [cell for i, cell in enumerate(row.cells)
+                 if cell and (not side_by_side or min(places) <= i <= max(places))]
         title = _title(cells)
         if title and not _DATE.search(title):
             return title
