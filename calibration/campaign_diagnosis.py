@@ -22,6 +22,7 @@ from calibration.diagnosis.diagnosis import Diagnosis, Stage
 from calibration.diagnosis.duration import in_words, seconds_of_each
 from calibration.diagnosis.evidence import Evidence, Measured, gather, whole_campaign
 from calibration.diagnosis.next_experiment import next_experiments
+from calibration.diagnosis.offsets import settle_contacts
 from calibration.diagnosis.proposals import Proposals, propose
 from calibration.diagnosis.result import DiagnosisResult
 from calibration.diagnosis.statements import candidate_statements, found_effects
@@ -91,7 +92,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solv
     campaign = scale_offsets(campaign, measured)
     clock = _Clock(solves)
     with clock.stage("fit without any effect"):
-        before = gather(campaign, measured, solves, steps)
+        before, offsets = settle_contacts(gather(campaign, measured, solves, steps), steps)
     with clock.stage("scores of the catalogue"):
         proposals = propose(before, steps)
     with clock.stage("fits with the likeliest"):
@@ -120,7 +121,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solv
         message=message(judgement.verdict, effects, [titles.get(name, name) for name in judgement.indistinguishable],
                         regions, (*gaps, noise), sum(not row.testable for row in candidates), held_out,
                         next((row for row in candidates if row.explained_percent is not None), None),
-                        before.repeated_in_words,
+                        before.repeated_in_words, offsets, list(proposals.seen_in_words),
                         stressed=all(curve.stressed for curve in before.problem.measured)),
         effects=effects, indistinguishable=judgement.indistinguishable, candidates=candidates, regions=regions,
         gap_before_N=gaps[0], gap_after_N=gaps[1], noise_N=noise,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,20 +18,23 @@ from calibration.fit.assess import assess
 from calibration.fit.curves import draw_curves
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator
+from calibration.fit.failure import Failure, attempt
 from calibration.fit.fit import SensorStatement
 from calibration.fit.generalised import Generalised
 from calibration.fit.influence import add_influence
+from calibration.fit.levenberg_marquardt import Descent
 from calibration.fit.ordinary import Ordinary
 from calibration.fit.predictor import Predictor, predictor_of_held_out
 from calibration.fit.profiles import ProfileSide, profile_side
 from calibration.fit.ranking import Fitted, rank, rank_message
+from calibration.fit.replicates import find_disagreements
 from calibration.fit.result import CalibrationResult
 from calibration.fit.steps import Steps
 from calibration.fit.validation import LeftOut, leave_out, predict_held_out
 from calibration.forward.geometry import check_geometry
 from calibration.forward.solves import Solves
 from calibration.output_folder import SOLVES
-from calibration.report.outputs import write_campaign
+from calibration.report.outputs import write_campaign, write_failure
 from calibration.statistics.uncertainty import Uncertainty
 from tissue_sim.errors import ConvergenceError
 
@@ -88,17 +92,26 @@ class CampaignFit:
         """
         if self.estimator.explores:
             self.solves.move_to(self.folder / SOLVES)
+        disagreements = self._disagreements()
         found, failures = self._fit()
         if not found:
+            write_failure(self.campaign, failures, self.folder)
             raise ConvergenceError(f"{self.campaign.path}: no start of any law gets through the data "
                                    f"({next(iter(failures.values()), '')}); state another one in fit.start, or take a "
                                    "smaller max_strain")
         fits, predictions, curves = rank(found)
         fitted = [curve for test in self.campaign.tests if not test.hold_out for curve in self.measured[test.name]]
         message = rank_message(fits, predictions, fitted)
+        for disagreement in disagreements:
+            message = message if disagreement in message else f"{disagreement}. {message}"
         for law, failure in failures.items():
             message += f" {law} has no fit: {failure}."
-        message += notes_in_short((curve.test.name, curve.name, curve.notes) for curve in self.recordings)
+        said = message
+        # Relaxation and creep are what a material with a memory describes.
+        left_out = {"control"} if self.campaign.fit.material.remembers else set()
+        message += notes_in_short((curve.test.name, curve.name, {
+            subject: note for subject, note in curve.notes.items() if note not in said and subject not in left_out})
+            for curve in self.recordings)
         noises = {name: several[0].noise for name, several in self.measured.items()}
         noise = tuple(SensorStatement(test=name, deviation_N=one.deviation, correlation_time_s=one.correlation_time,
                                       source=one.source) for name, one in noises.items())
@@ -106,7 +119,7 @@ class CampaignFit:
         result = CalibrationResult(
             self.campaign, tuple(fits), tuple(predictions), message, self.folder, self.digest,
             self.estimator.pooled_noise, sources.pop() if len(sources) == 1 else "mixed",
-            noise if self.estimator.explores else ())
+            noise if self.estimator.explores else (), failures=failures)
         if self.estimator.explores:
             self.steps.say("writing the report")
         write_campaign(result, curves, self.measured, self.estimator.words, figures=figures,
@@ -115,40 +128,55 @@ class CampaignFit:
 
     def _fit(self) -> tuple[list[Fitted], dict[str, str]]:
         """Each law that has an estimate, and why the others have none."""
-        laws, campaign = self.campaign.fit.laws, self.campaign
+        laws = self.campaign.fit.laws
         ends = self.estimator.estimate(laws, self.steps)
         estimates = {law: estimate for law, (_, estimate) in ends.items() if isinstance(estimate, Estimate)}
         failures = {law: estimate for law, (_, estimate) in ends.items() if not isinstance(estimate, Estimate)}
-        spreads = {law: self.estimator.uncertainty(estimate.problem, estimate.evaluation)
-                   for law, estimate in estimates.items()}
+        spreads: dict[str, Uncertainty] = {}
+        for law, estimate in list(estimates.items()):
+            spread = attempt(_uncertainty_at, self.estimator, estimate)
+            if isinstance(spread, Failure):
+                failures[law] = spread.reason
+                del estimates[law]
+            else:
+                spreads[law] = spread
         sides_of, left_of = self._explore(estimates, spreads)
         answers: list[Fitted] = []
         for law, estimate in estimates.items():
             if self.estimator.explores:
                 self.steps.say(f"what {law} tells")
-            spent = self.solves.meter()
-            (descents, _), sides, left, spread = ends[law], sides_of[law], left_of[law], spreads[law]
-            fit = assess(self.estimator, estimate, spread, descents, sides, campaign)
-            fit = add_influence(fit, estimate.problem, estimate.evaluation)
-            fitted = zip(estimate.problem.tests, estimate.problem.mesh_error, strict=True)
-            own = Predictor.of(estimate.problem.space, estimate.theta, spread)
-            predictors = {test.name: predictor_of_held_out(test, own, fit.population)
-                          for test in campaign.tests if test.hold_out}
-            tests = [self.estimator.held_out(test, estimate, predictors[test.name] or own) if test.hold_out
-                     else next(fitted) for test in campaign.tests]
-            scatter = self.estimator.scatter(estimate)
-            held_out = [predict_held_out(estimate.problem, test, predictors[test.name], scatter)
-                        for test, _ in tests if test.name in predictors]
-            curves = draw_curves(estimate, spread, tests, scatter, {name: predictor for name, predictor
-                                                                    in predictors.items() if predictor is not None})
-            parts: list[Any] = [*descents, estimate, *sides, *left]
-            costs = [spent(), *((part.simulations, part.cpu_s) for part in parts)]
-            best = min(descents, key=lambda end: end.error)
-            fit = replace(fit, fem_solves=sum(sum(done.values()) for done, _ in costs) + self.checked.get(law, 0),
-                          cpu_s=sum(seconds for _, seconds in costs),
-                          estimate_cpu_s=best.cpu_s + estimate.cpu_s if self.estimator.explores else 0.0)
-            answers.append((fit, [*(one.prediction for one in left), *held_out], curves))
+            answer = attempt(self._answer, estimate, spreads[law], ends[law][0], sides_of[law], left_of[law])
+            if isinstance(answer, Failure):
+                failures[law] = answer.reason
+            else:
+                answers.append(answer)
         return answers, failures
+
+    def _answer(self, estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
+                sides: Sequence[ProfileSide], left: Sequence[LeftOut]) -> Fitted:
+        """Fit, predictions and curves of one law."""
+        campaign, law = self.campaign, estimate.problem.space.law
+        spent = self.solves.meter()
+        fit = assess(self.estimator, estimate, spread, descents, sides, campaign)
+        fit = add_influence(fit, estimate.problem, estimate.evaluation)
+        fitted = zip(estimate.problem.tests, estimate.problem.mesh_error, strict=True)
+        own = Predictor.of(estimate.problem.space, estimate.theta, spread)
+        predictors = {test.name: predictor_of_held_out(test, own, fit.population)
+                      for test in campaign.tests if test.hold_out}
+        tests = [self.estimator.held_out(test, estimate, predictors[test.name] or own) if test.hold_out
+                 else next(fitted) for test in campaign.tests]
+        scatter = self.estimator.scatter(estimate)
+        held_out = [predict_held_out(estimate.problem, test, predictors[test.name], scatter)
+                    for test, _ in tests if test.name in predictors]
+        curves = draw_curves(estimate, spread, tests, scatter, {name: predictor for name, predictor
+                                                                in predictors.items() if predictor is not None})
+        parts: list[Any] = [*descents, estimate, *sides, *left]
+        costs = [spent(), *((part.simulations, part.cpu_s) for part in parts)]
+        best = min(descents, key=lambda end: end.error)
+        fit = replace(fit, fem_solves=sum(sum(done.values()) for done, _ in costs) + self.checked.get(law, 0),
+                      cpu_s=sum(seconds for _, seconds in costs),
+                      estimate_cpu_s=best.cpu_s + estimate.cpu_s if self.estimator.explores else 0.0)
+        return fit, [*(one.prediction for one in left), *held_out], curves
 
     def _explore(self, estimates: dict[str, Estimate], spreads: dict[str, Uncertainty]
                  ) -> tuple[dict[str, list[ProfileSide]], dict[str, list[LeftOut]]]:
@@ -167,8 +195,22 @@ class CampaignFit:
                          for number in range(len(estimate.problem.tests))]
         for function, tasks, words, found in ((profile_side, sides, "profiles", sides_of),
                                               (leave_out, left, "tests left out, one at a time", left_of)):
-            # An analytical fit is done before anybody could read a sentence.
-            answers = self.steps.all_of(function, [arguments for _, arguments in tasks], words) if tasks else []
+            answers = self.steps.all_of(partial(attempt, function), [arguments for _, arguments in tasks], words) \
+                if tasks else []
             for (law, _), answer in zip(tasks, answers, strict=True):
-                found[law].append(answer)
+                # A profile or a left-out test without a result leaves the fit as it is.
+                if not isinstance(answer, Failure):
+                    found[law].append(answer)
         return sides_of, left_of
+
+    def _disagreements(self) -> list[str]:
+        """Recordings that disagree, in words and announced before they are pooled."""
+        found = [each.describe() for each in find_disagreements(self.measured)]
+        for sentence in found:
+            self.steps.say(sentence)
+        return found
+
+
+def _uncertainty_at(estimator: Estimator, estimate: Estimate) -> Uncertainty:
+    """Uncertainty at the estimate."""
+    return estimator.uncertainty(estimate.problem, estimate.evaluation)

@@ -12,9 +12,12 @@ Quaternion = tuple[float, float, float, float]
 #: Translation (or force) along x, y, z, then rotation (or torque) about them.
 Screw = tuple[float, float, float, float, float, float]
 
-#: How far the length of a quaternion may be from 1.
-_UNIT = 1e-6
-_NO_ROTATION: Quaternion = (1.0, 0.0, 0.0, 0.0)
+#: Largest difference between the length of a quaternion and 1. Poses of logs and trackers differ by up to 1e-4.
+LENGTH_TOLERANCE = 1e-3
+#: A quaternion whose length differs from 1 by less is kept bit for bit.
+_ROUNDING = 1e-12
+#: Orientation of an upright tool.
+NO_ROTATION: Quaternion = (1.0, 0.0, 0.0, 0.0)
 #: Below this sine of half an angle two orientations are turned linearly into each other.
 _SMALL = 1e-9
 
@@ -25,23 +28,37 @@ class Pose:
 
     Attributes:
         position: of the tool's deepest point, x, y, z, m.
-        orientation: unit quaternion (w, x, y, z).
+        orientation: quaternion (w, x, y, z), normalised if its length is within `LENGTH_TOLERANCE` of 1. Numbers that
+            are not finite are kept: a tissue refuses such a pose and keeps its state (`ForceStatus.REFUSED`).
 
     Raises:
-        InputError: a quaternion that has no length of 1.
+        InputError: position or orientation that is not a sequence of three or four numbers, or a quaternion of another
+            length.
     """
 
     position: Vector
-    orientation: Quaternion = _NO_ROTATION
+    orientation: Quaternion = NO_ROTATION
 
     def __post_init__(self):
-        if self.orientation is _NO_ROTATION:
+        if type(self.position) is not tuple or len(self.position) != 3:
+            object.__setattr__(self, "position", _numbers(self.position, 3, "position", "x, y, z in m"))
+        if self.orientation is NO_ROTATION:
             return
-        # A NaN passes here: it is the simulator that refuses a pose and keeps its state.
-        length = math.sqrt(sum(part * part for part in self.orientation))
-        if abs(length - 1.0) > _UNIT:
-            raise InputError(f"the quaternion (w, x, y, z) has length {length:.6g}; give a unit quaternion",
+        if type(self.orientation) is not tuple or len(self.orientation) != 4:
+            object.__setattr__(self, "orientation", _numbers(self.orientation, 4, "orientation", "w, x, y, z"))
+        try:
+            w, x, y, z = self.orientation
+            length = math.sqrt(w * w + x * x + y * y + z * z)
+        except TypeError:
+            raise _not_numbers(self.orientation, 4, "orientation", "w, x, y, z") from None
+        excess = length - 1.0
+        if -_ROUNDING < excess < _ROUNDING or not math.isfinite(length):
+            return
+        if abs(excess) > LENGTH_TOLERANCE:
+            raise InputError(f"must be a unit quaternion (w, x, y, z), of length 1 within "
+                             f"{LENGTH_TOLERANCE:g}; got length {_length_text(length)}. Divide it by its length.",
                              field="orientation")
+        object.__setattr__(self, "orientation", (w / length, x / length, y / length, z / length))
 
     @classmethod
     def at_depth(cls, depth: float) -> Pose:
@@ -65,6 +82,35 @@ class Pose:
     def is_finite(self) -> bool:
         """Whether all of its numbers are."""
         return math.isfinite(sum(self.position) + sum(self.orientation))
+
+
+def _numbers(values: object, count: int, field: str, names: str) -> tuple[float, ...]:
+    """A sequence of numbers, such as a list or an array, as a tuple of floats.
+
+    Raises:
+        InputError: something else.
+    """
+    if isinstance(values, str | bytes):
+        raise _not_numbers(values, count, field, names)
+    try:
+        numbers = tuple(map(float, values))  # type: ignore[call-overload]
+    except (TypeError, ValueError, OverflowError):
+        raise _not_numbers(values, count, field, names) from None
+    if len(numbers) != count:
+        raise _not_numbers(values, count, field, names)
+    return numbers
+
+
+def _not_numbers(values: object, count: int, field: str, names: str) -> InputError:
+    return InputError(f"must be {count} numbers, {names}; got {values!r}.", field=field)
+
+
+def _length_text(length: float) -> str:
+    """A length with four significant digits of its difference from 1."""
+    if not 0.5 < length < 2.0:
+        return f"{length:.4g}"
+    decimals = 3 - math.floor(math.log10(abs(length - 1.0)))
+    return f"{length:.{decimals}f}"
 
 
 def scaled(factor: float, screw: Screw) -> Screw:
@@ -120,6 +166,34 @@ def turned(pose: Pose, rotation: Vector) -> Pose:
         return pose
     x, y, z = (math.sin(0.5 * angle) * part / angle for part in rotation)
     return Pose(pose.position, _product((math.cos(0.5 * angle), x, y, z), pose.orientation))
+
+
+def twist_about_axis(orientation: Quaternion) -> Quaternion | None:
+    """Rotation about the tool's own axis that a quaternion contains (swing-twist decomposition); None: no rotation."""
+    w, _, _, z = orientation
+    size = math.hypot(w, z)
+    if size < _SMALL or abs(z) < _ROUNDING * size:
+        return None
+    return (w / size, 0.0, 0.0, z / size)
+
+
+def without_twist(pose: Pose, twist: Quaternion | None) -> Pose:
+    """A pose without a rotation about the tool's own axis; a body of revolution is then the same body."""
+    if twist is None:
+        return pose
+    w, _, _, z = twist
+    return Pose(pose.position, _product(pose.orientation, (w, 0.0, 0.0, -z)))
+
+
+def with_twist(pose: Pose, twist: Quaternion | None) -> Pose:
+    """Inverse of `without_twist`."""
+    return pose if twist is None else Pose(pose.position, _product(pose.orientation, twist))
+
+
+def raised(pose: Pose, height: float) -> Pose:
+    """A pose moved along z by a height, m."""
+    x, y, z = pose.position
+    return Pose((x, y, z + height), pose.orientation)
 
 
 def _relative(start: Quaternion, end: Quaternion) -> Quaternion:

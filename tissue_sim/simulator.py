@@ -3,49 +3,44 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.fem.solver import SOLVERS, Rung, Step, StepStatus, Surface
+from tissue_sim.explicit_coupling import MotionCheck
+from tissue_sim.fem.solver import SOLVERS, Rung, Surface
+from tissue_sim.kernel_owner import KernelOwner, busy, exclusive
 from tissue_sim.live_material import require_live, require_same_layers, require_tissue
 from tissue_sim.material.effect import ReducedForce
+from tissue_sim.material.material import Material
 from tissue_sim.model import Model
+from tissue_sim.motion_limits import LimitError, MotionLimits, checked_pose
 from tissue_sim.parameters import with_values
-from tissue_sim.pose import Pose, Screw, between, motion
+from tissue_sim.path_following import LARGEST_PART, PathFollower
+from tissue_sim.pose import Pose
 from tissue_sim.realtime_ladder import choose, measure_tick
-from tissue_sim.simulator_state import AT_REST, NEVER, Attempt, Creep, SimulatorState
+from tissue_sim.simulator_state import AT_REST, NEVER, Attempt, Creep, SimulatorState, StateOrigin
 from tissue_sim.snapshot import Snapshot, snapshot
-from tissue_sim.step_clock import Allowance, StepClock, require_solves, solves_in
-from tissue_sim.tool_force import ForceStatus, NextForce, ToolForce, carried_on, pose_of
+from tissue_sim.step_clock import StepClock, require_solves
+from tissue_sim.tool_force import ForceStatus, ToolForce
+from tissue_sim.tool_track import ToolTrack, is_on_axis
 
 #: Unbalanced over balanced forces at which an equilibrium is one.
 TOLERANCE = 1e-6
-#: Linear solves that a part of a step may take: after an extrapolation, which is right or leads astray, and without.
-_MOST_SOLVES = {True: 6, False: 30}
-#: So many after an extrapolation that has led so near, unbalanced over balanced forces.
-_MOST_IF_NEAR, _NEAR = 12, 1e-2
-#: A tool that moves further in one step than this share of the contact's radius is followed in parts.
-_LARGEST_PART = 0.0625
-#: That no part is made for.
-_ROUNDING = 1e-9
-#: A part is cut until it is this share of the largest one; where one that is cut to less than the other share fails,
-#: the tissue is let creep there, in steps of so many linear solves at most.
-_SMALLEST_CUT, _CREEPS, _MOST_OF_CREEP = 2.0**-8, 0.5, 12
-#: Tool speed, m/s, from which on the mass of the tissue counts, and for how long (s) after the tool was last so fast.
-INERTIAL_SPEED, _LINGERS = 0.005, 0.1
-#: Of tissue whose density nobody stated, kg/m3: that of water.
+#: Density of tissue for which none is stated, kg/m3: that of water.
 DENSITY = 1000.0
-#: After so many inertial ticks the tissue's own stiffness is found anew: it costs a linear solve.
+#: Inertial steps after which the stiffness of the tissue without its mass is computed again, by a linear solution.
 _STIFFNESS_LASTS = 5
 #: Number of the rung of the ladder of meshes that is tried first.
 _FIRST_RUNG = 1
 
 
-class Simulator:
+class Simulator(PathFollower, KernelOwner):
     """Force on a tool that goes where it likes, step by step.
 
     A step finds the equilibrium at the new pose from the one before; a long way is followed in parts, along a rigid
@@ -60,8 +55,9 @@ class Simulator:
         mesh: a mesh of your own instead.
         budget: wall time of a step, s, after which it answers what it knows (`ForceStatus.LATE`); None: however long
             it takes, and the same motion gives the same forces bit for bit.
-        inertia: ``"auto"``: the mass of the tissue counts where the tool is faster than `INERTIAL_SPEED` and the
-            solver knows of mass; ``"on"``, ``"off"``.
+        inertia: ``"auto"``: the mass of the tissue counts if the tool is faster than
+            `tissue_sim.path_following.INERTIAL_SPEED`, if the solver has a mass, and if the steps resolve the motion
+            (`tissue_sim.explicit_coupling.MotionCheck`); ``"on"``, ``"off"``.
         tolerance: unbalanced over balanced nodal forces.
         solver: name in `tissue_sim.fem.solver.SOLVERS`.
         looks_ahead: whether answers in which the mass counts say what the next step would answer (`ToolForce.ahead`),
@@ -69,11 +65,18 @@ class Simulator:
         max_solves: linear solutions of a step, those of its stiffness included (of a reduced solid iterations, each
             with a contact of its own), after which it answers what it knows (`ForceStatus.LATE`). None: with a budget
             as many as `warm_up` finds to fit into it, else no bound.
+        strict_axis: whether an axisymmetric scene refuses a pose away from its axis or across it
+            (`ForceStatus.REFUSED`), instead of marking the answer (`ToolForce.is_on_axis`). The tolerances are
+            `tissue_sim.tool_track.AXIS_OFFSET` and `AXIS_ANGLE`.
+        limits: of poses and time steps; see `MotionLimits`.
+
+    One thread at a time may call a simulator; simultaneous calls raise `BusyError`. It cannot be copied or pickled:
+    `clone` makes an independent simulator at the same state, `save` and `restore` keep a state.
 
     Attributes:
         resolution: which of the solver's names it has come to; "own mesh" where it was given.
-        force_error: largest known error of the force on that mesh, over the force; None where nobody knows.
-        error: estimate of how far the force of the last equilibrium may be off, N; None where the solver has none.
+        force_error: largest known error of the force on that mesh, over the force; None if it is not known.
+        error: estimate of the error of the force at the last equilibrium, N; None if it is not known.
 
     Raises:
         InputError: an unknown solver, resolution or inertia, inertia that must be on where a solver has none, a tool
@@ -82,9 +85,12 @@ class Simulator:
         MissingBackendError: Taichi is not there.
     """
 
+    copy_remedy = "Use clone() for an independent simulator at the same state, or save() and restore()."
+
     def __init__(self, model: Model, *, resolution: str = "realtime", mesh: Any = None,
                  budget: float | None = None, inertia: str = "auto", tolerance: float = TOLERANCE,
-                 solver: str = "axisymmetric", looks_ahead: bool = False, max_solves: int | None = None):
+                 solver: str = "axisymmetric", looks_ahead: bool = False, max_solves: int | None = None,
+                 strict_axis: bool = False, limits: MotionLimits | None = None):
         if inertia not in ("auto", "on", "off"):
             raise InputError(f"{inertia!r} is not a choice of inertia; use 'auto', 'on' or 'off'", field="inertia")
         if budget is not None and not budget > 0:
@@ -93,7 +99,8 @@ class Simulator:
         require_live(model.experiment)
         require_tissue(model.material)
         self.model, self.budget, self.inertia, self.tolerance = model, budget, inertia, tolerance
-        self.looks_ahead = looks_ahead
+        self.looks_ahead, self.strict_axis, self.limits = looks_ahead, strict_axis, limits or MotionLimits()
+        self._made_of, self._guard = (model, mesh), threading.RLock()
         self._solver = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh)
         self._solver_name, rungs = solver, () if mesh is not None else self._solver.realtime_rungs(model)
         #: To choose from.
@@ -111,7 +118,7 @@ class Simulator:
         self._pulls = self._bonded or bool(model.experiment.acting_laws)
         # A turn counts as the way of a point at the edge of the contact.
         self._radius = model.experiment.contact_radius
-        self._largest_part = _LARGEST_PART * self._radius
+        self._largest_part = LARGEST_PART * self._radius
         self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         # What the effects on the whole force left of it at the last equilibrium.
         self._left = 1.0
@@ -120,9 +127,10 @@ class Simulator:
         self._answer = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
         self._equilibrium = AT_REST
         self.error: float | None = None
-        # Where the tool is said to be; whether it has touched the tissue; time since the last equilibrium, and since
-        # the tool was fast; and the share of the largest part that works.
-        self._pose, self._touched = self._solver.pose, False
+        # Where the tool is, and whether it has touched; whether its first pose in the tissue has yet to be reached.
+        self._tool, self._begins, self._largest_force = ToolTrack(), False, 0.0
+        self._pose, self._motion_check = self._solver.pose, MotionCheck()
+        # Time since the last equilibrium and since the last fast motion, s; fraction of the largest part that works.
         self._waiting, self._lingers, self._share = 0.0, math.inf, 1.0
         # Whether a step without time has yet to arrive: on the way tissue has no mass, however many ticks it takes.
         self._leaps = False
@@ -132,7 +140,13 @@ class Simulator:
         self._extrapolates, self._anew = True, not self._bonded
         self._creep: Creep | None = None
         self._stiffness_lasts = _STIFFNESS_LASTS
+        self._origin = StateOrigin.of(solver, self._solver.identity(), model)
         self._start = self.save()
+
+    @property
+    def has_touched(self) -> bool:
+        """Whether the tool has touched the tissue since the last `reset`."""
+        return self._tool.touch.has_touched
 
     @property
     def mesh(self) -> Any:
@@ -144,11 +158,7 @@ class Simulator:
         """Wall time of a linear solve with all that belongs to it, s, as it is known after `warm_up`."""
         return self._clock.solve
 
-    @property
-    def max_solves(self) -> int | None:
-        """Linear solutions of a step at most; None: no bound."""
-        return self._most or solves_in(self.budget, self._solve)
-
+    @exclusive
     def warm_up(self) -> None:
         """Compile what a step needs, or load it from the cache, choose a mesh where there is one to choose, and leave
         the state as it is. Takes seconds the first time on a computer; call it before the first step."""
@@ -180,6 +190,7 @@ class Simulator:
             return
         one = made[rung.resolution]
         self._solver, self._clock, self._solve, self._start = one._solver, one._clock, one._solve, one._start
+        self._origin = one._origin
         self.resolution, self.force_error = rung.resolution, rung.force_error
         self.restore(self._start)
 
@@ -198,170 +209,126 @@ class Simulator:
         # What the first touch is carried on with, where it comes late.
         touch = replace(AT_REST, stiffness=AT_REST.followed_by(step, AT_REST.pose, 1.0, False).stiffness)
         self._start = replace(self._start, equilibrium=touch)
-        self.restore(saved if saved.touched else replace(saved, equilibrium=touch))
+        self.restore(saved if saved.tool.touch.has_touched else replace(saved, equilibrium=touch))
 
     def step(self, pose: float | Pose, dt: float) -> ToolForce:
         """Go where the tool is now.
 
+        Until the tool touches for the first time, and while it is in the air after lift-off, no equilibrium is computed
+        because of its motion. A tool that is inside in the first step is at rest there. A step that came late leaves
+        the rest of the path and of the time to the next one.
+
         Args:
-            pose: depth, m, or a `Pose`, of which an axisymmetric scene takes the depth only.
-            dt: time since the step before, s. A step of no time is a sudden one.
+            pose: depth, m, or a `Pose`; an axisymmetric scene uses its depth only.
+            dt: time since the last step, s; 0 for a sudden step.
 
         Returns:
-            The force, and how it came about. What is not a number is refused and changes nothing. Of a step that came
-            late the next one takes over the way and the time that are left.
+            The force and its status. REFUSED, with the last force and nothing changed: numbers that are not finite, or
+            beyond `limits`; with `strict_axis` a pose away from the axis or across it.
+
+        Raises:
+            InputError: a pose or a time that does not consist of numbers.
+            BusyError: another thread is inside a call of this simulator.
         """
-        began = time.perf_counter()
-        pose = self._solver.follow(pose_of(pose))
-        if not (pose.is_finite and math.isfinite(dt) and dt >= 0.0):
-            return replace(self._answer, status=ForceStatus.REFUSED, iterations=0,
-                           compute_time=time.perf_counter() - began)
-        before, self._pose, tick = self._pose, pose, dt
-        self._lingers = 0.0 if self._distance(before, pose) >= INERTIAL_SPEED * dt > 0.0 else self._lingers + dt
-        if not self._touched:
-            height, height_before = pose.position[2], before.position[2]
-            if height > 0.0:
-                # In the air, and the tissue rests as it was.
-                self._answer = ToolForce(AT_REST.wrench, AT_REST.stiffness, ForceStatus.CONVERGED, pose=pose,
+        if not self._guard.acquire(blocking=False):
+            raise busy(self)
+        try:
+            return self._step(checked_pose(pose), dt, time.perf_counter())
+        finally:
+            self._guard.release()
+
+    def _step(self, pose: Pose, dt: float, began: float) -> ToolForce:
+        tool, solver = self._tool, self._solver
+        try:
+            self.limits.require(pose, tool.pose, dt)
+        except LimitError:
+            return self._refused(began)
+        seen = tool.untwisted(pose)
+        target = solver.follow(seen)
+        on_axis = target is seen or is_on_axis(pose, target, self._radius)
+        if not on_axis and self.strict_axis:
+            return replace(self._refused(began), is_on_axis=False)
+        tick = dt
+        if not tool.touch.has_touched:
+            first = tool.touch.height is None or tool.touch.height <= 0.0
+            spent, is_possible = tool.first_contact(solver, pose, dt)
+            if spent is None or not is_possible:
+                tool.pose = pose
+                status = ForceStatus.CONVERGED if is_possible else ForceStatus.STOPPED
+                self._answer = ToolForce(AT_REST.wrench, AT_REST.stiffness, status, pose=pose, is_on_axis=on_axis,
                                          compute_time=time.perf_counter() - began)
                 return self._answer
-            self._touched = True
-            # The way from the touch on.
-            dt *= height / (height - height_before) if height_before > 0.0 else 1.0
+            self._begins, dt = first, spent
+            self._pose, target = tool.seen_by(solver, tool.pose or pose), tool.seen_by(solver, pose)
+        elif self._is_free:
+            answer = self._step_in_air(pose, target, dt, began)
+            if answer is not None:
+                return answer
+            target = tool.seen_by(solver, pose)
+        self._note_motion(target, tick)
+        tool.pose, self._pose = pose, target
         self._waiting, self._leaps = self._waiting + dt, self._leaps or tick == 0.0
-        self._answer = self._follow(pose, tick, began)
+        answer = self._follow(target, tick, began)
+        self._answer = answer if on_axis else replace(answer, is_on_axis=False)
         return self._answer
 
-    def _distance(self, start: Pose, end: Pose) -> float:
-        """How far the points of the contact go at most, m."""
-        x, y, z, a, b, c = motion(start, end)
-        return math.hypot(x, y, z) + self._radius * math.hypot(a, b, c)
+    def _refused(self, began: float) -> ToolForce:
+        return replace(self._answer, status=ForceStatus.REFUSED, iterations=0,
+                       compute_time=time.perf_counter() - began)
 
-    def _follow(self, pose: Pose, tick: float, began: float) -> ToolForce:
-        """Step to a pose in as many parts as it takes; the next step is thought as long as this tick, s."""
-        solver, status, solves, residual, outside = self._solver, None, 0, self._answer.residual, False
-        inertial = self.inertia == "on" or (self.inertia == "auto" and self._lingers < _LINGERS)
-        allowance = Allowance(self._clock, self.max_solves, None if self.budget is None else began + self.budget)
-        while status is None:
-            started, creep, here = time.perf_counter(), self._creep, solver.pose
-            way, part = self._distance(here, pose), self._share * self._largest_part
-            # Parts of one length: the mass of the tissue resists a short one as a blow.
-            share = 1.0 / max(1, math.ceil(way / part - _ROUNDING)) if way else 1.0
-            # Without rounding the last part ends where the tool is.
-            target, dt = between(here, pose, share), 0.0 if self._leaps else share * self._waiting
-            if (attempt := self._attempt) is not None:
-                target, dt = attempt.pose, attempt.dt
-            weighs = inertial and self._weighs and dt > 0.0 and creep is None
-            if attempt is None:
-                # Across a change of contact extrapolation leads astray, but less so where mass is in the way.
-                order = min(solver.highest_order, max(solver.unchanged, weighs)) if self._extrapolates else 0
-                attempt = Attempt(target, dt, order, _MOST_SOLVES[order > 0])
-            most = attempt.limit - attempt.spent
-            asks = self._equilibrium.stiffness_age + 1 >= self._stiffness_lasts and allowance.fitting(answers=2) > 0
-            fitting = allowance.fitting()
-            if fitting < 1:
-                status = ForceStatus.LATE
-                allowance.end()
-                break
-            allowed = min(most, fitting)
-            if creep is None:
-                step = solver.step(target, dt, tolerance=self.tolerance, max_iterations=allowed, own_stiffness=asks,
-                                   predictor_order=attempt.order, inertial=weighs, resumes=attempt is self._attempt)
-            elif (crept := creep.go_on(fitting)) is not None:
-                step = crept
-            else:  # it has arrived, or will not
-                step, target, dt, self._creep = replace(creep.last, iterations=0), creep.pose, creep.dt, None
-            solves, residual = solves + step.iterations, step.residual
-            # Its own stiffness, whether it was found or not.
-            allowance.take(step.iterations, 1 + (weighs and asks and step.iterations < allowed))
-            if not step.found_own_stiffness:
-                self._clock.follow(time.perf_counter() - started, step.iterations)
-            if self._creep is not None:
-                continue
-            attempt, self._attempt = replace(attempt, spent=attempt.spent + step.iterations), None
-            if step.status is StepStatus.CONVERGED:
-                self._take(step, dt, weighs)
-                self._waiting = max(0.0, self._waiting - dt)
-                self._share, self._extrapolates = min(1.0, 2.0 * self._share), True
-                if target == pose and (creep is not None or share == 1.0 or self._waiting == 0.0):
-                    self._waiting, self._leaps, self._anew = 0.0, False, not self._bonded
-                    status = ForceStatus.CONVERGED
-            elif creep is None and step.status is StepStatus.SLOW and allowed < most:
-                # The next step goes on with this iteration, and with what is left of the way then.
-                self._attempt, status = attempt, ForceStatus.LATE
-            elif step.status is StepStatus.OUTSIDE:
-                # No shorter part leads there; the tissue waits where it is, and what it would do is not guessed.
-                status, outside = ForceStatus.STOPPED, True
-            elif creep is None and attempt.order:
-                if step.status is StepStatus.SLOW and step.residual <= _NEAR and attempt.limit < _MOST_IF_NEAR:
-                    self._attempt = replace(attempt, limit=_MOST_IF_NEAR)
-                else:
-                    self._extrapolates = False
-            elif creep is None and min(self._share, way / self._largest_part) < _CREEPS:
-                # After a hold parts are as short as they may be, and no shorter.
-                self._share = max(_SMALLEST_CUT, min(self._share, way / self._largest_part))
-                self._creep = Creep(target, dt, step)
-                self._creep.steps = solver.creep(target, dt, tolerance=self.tolerance, max_iterations=_MOST_OF_CREEP,
-                                                 allowed=self._creep.may_take)
-            else:
-                self._share, self._extrapolates = 0.5 * self._share, True
-                if self._share < _SMALLEST_CUT and self._anew:
-                    # Press anew from the touch on; what friction remembers begins there.
-                    solver.lift_off()
-                    self._share, self._leaps, self._anew = 1.0, True, False
-                elif self._share < _SMALLEST_CUT:
-                    self._share, self._anew, status = _SMALLEST_CUT, not self._bonded, ForceStatus.STOPPED
-        if status is ForceStatus.LATE and not solver.takes(pose):
-            # It goes on to where the tool may be; what the force would be beyond is not guessed either.
-            status, outside = ForceStatus.STOPPED, True
-        at = self._equilibrium
-        wrench, ahead, within = at.wrench, None, None
-        if status is ForceStatus.CONVERGED:
-            ahead = self._ahead(tick) if self.looks_ahead and at.inertial and tick > 0.0 else None
-            within = at.step_stiffness
-        elif not outside:
-            # Mass resists a motion within the step, not one that goes on.
-            wrench = self._carried_on(wrench, motion(at.pose, pose))
-        return ToolForce(wrench, at.stiffness, status, solves, residual, time.perf_counter() - began, at.inertial,
-                         self._waiting, at.pose, ahead, within)
-
-    def _ahead(self, tick: float) -> NextForce | None:
-        """What a next step of a tick, s, would answer, after one that converged."""
-        ahead, left = self._solver.ahead(tick), self._left
-        return ahead if ahead is None or left == 1.0 else ahead.scaled(left)
-
-    def _carried_on(self, wrench: Screw, way: Screw) -> Screw:
-        """The wrench of the last equilibrium a little further on; tissue that cannot pull at the tool does not."""
-        wrench = carried_on(wrench, self._equilibrium.stiffness, way)
-        return wrench if self._pulls or wrench[2] > 0.0 else AT_REST.wrench
-
-    def _take(self, step: Step, dt: float, inertial: bool) -> None:
-        """Keep what an equilibrium answers."""
-        left = self._left = self._reduced.go(self._solver.pose.depth, dt)
-        self._equilibrium = self._equilibrium.followed_by(step, self._solver.pose, left, inertial)
-        self.error = None if step.force_error is None else left * step.force_error
-
+    @exclusive
     def reset(self) -> None:
         """Back to the specimen that nobody has touched."""
         self.restore(self._start)
 
+    @exclusive
     def save(self) -> SimulatorState:
-        """All that the next step depends on, but for the parameters; where the tissue creeps it will do so anew."""
+        """State on which the next step depends, without the parameters. A creep is stopped and starts again."""
         self._stop_creeping()
-        return SimulatorState(self._solver.save(), self._answer, self._equilibrium, self._pose,
-                              self._leaps, self._waiting, self._lingers, self._share, self._touched,
-                              self._reduced.history)
+        return SimulatorState(self._origin, self._solver.save(), self._answer, self._equilibrium, self._tool.copy(),
+                              self._pose, self._leaps, self._waiting, self._lingers, self._share, self._begins,
+                              self._largest_force, self._motion_check.copy(), self._reduced.history, self.error)
 
+    @exclusive
     def restore(self, state: SimulatorState) -> None:
-        """Go back to where `save` was called, in this simulator or in one of the same model and mesh."""
+        """Go back to where `save` was called, in this simulator or in one of the same model and mesh; parameters may
+        differ.
+
+        Raises:
+            InputError: not a saved state, or one of another solver, mesh, experiment or material structure; nothing is
+                changed.
+        """
+        if not isinstance(state, SimulatorState):
+            raise InputError(f"must be a state that save() returned; got {type(state).__name__}.", field="state")
+        self._origin.require(state.origin)
         self._stop_creeping()
-        self.error = None
         self._solver.restore(state.solver)
-        self._answer, self._equilibrium = state.answer, state.equilibrium
-        self._pose, self._leaps = state.pose, state.leaps
+        self.error, self._answer, self._equilibrium = state.error, state.answer, state.equilibrium
+        self._tool, self._pose, self._leaps = state.tool.copy(), state.pose, state.leaps
         self._waiting, self._lingers, self._share = state.waiting, state.lingers, state.share
-        self._touched, self._reduced.history = state.touched, state.history
+        self._begins, self._largest_force = state.begins, state.largest_force
+        self._motion_check, self._reduced.history = state.motion_check.copy(), state.history
         self._attempt, self._extrapolates, self._anew = None, True, not self._bonded
+
+    @exclusive
+    def clone(self) -> Simulator:
+        """An independent simulator with the same parameters at the same state.
+
+        Compiled kernels are shared, all arrays are its own. Steps of one do not change the other, so that planners and
+        tree searches can try motions on it, also in another thread.
+        """
+        model, mesh = self._made_of
+        chosen = self.resolution if mesh is None else "realtime"
+        other = type(self)(model, resolution=chosen, mesh=mesh, inertia=self.inertia, tolerance=self.tolerance,
+                           solver=self._solver_name, looks_ahead=self.looks_ahead, max_solves=self._most,
+                           strict_axis=self.strict_axis, limits=self.limits)
+        other.resolution, other.force_error, other.budget = self.resolution, self.force_error, self.budget
+        other._rungs, other._solve, other._clock = self._rungs, self._solve, copy(self._clock)
+        other._start, other._left, other._stiffness_lasts = self._start, self._left, self._stiffness_lasts
+        if self.model is not model:
+            other._set_material(self.model.material)
+        other.restore(self.save())
+        return other
 
     def _stop_creeping(self) -> None:
         """Back to the equilibrium from which the tissue crept away."""
@@ -369,6 +336,7 @@ class Simulator:
             self._creep.steps.close()
             self._creep = None
 
+    @exclusive
     def set_parameters(self, **values: float) -> None:
         """Change parameters of the material; the state is kept, and the next step finds its equilibrium.
 
@@ -384,16 +352,21 @@ class Simulator:
         require_same_layers(self.model.material, material)
         require_tissue(material)
         self._stop_creeping()
+        self._set_material(material)
+
+    def _set_material(self, material: Material) -> None:
         self._solver.set_material(material)
         self.model = replace(self.model, material=material)
         history = self._reduced.history
         self._reduced = ReducedForce(material.reduced_effects(plate=self.model.experiment.tool.is_plate))
         self._reduced.history = history
 
+    @exclusive
     def surface(self) -> Surface:
         """The surface of the tissue at the last equilibrium."""
         return self._solver.surface()
 
+    @exclusive
     def snapshot(self) -> Snapshot:
         """The whole tissue at the last equilibrium, with its fields."""
         return snapshot(self._solver)

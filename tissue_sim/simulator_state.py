@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from dataclasses import dataclass, field
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
+from numbers import Real
 from typing import Any
 
+from tissue_sim.errors import InputError
+from tissue_sim.explicit_coupling import MotionCheck
 from tissue_sim.fem.solver import Step
 from tissue_sim.material.effect import ToolHistory
+from tissue_sim.model import Model
 from tissue_sim.pose import Pose, Screw, scaled
 from tissue_sim.tool_force import Matrix, ToolForce, axial_stiffness, axial_wrench, scaled_matrix
+from tissue_sim.tool_track import ToolTrack
 
 #: Age of a stiffness that was not found yet.
 NEVER = 1 << 30
@@ -23,6 +28,7 @@ class Equilibrium:
         stiffness: the tissue's own.
         stiffness_age: how many inertial equilibria ago that was found.
         step_stiffness: within the step, where the mass was taken into account.
+        stiffness_time: time between the equilibrium whose stiffness it is and this one, s.
     """
 
     pose: Pose
@@ -31,8 +37,9 @@ class Equilibrium:
     inertial: bool
     stiffness_age: int = 0
     step_stiffness: Matrix | None = None
+    stiffness_time: float = 0.0
 
-    def followed_by(self, step: Step, pose: Pose, share: float, inertial: bool) -> Equilibrium:
+    def followed_by(self, step: Step, pose: Pose, share: float, inertial: bool, dt: float = 0.0) -> Equilibrium:
         """The next one, at a pose, of whose forces effects on the whole force leave a share; after an inertial step
         without the tissue's own stiffness with that of this one.
 
@@ -46,8 +53,15 @@ class Equilibrium:
             wrench = scaled(share, wrench)
             own = None if own is None else scaled_matrix(share, own)
             within = None if within is None else scaled_matrix(share, within)
-        own, age = (self.stiffness, self.stiffness_age + 1) if own is None else (own, 0)
-        return Equilibrium(pose, wrench, own, inertial, age, within)
+        if own is None:
+            return Equilibrium(pose, wrench, self.stiffness, inertial, self.stiffness_age + 1, within,
+                               self.stiffness_time + dt)
+        return Equilibrium(pose, wrench, own, inertial, 0, within)
+
+    @classmethod
+    def in_air(cls, pose: Pose) -> Equilibrium:
+        """Of a tool at a pose that touches nothing."""
+        return cls(pose, AT_REST.wrench, AT_REST.stiffness, False, NEVER)
 
 
 #: Of a tool that touches nothing.
@@ -92,17 +106,73 @@ class Creep:
         return step
 
 
+@dataclass(frozen=True)
+class StateOrigin:
+    """What a state belongs to. A simulator takes states of its own origin only.
+
+    Attributes:
+        solver: name.
+        mesh: digest of the undeformed mesh.
+        experiment: specimen, tool, interfaces, approach and laws of contact, as text.
+        material: law, effects and layers, without the values of parameters, as text.
+    """
+
+    solver: str
+    mesh: str
+    experiment: str
+    material: str
+
+    @classmethod
+    def of(cls, solver: str, mesh: str, model: Model) -> StateOrigin:
+        """Of a model in a solver whose mesh has this digest."""
+        experiment = {each.name: getattr(model.experiment, each.name) for each in fields(model.experiment)
+                      if each.name != "protocol"}
+        return cls(solver, mesh, repr(experiment), structure(model.material))
+
+    def require(self, other: StateOrigin) -> None:
+        """Refuse the state of another origin.
+
+        Raises:
+            InputError: another solver, mesh, experiment or structure of the material.
+        """
+        for name, what in (("solver", "solver"), ("experiment", "specimen, tool or interface"),
+                           ("material", "law or with other effects or layers"), ("mesh", "mesh")):
+            if getattr(self, name) != getattr(other, name):
+                raise InputError(f"must be of the same model and mesh; this state is of another {what}. Restore it in "
+                                 "the simulator that saved it, or in a clone() of that one.", field="state")
+
+
+def structure(value: Any) -> str:
+    """Text of a material without the values of its numbers, its name and its bulk response."""
+    if is_dataclass(value):
+        inner = [f"{each.name}={structure(getattr(value, each.name))}" for each in fields(value)
+                 if each.name not in ("name", "bulk", "parameters", "density", "source")]
+        return f"{type(value).__name__}({', '.join(inner)})"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key}: {structure(entry)}" for key, entry in sorted(value.items())) + "}"
+    if isinstance(value, str):
+        return repr(value)
+    if isinstance(value, Sequence):
+        return "[" + ", ".join(map(structure, value)) + "]"
+    return "None" if value is None else "number" if isinstance(value, Real) else type(value).__name__
+
+
 @dataclass(frozen=True, eq=False)
 class SimulatorState:
-    """Where a simulator stood; see `Simulator.save`."""
+    """State of a simulator between two steps; see `Simulator.save`."""
 
+    origin: StateOrigin
     solver: Any
     answer: ToolForce
     equilibrium: Equilibrium
+    tool: ToolTrack
     pose: Pose
     leaps: bool
     waiting: float
     lingers: float
     share: float
-    touched: bool
+    begins: bool
+    largest_force: float
+    motion_check: MotionCheck
     history: ToolHistory
+    error: float | None

@@ -33,6 +33,36 @@ def carried_on(wrench: Screw, stiffness: Matrix, way: Screw) -> Screw:
     return (a, b, c, d, e, f)
 
 
+#: Fraction of the force beyond which an estimated error of the force rules out `ForceStatus.CONVERGED`.
+ERROR_SHARE = 0.25
+#: An estimated error below this force never rules it out, N.
+ERROR_FLOOR = 0.05
+
+
+def is_known_well(wrench: Screw, error: float | None) -> bool:
+    """Whether the estimated error of the force, N, allows the status CONVERGED; an unknown error (None) does."""
+    if error is None or error <= ERROR_FLOOR:
+        return True
+    x, y, z, *_ = wrench
+    return error <= ERROR_SHARE * math.sqrt(x * x + y * y + z * z)
+
+
+def shortened(wrench: Screw, largest: float) -> Screw:
+    """A wrench whose force is at most `largest`, N; force and torque are scaled alike."""
+    force = math.hypot(*wrench[:3])
+    return wrench if force <= largest else scaled(largest / force, wrench)
+
+
+def force_of_increment(stiffness: Matrix, length: float) -> float:
+    """Largest change of the force along an axis within an increment of the tool's motion, N.
+
+    Args:
+        stiffness: as of a `ToolForce`.
+        length: of the increment, m.
+    """
+    return length * max(abs(stiffness[axis][axis]) for axis in (0, 1, 2))
+
+
 def scaled_matrix(share: float, matrix: Matrix) -> Matrix:
     """A share of each entry."""
     a, b, c, d, e, f = (scaled(share, row) for row in matrix)
@@ -40,10 +70,18 @@ def scaled_matrix(share: float, matrix: Matrix) -> Matrix:
 
 
 class ForceStatus(IntEnum):
-    """How the force of a step came about.
+    """Status of the force of a step.
 
-    A tissue answers with the first four; every number but that of a refused pose is then the best that is known. The
-    others are those of what stands between it and a hand (`haptics.safety.force_release`, `haptics.server`).
+    CONVERGED means that the answer is right, at this pose, at this time, for this tissue:
+
+    - the tissue is in equilibrium with the tool at the pose of this step, within the tolerance, with the material that
+      is set now;
+    - the equilibrium is one of this time: no time and no part of the path is left to later steps;
+    - the estimated error of the force, where one is known, is at most `ERROR_SHARE` of the force or `ERROR_FLOOR`.
+
+    It says nothing of the age of the stiffness (`ToolForce.stiffness_age`). An error that is not known is None, not 0.
+    A tissue answers with the first four; the others belong to what is between a tissue and a hand
+    (`haptics.safety.force_release`, `haptics.server`).
     """
 
     CONVERGED = 0
@@ -61,7 +99,7 @@ class ForceStatus(IntEnum):
             ForceStatus.CONVERGED: "in equilibrium at this pose",
             ForceStatus.LATE: "the time or the solutions that a step may take ended before equilibrium: the last "
                               "equilibrium's force and stiffness, carried on to this pose; the next step goes on from "
-                              "there",
+                              "there; or the force is in equilibrium and its estimated error is too large",
             ForceStatus.STOPPED: "no equilibrium was found on the way to this pose: the last one's force and "
                                  "stiffness, carried on to this pose; move the tool back, or reset",
             ForceStatus.REFUSED: "the pose or the time step is no number, or beyond what the scene can hold: the last "
@@ -205,12 +243,66 @@ class ToolForce:
         return math.isfinite(total)
 
 
+class TouchState:
+    """Whether the tool has touched the tissue since the last reset.
+
+    The tool touches in the first step in which its height is zero or negative. Until then the tissue is at rest, no
+    step solves anything, and every force is zero, also that of a bonded tool. A tool that has touched counts as
+    having touched until the next reset, even after lift-off.
+
+    Attributes:
+        has_touched: whether the tool has touched.
+        height: height of the tool in the last step, m; None before the first step. The first step has no past: the
+            motion up to its pose is not known, so that it must not count as a speed.
+    """
+
+    __slots__ = ("has_touched", "height")
+
+    def __init__(self, has_touched: bool = False, height: float | None = None):
+        self.has_touched, self.height = has_touched, height
+
+    def advance(self, height: float, dt: float) -> float | None:
+        """Register a step.
+
+        Args:
+            height: distance that the tool must go down until it touches the undeformed tissue, m; negative if the tool
+                is inside. Over a flat top this is z of an upright tool's pose.
+            dt: length of the step, s.
+
+        Returns:
+            Time of the step after the first touch, s, at constant speed; None if the tool has not touched yet.
+        """
+        before, self.height = self.height, height
+        if self.has_touched:
+            return dt
+        if height > 0.0:
+            return None
+        self.has_touched = True
+        return dt if before is None or before <= 0.0 else dt * height / (height - before)
+
+    def copy(self) -> TouchState:
+        """An independent copy, for saved states."""
+        return TouchState(self.has_touched, self.height)
+
+
 class Tissue(Protocol):
-    """What answers a tool's motion with a force: a `Simulator`, or what stands in for one. It may have a `prepare()`,
-    which a loop calls between two ticks, when the force has gone out."""
+    """The tissue that a loop or a server steps: a `Simulator`, a `MultiRateTissue`, or one of a plug-in.
+
+    Contract of `step`: until the tool touches for the first time after a reset, every force is zero and the pose in the
+    air has no influence on later forces (`TouchState`). Three members are optional:
+
+    - ``has_touched``: bool, whether the tool has touched since the last reset; read it with `has_touched`.
+    - ``reset()``: back to the undeformed tissue that has not been touched.
+    - ``prepare()``: a loop calls it between two ticks, after the force has been sent.
+    """
 
     def step(self, pose: float | Pose, dt: float) -> ToolForce:
-        """The force where the tool is now, a depth, m, or a pose, dt s after the last step."""
+        """Force on the tool at a pose, or at a depth in m, dt s after the last step."""
+
+
+def has_touched(tissue: Tissue) -> bool:
+    """Whether the tool has touched the tissue since the last reset; True for a tissue that does not state it."""
+    return bool(getattr(tissue, "has_touched", True))
 
 
 def depth_of(pose: float | Pose) -> float:

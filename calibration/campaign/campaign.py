@@ -45,7 +45,7 @@ from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Bulk, Material
-from tissue_sim.recording.formats.columns import check_delimiter
+from tissue_sim.recording.formats.columns import check_decimal, check_delimiter
 from tissue_sim.rig.rig import Rig
 from tissue_sim.specimen import Specimen
 
@@ -80,6 +80,8 @@ class Test:
         contact: displacement at which it touches, m; ``"recorded"``: the recording's own zero; ``"find"``: found.
         failure: what becomes of a recording from its failure on: ``"cut"``, ``"keep"`` or ``"refuse"``.
         protocol: its motion, where it is planned and has no recordings. solver: name of what simulates it.
+        leave_out: name of a recording -> numbers of the samples that are left out, from 1; the name ``""`` is that of
+            the only recording. Outliers of the other recordings are found.
     """
 
     name: str
@@ -96,6 +98,7 @@ class Test:
     failure: Literal["cut", "keep", "refuse"] = "cut"
     protocol: str | None = None
     solver: str = "axisymmetric"
+    leave_out: Mapping[str, tuple[int, ...]] = field(default_factory=_read_only)
 
 
 @dataclass(frozen=True)
@@ -250,12 +253,14 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
                              field=f"{field}.contact")
         if entry.skip_lines is not None and entry.skip_lines < 0:
             raise InputError(f"{entry.skip_lines} is negative; give a number of lines", field=f"{field}.skip_lines")
-        for key in ("skip_lines", "delimiter"):
+        for key in ("skip_lines", "delimiter", "decimal"):
             if getattr(entry, key) and entry.columns is None:
                 raise InputError(f"{key} is for files whose columns are named; give columns too, or leave it out",
                                  field=f"{field}.{key}")
         if entry.delimiter:
             check_delimiter(entry.delimiter, f"{field}.delimiter")
+        if entry.decimal is not None:
+            check_decimal(entry.decimal, f"{field}.decimal")
         specimen = find_specimen(entry, specimens, table, field)
         tests[name] = Test(
             name, kind, specimen, () if entry.protocol is not None and not entry.recordings else
@@ -263,17 +268,32 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
             _reading(entry, read_columns_key(entry, field)), entry.max_strain, entry.hold_out, field,
             read_experiment(entry, specimen, folder, field), read_rig(entry, folder, field),
             entry.contact if isinstance(entry.contact, str) else 1e-3 * entry.contact, entry.failure, entry.protocol,
-            read_solver(entry, specimen, field))
+            read_solver(entry, specimen, field), _leave_out(entry, f"{field}.leave_out"))
     if all(test.hold_out for test in tests.values()):
         raise InputError("every test is held out, so there is nothing to fit; set hold_out = false on one",
                          field="test[0].hold_out")
     return tuple(tests.values())
 
 
+def _leave_out(entry: TestTable, field: str) -> Mapping[str, tuple[int, ...]]:
+    """`Test.leave_out` of a table."""
+    stated = entry.leave_out
+    if isinstance(stated, str):
+        return _read_only()
+    by_name = stated if isinstance(stated, dict) else {"": stated}
+    for name, samples in by_name.items():
+        for number in samples:
+            if number < 1:
+                raise InputError(f"the numbers of samples must be at least 1; got {number}",
+                                 field=f"{field}.{name}" if name else field)
+    return _read_only({name: tuple(samples) for name, samples in by_name.items()})
+
+
 def _reading(entry: TestTable, columns: Mapping[str, Any] | None) -> Mapping[str, Any]:
     """Options of `tissue_sim.read_recordings`, those that the test states."""
     stated = {"columns": columns, "skip_lines": entry.skip_lines, "delimiter": entry.delimiter, "sheet": entry.sheet,
-              "curve": entry.curve, "speed": None if entry.speed_mm_s is None else entry.speed_mm_s * 1e-3}
+              "curve": entry.curve, "decimal": entry.decimal,
+              "speed": None if entry.speed_mm_s is None else entry.speed_mm_s * 1e-3}
     return _read_only({"format": entry.format, **{key: value for key, value in stated.items() if value is not None}})
 
 

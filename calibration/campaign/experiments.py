@@ -116,8 +116,9 @@ def _interface(entry: TestTable, kind: TestKind, key: str, place: str) -> str | 
         raise InputError(f"{value!r} contradicts kind = {entry.kind!r}, whose faces are {face.usual}; leave it out, or "
                          f"use kind = {other}", field=f"{place}.{key}")
     if value is None and face.stated:
-        raise InputError(f"{entry.kind} needs the interface of both plates; give a coefficient of friction, "
-                         "'stick', 'frictionless' or 'bonded'", field=f"{place}.{key}")
+        raise InputError(f"{entry.kind} needs the interface of the plates; give a coefficient of friction, 'stick', "
+                         "'frictionless' or 'bonded'; friction_base is the same unless it is stated",
+                         field=f"{place}.{key}")
     return value
 
 

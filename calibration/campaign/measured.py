@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.campaign.campaign import DEFAULT_OFFSET_BOUND, DEFAULT_OFFSET_PRIOR, Campaign, Test
+from calibration.campaign.loading import check_motion, elastic_samples
 from calibration.campaign.schema import PRISM
+from calibration.campaign.screened import check_left_out, cleaned, notes_of, with_control, with_preload
 from calibration.campaign.segmented import SegmentedRecording, from_elsewhere, segment_recording, with_air_noted
 from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_stamps
 from calibration.statistics.statistics import estimate_noise, resolution
@@ -18,6 +20,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.material.material import Material
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.recording import MIN_POINTS, Recording
+from tissue_sim.recording.screening import Screening
 from tissue_sim.recording.segmentation import label_motion, number_runs
 from tissue_sim.specimen.specimen import with_article
 
@@ -33,8 +36,6 @@ NOT_LOADING = ("approach", "preconditioning", "hold", "unload", "reload", "retra
 CONTACT_SHARE, STRAIN_SHARE = 0.02, 0.005
 #: Loading has ended where this share of the largest displacement is reached.
 LOADED = 0.98
-#: A specimen that went this share of its largest displacement to the other side was loaded to both.
-OTHER_SIDE = 0.05
 #: Replicates of one test may differ by this share in their speed and in their largest displacement.
 REPLICATE_TOLERANCE = 0.2
 
@@ -57,6 +58,7 @@ class MeasuredCurve:
         interpolation: what takes the samples of the file to these points, shape (n, samples); None: they are samples.
         whole: all of the recording, with its segments; None of one that is made up.
         notes: subject -> what a user has to know of it.
+        screening: findings about the signals: samples left out, saturation, preload, control.
     """
 
     name: str
@@ -73,6 +75,7 @@ class MeasuredCurve:
     interpolation: csr_array | None = None
     whole: SegmentedRecording | None = None
     notes: Mapping[str, str] = field(default_factory=dict)
+    screening: Screening = field(default_factory=Screening)
 
     @property
     def clock(self) -> np.ndarray:
@@ -113,11 +116,12 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
         for path in test.recordings:
             try:
                 recordings = read_recordings(path, kind=test.kind.name, **test.reading)
-                curves += [_curve(recording, name, path, test, campaign)
+                curves += [_curve(*cleaned(recording, name, test), name, path, test, campaign)
                            for recording, name in zip(recordings, names_of(recordings, path, test), strict=True)]
             except InputError as error:
                 field = test.place if error.file is None else None
                 raise error.located(file=campaign.path, field=field) from None
+        check_left_out(test, [curve.name for curve in curves], campaign)
         for curve in curves:
             if curve.name in names:
                 raise InputError(f"two recordings are called {curve.name!r}; give their tests different names",
@@ -148,6 +152,9 @@ def scale_offsets(campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCu
     """The campaign with prior and bounds of contact offsets that nobody stated in the size of its tests."""
     curves = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
     contact = usual_contact(curves)
+    # Where the displacement was zeroed at a preload, contact was so far before it.
+    preloads = [curve.screening.preload.shift for curve in curves if curve.screening.preload is not None]
+    contact = max([contact, *preloads])
     fit = campaign.fit
     if "offset_prior" in fit.offset_usual:
         fit = replace(fit, offset_prior=contact)
@@ -178,7 +185,8 @@ def check_size(recording: Recording, test: Test, campaign: Campaign, path: Path)
                              "is wrong", file=campaign.path, field=f"{place}.{key}")
 
 
-def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Campaign) -> MeasuredCurve:
+def _curve(recording: Recording, screening: Screening, name: str, path: Path, test: Test,
+           campaign: Campaign) -> MeasuredCurve:
     material, closed = campaign.fit.material, campaign.fit.method == "analytical" or test.experiment is None
     check_size(recording, test, campaign, path)
     displacement, force, stressed = _mechanical(recording, test, path)
@@ -189,14 +197,17 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
                          "a time column, or speed_mm_s", field="recordings")
     remembering = remembers(test, material) or (campaign.fit.whole and time is not None)
     height = 1.0 if test.specimen is None else test.specimen.height
+    screening = with_control(screening, displacement, force, time)
     labels = np.char.lower(recording.labels["segment"].astype(str)) if "segment" in recording.labels else None
     whole = segment_recording(test, displacement, force, time, labels, stressed=stressed, remembering=remembering,
                               path=path)
     displacement, force, keep = whole.displacement, whole.force, whole.used
+    if not whole.segmentation.has_air:
+        screening = with_preload(screening, displacement, force, campaign, stressed=stressed)
     if labels is not None:
         inside = keep & ~np.isin(labels, ("approach",) if remembering else NOT_LOADING)
         keep = inside if inside.any() else keep
-    _check_way(displacement[keep], height, test, path)
+    check_motion(displacement[keep], height, test, path)
     places, later = np.flatnonzero(keep), 0
     if remembering:
         if time is None:
@@ -211,12 +222,7 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
         # A table of stress and stretch has no order in time; sorted, its neighbours tell the noise.
         places = places[np.argsort(displacement[places], kind="stable")]
     else:
-        loads = _first_loading(displacement[places], both_sides=test.kind.gripped)
-        if loads.size < MIN_POINTS:
-            raise InputError(f"{path.name} has its largest strain in sample {loads[-1] + 1}, and what follows counts "
-                             f"as unloading; sort the file by time, so that at least {MIN_POINTS} samples load the "
-                             "specimen", field="recordings")
-        places = places[loads]
+        places = elastic_samples(places, displacement, screening, path, both_sides=test.kind.gripped)
         # What comes after a failure is cut with it, and is no hold or return.
         failure = whole.segmentation.failure
         end = failure.index + 1 if failure is not None and test.failure == "cut" else displacement.size
@@ -249,44 +255,14 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
                           str(recording.metadata.get("sha256", "")), stressed, later,
                           whole=replace(whole, used=used),
                           notes=with_air_noted(whole, int(places.min()), stressed=stressed)
-                          | from_elsewhere(recording, test))
+                          | from_elsewhere(recording, test) | notes_of(screening, remembering=remembering),
+                          screening=screening)
     if campaign.fit.method == "analytical":
         curve = with_noise(replace(curve, displacement=displacement[loading], force=force[loading]), campaign,
                            curve)
     for array in (curve.displacement, curve.force):
         array.flags.writeable = False
     return curve
-
-
-def _first_loading(displacement: np.ndarray, both_sides: bool) -> np.ndarray:
-    """Samples up to the largest displacement, and where it went to both sides those of the other loading: from rest to
-    its own extreme, without the return between them."""
-    last, other = int(np.argmax(displacement)), int(np.argmin(displacement))
-    if not both_sides or -displacement[other] < OTHER_SIDE * displacement[last]:
-        return np.arange(last + 1)
-    first, second = sorted((last, other))
-    # The return ends where the displacement has changed its sign for the last time before the second extreme.
-    turned = np.flatnonzero(displacement[first:second] * displacement[second] <= 0)
-    if first + 1 < MIN_POINTS:
-        # It began at an extreme, so that all that leads to the other is one loading.
-        return np.arange(first, second + 1)
-    return np.append(np.arange(first + 1), np.arange(first + turned[-1] + 1, second + 1))
-
-
-def _check_way(displacement: np.ndarray, height: float, test: Test, path: Path) -> None:
-    """Refuse a motion that is none, or that no specimen follows."""
-    if np.ptp(displacement) == 0:
-        raise InputError(f"{path.name} does not move: its displacement has the same value in all {displacement.size} "
-                         "samples of loading; check which column it is read from", field="recordings")
-    largest = float(displacement.max())
-    if not test.kind.gripped and largest >= height:
-        raise InputError(f"{path.name} reaches stretch {1 - largest:g}; a stretch is above zero"
-                         if test.specimen is None else
-                         f"{path.name} goes to {largest * 1e3:g} mm, deeper than the specimen {test.specimen.name!r} "
-                         f"is high ({height * 1e3:g} mm)", field="recordings")
-    if largest <= 0:
-        raise InputError(f"{path.name} holds no loading: its largest strain is {largest / height:g}; check the kind, "
-                         "or turn the column with sign = -1", field="recordings")
 
 
 def with_noise(loading: MeasuredCurve, campaign: Campaign, window: MeasuredCurve | None = None) -> MeasuredCurve:

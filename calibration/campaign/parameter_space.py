@@ -14,7 +14,6 @@ from calibration.campaign.parameters import PER_REPLICATE, PER_SPECIMEN, PER_TES
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.laws import find_law
-from tissue_sim.laws.ogden import SMALLEST_EXPONENT
 from tissue_sim.material.material import Bulk, Material, law_declaration
 from tissue_sim.material.parts import make_material
 from tissue_sim.model import Model
@@ -189,10 +188,6 @@ class ParameterSpace:
     def values(self, theta: np.ndarray) -> dict[str, float]:
         """All parameters by name; `theta` are the free ones, shape (p,)."""
         known = self.fixed | dict(zip(self.free, np.asarray(theta).tolist(), strict=True))
-        for name in (each.name for each in self.varied if each.is_exponent):
-            # Formulas divide by an exponent, and their limit is reached long before.
-            if abs(known[name]) < SMALLEST_EXPONENT:
-                known[name] = float(np.copysign(SMALLEST_EXPONENT, known[name]))
         return {name: known[name] for name in self.names}
 
     def of_law(self, values: Mapping[str, float], test: str | None = None) -> dict[str, float]:

@@ -65,7 +65,8 @@ class TestTable(_Table, frozen=True, kw_only=True):
     skip_lines: int | None = None
     delimiter: str | None = None
     sheet: str | int | list[str | int] | None = None
-    curve: int | None = None
+    curve: int | list[int] | None = None
+    decimal: str | None = None
     tool: str | None = None
     friction: str | float | None = None
     friction_base: str | float | None = None
@@ -82,6 +83,7 @@ class TestTable(_Table, frozen=True, kw_only=True):
     hold_out: bool = False
     contact: Literal["recorded", "find"] | float = "recorded"
     failure: Literal["cut", "keep", "refuse"] = "cut"
+    leave_out: Literal["find"] | list[int] | dict[str, list[int]] = "find"
     rig: str | None = None
 
     @property

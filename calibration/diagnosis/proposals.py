@@ -95,6 +95,12 @@ class Proposals:
         """Name -> candidates that chance does not explain, strongest first."""
         return {name: each for name, each in self.best.items() if each.p <= LEVEL}
 
+    @property
+    def seen_in_words(self) -> list[str]:
+        """``zero offset (8.1 standard deviations)`` of each of `seen`, strongest first."""
+        return [f"{each.candidate.effect.title} ({abs(each.strength):.2g} standard deviations)"
+                for each in self.seen.values()]
+
     def twins(self, name: str) -> list[str]:
         """Names of others whose direction here is the same but for a few per cent, the likest first."""
         mine = [each for each in self.all if each.candidate.name == name]

@@ -57,8 +57,8 @@ def _comes_nearest(nearest: CandidateStatement) -> str:
 
 def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[str], regions: Sequence[RegionGap],
             gaps: tuple[float, float | None, float], untestable: int, unseen: Sequence[HeldOut] = (),
-            nearest: CandidateStatement | None = None, repeated: Sequence[str] = (), *,
-            stressed: bool = False) -> str:
+            nearest: CandidateStatement | None = None, repeated: Sequence[str] = (),
+            offsets: Sequence[str] = (), scored: Sequence[str] = (), *, stressed: bool = False) -> str:
     """What was found, in a few sentences.
 
     Args:
@@ -66,7 +66,10 @@ def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[s
         regions: of all tests. gaps: root mean square before and after, and noise, N.
         untestable: how many effects these tests could not show. unseen: data that the fits have not seen.
         nearest: effect that explains most.
-        repeated: tests whose recordings leave the same behind. stressed: whether stress was recorded, Pa.
+        repeated: tests whose recordings leave the same behind.
+        offsets: contact offsets beyond their assumed scatter, which the fit takes out, in words.
+        scored: effects that scores over whole tests show, in words, strongest first.
+        stressed: whether stress was recorded, Pa.
     """
     before, after, noise = gaps
     where = [region.sentence for region in regions if not region.adequate_before]
@@ -80,10 +83,19 @@ def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[s
     silent = f" {untestable} effects of the catalogue cannot be seen in these tests." if untestable else ""
     match verdict:
         case "NONE":
+            if offsets:
+                return (f"Nothing is missing but an offset, which the fit takes out: {'; '.join(offsets)}. State "
+                        f"it as contact in mm in its [[test]], or set offset = \"fit\" with a prior that covers it."
+                        f"{silent}")
             return f"Nothing is missing that these tests could show.{silent}"
         case "UNKNOWN":
             worth = nearest is not None and (nearest.explained_percent or 0.0) >= _NEAR
             near = f" {_comes_nearest(nearest)}" if nearest is not None and worth else ""
+            if not where:
+                several = f" ({joined(scored[:3])})" if scored else ""
+                return ("The residuals are noise in every region by itself. Over all regions together they have a "
+                        f"shape that chance does not explain and no single effect does{several}.{near} Nothing was "
+                        f"added.{silent}")
             return ("Something is missing that no known effect explains: " + "; ".join(where[:3])
                     + f".{near} Nothing was added.{silent}")
         case "SET":

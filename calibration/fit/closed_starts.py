@@ -12,8 +12,9 @@ from calibration.fit.ordinary_problem import OrdinaryProblem, feasible
 from calibration.fit.variables import LongTerm
 from tissue_sim.laws import find_law
 
-#: Exponents and other numbers without unit that the starts are made of.
-EXPONENTS = (-20.0, -10.0, -5.0, -2.0, -0.5, 1.0, 2.0, 4.0, 8.0, 15.0, 25.0)
+#: Exponents and other numbers without unit that the starts are made of. 0 is the limit of a power law: in simple shear
+#: the stress is even in the exponent, so that a descent from elsewhere approaches 0 slowly.
+EXPONENTS = (-20.0, -10.0, -5.0, -2.0, -0.5, 0.0, 1.0, 2.0, 4.0, 8.0, 15.0, 25.0)
 MAX_STARTS = 12
 #: Shares of the bound of a contact offset that the best start is moved by.
 _MOVED = (-0.5, -0.1, -0.01, 0.01, 0.1, 0.5)

@@ -6,6 +6,8 @@ from collections.abc import Iterable
 
 import msgspec
 
+from calibration.fit.usability_records import Alternative, Clause
+
 
 class Minimum(msgspec.Struct, frozen=True, kw_only=True):
     """A local minimum of the sum of squares that some of the starts ended in.
@@ -14,11 +16,13 @@ class Minimum(msgspec.Struct, frozen=True, kw_only=True):
         parameters: name -> value, SI.
         R2: coefficient of determination there.
         starts: how many starts ended in it.
+        rise: its sum of squares less that of the best, in units of the variance of the residuals.
     """
 
     parameters: dict[str, float]
     R2: float
     starts: int
+    rise: float = 0.0
 
 
 class Nuisance(msgspec.Struct, frozen=True, kw_only=True):
@@ -281,10 +285,14 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
             fitted, those of the material).
         nuisances: of the replicates when offsets are fitted or their jitter is marginalised.
         minima: best first. starts: how many were tried.
+        alternatives: other parameters that fit as well; standard errors of parameters that differ between them are
+            None.
         misfits: fitted test -> root mean square residual, % of its largest force.
-        status: ``"converged"``, ``"misfit"`` (does not describe the data), ``"unstable"`` (in the measured loading over
-            the data), ``"not_physical"``, ``"not_converged"`` or ``"no_population"`` (specimens with numbers of their
-            own, of which fewer than two are determined). Only the first is usable.
+        status: ``"converged"``, or that of the first clause that fails: ``"misfit"`` (does not describe the data),
+            ``"ambiguous"`` (other parameters fit as well), ``"unstable"`` (in the measured loading over the data),
+            ``"not_physical"``, ``"not_converged"`` or ``"no_population"`` (specimens with numbers of their own, of
+            which fewer than two are determined). Only the first is usable.
+        clauses: of the rule of usable, in the order of their weight.
         unusable: why it is not usable; None where it is.
         warnings: what to mind, usable or not: bounds that hold unknowns, loss of stability in other loading.
         message: for people; holds both.
@@ -337,9 +345,11 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     nuisances: list[Nuisance] = []
     minima: list[Minimum] = []
     starts: int
+    alternatives: list[Alternative] = []
     misfits: dict[str, float] = {}
     status: str
     unusable: str | None = None
+    clauses: list[Clause] = []
     warnings: list[str] = []
     message: str
     iterations: int

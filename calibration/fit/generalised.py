@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from calibration.campaign.campaign import Noise, Test
+from calibration.fit.alternatives import mirrored_starts, prefer_positive_exponents
 from calibration.fit.campaign_problem import build_problem
 from calibration.fit.checks import check_start
 from calibration.fit.estimate import Estimate, settle
@@ -30,6 +32,9 @@ from calibration.statistics.uncertainty import Uncertainty
 
 #: Minima whose parameters differ by less than this share of their size are one.
 _SAME = 1e-2
+#: A start with other signs of the exponents is followed where its sum of squares is below this many times the best one,
+#: or this many per sample.
+_PROMISING = 2.0
 #: A nuisance so many standard deviations away is not chance.
 SUSPECT = 4.0
 #: Degrees of freedom below which an estimated scatter of 0 is doubted.
@@ -61,7 +66,8 @@ class Generalised(Estimator):
         descents: dict[str, list[Descent]] = {law: [] for law in laws}
         for (law, *_), end in zip(keys, ends, strict=True):
             descents[law].append(end)
-        best = {law: min(descents[law], key=lambda end: end.error) for law in laws}
+        self._add_mirrored(laws, problems, descents, steps)
+        best = {law: _best_of(descents[law], problems[law]) for law in laws}
         usable = [law for law in laws if np.isfinite(best[law].error)]
         settled = steps.descents(run_settle, usable, [(problems[law], best[law], self.stated(problems[law]))
                                                       for law in usable], "the difference of the accurate mesh")
@@ -69,8 +75,24 @@ class Generalised(Estimator):
             law: (descents[law], best[law].failure) for law in laws}
         for law, estimate in zip(usable, settled, strict=True):
             estimate.problem.solves = self.solves
+            estimate = replace(estimate, minima=tuple(_minima(descents[law], problems[law])))
             found[law] = descents[law], estimate if np.isfinite(estimate.error) else estimate.failure
         return found
+
+    def _add_mirrored(self, laws: Sequence[str], problems: Mapping[str, Problem], descents: dict[str, list[Descent]],
+                      steps: Steps) -> None:
+        """Descents in the basins of the other signs of the exponents, from the best minimum of each law."""
+        keys = []
+        for law in laws:
+            best = min(descents[law], key=lambda end: end.error)
+            if np.isfinite(best.error):
+                keys += [(law, len(descents[law]) + number, theta, _PROMISING * max(best.error, problems[law].samples))
+                         for number, theta in enumerate(mirrored_starts(problems[law].space, best.theta), 1)]
+        if keys:
+            ends = steps.descents(run_mirrored, [law for law, *_ in keys], [(problems[law], *rest) for law, *rest in
+                                                                            keys], "other signs of the exponents")
+            for (law, *_), end in zip(keys, ends, strict=True):
+                descents[law].append(end)
 
     def stated(self, problem: Problem) -> Noise:
         """The jitter that is not to be estimated: fitted offsets have their priors."""
@@ -111,8 +133,8 @@ class Generalised(Estimator):
         return {
             "R2": r_squared(problem.data, residual), "RMSE_N": None if stressed else root,
             "RMSE_Pa": root if len(stressed) == len(problem.measured) else None, "on_bound": on_bound,
-            "nuisances": _nuisances(problem, evaluation), "minima": _minima(found.descents, problem),
-            "warnings": warnings, "message": "; ".join([*parts, *warnings]), "history": history, "regions": regions,
+            "nuisances": _nuisances(problem, evaluation), "warnings": warnings,
+            "message": "; ".join([*parts, *warnings]), "history": history, "regions": regions,
             "condition": condition(spread), "directions": directions,
             "suggestions": suggest_tests(problem, estimate.theta, spread)
             if (found.loose or directions) and not on_bound else [],
@@ -142,6 +164,34 @@ class Generalised(Estimator):
 def run_start(problem: Problem, number: int, theta: np.ndarray, listen: Listener | None = None) -> Descent:
     """From one start to its minimum on the fast mesh."""
     return descend(problem, theta, start=number, enough=ENOUGH_OF_A_START, listen=listen)
+
+
+def run_mirrored(problem: Problem, number: int, theta: np.ndarray, limit: float,
+                 listen: Listener | None = None) -> Descent:
+    """As `run_start`; ends after one solve where the sum of squares at the start is above `limit`."""
+    spent = problem.solves.meter()
+    try:
+        error = problem.evaluate(theta).error
+    except InfeasibleError as failure:
+        return Descent(number, theta, np.inf, False, str(failure), (), *spent())
+    if error > limit:
+        return Descent(number, theta, np.inf, False, "the data exclude these signs of the exponents", (), *spent())
+    return run_start(problem, number, theta, listen)
+
+
+def _best_of(descents: Sequence[Descent], problem: Problem) -> Descent:
+    """The descent to settle: the best, and of equal ones that with positive exponents."""
+    ordered = sorted(descents, key=lambda end: end.error)
+    if not np.isfinite(ordered[0].error):
+        return ordered[0]
+    finite = [end for end in ordered if np.isfinite(end.error)]
+    scale = _scale(finite[0].error, problem)
+    return finite[prefer_positive_exponents(problem.space, [(end.error / scale, end.theta) for end in finite])]
+
+
+def _scale(error: float, problem: Problem) -> float:
+    """Variance of the residuals in units of the noise, at least 1."""
+    return max(1.0, error / max(problem.samples - len(problem.space.free), 1))
 
 
 def run_settle(problem: Problem, best: Descent, stated: Noise, listen: Listener | None = None) -> Estimate:
@@ -212,5 +262,6 @@ def _minima(descents: Sequence[Descent], problem: Problem) -> list[Minimum]:
     kept = distinct([(d, 1) for d in descents if d.history and np.isfinite(d.error)],
                     lambda one, other: np.abs(one - other) <= _SAME * problem.sizes(one))
     return [Minimum(parameters=problem.space.values(descent.theta),
-                    R2=1.0 - descent.history[-1].RMSE_N**2 * problem.data.size / total, starts=count)
+                    R2=1.0 - descent.history[-1].RMSE_N**2 * problem.data.size / total, starts=count,
+                    rise=(descent.error - kept[0][0].error) / _scale(kept[0][0].error, problem))
             for descent, count in kept]

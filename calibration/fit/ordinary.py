@@ -12,9 +12,11 @@ import numpy as np
 from calibration.campaign.campaign import Campaign, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
+from calibration.fit.alternatives import mirrored_starts, prefer_positive_exponents
 from calibration.fit.closed_starts import closed_starts
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator, Findings
+from calibration.fit.failure import Failure, attempt
 from calibration.fit.fit import Minimum, Nuisance
 from calibration.fit.levenberg_marquardt import Descent, descend, distinct
 from calibration.fit.ordinary_problem import OrdinaryProblem
@@ -39,12 +41,6 @@ RELAXING_SOLVES, RELAXING_TOLERANCE = 100, 1e-9
 _SAME = 1e-2
 #: Residuals whose neighbours correlate more than this are a model error, not noise.
 CORRELATED = 0.5
-#: Status -> what to do about a fit that is not usable.
-_REMEDIES = {
-    "not_physical": "no material has that, so no material file is written: set bounds or use another law",
-    "not_converged": "the optimiser ran out of evaluations in a flat valley where other parameters fit as well: fix "
-                     "one, or use a law with fewer",
-}
 
 
 class Ordinary(Estimator):
@@ -87,7 +83,8 @@ class Ordinary(Estimator):
         found: dict[str, tuple[list[Descent], Estimate | str]] = {}
         for law in laws:
             steps.say(f"fitting {law} to {len(self.fitted)} recording{'s' if len(self.fitted) != 1 else ''}")
-            found[law] = fit_law(self.problem(law))
+            answer = attempt(fit_law, self.problem(law))
+            found[law] = ([], answer.reason) if isinstance(answer, Failure) else answer
         return found
 
     @property
@@ -119,8 +116,6 @@ class Ordinary(Estimator):
         spread, count = found.spread, len(found.descents)
         parts = [f"converged from {count} start{'s' if count != 1 else ''}" if found.unusable is None
                  else found.unusable]
-        if found.status in _REMEDIES:
-            parts.append(_REMEDIES[found.status])
         if spread.ratio > MODEL_ERROR_RATIO:
             parts.append(f"residuals are {spread.ratio:.3g} times the noise: model error dominates")
         elif spread.ratio < CURVATURE_RATIO and any(curve.noise.source == "estimated" for curve in self.fitted):
@@ -169,15 +164,22 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
         hint = "" if all(test.specimen is None for test in problem.tests) else \
             "; the specimen may be too heavy for it, so check density_kg_m3"
         return descents, f"no start of {law} gives a finite stress over the data; state one in fit.start{hint}"
-    best = refined[0][0]
+    if not problem.relaxing:
+        for start in mirrored_starts(problem.space, refined[0][0].theta):
+            descents.append(end_of(thin, start, len(descents) + 1, *how))
+            if np.isfinite(descents[-1].error):
+                refined.append((end_of(problem, descents[-1].theta, descents[-1].start, SOLVES), 1))
+    refined = distinct([item for item in refined if np.isfinite(item[0].error)], near)
+    scale = max(1.0, refined[0][0].error / max(problem.samples - problem.bounds[0].size, 1))
+    best = refined[prefer_positive_exponents(problem.space, [(d.error / scale, d.theta) for d, _ in refined])][0]
     stress = problem.data / problem.area
     total = float(np.sum((stress - stress.mean())**2))
     minima = []
-    for descent, count in distinct(refined, near):
+    for descent, count in sorted(refined, key=lambda item: item[0] is not best):
         residual = problem.evaluate(descent.theta).residual * problem.noise
         minima.append(Minimum(parameters=problem.space.values(descent.theta[: len(problem.space.free)]),
-                              R2=1.0 - float(residual @ residual) / total, starts=count))
-    minima.sort(key=lambda minimum: -minimum.R2)
+                              R2=1.0 - float(residual @ residual) / total, starts=count,
+                              rise=(descent.error - refined[0][0].error) / scale))
     history = tuple(step for descent, _ in refined for step in descent.history)
     return descents, Estimate(best.start, best.theta, best.error, best.converged, "", history, *spent(),
                               problem=problem, minima=tuple(minima))

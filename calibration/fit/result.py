@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ class CalibrationResult:
         noise_Pa: pooled standard deviation of the nominal stress; None of an inverse fit.
         noise_source: ``"stated"``, ``"estimated"``, ``"resolution"`` (of the sensor) or ``"mixed"``.
         noise: of the sensor in each test, of an inverse fit.
+        failures: law -> why it has no fit.
         resumed: read back from an earlier run instead of computed.
     """
 
@@ -43,6 +44,7 @@ class CalibrationResult:
     noise_Pa: float | None = None
     noise_source: str = "stated"
     noise: tuple[SensorStatement, ...] = ()
+    failures: Mapping[str, str] = field(default_factory=dict)
     resumed: bool = False
 
     @property
@@ -67,7 +69,7 @@ def to_json(results: Sequence[CalibrationResult]) -> dict[str, Any]:
     result = results[0]
     return {
         "campaign": result.campaign.name, "method": result.campaign.fit.method,
-        "fits": list(msgspec.to_builtins(result.fits)), "best": result.best.law,
+        "fits": list(msgspec.to_builtins(result.fits)), "best": result.best.law, "failures": dict(result.failures),
         "predictions": list(msgspec.to_builtins(result.predictions)), "noise_Pa": result.noise_Pa,
         "noise_source": result.noise_source, "noise": list(msgspec.to_builtins(result.noise)),
         "message": result.message, "self_weight": statement(result.campaign, result.best),
@@ -88,6 +90,7 @@ def read_back(campaign: Campaign, folder: Path, digest: str) -> CalibrationResul
             campaign, msgspec.convert(tuple(found["fits"]), tuple[Fit, ...]),
             msgspec.convert(tuple(found["predictions"]), tuple[Prediction, ...]), found["message"], folder, digest,
             found["noise_Pa"], found["noise_source"],
-            msgspec.convert(tuple(found["noise"]), tuple[SensorStatement, ...]), resumed=True)
+            msgspec.convert(tuple(found["noise"]), tuple[SensorStatement, ...]),
+            msgspec.convert(found.get("failures", {}), dict[str, str]), resumed=True)
     except (OSError, ValueError, KeyError, TypeError, msgspec.ValidationError):
         return None

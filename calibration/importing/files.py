@@ -12,12 +12,16 @@ from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
 from calibration.importing.afm import is_afm, understand_afm
 from calibration.importing.campaign_text import FILL_IN, campaign_text
+from calibration.importing.decimal_marks import same_decimal_mark
 from calibration.importing.flags import applies, check_wishes, require_used
 from calibration.importing.grouping import group, same_motion
-from calibration.importing.imported import Imported, ImportedTest, Line, Part, Wishes, questions_of
+from calibration.importing.imported import Imported, ImportedTest, Line, Part, Wishes, Zero, questions_of
 from calibration.importing.motion import describe_motion
 from calibration.importing.picture import draw_imported
 from calibration.importing.sidecar import kind_said, read_sidecar, with_sidecar
+from calibration.importing.signal_lines import leave_out_lines, offset_lines, start_lines
+from calibration.importing.size_assumptions import seen_without_unit, with_size_assumptions
+from calibration.importing.zero import linear_laws, with_zero
 from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.bounded import bounded
 from tissue_sim.errors import InputError, located, shortened
@@ -61,11 +65,13 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     output = None if output is None else Path(output)
     _check(paths, output, overwrite)
     check_wishes(wishes)
-    understood = _understand(paths, wishes)
+    understood = same_decimal_mark([with_size_assumptions(each, wishes) for each in _understand(paths, wishes)])
     parts = [Part(each, reading, tuple(describe_motion(recording, reading.kind.kind)
                                        for recording in reading.recordings))
              for each in understood for reading in each.readings]
-    tests, specimens, missing = _tests(group(parts), wishes)
+    groups = [(name, *_with_zero(alike, wishes), reason) for name, alike, reason in group(parts)]
+    parts = [part for _, alike, *_ in groups for part in alike]
+    tests, specimens, missing = _tests(groups, wishes)
     require_used(wishes, understood, tests)
     fit = _fit(tests, wishes)
 
@@ -155,13 +161,20 @@ def _sized(sizes: Mapping[str, Size]) -> bool:
     return not sizes.keys() <= _OWN_SIZES or ("height_mm" in sizes and ("radius_mm" in sizes or "area_mm2" in sizes))
 
 
-def _tests(groups: Sequence[tuple[str, tuple[Part, ...], str]], wishes: Wishes
+def _with_zero(parts: Sequence[Part], wishes: Wishes) -> tuple[tuple[Part, ...], Zero | None]:
+    """Replicates of a test with the meaning of the load with which they begin."""
+    sizes = {key: size.value for key, size in _sizes(parts[0].reading, wishes).items()}
+    laws = linear_laws(wishes.laws or _LAWS["analytical"])
+    return with_zero(parts, sizes, laws, wishes.zero)
+
+
+def _tests(groups: Sequence[tuple[str, tuple[Part, ...], Zero | None, str]], wishes: Wishes
            ) -> tuple[tuple[ImportedTest, ...], dict[str, tuple[Line, ...]], tuple[str, ...]]:
     """Tests, their specimens (equal ones once), and what is missing."""
     tests: list[ImportedTest] = []
     specimens: dict[str, tuple[Line, ...]] = {}
     missing: list[str] = []
-    for name, parts, reason in groups:
+    for name, parts, zero, reason in groups:
         reading = parts[0].reading
         kind = KINDS[reading.kind.kind] if reading.kind.kind else None
         needs = "displacement" in reading.recordings[0] or (kind is not None and kind.closed_form is None)
@@ -183,7 +196,8 @@ def _tests(groups: Sequence[tuple[str, tuple[Part, ...], str]], wishes: Wishes
         columns = tuple(Line(column.channel, column.entry(),
                              f"{FILL_IN}: {column.missing}; {column.reason}" if column.missing else column.reason)
                         for column in reading.columns)
-        tests.append(ImportedTest(name, reading.kind.kind, tuple(parts), specimen, tuple(keys), columns, reason))
+        tests.append(ImportedTest(name, reading.kind.kind, tuple(parts), specimen, tuple(keys), columns, reason,
+                                  zero))
     if len(specimens) > 1 and "specimen" in specimens:
         # Its name stands beside those of the others now.
         first = next(test.name for test in tests if test.specimen == "specimen")
@@ -210,8 +224,10 @@ def _specimen(reading: Reading, wishes: Wishes, kind: TestKind | None) -> tuple[
         else:
             flag = f"--{key.replace('_', '-')}"
             also = " (or --radius-mm)" if key == "area_mm2" else ""
-            lines.append(Line(key, None, f"{what} of the specimen, which no file states; {flag}{also}"))
-            missing.append(f"the {what} of the specimen ({flag}{also})")
+            seen = seen_without_unit(reading, key)
+            why = f"the file states {seen!r} without a known unit" if seen else "which no file states"
+            lines.append(Line(key, None, f"{what} of the specimen, {why}; {flag}{also}"))
+            missing.append(f"the {what} of the specimen ({flag}{also}{f'; {why}' if seen else ''})")
     return tuple(lines), missing
 
 
@@ -247,6 +263,7 @@ def _keys(parts: Sequence[Part], wishes: Wishes) -> tuple[list[Line], list[str]]
         lines.append(Line("friction", None, "coefficient of friction of both plates, or \"stick\"; --friction"))
         missing.append("the friction of the plates (--friction)")
     lines += _found(parts)
+    lines += leave_out_lines(parts)
     lines += _speed(parts, test.pop("speed_mm_s", None))
     lines += [Line(key, value, "stated") for key, value in test.items() if applies(key, value, kind)]
     return lines, missing
@@ -320,7 +337,7 @@ def _fit(tests: Sequence[ImportedTest], wishes: Wishes) -> list[Line]:
              Line("laws", list(wishes.laws or _LAWS[method]), "stated" if wishes.laws else "of two parameters at most")]
     if not closed:
         lines.append(Line("bulk_ratio", _BULK_RATIO, "K / mu0; gels and soft tissues hardly change their volume"))
-    return lines
+    return [*lines, *offset_lines(tests, bounded=closed), *start_lines(tests)]
 
 
 def _problem(text_in: Callable[[Path], str]) -> str | None:

@@ -24,12 +24,14 @@ class Wishes:
             sizes of that.
         test: further keys of ``[[test]]`` -> value: ``tool``, ``tool_radius_mm``, ``friction``, ``speed_mm_s``, ...
         laws: to fit. None: a few that suit most soft materials.
+        zero: meaning of a load at zero displacement: ``"preload"`` or ``"sensor"``; None: the curve decides.
     """
 
     stated: Stated = field(default_factory=Stated)
     specimen: Mapping[str, float | str] = field(default_factory=lambda: read_only({}))
     test: Mapping[str, Any] = field(default_factory=lambda: read_only({}))
     laws: tuple[str, ...] | None = None
+    zero: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +52,19 @@ class Part:
 
 
 @dataclass(frozen=True)
+class Zero:
+    """The meaning of a load at zero displacement.
+
+    Attributes:
+        value: ``"preload"`` or ``"sensor"``. shift: of contact before the zero, m. load: at zero, N.
+    """
+
+    value: str
+    shift: float
+    load: float
+
+
+@dataclass(frozen=True)
 class Line:
     """A key of a campaign, its value, and why; a value of None is to be filled in."""
 
@@ -67,6 +82,7 @@ class ImportedTest:
         specimen: name, None: it needs none.
         lines: its keys but for name, recordings and columns. columns: channel -> entry.
         reason: why its files are replicates.
+        zero: meaning of a load at zero displacement; None: the load starts from zero.
     """
 
     name: str
@@ -76,6 +92,7 @@ class ImportedTest:
     lines: tuple[Line, ...]
     columns: tuple[Line, ...]
     reason: str = ""
+    zero: Zero | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
+from calibration.importing.findings import assumptions_of
+from tissue_sim.experiment.kinds.kind import KINDS
+from tissue_sim.recording.cleaning import clean
 from tissue_sim.recording.contact import Contact
+from tissue_sim.recording.control import find_control
 from tissue_sim.recording.failure import Failure
 from tissue_sim.recording.formats.assumption import Assumption
 from tissue_sim.recording.recording import Recording
-from tissue_sim.recording.segments import Segmentation, find_segments
+from tissue_sim.recording.screening import Control, Screening
+from tissue_sim.recording.segments import Segmentation, find_segments, loading_of
 
 #: Channels that say how far a test has come, the first of which is taken, and where they rest.
 MOTIONS = {"displacement": 0.0, "stretch": 1.0, "shear strain": 0.0}
-#: A first force of more than this share of the range is no zero of the sensor; air that ends within this share of the
-#: way is none.
-_PRELOAD, _AT_ONCE = 0.05, 0.01
+#: Air that ends within this fraction of the displacement is none.
+_AT_ONCE = 0.01
 
 
 class Segment(NamedTuple):
@@ -36,7 +40,8 @@ class Motion:
     Attributes:
         channel: the motion that was looked at. reach: largest and smallest value of it, SI, from rest.
         rate: samples a second, None without time. duration: s, or None. speed: of the first loading, SI, or None.
-        found: its segments, contact and failure. warnings: sentences.
+        found: segments, contact and failure of the samples that are kept. warnings: sentences.
+        screening: samples left out, saturation, controlled quantity. kept: samples from 0 that are kept; None: all.
         assumptions: about this recording: zero, contact, controlled quantity, samples that are left out.
     """
 
@@ -48,11 +53,17 @@ class Motion:
     found: Segmentation
     warnings: tuple[str, ...] = ()
     assumptions: tuple[Assumption, ...] = ()
+    screening: Screening = field(default_factory=Screening)
+    kept: np.ndarray | None = None
+
+    def sample(self, index: int) -> int:
+        """Sample of the recording, from 0, of one that is kept."""
+        return index if self.kept is None else int(self.kept[index])
 
     @property
     def segments(self) -> tuple[Segment, ...]:
         """In order."""
-        return tuple(Segment(name, first, end - 1) for name, first, end in self.found.runs())
+        return tuple(Segment(name, self.sample(first), self.sample(end - 1)) for name, first, end in self.found.runs())
 
     @property
     def cycles(self) -> int:
@@ -83,6 +94,9 @@ class Motion:
 def describe_motion(recording: Recording, kind: str | None) -> Motion:
     """The way of a recording with a motion and a load, of a test of that kind."""
     channel = next(name for name in MOTIONS if name in recording)
+    size = len(recording)
+    recording, screening = clean(recording)
+    kept = np.setdiff1d(np.arange(size), np.array(screening.samples, int) - 1)
     way = np.array(recording.channel(channel)) - MOTIONS[channel]
     # Compression is recorded as a stretch below 1, and a table may begin at its far end.
     turned = -way if channel != "displacement" and abs(way.max()) < abs(way.min()) else way
@@ -97,21 +111,24 @@ def describe_motion(recording: Recording, kind: str | None) -> Motion:
     if rate is None and abs(way[0]) > abs(way[-1]):
         # A table without a clock has no order; from rest on it reads as a loading.
         recording = recording.select(slice(None, None, -1))
+    screening = replace(screening, control=_control(recording, kind))
     motion = Motion(channel, (float(way.max()), float(way.min())), rate, duration, speed,
-                    find_segments(recording, kind))
-    return Motion(channel, motion.reach, rate, duration, speed, motion.found, tuple(_warnings(recording, motion)))
+                    find_segments(recording, kind), screening=screening, kept=None if kept.size == size else kept)
+    assumptions = assumptions_of(screening, motion.contact, has_air=motion.air, stressed=motion.found.stressed)
+    return replace(motion, warnings=tuple(_warnings(recording, motion)), assumptions=assumptions)
+
+
+def _control(recording: Recording, kind: str | None) -> Control:
+    way, load, _ = loading_of(recording, KINDS.get(kind) if kind else None)
+    return find_control(way, load, recording.time if "time" in recording and np.ptp(recording.time) > 0 else None)
 
 
 def _warnings(recording: Recording, motion: Motion) -> Iterator[str]:
     contact = motion.contact
     said = "" if contact is None else contact.in_words(stressed=motion.found.stressed)
+    yield from motion.screening.remarks
     # Force curves of an AFM come counted from their contact, and no air that matters is no news.
     silent = "zeroing" in recording.metadata or motion.air is False
     yield from (warning for warning in motion.found.warnings if not (warning == said and silent))
     if np.ptp(recording.channel(motion.channel)) == 0:
         yield "the motion stands still"
-    if "force" in recording and not motion.air:
-        first, spread = abs(recording.force[0]), np.ptp(recording.force)
-        if spread > 0 and first > _PRELOAD * spread:
-            yield (f"the force begins at {recording.force[0]:.3g} N, {100 * first / spread:.0f} % of its range: a "
-                   "preload, or a sensor that was not zeroed")

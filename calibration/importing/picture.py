@@ -65,7 +65,7 @@ def _draw(left, right, test: ImportedTest) -> None:
             left.plot(clock, way, **style)
             right.plot(way, value, **style, label=name if number < _MOST_NAMES else None)
             if motion.failure is not None:
-                at = motion.failure.index
+                at = motion.sample(motion.failure.index)
                 right.plot(*(_values(recording, channel, raw)[at] for channel in (motion.channel, load)), "x",
                            color="k", ms=7, label="failure" if number == 0 else None)
             if number == 0:

@@ -6,10 +6,13 @@ import csv
 import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from html import escape
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
+from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.curves import TestCurves
@@ -20,6 +23,7 @@ from calibration.fit.typical_material import typical_material
 from calibration.output_folder import FIT_FILE
 from calibration.report.drawing import Pictures
 from calibration.report.methods import methods_text
+from calibration.report.page import html_page, html_table, title_of
 from calibration.report.report import report_page
 from calibration.report.units import Units
 from tissue_sim.atomic_write import write_text
@@ -49,6 +53,13 @@ def write_campaign(result: CalibrationResult, curves: Curves, measured: Mapping[
     write_text(result.output / "report.html", report_page(result, curves, methods, pictures))
     text = json.dumps(to_json([result]), indent=2, ensure_ascii=False, allow_nan=False)
     write_text(result.output / FIT_FILE, text + "\n")
+
+
+def write_failure(campaign: Campaign, failures: Mapping[str, str], folder: Path) -> None:
+    """A report of a campaign of which no law has a fit: each law and the reason."""
+    rows: list[list[str | None]] = [[title_of(law), escape(reason)] for law, reason in failures.items()]
+    write_text(folder / "report.html", html_page(f"Calibration of {campaign.name}", [
+        "<p>No law has a fit.</p>", html_table(["Law", "Reason"], rows, text=(1,))]))
 
 
 def material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]],
@@ -98,6 +109,7 @@ def material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Se
                                          if pair is not None},
                          "not_identifiable": fit.not_identifiable, "left_out_percent": fit.left_out,
                          "self_weight": statement(campaign, fit), "status": fit.status, "BIC": fit.BIC,
+                         "unusable": fit.unusable, "alternatives": msgspec.to_builtins(fit.alternatives),
                          "covariance_from": fit.covariance_from, **whose}})
 
 

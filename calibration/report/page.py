@@ -109,9 +109,14 @@ def with_minus(text: str) -> str:
 
 
 def estimate_of(fit: Fit, name: str, units: Units) -> str:
-    """``0.988 ± 0.023 kPa``: a parameter with as many digits as its standard error leaves, or why it has none."""
+    """``0.988 ± 0.023 kPa``: a parameter with as many digits as its standard error leaves, or why it has none;
+    ``8 or -8`` where several optima fit equally well."""
     unit, error = units.of_parameter(fit.units[name]), fit.standard_errors[name]
     known = "fixed" if error == 0 else "on its bound" if name in fit.on_bound else ""
+    if error is None and fit.alternatives and not known:
+        values = dict.fromkeys(f"{each[name] / unit.size:.4g}" for each in (
+            fit.parameters, *(one.parameters for one in fit.alternatives)))
+        return f"{' or '.join(values)} {unit.name}".strip()
     return value_and_error(fit.parameters[name] / unit.size, error and error / unit.size, unit.name, known=known)
 
 

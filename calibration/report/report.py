@@ -46,6 +46,7 @@ from calibration.report.report_tables import (
 from calibration.report.segment_figures import segment_section
 from calibration.report.symbols import plain_symbol
 from calibration.report.units import Units
+from calibration.report.usability import usability_section
 from tissue_sim.laws import find_law
 
 #: Misfits that the verdict names; the table has all.
@@ -79,7 +80,7 @@ def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCur
         parts += _pictures(result, curves, units, pictures)
     ranked_by = "prediction" if ranked_by_prediction(result.fits) else "BIC"
     parts += [f"<h2>Ranking by {ranked_by}</h2>", ranking_table(result.fits, units),
-              remark_list(result.fits), "<h2>Parameters</h2>",
+              remark_list(result.fits), *usability_section(result.fits, result.failures, units), "<h2>Parameters</h2>",
               *parameter_tables(result.fits, units, pictures is not None)]
     if result.predictions:
         parts += ["<h2>Predictions</h2>", prediction_table(result.predictions, tests, units)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import pickle
 import struct
@@ -35,6 +36,12 @@ from tissue_sim.snapshot import Snapshot
 _PIECE = 1 << 16
 #: How long the process of the bulk may take to end, s.
 _PATIENCE = 5.0
+#: Longest time that `BulkLink.exchange` blocks, s of wall time.
+LONGEST_EXCHANGE = 60.0
+#: Time between two looks for a model in `BulkLink.exchange`, s.
+_POLL = 0.2e-3
+#: Time after which `BulkLink.exchange` sends the state again, s: a bulk that found no linearisation tries again then.
+_SEND_AGAIN = 0.05
 
 
 class BulkLink(Protocol):
@@ -61,8 +68,15 @@ class BulkLink(Protocol):
     def receive(self, now: float) -> CondensedContact | None:
         """A model that has come since the last call, at a time, s; never waits."""
 
-    def set_material(self, material: Material) -> None:
-        """Change the material of the bulk."""
+    def exchange(self, state: ContactState) -> CondensedContact | None:
+        """Send a state and block until the next model has come, which can still be that of an earlier state.
+
+        Returns:
+            None if no model has come within `LONGEST_EXCHANGE`, or none can come any more.
+        """
+
+    def set_material(self, material: Material, number: int) -> None:
+        """Change the material of the bulk; models of the new material carry the number."""
 
     def snapshot(self) -> Snapshot | None:
         """The tissue at the last model; None of a link that shows none."""
@@ -124,8 +138,13 @@ class DelayedBulk:
         model, self._coming = self._coming[1], None
         return model
 
-    def set_material(self, material: Material) -> None:
-        self._bulk.set_material(material)
+    def exchange(self, state: ContactState) -> CondensedContact | None:
+        """The model of a state, or of one that was sent before and has not been received, without its delay."""
+        self.send(state)
+        return self.receive(math.inf)
+
+    def set_material(self, material: Material, number: int) -> None:
+        self._foresighted.set_material(material, number)
 
     def snapshot(self) -> Snapshot | None:
         return None
@@ -196,6 +215,19 @@ class BulkProcess:
             self._model = found
         return found
 
+    def exchange(self, state: ContactState) -> CondensedContact | None:
+        now = time.monotonic()
+        deadline, sends = now + LONGEST_EXCHANGE, now
+        while now < deadline and self.alive:
+            if now >= sends:
+                self.send(state)
+                sends = now + _SEND_AGAIN
+            if (model := self.receive(state.time)) is not None:
+                return model
+            time.sleep(_POLL)
+            now = time.monotonic()
+        return None
+
     def _received_whole(self) -> CondensedContact | None:
         """A model with a tangent of its own, read a piece at a time; its arrays are there until the next one is."""
         models = self._models
@@ -228,8 +260,8 @@ class BulkProcess:
         self._corrected, content = newest
         return CondensedContact.unpacked(np.frombuffer(content), self._model)
 
-    def set_material(self, material: Material) -> None:
-        self._say(pickle.dumps(material))
+    def set_material(self, material: Material, number: int) -> None:
+        self._say(pickle.dumps((number, material)))
 
     def snapshot(self) -> Snapshot | None:
         if self._board is not None:

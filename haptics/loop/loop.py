@@ -150,6 +150,9 @@ class Loop:
                  ring: RingWriter, *, snapshots: SnapshotBoard | None = None,
                  listen: Callable[[Loop], None] | None = None, clock: Callable[[], int] = time.monotonic_ns,
                  sleep: Callable[[float], None] = time.sleep):
+        if getattr(tissue, "waits", False):
+            raise InputError("waits must be False in a loop; got True. A step that waits for the bulk misses its "
+                             "deadline. Make the tissue with waits=False.", field="waits")
         self._tissue, self._device, self._rendering = tissue, device, rendering
         #: As asked for; a device may allow less.
         self._force_limit = rendering.limits.force

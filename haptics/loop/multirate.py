@@ -1,101 +1,139 @@
-"""A tissue by two rates: contact solved in every tick, on a bulk that another process linearises as fast as it can."""
+"""Multirate simulation: contact in each tick of the loop, on a bulk that another process linearises at a lower rate."""
 
 from __future__ import annotations
 
 import math
+import threading
 import time as clock
 from collections import deque
 from dataclasses import replace
 from functools import partial
-from typing import Any, cast
-
-import numpy as np
+from typing import Any, NoReturn
 
 from haptics.loop.bulk_link import BulkLink, BulkProcess
-from haptics.loop.model_drift import ModelDrift
+from haptics.loop.model_transition import ModelTransition
+from haptics.loop.touch_frame import TouchFrame, first_touch
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.model import LINEARISATIONS
+from tissue_sim.fem.condensed.model import LINEARISATIONS, CondensedContact
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStep
+from tissue_sim.kernel_owner import CopyError, KernelOwner, exclusive
 from tissue_sim.live_material import require_same_layers, require_tissue
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.material.material import BULK_RATIOS
 from tissue_sim.model import Model
+from tissue_sim.motion_limits import LimitError, MotionLimits, checked_pose
 from tissue_sim.parameters import with_values
-from tissue_sim.pose import Pose, Screw, added, motion, scaled
+from tissue_sim.pose import Pose, scaled
 from tissue_sim.simulator import Simulator
 from tissue_sim.snapshot import Snapshot
-from tissue_sim.tool_force import ForceStatus, ToolForce, axial_stiffness, axial_wrench, pose_of, scaled_matrix
+from tissue_sim.tool_force import (
+    ERROR_FLOOR,
+    ERROR_SHARE,
+    ForceStatus,
+    ToolForce,
+    TouchState,
+    axial_stiffness,
+    axial_wrench,
+    is_known_well,
+    scaled_matrix,
+)
 
-#: Largest changes of force and torque in a tick that a change of model may cause, N and N m.
-JUMP, TORQUE_JUMP = 0.01, 0.001
-#: A model older than this, s, is worth nothing more.
+__all__ = ["ERROR_FLOOR", "ERROR_SHARE", "OLDEST", "MultiRateTissue", "real_time_tissue"]
+
+#: Age from which on a model is not used for a CONVERGED answer, s.
 OLDEST = 1.0
-#: An estimated error beyond this share of the force, and beyond this force, N, is no equilibrium any more.
-ERROR_SHARE, ERROR_FLOOR = 0.25, 0.05
-#: How much of the estimate outlives the next model; ways shorter than this share of the contact's radius say nothing.
-_MEMORY, _SHORT = 0.8, 0.1
-#: Ticks from one state that is sent to the next, and back to the pose from which the tool's speed is taken.
-_SEND_EVERY, _LOOK_BACK = 4, 8
+#: Ticks from one state that is sent to the bulk to the next.
+_SEND_EVERY = 4
+#: Ticks over which the speed of the tool is taken.
+_LOOK_BACK = 8
 #: Depths of the touch before the first tick, over the contact's radius.
 _TOUCHES = (0.02, 0.04, 0.05)
+#: Age up to which a step that waits uses a model, s.
+_RECENT = 0.01
+#: Distance up to which a step that waits uses a model, as a fraction of `LinearisationError.short`.
+_NEAR = 0.25
+#: Most exchanges of state and model in a step that waits for the bulk.
+_MOST_EXCHANGES = 16
+#: Change of the force in the last exchange of a step that waits, as a fraction of the force.
+_SETTLED = 0.01
+#: The same where the force is small, N.
+_SETTLED_FLOOR = 1e-4
 _AT_REST = ToolForce(axial_wrench(0.0), axial_stiffness(0.0), ForceStatus.STOPPED)
 
 
-class MultiRateTissue:
+class MultiRateTissue(KernelOwner):
     """A `Tissue` of a solid: `warm_up`, `step`, `reset`, `set_parameters`, `snapshot` as of a `Simulator`.
 
-    Each tick solves lift-off, touch and friction on the newest linearisation of the bulk; the process of the bulk gets
-    the contact's forces and answers with the next one. When a model comes, the wrench goes on from where it is, and the
-    difference is let go by `JUMP` a tick. An answer is `CONVERGED` where the contact is, on a model that is not too
-    old, within the distance that its error estimate and its nodes allow; `LATE` otherwise, and let go by
-    `ForceRelease`.
+    Each tick solves lift-off, touch and friction on the newest linearisation of the bulk. The process of the bulk gets
+    the forces of the contact and answers with the next linearisation, a "model". When a model comes, the wrench
+    continues from its value, and the difference is reduced tick by tick (`ModelTransition`).
 
-    The estimate: the change of the wrench with the last models was so much at such a way from the pose of the model
-    before, and an error of a linearisation grows with the square of the way.
+    An answer is `CONVERGED` if all of these hold, else `LATE`:
+
+    - the conditions of the contact are satisfied, and all nodes that the tool can meet are in the model;
+    - the model is of the present material and not older than `oldest`, and the bulk runs;
+    - the estimated error (`haptics.loop.linearisation_error`) is at most `ERROR_SHARE` of the force, or `ERROR_FLOOR`.
+      While it is unknown the tool must be within a tenth of the contact radius of the pose of the model, or of the pose
+      of the touch if the model is of the undeformed tissue.
+
+    Before the first touch every force is zero. A tool that holds tissue holds it from the pose of its first touch on.
 
     Args:
         model: experiment, material.
-        solver, resolution, mesh: whose bulk; see `tissue_sim.fem.condensed.model.LINEARISATIONS`.
+        solver, resolution, mesh: of the bulk; see `tissue_sim.fem.condensed.model.LINEARISATIONS`.
         link: to a bulk, instead of that of a process which is made by `warm_up`.
-        oldest: see `OLDEST`.
+        oldest: see `OLDEST`, s.
+        waits: whether a step blocks until the bulk has answered for its pose. For simulated clocks, which run faster
+            than the bulk; a haptic loop refuses such a tissue.
+        limits: of poses and time steps; see `MotionLimits`.
 
     Attributes:
-        error: estimate of how far the force may be off, N. models: how many have come.
+        error: estimated error of the force, N; infinite while it is unknown.
+        models: number of models that have come.
         resolution, force_error, budget, mesh: as of a `Simulator`.
 
     Raises:
         InputError: what a `Simulator` refuses, and what the linearisation does (in `warm_up`).
     """
 
+    copy_remedy = "Its bulk runs in another process. Make another MultiRateTissue of the same model."
     force_error: float | None = None
     budget: float | None = None
     mesh: Any = None
 
     def __init__(self, model: Model, *, solver: str = "solid", resolution: str = "realtime", mesh: Any = None,
-                 link: BulkLink | None = None, oldest: float = OLDEST):
+                 link: BulkLink | None = None, oldest: float = OLDEST, waits: bool = False,
+                 limits: MotionLimits | None = None):
         if not oldest > 0.0:
-            raise InputError(f"{oldest:g} s is no age; give one above the period of the bulk, such as 1",
-                             field="oldest")
+            raise InputError(f"oldest must be positive; got {oldest:g} s. Use more than the period of the bulk, such "
+                             "as 1.", field="oldest")
         require_tissue(model.material)
         self.model, self.resolution, self.oldest = model, resolution if mesh is None else "own mesh", oldest
+        self.waits, self.limits, self._guard = waits, limits or MotionLimits(), threading.RLock()
         self._link = link or BulkProcess(model, solver=solver, resolution=resolution, mesh=mesh)
         self._stepper: CondensedStepper | None = None
-        self._drift: ModelDrift | None = None
-        self._epoch, self.models = 0, 0
+        self._epoch, self._material, self.models = 0, 0, 0
+        self._holds = model.experiment.friction == "bonded"
         self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         self._untouched = self._reduced.history
         self._begin()
 
     def _begin(self) -> None:
-        self._time, self._ticks, self.error, self._growth, self._left = 0.0, 0, 0.0, 0.0, 1.0
-        self._offset, self._answer = axial_wrench(0.0), _AT_REST
+        self._time, self._ticks, self.error, self._left = 0.0, 0, math.inf, 1.0
+        self._answer = _AT_REST
         self._step: ContactStep | None = None
         self._poses: deque[tuple[float, Pose]] = deque(maxlen=_LOOK_BACK)
-        self._made, self._models_before = 0.0, self.models
+        self._touch = TouchState()
+        self._last_pose: Pose | None = None
+        #: Times at which the bulk had the state of the model, and of its tangent, s.
+        self._made = self._tangent_made = 0.0
         self._prepared = False
-        #: Of the model before the one that has come since the last step.
-        self._known: Pose | None = None
+        #: The model before the one that has come since the last step.
+        self._known: CondensedContact | None = None
+        #: Whether the last exchange of a step that waits has settled.
+        self._settled = True
 
+    @exclusive
     def warm_up(self) -> None:
         """Start the process of the bulk and compile what a tick needs.
 
@@ -106,15 +144,23 @@ class MultiRateTissue:
         if self._stepper is not None:
             return
         self._first = self._link.start()
-        self._stepper = CondensedStepper(self._link.surface)
-        self._stepper.adopt(self._first)
-        self._drift = ModelDrift(self._link.surface.radius)
         surface = self._link.surface
+        self._stepper = CondensedStepper(surface)
+        self._stepper.adopt(self._first)
+        self._transition = ModelTransition(self._stepper)
         x, y, z = surface.start.position
         # Touch, so that all that a tick needs is there, and go back.
         for depth in _TOUCHES:
             self._stepper.step(replace(surface.start, position=(x, y, z - depth * surface.radius)))
-        self._stepper.reset()
+        self._rest()
+
+    def _rest(self) -> None:
+        """Place the tool in the air above the undeformed tissue."""
+        assert self._stepper is not None
+        self._stepper.rise()
+        start = self._link.surface.start
+        self._frame = TouchFrame(start, start)
+        self._transition.reset(start)
 
     def close(self) -> None:
         """End the process of the bulk."""
@@ -125,33 +171,96 @@ class MultiRateTissue:
         if link is not None:
             link.close()
 
+    def clone(self) -> NoReturn:
+        """Refused: a multirate tissue has no copy.
+
+        Raises:
+            CopyError: always.
+        """
+        raise CopyError(f"{type(self).__name__} cannot be cloned. {self.copy_remedy}")
+
+    @property
+    def has_touched(self) -> bool:
+        """Whether the tool has touched the tissue since the last reset."""
+        return self._touch.has_touched
+
+    @exclusive
     def step(self, pose: float | Pose, dt: float) -> ToolForce:
         """The force where the tool is now; see `Simulator.step`."""
         began = clock.perf_counter()
         self.warm_up()
-        stepper = self._stepper
-        assert stepper is not None
-        pose = pose_of(pose)
-        if not (pose.is_finite and math.isfinite(dt) and dt >= 0.0):
+        pose = checked_pose(pose)
+        try:
+            self.limits.require(pose, self._last_pose, dt)
+        except LimitError:
             return replace(self._answer, status=ForceStatus.REFUSED, iterations=0,
                            compute_time=clock.perf_counter() - began)
         self._time += dt
         self._ticks += 1
         if not self._prepared:
             self.prepare()
-        before, step = self._step, stepper.step(pose)
-        known, self._known, self._step, self._prepared = self._known, None, step, False
-        if known is not None and before is not None:
-            self._take_over(before, known, pose, step)
-        self._poses.append((self._time, pose))
-        if known is not None or self._ticks % _SEND_EVERY == 0:
-            earlier, there = self._poses[0]
-            self._link.send(stepper.state(self._time, pose, earlier, there, self._epoch))
-        if any(self._offset):
-            self._offset = _shorter(self._offset[:3], JUMP) + _shorter(self._offset[3:], TORQUE_JUMP)
-        self._answer = self._found(step, pose, dt, began)
+        inside = self._advance(pose, dt)
+        if inside is None and self._holds:
+            self._answer = self._in_the_air(pose, began)
+        else:
+            self._answer = self._in_contact(pose, dt if inside is None else inside, began)
+        self._prepared = False
         return self._answer
 
+    def _advance(self, pose: Pose, dt: float) -> float | None:
+        """Register the pose of a step; begin the contact if the tool touches for the first time.
+
+        Returns:
+            Time of the step after the first touch, s; None while the tool is in the air.
+        """
+        assert self._stepper is not None
+        start, touched = self._link.surface.start, self._touch.has_touched
+        height = start.position[2]
+        inside = self._touch.advance(pose.position[2] - height, dt)
+        if inside is not None and not touched:
+            touch = first_touch(self._last_pose, pose, height)
+            if self._holds:
+                self._frame = TouchFrame(start, touch)
+                touch = start
+                self._poses.clear()
+            self._stepper.bring_down(touch)
+            self._transition.free, self._step = touch, None
+        self._last_pose = pose
+        return inside
+
+    def _in_the_air(self, pose: Pose, began: float) -> ToolForce:
+        """Answer of a tool that holds tissue and has not touched it; the bulk stays at rest."""
+        assert self._stepper is not None
+        self._known, start = None, self._link.surface.start
+        if self._ticks % _SEND_EVERY == 0:
+            self._link.send(self._stepper.state(self._time, start, self._time, start, self._epoch, touched=False))
+        status = ForceStatus.CONVERGED if self._link.alive else ForceStatus.LATE
+        return ToolForce(axial_wrench(0.0), axial_stiffness(0.0), status, pose=pose,
+                         compute_time=clock.perf_counter() - began)
+
+    def _in_contact(self, pose: Pose, dt: float, began: float) -> ToolForce:
+        """Answer from the contact on the newest model."""
+        stepper, here = self._stepper, self._frame.into_bulk(pose)
+        assert stepper is not None
+        before, step = self._step, stepper.step(here)
+        known, self._known, self._step, transition = self._known, None, step, self._transition
+        if known is not None and before is not None:
+            transition.take_over(before, known, self._poses[-1][1] if self._poses else here, here, step)
+        self._poses.append((self._time, here))
+        if any(step.wrench):
+            self._touch.has_touched = True
+        else:
+            transition.free = here
+        if self.waits:
+            if any(step.wrench) and self._needs_exchange(step, here):
+                self._step = step = self._exchanged(step, here)
+        elif known is not None or self._ticks % _SEND_EVERY == 0:
+            earlier, there = self._poses[0]
+            self._link.send(stepper.state(self._time, here, earlier, there, self._epoch, self.has_touched))
+        transition.reduce_offset()
+        return self._found(step, here, pose, dt, began)
+
+    @exclusive
     def prepare(self) -> None:
         """Take the newest model, where one has come: between two ticks, or `step` does it."""
         self._prepared, stepper = True, self._stepper
@@ -159,63 +268,93 @@ class MultiRateTissue:
             return
         model = self._link.receive(self._time)
         if model is not None and model.epoch == self._epoch:
-            self.models, self._made, self._known = self.models + 1, model.time, stepper.model.pose
-            stepper.adopt(model)
+            self._known = stepper.model
+            self._adopt(model)
 
-    def _take_over(self, before: ContactStep, of: Pose, pose: Pose, after: ContactStep) -> None:
-        """What a new model changes becomes an offset: the wrench goes on as it would have without it.
+    def _adopt(self, model: CondensedContact) -> None:
+        assert self._stepper is not None
+        self.models, self._made = self.models + 1, model.time
+        if model.is_whole:
+            self._tangent_made = model.time
+        self._stepper.adopt(model)
+
+    def _needs_exchange(self, step: ContactStep, pose: Pose) -> bool:
+        """Whether the model is too old or too far from a pose for a step that waits."""
+        assert self._stepper is not None and self._stepper.model is not None
+        model, transition = self._stepper.model, self._transition
+        return (not (step.converged and self._settled) or model.material != self._material
+                or self._time - self._made > _RECENT
+                or transition.distance(model, pose) > _NEAR * transition.estimate.short)
+
+    def _exchanged(self, step: ContactStep, pose: Pose) -> ContactStep:
+        """Exchange states and models with the bulk until the force at a pose settles; the last step."""
+        stepper = self._stepper
+        assert stepper is not None and stepper.model is not None
+        self._settled = False
+        for _ in range(_MOST_EXCHANGES):
+            old = stepper.model
+            # The clock is simulated: the pose is not extrapolated by the wall time of a model.
+            model = self._link.exchange(
+                stepper.state(self._time, pose, self._time, pose, self._epoch, self.has_touched))
+            if model is None:
+                break
+            if model.epoch != self._epoch:
+                continue
+            self._adopt(model)
+            before, step = step, stepper.step(pose)
+            missed = math.dist(before.wrench[:3], step.wrench[:3])
+            self._transition.learn(missed, old, pose)
+            if (model.time >= self._time and model.material == self._material and step.converged
+                    and missed <= max(_SETTLED_FLOOR, _SETTLED * math.hypot(*step.wrench[:3]))):
+                self._settled = True
+                break
+        self._transition.settle()
+        return step
+
+    def _found(self, step: ContactStep, here: Pose, pose: Pose, dt: float, began: float) -> ToolForce:
+        """The answer to a step.
 
         Args:
-            before: the last step, on the model of a pose `of`.
-            pose: of the tool. after: the step there on the new model.
+            step: of the contact. here: pose for the bulk. pose: in the scene.
+            dt: time since the touch or the last step, s.
         """
-        assert self._stepper is not None and self._stepper.model is not None and self._drift is not None
-        new, (_, here), drift = self._stepper.model.pose, self._poses[-1], self._drift
-        slope = np.array(before.stiffness_matrix) @ np.array(motion(here, pose))
-        went_on = cast("Screw", tuple((np.array(before.wrench) - slope).tolist()))
-        missed, expected = added(after.wrench, scaled(-1.0, went_on)), drift.beyond(of, pose)
-        if any(after.wrench):
-            drift.learn(missed, of, new)
-        else:
-            drift.forget()
-        for part in (expected, scaled(-1.0, missed), scaled(-1.0, drift.beyond(new, pose))):
-            self._offset = added(self._offset, part)
-        way = max(before.way, _SHORT * self._stepper.surface.radius)
-        self._growth = max(_MEMORY * self._growth, math.dist(expected[:3], missed[:3]) / way**2)
-
-    def _found(self, step: ContactStep, pose: Pose, dt: float, began: float) -> ToolForce:
-        stepper = self._stepper
-        assert stepper is not None and stepper.model is not None and self._drift is not None
-        wrench, stiffness, drift = step.wrench, step.stiffness_matrix, self._drift
-        if any(wrench):
-            wrench, stiffness = added(wrench, drift.beyond(stepper.model.pose, pose)), drift.stiffness(stiffness)
-        wrench = added(wrench, self._offset)
-        force, age = math.hypot(*wrench[:3]), self._time - self._made
-        self.error = self._growth * step.way**2 * bool(force) + math.hypot(*self._offset[:3])
-        # Before a second model of this specimen nobody knows how fast the first one goes wrong.
-        known = self.models > self._models_before or step.way <= _SHORT * stepper.surface.radius
-        good = (step.converged and known and self._link.alive and age <= self.oldest and not stepper.leaves(pose)
-                and self.error <= max(ERROR_FLOOR, ERROR_SHARE * force))
+        stepper, transition = self._stepper, self._transition
+        assert stepper is not None and stepper.model is not None
+        model = stepper.model
+        wrench, stiffness = transition.answer(step, here)
+        self.error, judged = transition.error(step, here)
+        age = self._time - self._made
+        good = (step.converged and self._settled and self._link.alive and age <= self.oldest
+                and not stepper.leaves(here) and is_known_well(wrench, judged)
+                and (model.material == self._material or not self.has_touched))
         self._left = self._reduced.go(pose.depth, dt)
         if self._left != 1.0:
             wrench, stiffness = scaled(self._left, wrench), scaled_matrix(self._left, stiffness)
-        return ToolForce(wrench, stiffness, ForceStatus.CONVERGED if good else ForceStatus.LATE, step.iterations,
-                         step.residual, clock.perf_counter() - began, age=max(0.0, age), pose=stepper.model.pose)
+        is_known = math.isfinite(self.error)
+        return ToolForce(
+            wrench, stiffness, ForceStatus.CONVERGED if good else ForceStatus.LATE, step.iterations, step.residual,
+            clock.perf_counter() - began, age=max(0.0, age), pose=self._frame.into_scene(model.pose),
+            stiffness_age=max(0.0, self._time - self._tangent_made),
+            force_error=self._left * self.error if is_known else None,
+            error_age=max(0.0, self._time - transition.estimate.time) if is_known else 0.0)
 
+    @exclusive
     def reset(self) -> None:
-        """Back to the specimen that nobody has touched."""
+        """Back to the specimen that the tool has not touched."""
         self._epoch += 1
         self._begin()
         self._reduced.history = self._untouched
-        if self._stepper is not None and self._drift is not None:
-            self._stepper.reset()
-            self._drift.forget()
+        if self._stepper is not None:
+            self._rest()
             self._stepper.adopt(self._first)
-            surface = self._stepper.surface
-            self._link.send(self._stepper.state(0.0, surface.start, 0.0, surface.start, self._epoch))
+            start = self._link.surface.start
+            self._link.send(self._stepper.state(0.0, start, 0.0, start, self._epoch, touched=False))
 
+    @exclusive
     def set_parameters(self, **values: float) -> None:
-        """Change parameters of the material; the bulk follows with its next models. See `Simulator.set_parameters`.
+        """Change parameters of the material. See `Simulator.set_parameters`.
+
+        Answers are LATE until a model of the new material has come; a loop reduces the force after 50 ms of that.
 
         Raises:
             InputError: no such parameter, a value that the material refuses, or a modulus that is none of tissue.
@@ -229,16 +368,19 @@ class MultiRateTissue:
                              f"{low:g} to {high:g}", field="bulk")
         self.warm_up()
         try:
-            self._link.set_material(material)
+            self._link.set_material(material, self._material + 1)
         except OSError as error:
-            raise InputError(f"the process of the bulk has ended ({error}); begin anew", field="material") from None
+            raise InputError(f"the process of the bulk has ended ({error}); make another MultiRateTissue",
+                             field="material") from None
+        self._material += 1
+        self._transition.estimate.forget()
         self.model = replace(self.model, material=material)
         history = self._reduced.history
         self._reduced = ReducedForce(material.reduced_effects(plate=self.model.experiment.tool.is_plate))
         self._reduced.history = history
 
     def snapshot(self) -> Snapshot:
-        """The surface of the tissue at one of the last models."""
+        """The tissue at one of the last models, in the frame of the bulk."""
         self.warm_up()
         return self._link.snapshot() or Snapshot(self._link.surface.start, self._link.surface.datum, None)
 
@@ -257,13 +399,5 @@ def real_time_tissue(model: Model, *, solver: str, resolution: str, budget: floa
         return partial(simulator, model, resolution=resolution, inertia=inertia, looks_ahead=looks_ahead, budget=budget,
                        solver=solver, **given)
     if inertia == "on":
-        raise InputError(f"a solid by two rates has no mass ({solver!r}); use 'auto' or 'off'", field="inertia")
+        raise InputError(f"a multirate solid has no mass ({solver!r}); use 'auto' or 'off'", field="inertia")
     return partial(MultiRateTissue, model, solver=solver, resolution=resolution, mesh=mesh)
-
-
-def _shorter(vector: tuple[float, float, float], step: float) -> tuple[float, float, float]:
-    size = math.hypot(*vector)
-    left = max(0.0, 1.0 - step / size) if size else 0.0
-    x, y, z = vector
-    return (left * x, left * y, left * z)
-

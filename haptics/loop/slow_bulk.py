@@ -73,7 +73,7 @@ def in_a_thread(compute: Callable[[], None]) -> Callable[[], bool]:
 def first_state(surface: ContactSurface) -> ContactState:
     """Of a tool that has touched nothing."""
     nothing, count = np.zeros((len(surface.places), 3)), len(surface.places)
-    return ContactState(0, 0, 0.0, surface.start, 0.0, surface.start, nothing, nothing, np.zeros((3, count)))
+    return ContactState(0, 0, 0.0, surface.start, 0.0, surface.start, nothing, nothing, np.zeros((3, count)), False)
 
 
 def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
@@ -81,7 +81,8 @@ def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
 
     Args:
         task: that makes the linearisation.
-        orders: first the paths of states, models, corrections and surface; then, one after the other, materials.
+        orders: first the paths of states, models, corrections and surface; then changes of material, each a pair of
+            its number and the material.
         answers: gets a `Started`, or the error that prevented it.
     """
     paths = states_path, models_path, corrections_path, surface_path = pickle.load(orders)
@@ -104,23 +105,25 @@ def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
         pickle.dump(Started(bulk.surface, first, pattern), answers)
         answers.flush()
         orders.readline()  # the parent has opened its files
-        materials: deque[Material] = deque()
+        materials: deque[tuple[int, Material]] = deque()
         threading.Thread(target=_listen, args=(orders, materials, paths), daemon=True).start()
         with SlotReader(states_path, KIND_STATE) as states:
             _linearise(bulk, foresighted, states, (models, corrections), board, materials)
 
 
 def _linearise(bulk: BulkLinearisation, foresighted: ForesightedLinearisation, states: SlotReader,
-               writers: tuple[SlotWriter, SlotWriter], board: SnapshotBoard, materials: deque[Material]) -> None:
+               writers: tuple[SlotWriter, SlotWriter], board: SnapshotBoard,
+               materials: deque[tuple[int, Material]]) -> None:
     models, corrections = writers
     seen, lead, shown, changed, serves = 0, 0.0, 0.0, time.monotonic(), 0.0
     while True:
         while materials:
+            number, material = materials.popleft()
             try:
-                bulk.set_material(materials.popleft())
+                foresighted.set_material(material, number)
             except InputError as refused:
-                # What the parent could not know; the tissue stays what it was.
-                print(f"the bulk stays as it is: {refused}", file=sys.stderr, flush=True)
+                # No model carries this number, so the parent answers LATE until the next change.
+                print(f"the bulk keeps its material: {refused}", file=sys.stderr, flush=True)
         newest = states.newest() if states.written != seen else None
         if newest is None:
             time.sleep(_NAP)
@@ -146,7 +149,7 @@ def _snapshot(bulk: BulkLinearisation, model: CondensedContact) -> Snapshot:
     return replace(snapshot(bulk.solver), pose=model.pose, datum=bulk.surface.datum)
 
 
-def _listen(orders: BinaryIO, materials: deque[Material], files: tuple[Path, ...]) -> None:
+def _listen(orders: BinaryIO, materials: deque[tuple[int, Material]], files: tuple[Path, ...]) -> None:
     """Take materials until the parent is gone, then end."""
     try:
         while True:

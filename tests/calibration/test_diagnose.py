@@ -11,6 +11,7 @@ import calibration
 import tissue_sim as ts
 from calibration.campaign_diagnosis import diagnose_campaign, read_for_diagnosis
 from calibration.diagnosis.diagnosis import CandidateStatement, NextExperiment, Number
+from calibration.diagnosis.words import message
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
 from calibration.fit.steps import Steps
@@ -92,6 +93,40 @@ def test_nothing_hidden_is_nothing_missing(diagnosed):
     seen = {each.name: each for each in found.candidates}["machine_compliance"]
     # What a ramp of one test cannot tell from a softer tissue, or tells with a size.
     assert seen.reason if not seen.testable else seen.seen_from["rig.compliance"] > 0
+
+
+def test_a_displacement_zeroed_at_a_preload_is_named_and_counted_from(tmp_path):
+    law, area = ts.find_law("neo_hooke"), np.pi * 0.010**2
+    displacement = np.linspace(0.0, 2.6e-3, 66)
+    force = -area * law.nominal_stress(1.0 - (displacement + 0.4e-3) / 0.012, {"C10": 10e3})
+    force = force + np.random.default_rng(3).normal(0.0, 0.01, force.size)
+    ts.write_recording(ts.Recording({"time": displacement / 0.5e-3, "displacement": displacement, "force": force}),
+                       tmp_path / "preload.csv")
+    path = tmp_path / "preload.toml"
+    path.write_text("""
+[[specimen]]
+radius_mm = 10.0
+height_mm = 12.0
+[[test]]
+kind = "lubricated_compression"
+recordings = ["preload.csv"]
+[fit]
+method = "inverse_fem"
+laws = ["neo_hooke"]
+bulk_ratio = 1000.0
+""", encoding="utf-8")
+    campaign, measured = read_for_diagnosis(path)
+    with open_tasks(Workers()) as tasks:
+        found = diagnose_campaign(campaign, measured, Steps("preload", tasks)).diagnosis
+    assert found.verdict == "NONE" and all(region.adequate_before for region in found.regions)
+    assert "contact lies 0.40 mm before the zero of the displacement" in found.message
+    assert found.fit_before.parameters["C10"] == pytest.approx(10e3, rel=0.01)
+
+
+def test_a_gap_in_no_region_is_described_by_the_scores():
+    gaps = 0.01, None, 0.01
+    words = message("UNKNOWN", [], [], [], gaps, 0, scored=["zero offset (8.1 standard deviations)"])
+    assert ": ." not in words and "in every region by itself" in words and "zero offset (8.1" in words
 
 
 def test_a_size_on_its_bound_is_named_with_it(tmp_path):

@@ -333,8 +333,10 @@ def test_viscoelastic_parameters_from_ramp_and_hold(tmp_path):
 #: Name in [fit] -> kind of test, its lines, experiment and rig that made the data, start, truth (units of the file).
 SURROUNDINGS = {
     "experiment.tool.radius": ("needle", "", {"tool": ts.Tool("flat", radius=0.0084)}, {}, 8.0, 8.4),
-    "experiment.friction": ("friction_compression", "friction = 0.2\nfriction_base = 0.2\n",
-                            {"friction": 0.3, "friction_base": 0.2}, {}, 0.2, 0.3),
+    # Without friction_base both plates have the friction that is fitted; to fit the base alone, state friction_base.
+    "experiment.friction": ("friction_compression", "friction = 0.2\n", {"friction": 0.3}, {}, 0.2, 0.3),
+    "experiment.friction_base": ("friction_compression", "friction = 0.3\nfriction_base = 0.3\n",
+                                 {"friction": 0.3, "friction_base": 0.2}, {}, 0.3, 0.2),
     "rig.compliance": ("bonded", 'rig = "frame.rig.json"\n', {}, {"compliance": 4e-5}, 0.02, 0.04),
     "rig.sensor_gain": ("bonded", 'rig = "frame.rig.json"\n', {}, {"sensor_gain": 0.05}, 0.01, 0.05),
 }

@@ -68,7 +68,7 @@ def test_the_plain_end_is_what_is_read(tmp_path):
     text = "# made by hand\n" + foreign(ROWS, header="time [s],displacement [mm],force [N]")
     with mock.patch.object(long_text, "BEGINNING", 4):
         beginning, end = split_long(text)
-        assert beginning.count("\n") == 4 and (end.cells, end.delimiter, end.decimal_comma) == (3, ",", False)
+        assert beginning.count("\n") == 4 and (end.cells, end.delimiter, end.mark) == (3, ",", ".")
         np.testing.assert_allclose(end.numbers([2, 0]), [[0.1 * i**2, 0.5 * i] for i in range(2, 16)], atol=1e-12)
     at_once, cell_by_cell = both("native", text, tmp_path)
     assert at_once == cell_by_cell

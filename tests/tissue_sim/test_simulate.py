@@ -1,6 +1,7 @@
 """Whole tests, through the function that a user calls, against curves of an independent solver."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -325,6 +326,17 @@ class TestExperiment:
     def test_interface(self):
         with pytest.raises(ts.InputError, match="is not a coefficient of friction"):
             ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(0.01), friction=-0.7)
+
+    def test_base_is_like_the_tool_between_two_plates(self):
+        ways = ts.Specimen(0.04, 0.07), ts.Protocol.ramp(0.01)
+        assert ts.Experiment(*ways, friction=0.1).base_interface == 0.1
+        assert replace(ts.Experiment(*ways, friction=0.1), friction=0.3).base_interface == 0.3
+        assert ts.Experiment(*ways, friction="stick").base_interface == "stick"
+        assert ts.Experiment(*ways, friction=0.1, friction_base=0.7).base_interface == 0.7
+        assert ts.Experiment(*ways, friction=0.1, tool=ts.Tool("round", 0.008)).base_interface == "bonded"
+        kind = ts.KINDS["friction_compression"]
+        assert kind.experiment(specimen=ways[0], protocol=ways[1], friction=0.1).base_interface == 0.1
+        assert kind.experiment(specimen=ways[0], protocol=ways[1]).base_interface == 0.7
 
     def test_mesh_of_a_homogeneous_experiment_is_small(self):
         assert len(build_mesh(model("frictionless").experiment, "accurate").connectivity) == 4

@@ -21,7 +21,7 @@ from tissue_sim.pose import Pose, Screw
 from tissue_sim.specimen import Specimen
 
 
-def _friction(symbol: str, key: str, default: str) -> Any:
+def _friction(symbol: str, key: str, default: str | None) -> Any:
     return parameter(symbol, "1", key=key, bounds=(0.0, LARGEST_FRICTION), absent=0.0, words={"frictionless": 0.0},
                      default=default)
 
@@ -36,7 +36,9 @@ class Experiment:
         tool: what is pushed in.
         friction: interface of the tool's face; see `tissue_sim.experiment.interfaces`. A bonded needle holds what its
             flat face touches at the start, and its rounded edge holds what it meets.
-        friction_base: interface of the base plate; ``"as_tool"``: that of a plate on top.
+        friction_base: interface of the base plate; ``"as_tool"``: that of a plate on top. None: between two plates the
+            interface of the tool (``"as_tool"`` where that is a coefficient of friction, so that both change together),
+            under a needle and below a curved specimen ``"bonded"``.
         friction_wall: interface of a needle's shaft; tissue meets it during the test, so it cannot be bonded.
         adhesion: pull of a tool that lifts off; None: none.
         tilt: height difference across the contact, m; see `tissue_sim.tilt`.
@@ -55,7 +57,7 @@ class Experiment:
     protocol: Protocol
     tool: Tool = field(default_factory=Tool)
     friction: str | float = _friction("mu", "friction", "bonded")
-    friction_base: str | float = _friction("mu_base", "friction_base", "bonded")
+    friction_base: str | float = _friction("mu_base", "friction_base", None)
     friction_wall: str | float = _friction("mu_wall", "friction_wall", "frictionless")
     adhesion: Adhesion | None = None
     tilt: float = parameter("delta", "m", key="tilt_mm", factor=1e-3, bounds=(0.0, 1.0), absent=0.0, default=0.0)
@@ -64,8 +66,13 @@ class Experiment:
     approach: Approach | None = None
 
     def __post_init__(self):
+        if not isinstance(self.tool, Tool):
+            raise InputError(f"tool must be one Tool; got {_kind_of(self.tool)}. An experiment has one tool: make one "
+                             "experiment for each.", field="tool")
         given = self.contact_laws.values() if isinstance(self.contact_laws, Mapping) else self.contact_laws
         object.__setattr__(self, "contact_laws", read_only({law.name: law for law in given}))
+        if self.friction_base is None:
+            object.__setattr__(self, "friction_base", self._usual_base())
         for name in ("friction", "friction_base", "friction_wall"):
             object.__setattr__(self, name, checked_interface(getattr(self, name), name))
         if self.friction_wall == "bonded":
@@ -91,7 +98,8 @@ class Experiment:
             raise InputError("a bonded face never lifts off; use 'stick', 'frictionless' or a coefficient of friction "
                              f"with {next(iter(self.contact_laws), 'adhesion')}", field="friction")
         if self.friction_base == AS_TOOL and not self.tool.is_plate:
-            raise InputError("a needle's face is no plate that the base could be like; name the interface of the base",
+            raise InputError(f"friction_base={AS_TOOL!r} requires a plate; the tool is a {self.tool.shape}. State the "
+                             "interface of the base",
                              field="friction_base")
         if not self.tool.has_shaft and self.friction_wall != "frictionless":
             raise InputError(f"a {self.tool.shape} has no shaft; leave it out", field="friction_wall")
@@ -116,6 +124,12 @@ class Experiment:
                              "radius, or friction 'stick' or 'bonded'", field="tool.edge_radius")
         if self.slip:
             self.with_free_faces()
+
+    def _usual_base(self) -> str:
+        """Interface of the base where none is stated."""
+        if not self.tool.is_plate or not self.specimen.is_flat:
+            return "bonded"
+        return self.friction if isinstance(self.friction, str) else AS_TOOL
 
     def with_free_faces(self) -> Experiment:
         """The experiment with those faces frictionless of which a share slips, and all of them doing so.
@@ -169,3 +183,9 @@ class Experiment:
         """Whether a specimen of one material deforms homogeneously, so that closed forms hold."""
         return (self.tool.is_plate and self.friction == self.base_interface == "frictionless"
                 and self.specimen.is_prism and not self.specimen.specific_weight and not self.contact_laws)
+
+
+def _kind_of(value: object) -> str:
+    """Type of a value in a message: ``list of 2``, ``str``."""
+    name = type(value).__name__
+    return f"{name} of {len(value)}" if isinstance(value, list | tuple | set | dict) else name

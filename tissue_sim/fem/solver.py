@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
+from tissue_sim.fem.free_tool import FreeTool
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, Screw
@@ -208,7 +209,7 @@ class SpatialDerivatives(Derivatives, Protocol):
 Neighbours = Sequence[tuple[Material, Material, float]]
 
 
-class Solver(ABC):
+class Solver(FreeTool, ABC):
     """A stateful solver of one boundary-value problem.
 
     Attributes:

@@ -130,6 +130,10 @@ class Law:
                 raise InputError(f"{name} is {value}, expected a finite number", field=f"parameters.{name}")
         return array
 
+    def at_limit(self, values) -> list[str]:
+        """Sentences on parameters at a limit of the law, where its formula has another form; none by default."""
+        return []
+
     def as_mapping(self, values) -> dict[str, float]:
         return {name: float(value) for name, value in zip(self.parameters, self.as_array(values), strict=True)}
 

@@ -10,7 +10,9 @@ import numpy as np
 
 from tissue_sim.experiment.kinds.kind import KINDS, STRETCH_STRESS, TestKind
 from tissue_sim.recording.contact import Contact, find_contact
+from tissue_sim.recording.control import creep_holds
 from tissue_sim.recording.failure import Failure, find_failure
+from tissue_sim.recording.oscillation import find_oscillation
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segmentation import count_cycles, label_motion
 
@@ -48,6 +50,11 @@ class Segmentation:
     stressed: bool
     warnings: tuple[str, ...]
 
+    @property
+    def has_air(self) -> bool:
+        """Whether contact comes after the first samples."""
+        return self.contact is not None and self.contact.found
+
     def runs(self) -> Iterator[tuple[str, int, int]]:
         """Name, first sample and end (not included) of each segment, in order."""
         edges = np.flatnonzero(np.append(True, self.labels[1:] != self.labels[:-1]))
@@ -70,7 +77,7 @@ def find_segments(recording: Recording, kind: TestKind | str | None = None) -> S
         InputError: an unknown kind, a recording without motion and load.
     """
     kind = KINDS.find(kind, "kind") if isinstance(kind, str) else kind
-    motion, load, stressed = _loading(recording, kind)
+    motion, load, stressed = loading_of(recording, kind)
     time = recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
     stated = "segment" in recording.labels
     return segments_of(motion, load, time, recording.labels["segment"] if stated else None, stressed=stressed)
@@ -96,11 +103,15 @@ def segments_of(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | 
     elif not ordered:
         labels, cycles = np.full(displacement.size, "ramp"), np.ones(displacement.size, int)
     else:
-        labels, cycles = count_cycles(label_motion(clock, displacement))
+        labels = label_motion(clock, displacement)
+        for first, last in creep_holds(displacement, force, time):
+            labels[first:last] = "hold"
+        labels, cycles = count_cycles(labels)
         labels = labels.astype("U15")
         if contact is not None and contact.status != "none":
             _label_preload(labels, displacement, force, contact, warnings, stressed)
-        _label_preconditioning(labels, cycles, displacement, warnings)
+        if cycles.max() > _FEWEST_ALIKE and not _oscillates(displacement, force, time):
+            _label_preconditioning(labels, cycles, displacement, warnings)
         if contact is not None and contact.found:
             # A later cycle comes through air again.
             in_air = (cycles > 1) & (displacement < contact.displacement)
@@ -114,6 +125,12 @@ def segments_of(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | 
     return Segmentation(labels, cycles, contact, failure, stated, stressed, tuple(warnings))
 
 
+def _oscillates(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None) -> bool:
+    """Whether the cycles are an oscillation around an offset, which does not precondition."""
+    found = find_oscillation(displacement, force, time)
+    return found is not None and not found.returns
+
+
 def _is_ordered(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None) -> bool:
     """Whether samples are in the order of time, and load to one side."""
     reach, least = float(np.abs(displacement).max()) or 1.0, int(np.argmin(displacement))
@@ -123,7 +140,7 @@ def _is_ordered(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | 
     return not both_sides and not table
 
 
-def _loading(recording: Recording, kind: TestKind | None) -> tuple[np.ndarray, np.ndarray, bool]:
+def loading_of(recording: Recording, kind: TestKind | None) -> tuple[np.ndarray, np.ndarray, bool]:
     """Motion and load, positive under load, and whether they are strain and stress."""
     pairs = [*(kind.channels if kind is not None else ())] or [
         pair for one in KINDS.values() for pair in one.channels]

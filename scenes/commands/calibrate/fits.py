@@ -37,7 +37,8 @@ def print_fits(result: CalibrationResult, console: Console) -> None:
     fits, tests, units = result.fits, {test.name: test for test in result.campaign.tests}, Units.of(result)
     heading, meaning = _ranked_by(result)
     console.print(_ranking_table(fits, heading, units))
-    print_sentence(console, f"* best usable law; {meaning}; stable: stretches, in any loading")
+    star = "" if fits[0].unusable else "* best usable law; "
+    print_sentence(console, f"{star}{meaning}; stable: stretches, in any loading")
     console.print()
     console.print(_parameter_table(fits, units))
     console.print()
@@ -59,7 +60,9 @@ def print_fits(result: CalibrationResult, console: Console) -> None:
     for sentence in (*_unpredicted(result.predictions), *_undetermined(fits, units),
                      *_misfits(fits, tests, units), *_basis(result, tests, units)):
         print_sentence(console, sentence)
-    for having, remarks in remarks_by_law(fits, lambda fit: [fit.message] if fit.unusable else fit.warnings):
+    # The message of the first law, where it is not usable, is part of that of the result.
+    for having, remarks in remarks_by_law(fits, lambda fit: fit.warnings if fit.unusable is None else
+                                          [] if fit is fits[0] else [fit.message]):
         names = "all laws" if 1 < len(having) == len(fits) else ", ".join(fit.law for fit in having)
         print_sentence(console, f"{names}: {remarks}")
     for fit in fits:
@@ -117,7 +120,8 @@ def _parameter_table(fits: Sequence[Fit], units: Units) -> Table:
         if len(fits) > 1:
             table.add_row(fit.law, "", "")
         for name in fit.parameters:
-            undetermined = fit.standard_errors.get(name) is None and name not in fit.on_bound
+            undetermined = fit.standard_errors.get(name) is None and name not in fit.on_bound \
+                and not fit.alternatives
             table.add_row(f"{'  ' if len(fits) > 1 else ''}{fit.symbols[name]}",
                           f"{estimate_of(fit, name, units)}{' (not determined)' if undetermined else ''}",
                           f"{interval_of(fit, name, units)}{' (cut)' if name in fit.interval_notes else ''}")

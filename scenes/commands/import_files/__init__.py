@@ -47,6 +47,9 @@ def add_arguments(parser: Parser) -> None:
     test.add_argument("--speed-mm-s", type=positive, metavar="N",
                       help="of a test without a clock, or without a column of the motion")
     test.add_argument("--max-strain", type=positive, metavar="N", help="largest strain that is fitted")
+    test.add_argument("--zero", choices=("preload", "sensor"),
+                      help="why the force is not zero at zero displacement: the displacement was zeroed at a preload, "
+                           "or the load cell was not zeroed (default: decided by the curve)")
     test.add_argument("--laws", metavar="LAW,...", help="to fit (default: a few of one or two parameters)")
     columns = parser.add_argument_group(
         "columns, over what is understood (CHANNEL: time, displacement, force, stretch, strain, shear_strain, stress)")
@@ -62,6 +65,12 @@ def add_arguments(parser: Parser) -> None:
                                                           "trios, afm (default: found)")
     columns.add_argument("--sheet", action="append", metavar="NAME", help="of a spreadsheet; once for each replicate")
     columns.add_argument("--delimiter", metavar="C", help="between columns of a text (default: found)")
+    columns.add_argument("--decimal", choices=(".", ","), metavar=".|,",
+                         help="decimal mark of the numbers; the other one separates thousands (default: found)")
+    columns.add_argument("--curve", action="append", type=at_least(1), metavar="N",
+                         help="number of the recording in the file, from 1; once for each (default: all)")
+    columns.add_argument("--one-material", action="store_true",
+                         help="tables of a file are replicates of one material, whatever their titles")
     columns.add_argument("--skip-lines", type=at_least(0), default=0, metavar="N", help="lines at the top to leave out")
     add_overwrite(parser)
     add_json(parser)
@@ -115,10 +124,11 @@ def _wishes(arguments):
                     {channel: _positive(text) for channel, text in scales.items()},
                     {channel: int(sign) for channel, sign in signs.items()}, arguments.kind, arguments.format,
                     _sheets(arguments.sheet), arguments.delimiter, arguments.skip_lines,
-                    measures=_pairs(arguments.measure, "--measure"))
+                    measures=_pairs(arguments.measure, "--measure"), decimal=arguments.decimal, curve=arguments.curve,
+                    one_material=arguments.one_material)
     specimen = _specimen(arguments)
     test = {key: value for key in _TEST_KEYS if (value := getattr(arguments, key)) is not None}
-    return Wishes(stated, specimen, test, laws)
+    return Wishes(stated, specimen, test, laws, arguments.zero)
 
 
 def _shapes() -> tuple[str, ...]:

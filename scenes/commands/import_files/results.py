@@ -79,7 +79,9 @@ def _what(part: Part) -> str:
     mark = _MARKS.get(understood.delimiter, str(understood.delimiter))
     comma = "decimal comma" if understood.decimal_mark == "," else ""
     encoding = understood.encoding if understood.encoding not in (None, "utf-8") else ""
-    return ", ".join(filter(None, (understood.format, mark, comma, encoding)))
+    thousands = "thousands separated" if any(each.subject == "thousands separator"
+                                             for each in understood.assumptions) else ""
+    return ", ".join(filter(None, (understood.format, mark, comma, thousands, encoding)))
 
 
 def _reach(part: Part, motion: Motion) -> str:

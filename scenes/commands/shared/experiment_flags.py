@@ -82,9 +82,11 @@ def _add_tool(parser: Parser) -> None:
     for key, (what, name, shapes) in tool_sizes().items():
         tool.add_argument(f"--{key.replace('_', '-')}", type=_size(what), metavar="N",
                           help=f"{name.replace('_', ' ')} of the tool: {', '.join(shapes)}")
-    for flag, face in (("--friction", "tool's face"), ("--friction-base", "base"), ("--friction-wall", "shaft")):
+    for flag, face, usual in (("--friction", "tool's face", ""), ("--friction-wall", "shaft", ""),
+                              ("--friction-base", "base", " (default between two plates: that of the tool's face)")):
         tool.add_argument(flag, type=interface, metavar="HOW",
-                          help=f"{face}: bonded, stick (no slip, can lift off), frictionless or a friction coefficient")
+                          help=f"{face}: bonded, stick (no slip, can lift off), frictionless or a friction coefficient"
+                               f"{usual}")
     tool.add_argument("--adhesion-N", type=positive, metavar="N", help="pull-off force of the tool's face")
     tool.add_argument("--adhesion-length-mm", type=positive, metavar="N", help="gap over which the adhesion acts")
     tool.add_argument("--contact-law", action="append", default=[], metavar="NAME:KEY=N,...",

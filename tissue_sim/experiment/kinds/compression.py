@@ -1,6 +1,7 @@
 """Compression of a cylinder between plates."""
 
 from tissue_sim.closed_form.homogeneous import UNIAXIAL
+from tissue_sim.experiment.interfaces import AS_TOOL
 from tissue_sim.experiment.kinds.kind import DISPLACEMENT_FORCE, STRETCH_STRESS, Face, TestKind
 from tissue_sim.experiment.tools.plate import Plate
 
@@ -16,5 +17,5 @@ LUBRICATED = TestKind(name="lubricated_compression", title="Lubricated compressi
                           r"(un|non|not) confined( compress\w*)?", r"compress\w* non confinee?", r"ecrasement"))
 BONDED = TestKind(name="bonded_compression", title="Bonded compression", tool=Plate(), sign=-1.0,
                   title_words=(r"(bonded|glued) compress\w*",))
-FRICTION = TestKind(name="friction_compression", title="Compression with friction", tool=Plate(), face=_DRY, base=_DRY,
-                    sign=-1.0, title_words=(r"compress\w* with friction",))
+FRICTION = TestKind(name="friction_compression", title="Compression with friction", tool=Plate(), face=_DRY,
+                    base=Face(AS_TOOL), sign=-1.0, title_words=(r"compress\w* with friction",))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissue_sim.fem.axisymmetric import newton
-from tissue_sim.fem.axisymmetric.contact import Contact
+from tissue_sim.fem.axisymmetric.contact import STAYS, Contact
 from tissue_sim.fem.axisymmetric.creep import creep
 from tissue_sim.fem.axisymmetric.equations import Equations
 from tissue_sim.fem.axisymmetric.fields import Fields
@@ -20,10 +20,11 @@ from tissue_sim.fem.axisymmetric.surface import DeformedSurface, deformed_surfac
 from tissue_sim.fem.axisymmetric.touch import bring_down
 from tissue_sim.fem.inertia import Motion
 from tissue_sim.fem.solver import Comparison, Neighbours, Rung, Solver, Step, StepStatus
+from tissue_sim.kernel_owner import KernelOwner
 from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
 from tissue_sim.model import Model
-from tissue_sim.pose import Pose
+from tissue_sim.pose import NO_ROTATION, Pose
 from tissue_sim.tool_force import NextForce, axial_stiffness, axial_wrench, depth_of
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ class Sample:
     stresses: np.ndarray | None
 
 
-class AxisymmetricSolver(Solver):
+class AxisymmetricSolver(KernelOwner, Solver):
     """Stateful Newton solver of one axisymmetric boundary-value problem.
 
     Args:
@@ -76,6 +77,7 @@ class AxisymmetricSolver(Solver):
         self.datum = equations.settings[newton.TOUCH] = 0.0 if contact is None else bring_down(
             mesh, contact, equations.surface, equations.start.reshape(-1, 2))
         self.committed.note_bonds()
+        self._holds = any(mesh.sets[name].size for name in tool)
 
     def set_material(self, material: Material) -> None:
         """Change parameters, bulk response or law; the state is kept.
@@ -90,7 +92,10 @@ class AxisymmetricSolver(Solver):
 
     def follow(self, pose: Pose) -> Pose:
         """On the axis and upright at the depth of the pose."""
-        return Pose.at_depth(pose.depth)
+        x, y, z = pose.position
+        if x == y == 0.0 and pose.orientation == NO_ROTATION:
+            return pose
+        return Pose((0.0, 0.0, z))
 
     def step(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
@@ -188,6 +193,31 @@ class AxisymmetricSolver(Solver):
 
         self._sensitivity = Sensitivity(self.equations, neighbours)
         return self._sensitivity
+
+    @property
+    def relaxes(self) -> bool:
+        """See `FreeTool.relaxes`."""
+        return self.equations.remembers
+
+    def clearance(self, pose: Pose) -> float | None:
+        """See `FreeTool.clearance`; None for a tool that holds tissue, and with laws of contact."""
+        equations, surface = self.equations, self.equations.surface
+        own, contact = surface.moves, equations.contact
+        if (contact is None or contact.laws or self._holds or not own.any() or surface.anchors[own, 0].any()
+                or surface.spans[own, STAYS].any()):
+            return None
+        place = surface.positions(self.committed.latest[: 2 * len(self.mesh.nodes)].reshape(-1, 2))
+        place[own, 1] += pose.depth
+        return float(surface.gaps(place)[own].min())
+
+    def move_in_air(self, pose: Pose) -> None:
+        """See `FreeTool.move_in_air`."""
+        self.committed.move_tool(pose.depth)
+
+    def stand_still(self) -> None:
+        """See `FreeTool.stand_still`."""
+        if self.committed.motion is not None:
+            self.committed.motion.stop()
 
     def lift_off(self) -> None:
         """Take the tool away at once; see `Solver.lift_off`."""

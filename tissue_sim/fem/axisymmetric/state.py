@@ -87,6 +87,11 @@ class State:
             self.unchanged = self.unchanged + 1 if touching == self._touching else 0
             self._touching = touching
 
+    def move_tool(self, depth: float) -> None:
+        """Let the latest state be one with the tool at another depth, m, where it does not touch either. Earlier states
+        belong to other motions and are forgotten."""
+        self.depths, self.times = [depth], [0.0]
+
     def lift_off(self) -> None:
         """Back to the displacements before the touch; memory stays."""
         self.slots[:], self.depths, self.times, self.unchanged = np.arange(KEPT), [0.0], [0.0], 0

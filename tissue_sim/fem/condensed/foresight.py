@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from tissue_sim.fem.condensed.model import BulkLinearisation, CondensedContact, ContactState
 from tissue_sim.fem.condensed.stepper import CondensedStepper
+from tissue_sim.material.material import Material
 from tissue_sim.pose import Pose, between, motion
 
 #: A model is made for the pose so many times the time that it takes ahead: it comes after once that time and serves for
@@ -31,7 +32,7 @@ class ForesightedLinearisation:
     def __init__(self, linearisation: BulkLinearisation):
         self._linearisation = linearisation
         self._stepper = CondensedStepper(linearisation.surface, _PART)
-        self._epoch = 0
+        self._epoch = self._material = 0
 
     def linearise(self, state: ContactState, lead: float, serves: float) -> CondensedContact | None:
         """The next model.
@@ -52,10 +53,26 @@ class ForesightedLinearisation:
             if stepper.step(ahead).converged:
                 then = replace(state, pose=ahead, forces=stepper.forces.copy())
         model = self._linearisation.linearise(then, (state.pose, self.pose_after(state, serves)))
-        if model is not None:
-            stepper.adopt(model)
-            self._epoch = state.epoch
+        if model is None:
+            return None
+        has_contact = bool(then.forces.any()) or (state.touched and model.is_held)
+        model = replace(model, material=self._material, has_contact=has_contact)
+        stepper.adopt(model)
+        self._epoch = state.epoch
         return model
+
+    def set_material(self, material: Material, number: int) -> None:
+        """Change the material of the bulk.
+
+        Args:
+            material: the new one.
+            number: of the change, which all models from now on carry.
+
+        Raises:
+            InputError: a material that the bulk refuses; it keeps its own.
+        """
+        self._linearisation.set_material(material)
+        self._material = number
 
     def pose_after(self, state: ContactState, lead: float) -> Pose:
         """Where the tool is after some time, s, if it keeps its speed."""

@@ -16,8 +16,10 @@ from tissue_sim.registry import Registry
 
 #: How a node is bound to the tool, as in `tissue_sim.fem.solid.contact`.
 FREE, HELD, TOUCHED = range(3)
-#: Numbers before the arrays of a model and of a state.
-_MODEL_HEAD, _STATE_HEAD = 15, 18
+#: Numbers before the arrays of a packed model.
+_MODEL_HEAD = 17
+#: Numbers before the arrays of a packed state.
+_STATE_HEAD = 19
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +80,9 @@ class CondensedContact:
         modulus: shear modulus of the material, Pa.
         residual: unbalanced over balanced forces of the state that it was linearised at.
         epoch: of the `ContactState` that it follows.
+        material: number of the change of material that it contains, 0: the material at the start.
+        has_contact: whether the bulk was loaded by forces of the contact, or by a tool that holds it. The models of
+            an undeformed tissue are equal, wherever the tool is in the air.
     """
 
     number: int
@@ -94,17 +99,25 @@ class CondensedContact:
     reach: float
     modulus: float
     residual: float
+    material: int = 0
+    has_contact: bool = False
 
     @property
     def is_whole(self) -> bool:
         """Whether it has a tangent of its own."""
         return self.base == self.number
 
+    @property
+    def is_held(self) -> bool:
+        """Whether the tool holds a part of the tissue, which moves with it."""
+        return bool(self.stiffness.any())
+
     def packed(self) -> np.ndarray:
         """As one array of numbers: all of a whole one, of others what they do not have from their base."""
         n = len(self.nodes)
-        own = [np.array([self.number, self.base, self.epoch, self.time, n, self.reach, self.modulus, self.residual,
-                         *self.pose.position, *self.pose.orientation]), self.wrench, self.middle.ravel()]
+        head = (self.number, self.base, self.epoch, self.time, n, self.reach, self.modulus, self.residual,
+                self.material, self.has_contact, *self.pose.position, *self.pose.orientation)
+        own = [np.array(head), self.wrench, self.middle.ravel()]
         if self.is_whole:
             own += [self.nodes, self.stiffness.ravel(), self.drive.ravel(), self.compliance.ravel()]
         return np.concatenate(own)
@@ -115,11 +128,12 @@ class CondensedContact:
 
         Its arrays are parts of the one given.
         """
-        number, of, epoch, time, count, reach, modulus, residual, *where = numbers[:_MODEL_HEAD].tolist()
+        head = numbers[:_MODEL_HEAD].tolist()
+        number, of, epoch, time, count, reach, modulus, residual, material, has_contact, *where = head
         n, rest = int(count), numbers[_MODEL_HEAD:]
         own = {"number": int(number), "base": int(of), "epoch": int(epoch), "time": time, "pose": _pose(where),
                "wrench": rest[:6], "middle": rest[6 : 6 + 3 * n].reshape(n, 3), "reach": reach, "modulus": modulus,
-               "residual": residual}
+               "residual": residual, "material": int(material), "has_contact": bool(has_contact)}
         if number != of:
             return None if base is None or base.base != of else replace(base, **own)
         nodes, stiffness, drive, compliance = np.split(rest[6 + 3 * n :], np.cumsum([n, 36, 18 * n]))
@@ -141,6 +155,7 @@ class ContactState:
     Attributes:
         model: number of the model that it solved on; 0: none yet.
         epoch: how often it was set back to the untouched specimen.
+        touched: whether the tool has touched the specimen since then.
         time: s. pose: of the tool.
         earlier, before: a time a little ago, s, and the pose then.
         forces: on the tool, N, shape (s, 3), of the surface's nodes.
@@ -157,20 +172,21 @@ class ContactState:
     forces: np.ndarray
     anchors: np.ndarray
     states: np.ndarray
+    touched: bool = True
 
     def packed(self) -> np.ndarray:
         """All of it as one array of numbers."""
-        head = (self.model, self.epoch, self.time, *self.pose.position, *self.pose.orientation, self.earlier,
-                *self.before.position, *self.before.orientation)
+        head = (self.model, self.epoch, self.touched, self.time, *self.pose.position, *self.pose.orientation,
+                self.earlier, *self.before.position, *self.before.orientation)
         return np.concatenate([head, self.forces.ravel(), self.anchors.ravel(), self.states.ravel()])
 
     @classmethod
     def unpacked(cls, numbers: np.ndarray) -> ContactState:
         """What `packed` gave."""
-        model, epoch, time, *where = numbers[:_STATE_HEAD].tolist()
+        model, epoch, touched, time, *where = numbers[:_STATE_HEAD].tolist()
         forces, anchors, states = np.split(numbers[_STATE_HEAD:], 3)
         return cls(int(model), int(epoch), time, _pose(where[:7]), where[7], _pose(where[8:]), forces.reshape(-1, 3),
-                   anchors.reshape(-1, 3), states.reshape(3, -1))
+                   anchors.reshape(-1, 3), states.reshape(3, -1), bool(touched))
 
 
 def packed_state_size(surface: ContactSurface) -> int:

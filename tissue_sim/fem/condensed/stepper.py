@@ -51,7 +51,7 @@ from tissue_sim.fem.condensed.kernel import (
     TOLERANCE,
     contact_kernel,
 )
-from tissue_sim.fem.condensed.model import HELD, CondensedContact, ContactState, ContactSurface
+from tissue_sim.fem.condensed.model import FREE, HELD, CondensedContact, ContactState, ContactSurface
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.scratch import LANES
@@ -178,6 +178,22 @@ class CondensedStepper:
         self._forget()
         self._steps = 0
 
+    def rise(self) -> None:
+        """Place the tool in the air above an undeformed tissue: no node is bound to it."""
+        self.reset()
+        self._bound[:] = FREE
+
+    def bring_down(self, pose: Pose) -> None:
+        """Place the tool at a pose of first touch, from which the next step goes on.
+
+        At the pose for which the surface was described, nodes are bound as there. At another one, nodes are bound
+        where the tool meets them in the next steps.
+        """
+        self.reset()
+        if self.distance(motion(self.surface.start, pose)) > self.surface.tolerance:
+            self._bound[:] = FREE
+        self._pose = pose
+
     def _forget(self) -> None:
         """The equations of the last step are none of the next one."""
         #: Nodes whose forces' derivatives with the tool's motion are known, the first of `_active`.
@@ -186,11 +202,12 @@ class CondensedStepper:
         #: Where the tool was when all nodes were looked at; None: they are next.
         self._looked_at: Pose | None = None
 
-    def state(self, time: float, pose: Pose, earlier: float, before: Pose, epoch: int = 0) -> ContactState:
+    def state(self, time: float, pose: Pose, earlier: float, before: Pose, epoch: int = 0,
+              touched: bool = True) -> ContactState:
         """Where the contact is, for the solver of the bulk; see `ContactState`."""
         return ContactState(0 if self.model is None else self.model.number, epoch, time, pose, earlier, before,
                             self.forces.copy(), self._anchors.copy(),
-                            np.stack([self._bound, self._pressed, self._slips]).astype(float))
+                            np.stack([self._bound, self._pressed, self._slips]).astype(float), touched)
 
     def take(self, state: ContactState) -> None:
         """Go where another stepper of the same surface and model was."""

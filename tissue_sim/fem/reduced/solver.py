@@ -14,6 +14,7 @@ from tissue_sim.fem.reduced.fields import reduced_fields
 from tissue_sim.fem.reduced.lifting import Lifting
 from tissue_sim.fem.reduced.linear import bend, size, solution
 from tissue_sim.fem.reduced.model import ReducedModel
+from tissue_sim.fem.reduced.placement import PlacedReduced
 from tissue_sim.fem.reduced.prediction import Prediction
 from tissue_sim.fem.reduced.response import Response
 from tissue_sim.fem.solid.discretisation import tool_contact
@@ -21,7 +22,7 @@ from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.state import SavedState
 from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solid.tissue import node_moduli
-from tissue_sim.fem.solver import Fields, Solver, Step, StepStatus
+from tissue_sim.fem.solver import Fields, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
@@ -49,7 +50,7 @@ _DOUBT = 5.0
 _LEAST = 0.02
 
 
-class ReducedSolver(Solver):
+class ReducedSolver(PlacedReduced):
     """Newton's iteration on the modes of a reduced solid; see `ReducedModel`.
 
     Args:
@@ -70,9 +71,10 @@ class ReducedSolver(Solver):
     def __init__(self, reduced: ReducedModel, material: Material):
         experiment, mesh = reduced.model.experiment, reduced.mesh
         self.mesh, self.reduced = mesh, reduced
-        self._start = self._pose = experiment.tool_pose(0.0)
+        self._start = self._pose = self._landed = experiment.tool_pose(0.0)
         bonded = mesh.sets["face"] if reduced.lifting else np.zeros(0, dtype=np.intp)
         bodies, self.datum = tool_contact(experiment, mesh, bonded, reduced.places)
+        self._make_placement(bodies)
         self.elements = SampledElements(
             mesh, reduced.basis, reduced.elements, reduced.shares, groups=_GROUPS, rest=reduced.rest,
             layers=reduced.element_layers, contact_radius=experiment.contact_radius)
@@ -237,8 +239,12 @@ class ReducedSolver(Solver):
         self._prediction.forget()
         self.contact.forget()
         stiffness = ((0.0,) * 6,) * 6 if self._asked else None
-        error = 0.0 if self.reduced.watched else None
-        return Step(StepStatus.CONVERGED, 0, 0.0, (0.0,) * 6, stiffness, force_error=error)
+        return Step(StepStatus.CONVERGED, 0, 0.0, (0.0,) * 6, stiffness)
+
+    @property
+    def is_at_rest(self) -> bool:
+        """See `PlacedReduced.is_at_rest`."""
+        return self._rested >= _GROUPS and not self._committed[0].any()
 
     def _press(self, amplitudes: np.ndarray, frame: Frame, pressed_in: bool, *, slips_on: bool = False
                ) -> tuple[np.ndarray, np.ndarray]:
@@ -295,16 +301,6 @@ class ReducedSolver(Solver):
         # A tool that goes up out of the box takes leave of the tissue within the width of the layer.
         return inside or (not (clear or self._lifting) and box.is_under(pose, start)), clear
 
-    def _is_clear_of(self, frame: Frame) -> bool:
-        """Whether a tool there touches neither the tissue as it is nor as it would rest."""
-        if self._lifting:
-            return False
-        for amplitudes in (self.amplitudes, np.zeros_like(self.amplitudes)):
-            self.contact.evaluate(amplitudes, frame, False)
-            if self.contact.touches:
-                return False
-        return True
-
     def _renew(self) -> None:
         """Another state has been put in place: its volumes, and all of its stiffness."""
         self._rested = self._strange = 0
@@ -331,10 +327,11 @@ class ReducedSolver(Solver):
 
     def save(self) -> SavedState:
         """All that a committed step leaves behind, for `restore`."""
-        return SavedState(tuple(array.copy() for array in self._kept), self._pose, self._largest_force)
+        return SavedState(tuple(array.copy() for array in self._kept), self._pose, self._largest_force, self._landed)
 
     def restore(self, saved: SavedState) -> None:
         """Go back to where `save` was called."""
+        self.place_tool(saved.start or self._start)
         for array, before in zip(self._kept, saved.arrays, strict=True):
             array[:] = before
         self._pose, self._largest_force = saved.pose, saved.largest_force

@@ -151,7 +151,8 @@ class ContactNodes:
         laws: of contact with the tool, beside friction.
 
     Attributes:
-        nodes: numbers, shape (n,). moves: whether the body of each does, shape (n,).
+        nodes: numbers, shape (n,). moves, stays: whether the body of each moves, keeps it, shape (n,).
+            parts: bodies, and where their nodes are in these arrays.
         bound: `FREE`, `HELD` or `TOUCHED`; anchors: where, as a displacement in the body's frame, m, shape (n, 3).
         pressed, slips: states of a step, shape (n,); slipped: which slipped at the last equilibrium.
         forces: of contact and friction on the bodies, N, in the frame of the mesh, shape (n, 3).
@@ -174,15 +175,14 @@ class ContactNodes:
                     owners.append(number)
         self.bodies, self.nodes = tuple(bodies), np.array(nodes, dtype=np.intp)
         self._owner, n = np.array(owners, dtype=np.intp), len(nodes)
-        self._of_body = [np.flatnonzero(self._owner == number) for number in range(len(bodies))]
+        self.parts = [(body, np.flatnonzero(self._owner == number)) for number, body in enumerate(bodies)]
         self.places, self.areas = places[self.nodes], areas[self.nodes]
         self._slack = 1e-9 * float(np.ptp(places[:, 2]))
-        self.moves, self._tied, self._stays = (
+        self.moves, self._tied, self.stays = (
             np.array([getattr(bodies[owner], name) for owner in owners], dtype=bool)
             for name in ("moves", "tied", "stays"))
         self._friction = np.array([bodies[owner].friction for owner in owners], dtype=float).reshape(n, 2)
-        self.springs = np.zeros(n)
-        self.bound, self.anchors = np.zeros(n, dtype=np.int8), np.zeros((n, 3))
+        self.springs, self.bound, self.anchors = np.zeros(n), np.zeros(n, dtype=np.int8), np.zeros((n, 3))
         self.held, self.held_at = self.bound.copy(), self.anchors.copy()
         self._met, self._met_at = self.bound.copy(), self.anchors.copy()
         self.pressed, self.slips, self.slipped = np.zeros((3, n), dtype=bool)
@@ -217,7 +217,7 @@ class ContactNodes:
             settled: the contact with what rests in that state; None: nothing has moved yet.
         """
         self._first = Frame(start, datum)
-        for body, own in zip(self.bodies, self._of_body, strict=True):
+        for body, own in self.parts:
             places, moved = self.places[own], self.places[own] + displacement[self.nodes[own]]
             if body.moves:
                 places, moved = self._first.into(places), self._first.into(moved)
@@ -248,7 +248,7 @@ class ContactNodes:
         meridians = np.zeros((n, 3))
         turn = np.broadcast_to(np.eye(3), (n, 3, 3)).copy()
         pressed_in = bool(frame.origin[2] <= self._first.origin[2])
-        for body, own in zip(self.bodies, self._of_body, strict=True):
+        for body, own in self.parts:
             places = self.places[own]
             moved = places + displacement[own]
             at = frame.into(moved) if body.moves else moved
@@ -281,7 +281,7 @@ class ContactNodes:
         mu = np.where(shaft, self._friction[:, 1], self._friction[:, 0])
         held = self.held == HELD
         normal = np.einsum("ni,ni->n", forces, normals)
-        normal = np.where(self._stays, normal, np.minimum(normal, 0.0))
+        normal = np.where(self.stays, normal, np.minimum(normal, 0.0))
         tangential = forces - np.einsum("ni,ni->n", forces, normals)[:, None] * normals
         trial = normal + TRIAL * springs * gap
         drawn = np.full(n, changeable == ALL)
@@ -289,7 +289,7 @@ class ContactNodes:
             drawn = (7 * np.arange(n) + 5 * changeable) % _DRAWN == 0
         switched = wanting = 0
         if changeable:
-            presses = (trial < 0.0) | (gap < slack) | self._stays
+            presses = (trial < 0.0) | (gap < slack) | self.stays
             differs = (presses != self.pressed) & ~held
             switched += int((differs & drawn).sum())
             wanting += int((differs & ~drawn & (trial > 1e3 * negligible)).sum())
@@ -380,7 +380,7 @@ class ContactNodes:
     def release(self) -> int:
         """Let go of nodes that are held and pull at an equilibrium; returns how many there are."""
         bears = np.where(self.moves, self.laws.pull_of(self.nodes), 0.0)
-        pulls = (self.held == HELD) & ~self._stays & (np.einsum("ni,ni->n", self.forces, self.normals) > bears)
+        pulls = (self.held == HELD) & ~self.stays & (np.einsum("ni,ni->n", self.forces, self.normals) > bears)
         self.held[pulls] = np.where(self.moves[pulls] & (self.laws.reach > 0.0), TOUCHED, FREE)
         return int(pulls.sum())
 

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import ConvergenceError, InputError, nearest
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.plate import PLATE_RADIUS
 from tissue_sim.fem.solid.contact import STICK, Body
 from tissue_sim.fem.solid.contact_laws import NodeLaws
+from tissue_sim.fem.solid.placement import SAME_PLACE, Placement
 from tissue_sim.fem.solid.sensitivity import StartRates
 from tissue_sim.fem.solid.settling import Settling, settle
 from tissue_sim.fem.solid.solver import SolidSolver
@@ -26,6 +28,7 @@ from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
 from tissue_sim.mesh.moved_solid import Circle
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
+from tissue_sim.pose import Pose, raised
 from tissue_sim.specimen.specimen import with_article
 
 #: How far a node may violate a contact condition, in radii of the tool, and of the specimen between plates.
@@ -73,30 +76,92 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
     experiment = model.experiment
     _require(experiment)
     origin = topology or model
+    own = mesh is not None
     if mesh is None:
         mesh = build_mesh(origin.experiment, resolution, origin.material.layers)
     if topology is not None:
         mesh = _moved(mesh, topology, experiment)
+    return _solver(model, mesh, None, None, can_move=not own and experiment.specimen.is_flat)
+
+
+def _solver(model: Model, mesh: SolidMesh, start: Pose | None, datum: float | None, *, can_move: bool) -> SolidSolver:
+    """The solver of a model on its mesh.
+
+    Args:
+        model: experiment and material.
+        mesh: undeformed, made for the place of the first touch.
+        start: pose of the first touch; None: that of the experiment's approach.
+        datum: height of the scene's origin in the frame of the mesh, m; None: where the tool at `start` touches.
+        can_move: whether the mesh can be moved to another place of first touch.
+    """
+    experiment = model.experiment
     layers, weight = element_layers(mesh, model.material.layers), experiment.specimen.specific_weight
     settled = settling = None
+    undeformed = mesh
     if weight:
         settled, settling = settle(lambda moulded: _standing(model, moulded, layers), mesh, experiment.specimen)
         mesh = settled.mesh
     tool = experiment.tool
     bonded = mesh.sets["top" if tool.is_plate else "face"] if experiment.friction == "bonded" else np.zeros(0, int)
-    start = experiment.tool_pose(0.0)
-    bodies = [*_resting(experiment, mesh), *_moving(experiment, mesh, bonded)]
+    placed, start = start is not None, start or experiment.tool_pose(0.0)
+    bodies = [*_resting(experiment, mesh), *_moving(experiment, mesh, bonded, start)]
     tolerance = (_PLATE_TOLERANCE * experiment.specimen.margin() if tool.is_plate
                  else _NEEDLE_TOLERANCE * tool.require_radius())
     places = mesh.nodes if settled is None else mesh.nodes + settled.x.reshape(-1, 3)
-    first, top = touch(mesh, places, bodies, start), places[mesh.sets["top"]]
-    datum = first.height
+    top = places[mesh.sets["top"]]
+    if datum is None:
+        first = touch(mesh, places, bodies, start)
+        datum = first.height
+    else:
+        first = touch(mesh, places, bodies, raised(start, -start.position[2]))
+        start = raised(start, first.height - datum - start.position[2])
     laws = NodeLaws(experiment.acting_laws, np.pi * experiment.contact_radius**2, _law_areas(experiment, mesh))
-    return SolidSolver(mesh, model.material, _fixed(experiment), bonded, bodies=bodies, laws=laws, tolerance=tolerance,
-                       start=start, datum=datum, contact_radius=experiment.contact_radius,
-                       pins=_pins(experiment, mesh), element_layers=layers, specific_weight=weight,
-                       settled=settled, lift=_lifted(mesh, top[:, 2] - datum) if weight and tool.is_plate else None,
-                       start_rates=settling and partial(_start_rates, settling, experiment, first))
+    solver = SolidSolver(mesh, model.material, _fixed(experiment), bonded, bodies=bodies, laws=laws,
+                         tolerance=tolerance, start=start, datum=datum, contact_radius=experiment.contact_radius,
+                         pins=_pins(experiment, mesh), element_layers=layers, specific_weight=weight,
+                         settled=settled, lift=_lifted(mesh, top[:, 2] - datum) if weight and tool.is_plate else None,
+                         start_rates=None if placed else settling and partial(_start_rates, settling, experiment,
+                                                                              first))
+    solver.placement = Placement(
+        top, bodies, datum, is_level=experiment.specimen.is_flat and settled is None,
+        margin=experiment.specimen.margin, touch_height=lambda pose: touch(mesh, places, bodies, pose).height,
+        remake=partial(_solver_at, model, undeformed, start, datum, can_move))
+    return solver
+
+
+def _solver_at(model: Model, mesh: SolidMesh, start: Pose, datum: float, can_move: bool, pose: Pose,
+               solver: SolidSolver) -> SolidSolver | None:
+    """The solver of a first touch at another pose, with the mesh moved there.
+
+    Args:
+        model: experiment and material.
+        mesh: undeformed, made for a first touch at `start`.
+        datum: height of the scene's origin in the frame of the mesh, m.
+        can_move: whether the mesh can be moved.
+        pose: of the new first touch.
+        solver: whose material, mass and requests the new one takes over.
+
+    Returns:
+        None where the tool would reach beyond the specimen, or where the mesh cannot be moved and is needed there: a
+        flat tool needs its edge on edges of elements.
+    """
+    experiment = model.experiment
+    (x, y, _), (u, v, _) = pose.position, start.position
+    tool, specimen = experiment.tool, experiment.specimen
+    moves = math.hypot(x - u, y - v) > SAME_PLACE * experiment.contact_radius
+    radius = tool.face_radius or experiment.contact_radius
+    if moves and (tool.is_plate or specimen.margin(x, y) <= radius):
+        return None
+    if moves and can_move:
+        mesh = specimen.moved_mesh(mesh, specimen, (Circle(radius, (u, v)), Circle(radius, (x, y))))
+    elif moves and tool.face_radius:
+        return None
+    try:
+        other = _solver(model, mesh, pose, datum, can_move=can_move)
+    except (InputError, ConvergenceError):
+        return None
+    solver.hand_over(other)
+    return other
 
 
 def _lifted(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray:
@@ -252,8 +317,8 @@ def _resting(experiment: Experiment, mesh: SolidMesh) -> list[Body]:
     return bodies
 
 
-def _moving(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray) -> list[Body]:
-    """The tool, and who may meet it."""
+def _moving(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, start: Pose) -> list[Body]:
+    """The tool, and the nodes that may meet it, if it first touches at a pose."""
     tool, mu = experiment.tool, _coefficient(experiment.friction)
     free = np.setdiff1d(mesh.sets["top"], bonded)
     if tool.is_plate:
@@ -263,7 +328,7 @@ def _moving(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray) -> list
     wall = _coefficient(experiment.friction_wall)
     if tool.face_radius == 0:
         return [Body(tool.profile, free, (mu, wall))]
-    upright = experiment.approach is None or not experiment.approach.angle
+    upright = not any(start.orientation[1:3])
     under = np.intersect1d(mesh.sets["face"], free)
     beside = np.setdiff1d(free, under)
     if experiment.friction == "bonded":
@@ -278,7 +343,8 @@ def tool_contact(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, pl
                  ) -> tuple[list[Body], float]:
     """The tool with the nodes that may meet it, and the height of the scene's origin in the frame of the mesh where it
     first touches, m; `bonded` are the nodes that it holds, all are at `places`, m, shape (nodes, 3)."""
-    bodies, start = _moving(experiment, mesh, bonded), experiment.tool_pose(0.0)
+    start = experiment.tool_pose(0.0)
+    bodies = _moving(experiment, mesh, bonded, start)
     return bodies, touch(mesh, places, bodies, start).height
 
 

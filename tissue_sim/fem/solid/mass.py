@@ -37,6 +37,7 @@ class Mass:
     Attributes:
         rate: of this step: the acceleration at its end is (u - rest) rate, 1/s2; 0: no mass takes part.
         motion: velocities, and what went before.
+        density: kg/m3.
     """
 
     def __init__(self, mesh: SolidMesh, weights: np.ndarray, density: float, matrix: Any):
@@ -45,7 +46,7 @@ class Mass:
         self.motion = Motion(self._masses, self._rest, np.repeat(density * lumped_volumes(mesh, weights), 3))
         columns = np.repeat(np.arange(freedoms), np.diff(matrix.indptr))
         self._diagonal = np.flatnonzero(matrix.indices == columns)
-        self.rate = 0.0
+        self.rate, self.density = 0.0, density
 
     def prepare(self, x: np.ndarray, dt: float, inertial: bool) -> None:
         """Before a step of dt (s) from displacements x, m, shape (freedoms,)."""

@@ -16,13 +16,14 @@ from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.free_part import FreePart, staying
 from tissue_sim.fem.solid.mass import Mass
+from tissue_sim.fem.solid.placement import PlacedSolver
 from tissue_sim.fem.solid.sensitivity import SolidParts, SolidSensitivity, StartRates
 from tissue_sim.fem.solid.state import Sample, SavedState
 from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solid.tangent import Tangent
 from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solid.tool_wrench import Grip, rows
-from tissue_sim.fem.solver import Neighbours, Solver, Step, StepStatus
+from tissue_sim.fem.solver import Neighbours, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose, Screw
@@ -40,7 +41,7 @@ _NO_WAY = 1e-14
 _FRICTION_FLOOR = 1e-6
 
 
-class SolidSolver(Solver):
+class SolidSolver(PlacedSolver):
     """Stateful Newton solver of one boundary-value problem in space.
 
     Args:
@@ -100,8 +101,7 @@ class SolidSolver(Solver):
         self._largest_force, self._asked, self._modulus, self._least = 0.0, False, 0.0, 0.0
         self._committed, self._rest = (tuple(array.copy() for array in self._state) for _ in range(2))
         self._derivatives: SolidSensitivity | None = None
-        self._start_rates = start_rates
-        self._mass: Mass | None = None
+        self._start_rates, self._mass = start_rates, None
         self._last: Step | None = None
         # How everything goes with the tool at the last equilibrium whose stiffness was asked for, shape (freedoms, 6).
         self._along: np.ndarray | None = None
@@ -309,8 +309,8 @@ class SolidSolver(Solver):
         if self._mass is None or self._along is None or last is None or last.step_stiffness_matrix is None:
             return None
         more, stiffer = self._mass.ahead(self.x, dt, self._along)
-        return NextForce(cast("Screw", tuple((np.array(last.wrench) - more).tolist())),
-                         rows(np.array(last.step_stiffness_matrix) + stiffer))
+        wrench = cast("Screw", tuple((np.array(last.wrench) - more).tolist()))
+        return NextForce(wrench, rows(np.array(last.step_stiffness_matrix) + stiffer))
 
     def _places_of(self, nodes: np.ndarray) -> np.ndarray:
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
@@ -336,17 +336,17 @@ class SolidSolver(Solver):
         for array, rest in zip(self._committed, self._rest, strict=True):
             array[:] = rest
         self.contact.forget()
-        if self._mass is not None:
-            self._mass.motion.stop()
+        self.stand_still()
         self._pose, self._largest_force = self._start, 0.0
         self._go_back()
 
     def save(self) -> SavedState:
         """All that a committed step leaves behind, for `restore`."""
-        return SavedState(tuple(array.copy() for array in self._kept), self._pose, self._largest_force)
+        return SavedState(tuple(array.copy() for array in self._kept), self._pose, self._largest_force, self._start)
 
     def restore(self, saved: SavedState) -> None:
         """Go back to where `save` was called."""
+        self.place_tool(saved.start or self._start)
         for array, before in zip(self._kept, saved.arrays, strict=True):
             array[:] = before
         self._pose, self._largest_force = saved.pose, saved.largest_force
@@ -381,11 +381,11 @@ class SolidSolver(Solver):
 
     def surface(self) -> SolidSurface:
         """The surface at the last committed state."""
-        return SolidSurface(self.mesh, self._committed[0].reshape(-1, 3), self.datum)
+        return SolidSurface(self.mesh, self.committed_displacement, self.datum)
 
     def doubts(self) -> list[str]:
         """See `Solver.doubts`."""
-        return doubts_of_chords(self.contact, self.mesh, self._committed[0].reshape(-1, 3))
+        return doubts_of_chords(self.contact, self.mesh, self.committed_displacement)
 
     def report(self) -> dict[str, Any]:
         """What a recording's metadata say of the solver; see `Solver.report`."""

@@ -21,8 +21,13 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class SavedState:
-    """Of all that the next step depends on; see `SolidSolver.save`."""
+    """State on which the next step depends; see `SolidSolver.save`.
+
+    Attributes:
+        start: pose of the tool at its first touch, for which the mesh was made; None: the place of the model.
+    """
 
     arrays: tuple[np.ndarray, ...]
     pose: Pose
     largest_force: float
+    start: Pose | None = None

@@ -208,10 +208,15 @@ class Tissue:
         added = (self.effects.states, self.effects.stress) if self.effects else ()
         return (*(array for region in self._regions for array in region.memory.kept), *added)
 
+    @property
+    def remembers(self) -> bool:
+        """Whether the tissue has a memory, so that it changes with time while nothing moves."""
+        return bool(self.effects) or any(region.memory.works for region in self._regions)
+
     def stresses(self) -> np.ndarray | None:
         """Isochoric second Piola stress of the last committed step where some of the tissue remembers, Pa, shape
         (elements, q, 6); None where none does."""
-        if not self.effects and not any(region.memory.works for region in self._regions):
+        if not self.remembers:
             return None
         found = np.zeros((*self.batches.weights.shape, 6))
         for region in self._regions:

@@ -16,12 +16,13 @@ import numpy as np
 
 from tissue_sim.errors import MissingBackendError, nearest
 from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.kernel_owner import KernelOwner
 
 #: Kernel -> what Taichi has made of it, its machine code, and what starts that.
 _COMPILED: dict[Any, tuple[Any, Any, Callable[..., None]]] = {}
 
 
-class BoundKernel:
+class BoundKernel(KernelOwner):
     """A Taichi kernel with numpy arrays as its arguments, bound once.
 
     The arrays are kept alive and must be changed in place: the kernel sees them where they were when it was bound.

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from tissue_sim.recording.formats.header import find_header, find_numbers, matches, places_of
-from tissue_sim.recording.formats.table import Row, Table, is_number
+from tissue_sim.recording.formats.number_text import any_number, is_number
+from tissue_sim.recording.formats.table import Row, Table
 from tissue_sim.units import known_unit
+
+#: A word: two letters or more.
+_WORD = re.compile(r"[^\W\d_]{2}")
+#: Steps of the first column between the rows above and below a row of text in one table.
+_LARGEST_GAP = 5.0
 
 
 @dataclass(frozen=True)
@@ -38,8 +45,8 @@ def named_blocks(tables: Iterable[Table], names: Sequence[str], *, also: Sequenc
                  file: Path) -> tuple[Table, list[Block]]:
     """The first table with a row that has all the names, and its blocks.
 
-    Each such row begins blocks: as many beside each other as it has each name. A block ends with the last row that has
-    a number in one of its columns; a row of units below the names is no part of the numbers.
+    Each such row begins blocks: as many beside each other as it has each name. A block ends above the first row of
+    text; a row of units below the names is no part of the numbers.
 
     Args:
         tables: to look through. names: of columns. also: places from 0 of further columns. file: for messages.
@@ -80,11 +87,64 @@ def _below_header(rows: list[Row], places: Sequence[int]) -> tuple[Row | None, l
     first = next((i for i, row in enumerate(rows) if _numbers(row, places)), len(rows))
     units = next((row for row in rows[:first] if is_unit_row(row, places)), None)
     # Words alone in the first row are a typing error as in any other; a second row of names is not.
-    rows = rows[first:] if first < len(rows) else rows
-    runs = _runs(rows, places)
-    whole = [any(_numbers(row, places) == len(places) for row in run) for run in runs]
-    # Below the numbers stand remarks; what interrupts them is refused where it is read.
-    return units, runs[0] if runs and not any(whole[1:]) else rows
+    return units, _until_text(rows[first:] if first < len(rows) else rows, places)
+
+
+def _until_text(rows: list[Row], places: Sequence[int]) -> list[Row]:
+    """The rows above the first row of text that ends the table.
+
+    A row of text with more rows of the same table below it stays: it is refused where it is read.
+    """
+    labelled = bool(rows) and begins_with_word(rows[0])
+    for i, row in enumerate(rows):
+        if i and is_text_row(row, places, labelled=labelled) and not _goes_on(rows, i, places):
+            return rows[:i]
+    return rows
+
+
+def is_text_row(row: Row, places: Sequence[int], *, labelled: bool = False) -> bool:
+    """Whether a row is text rather than a row of numbers with a damaged cell.
+
+    Args:
+        row: below the first row of numbers. places: from 0, of the columns of numbers.
+        labelled: whether rows of numbers begin with a word in this table.
+    """
+    numbers = _numbers(row, places)
+    if numbers == len(places):
+        return False
+    if numbers == 0 or (not labelled and begins_with_word(row)):
+        return True
+    filled = [cell for cell in row.cells if cell]
+    return 2 * sum(map(is_number, filled)) < len(filled)
+
+
+def begins_with_word(row: Row) -> bool:
+    """Whether the first cell that is not empty is a word."""
+    first = next((cell for cell in row.cells if cell), "")
+    return _WORD.search(first) is not None and not is_number(first)
+
+
+def _goes_on(rows: Sequence[Row], text: int, places: Sequence[int]) -> bool:
+    """Whether rows of the same table stand below the row of text at `text`.
+
+    Rows of numbers below a second row of names are of another table, unless their first column continues evenly.
+    """
+    named = False
+    for row in rows[text:]:
+        if _numbers(row, places) == len(places):
+            return not named or _follows(rows[max(text - 2, 0):text], row, places[0])
+        words = sum(place < len(row.cells) and _WORD.search(row.cells[place]) is not None for place in places)
+        named = named or (words >= min(2, len(places)) and not is_unit_row(row, places))
+    return False
+
+
+def _follows(before: Sequence[Row], row: Row, place: int) -> bool:
+    """Whether the number at `place` continues the rows before by at most `_LARGEST_GAP` of their steps."""
+    values = [any_number(each.cells[place]) for each in (*before, row) if place < len(each.cells)]
+    if len(values) < 3:
+        return False
+    step, gap = values[-2] - values[-3], values[-1] - values[-2]
+    return step != 0 and 0 < gap / step <= _LARGEST_GAP
 
 
 def is_unit_row(row: Row, places: Sequence[int]) -> bool:
@@ -96,7 +156,7 @@ def is_unit_row(row: Row, places: Sequence[int]) -> bool:
 def _runs(rows: Iterable[Row], places: Sequence[int]) -> list[list[Row]]:
     runs: list[list[Row]] = [[]]
     for row in rows:
-        if _numbers(row, places):
+        if _numbers(row, places) and not is_text_row(row, places):
             runs[-1].append(row)
         elif runs[-1]:
             runs.append([])

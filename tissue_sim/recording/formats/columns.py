@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,20 @@ from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.files import decode_text, read_bytes
 from tissue_sim.recording.formats.blocks import Block, named_blocks, placed_blocks
 from tissue_sim.recording.formats.containers import is_container, read_container
+from tissue_sim.recording.formats.decimal_mark import NumberMarks, find_marks
 from tissue_sim.recording.formats.header import DELIMITERS, DELIMITERS_OF_NUMBERS, text_tables
 from tissue_sim.recording.formats.long_text import NotPlainError, PlainEnd, split_long
 from tissue_sim.recording.formats.measures import check_measure, convert_measures
-from tissue_sim.recording.formats.table import Column, Row, Table, conversion, narrow, read_recording_table
+from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, is_number
+from tissue_sim.recording.formats.table import (
+    Column,
+    Row,
+    Table,
+    cells_of,
+    conversion,
+    narrow,
+    read_recording_table,
+)
 from tissue_sim.recording.formats.workbook import Sheet, is_workbook, read_sheet, read_sheets
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
 from tissue_sim.units import loose_header, split_header
@@ -30,6 +41,22 @@ _MOST_COLUMNS = 1_000_000
 #: The last column of a spreadsheet is XFD.
 _LETTERS = re.compile(r"[A-Za-z]{1,3}")
 Sheets = str | int | Sequence[str | int]
+Curves = int | Sequence[int]
+
+
+@dataclass(frozen=True)
+class MarkedRecording:
+    """A recording of a table.
+
+    Attributes:
+        recording: SI. marks: decimal mark and thousands separator of its numbers.
+        line: of the header. sheet: name of the sheet; empty in a text.
+    """
+
+    recording: Recording
+    marks: NumberMarks
+    line: int
+    sheet: str = ""
 
 
 def read_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0, delimiter: str | None = None,
@@ -46,7 +73,7 @@ def read_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: in
 
 
 def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0, delimiter: str | None = None,
-                sheet: Sheets | None = None, curve: int | None = None,
+                sheet: Sheets | None = None, curve: Curves | None = None, decimal: str | None = None,
                 metadata: Mapping[str, Any] | None = None) -> tuple[Recording, ...]:
     """Recordings from chosen columns of any delimited text file, spreadsheet or container of arrays.
 
@@ -55,8 +82,9 @@ def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int
     in the same row, begins another recording; one below it whose time goes on is the same one. Columns by place only:
     the table begins with the first row that has a number in each of them.
 
-    Delimiter of a text: comma, semicolon or tab, whichever has such a row, unless it is stated; with any but the comma,
-    decimal commas are read too. In a spreadsheet the rows end with the last one that has a cell in these columns.
+    Delimiter of a text: comma, semicolon or tab, whichever has such a row, unless it is stated. Rows of text below the
+    numbers end a table. Decimal mark and thousands separator are found from all values of the columns together, see
+    `tissue_sim.recording.formats.decimal_mark.find_marks`.
 
     Args:
         path: the file: text in any usual encoding, xlsx, xls, ods, mat, tdms, h5.
@@ -70,27 +98,42 @@ def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int
         delimiter: one character; a blank stands for any number of blanks. None: found. Text only.
         sheet: name or number (from 1) of a spreadsheet's sheet, or of a container's table, or a list of them, which
             are replicates. None: the only one that holds anything.
-        curve: number from 1 of the only recording wanted. None: all.
+        curve: number from 1 of the recording that is wanted, or a list of numbers. None: all.
+        decimal: decimal mark of the numbers, ``"."`` or ``","``; the other one separates thousands. None: found.
         metadata: goes into the recordings.
 
     Raises:
-        InputError: a bad map (by field), a column that the file lacks, or a bad cell (by file and line), or a
-            spreadsheet without the extra ``formats``.
+        InputError: a bad map (by field), a column that the file lacks, a bad cell (by file and line), values that fit
+            two decimal marks, or a spreadsheet without the extra ``formats``.
     """
+    found = read_marked_blocks(path, columns, skip_lines=skip_lines, delimiter=delimiter, sheet=sheet, curve=curve,
+                               decimal=decimal, metadata=metadata)
+    for each in found:
+        if each.marks.is_open:
+            raise InputError(f'{each.marks.question}; give decimal = "." or decimal = ","', file=path, line=each.line,
+                             field="decimal")
+    return tuple(each.recording for each in found)
+
+
+def read_marked_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0,
+                       delimiter: str | None = None, sheet: Sheets | None = None, curve: Curves | None = None,
+                       decimal: str | None = None, metadata: Mapping[str, Any] | None = None
+                       ) -> tuple[MarkedRecording, ...]:
+    """Recordings as of `read_blocks`, each with the marks of its numbers, where these are open too."""
     path = Path(path)
+    if decimal is not None:
+        check_decimal(decimal)
     wanted = check_columns(columns)
     if isinstance(skip_lines, bool) or not isinstance(skip_lines, int) or skip_lines < 0:
         raise InputError(f"{skip_lines!r} is not a number of lines; give 0 or more", field="skip_lines")
-    if curve is not None and (isinstance(curve, bool) or not isinstance(curve, int) or curve < 1):
-        raise InputError(f"{curve!r} is not the number of a curve; give a whole number from 1", file=path,
-                         field="curve")
-    found: list[Recording] = []
+    chosen = _curves(curve, path)
+    found: list[MarkedRecording] = []
     if is_container(path) or is_workbook(path):
         if delimiter is not None:
             raise InputError("only text has a delimiter; leave it out", file=path, field="delimiter")
         for each in _sheets(path, sheet):
             with each.located():
-                found += _recordings([each.table(skip_lines)], wanted, path, metadata, alone=True)
+                found += _recordings([each.table(skip_lines)], wanted, path, metadata, decimal, alone=True)
     else:
         if sheet is not None:
             raise InputError("this file is no spreadsheet (xlsx, xls, ods), so it has no sheets; leave it out",
@@ -100,23 +143,42 @@ def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int
         text, _ = decode_text(read_bytes(path, expected), path, expected)
         delimiters = ((DELIMITERS if names else DELIMITERS_OF_NUMBERS) if delimiter is None
                       else (check_delimiter(delimiter),))
-        found += _of_text(text, skip_lines, delimiters, wanted, path, metadata)
-    if curve is not None:
-        if curve > len(found):
-            raise InputError(f"there is no curve {curve}; the file has {len(found)}", file=path, field="curve")
-        found = found[curve - 1:curve]
-    return tuple(found)
+        found += _of_text(text, skip_lines, delimiters, wanted, path, metadata, decimal)
+    for number in chosen:
+        if number > len(found):
+            raise InputError(f"there is no curve {number}; the file has {len(found)}", file=path, field="curve")
+    return tuple(found[number - 1] for number in chosen) if chosen else tuple(found)
+
+
+def check_decimal(decimal: Any, field: str = "decimal") -> str:
+    """The decimal mark, if it is one.
+
+    Raises:
+        InputError: neither point nor comma; with the field.
+    """
+    if decimal not in DECIMAL_MARKS:
+        raise InputError(f'must be "." or ","; got {decimal!r}. The other one then separates thousands', field=field)
+    return decimal
+
+
+def _curves(curve: Any, path: Path) -> list[int]:
+    numbers = list(curve) if isinstance(curve, list | tuple) else [] if curve is None else [curve]
+    for each in numbers:
+        if isinstance(each, bool) or not isinstance(each, int) or each < 1:
+            raise InputError(f"{each!r} is not the number of a curve; give a whole number from 1", file=path,
+                             field="curve")
+    return numbers
 
 
 def _of_text(text: str, skip_lines: int, delimiters: Sequence[str], wanted: Mapping[str, Mapping[str, Any]],
-             path: Path, metadata: Mapping[str, Any] | None) -> list[Recording]:
+             path: Path, metadata: Mapping[str, Any] | None, decimal: str | None) -> list[MarkedRecording]:
     beginning, end = split_long(text, skip_lines)
     if end is not None:
         with suppress(InputError, NotPlainError):
             tables = text_tables(beginning, file=path, skip_lines=skip_lines, delimiters=delimiters)
-            return _recordings(tables, wanted, path, metadata, end=end)
+            return _recordings(tables, wanted, path, metadata, decimal, end=end)
     return _recordings(text_tables(text, file=path, skip_lines=skip_lines, delimiters=delimiters), wanted, path,
-                       metadata)
+                       metadata, decimal)
 
 
 def _sheets(path: Path, sheet: Sheets | None) -> Sequence[Sheet]:
@@ -126,8 +188,8 @@ def _sheets(path: Path, sheet: Sheets | None) -> Sequence[Sheet]:
         read_sheet(path, sheet)]
 
 
-def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, metadata: Mapping[str, Any] | None, *,
-                alone: bool = False, end: PlainEnd | None = None) -> list[Recording]:
+def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, metadata: Mapping[str, Any] | None,
+                decimal: str | None, *, alone: bool = False, end: PlainEnd | None = None) -> list[MarkedRecording]:
     """The recordings of the first of the tables that has the columns; with a plain end the only one."""
     names = [entry["name"] for entry in wanted.values() if "name" in entry]
     places = [entry["column"] - 1 for entry in wanted.values() if "column" in entry]
@@ -140,27 +202,50 @@ def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, met
         raise NotPlainError
     # A summary has the names of its table, too.
     blocks = [block for block in blocks if len(block.rows) >= MIN_POINTS] or blocks
-    found: list[Recording] = []
+    chosen: list[list[Column]] = []
     for block in blocks:
         order = iter(block.places[:len(names)]), iter(block.places[len(names):])
-        chosen = _choose(wanted, {channel: next(order["column" in entry]) for channel, entry in wanted.items()}, block,
-                         bool(names), path)
+        chosen.append(_choose(wanted, {channel: next(order["column" in entry]) for channel, entry in wanted.items()},
+                              block, bool(names), path))
+    marks = _marks(blocks, chosen, table.delimiter, decimal)
+    found: list[MarkedRecording] = []
+    for block, columns in zip(blocks, chosen, strict=True):
         header, rows = block.header, list(block.rows)
         if alone or len(blocks) > 1:
-            rows, chosen = _narrow(rows, chosen)
-            header = Row(header.line, tuple(column.header for column in chosen))
-        recording = read_recording_table(header, rows, chosen, file=path,
-                                         delimiter=table.delimiter or ";", metadata=metadata, end=end)
-        if block.below and found and _goes_on(found[-1], recording):
-            found[-1] = _joined(found[-1], recording)
+            rows, columns = _narrow(rows, columns)
+            header = Row(header.line, tuple(column.header for column in columns))
+        recording = read_recording_table(header, rows, columns, file=path, delimiter=table.delimiter or ";",
+                                         metadata=metadata, end=end, marks=marks)
+        if block.below and found and _goes_on(found[-1].recording, recording):
+            found[-1] = replace(found[-1], recording=_joined(found[-1].recording, recording))
         else:
-            found.append(recording)
+            found.append(MarkedRecording(recording, marks, block.header.line, table.name))
     from_start = [channel for channel, entry in wanted.items() if entry.get("offset") == "start"]
-    found = [each.with_channels(**{channel: each.channel(channel) - each.channel(channel)[0]
-                                   for channel in from_start}) for each in found]
+    found = [replace(each, recording=each.recording.with_channels(
+        **{channel: each.recording.channel(channel) - each.recording.channel(channel)[0] for channel in from_start}))
+        for each in found]
     measures = {channel: entry["measure"] for channel, entry in wanted.items() if "measure" in entry}
+    if not measures:
+        return found
     with located(file=path):
-        return [convert_measures(each, measures) for each in found] if measures else found
+        return [replace(each, recording=convert_measures(each.recording, measures)) for each in found]
+
+
+def _marks(blocks: Sequence[Block], chosen: Sequence[Sequence[Column]], delimiter: str | None,
+           decimal: str | None) -> NumberMarks:
+    """Decimal mark of all blocks together: the columns that are read decide, then the others."""
+    used = [cells for block, columns in zip(blocks, chosen, strict=True) for cells in cells_of(block.rows, columns)]
+    places = {column.index for columns in chosen for column in columns}
+
+    def others() -> Iterator[list[str]]:
+        for block in blocks:
+            for place in range(len(block.header.cells)):
+                if place not in places:
+                    cells = [row.cells[place] for row in block.rows if place < len(row.cells)]
+                    if 2 * sum(map(is_number, cells[:100])) > len(cells[:100]):
+                        yield cells
+
+    return find_marks(used, others(), delimiter=delimiter, stated=decimal)
 
 
 def _goes_on(first: Recording, second: Recording) -> bool:

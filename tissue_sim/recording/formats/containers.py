@@ -18,6 +18,7 @@ import numpy as np
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.files import first_bytes, read_bytes
 from tissue_sim.recording.formats.extra import require
+from tissue_sim.recording.formats.number_text import ExactNumber
 from tissue_sim.recording.formats.table import Row
 from tissue_sim.recording.formats.workbook import Sheet
 from tissue_sim.recording.recording import MIN_POINTS
@@ -148,4 +149,5 @@ def _tables(tree: Mapping[str, Any], place: str) -> Iterator[tuple[str, tuple[Ro
 
 def _rows(names: list[str], values: np.ndarray) -> tuple[Row, ...]:
     header = [Row(1, tuple(names))] if names else []
-    return (*header, *(Row(line, tuple(map(repr, numbers))) for line, numbers in enumerate(values.tolist(), start=2)))
+    return (*header, *(Row(line, tuple(ExactNumber(repr(each)) for each in numbers))
+                       for line, numbers in enumerate(values.tolist(), start=2)))

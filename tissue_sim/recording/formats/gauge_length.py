@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from tissue_sim.recording.formats.guesses import ColumnGuess, Stated
 from tissue_sim.recording.formats.kind_hints import title_hints
 from tissue_sim.recording.formats.kind_words import named_tests
 from tissue_sim.recording.formats.sizes import find_sizes
-from tissue_sim.recording.formats.sources import Numbers, stated_values
+from tissue_sim.recording.formats.sources import Numbers
 from tissue_sim.units import to_si
 
 
-def gauge_length(numbers: Numbers, stated: Stated) -> tuple[float, str] | None:
-    """Length to which strains refer, m, and its source: stated by the user, or above the table; None: not known."""
+def gauge_length(numbers: Numbers, statements: Mapping[str, str], stated: Stated) -> tuple[float, str] | None:
+    """Length to which strains refer, m, and its source: stated by the user, or in the file; None: not known.
+
+    Args:
+        statements: key -> value with unit, as the file states them about these numbers.
+    """
     if stated.height is not None:
         return stated.height, "stated"
     kinds = {each.kind for each in named_tests(title_hints(numbers)) if each.kind}
     kind = stated.kind or (kinds.pop() if len(kinds) == 1 else None)
-    size = find_sizes(stated_values(numbers.above), kind).get("height_mm")
+    size = find_sizes(statements, kind).get("height_mm")
     return None if size is None or kind is None else (1e-3 * size.value, size.reason)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.recording.formats.assumption import Assumption
-from tissue_sim.recording.formats.columns import Sheets
+from tissue_sim.recording.formats.columns import Curves, Sheets
 from tissue_sim.recording.formats.kind_words import NamedTest
 from tissue_sim.recording.recording import CHANNELS, Recording
 from tissue_sim.units import UNITS, quantity_of
@@ -159,6 +159,9 @@ class Stated:
         any_test: whether tables of tests without a kind are read too: only their numbers are wanted.
         height: of the specimen, m: the gauge length by which a strain becomes a displacement; None: not stated.
         speed: constant speed of the test, m/s, for a file without a clock or without a motion; None: not stated.
+        decimal: decimal mark of the numbers, ``"."`` or ``","``; None: found.
+        curve: number from 1, or numbers, of the recordings of each file that are read; None: all.
+        one_material: whether titled blocks of one file are replicates of one material whatever their names.
     """
 
     columns: Mapping[str, str | int] = field(default_factory=dict)
@@ -175,3 +178,6 @@ class Stated:
     speed: float | None = None
     height: float | None = None
     any_test: bool = False
+    decimal: str | None = None
+    curve: Curves | None = None
+    one_material: bool = False

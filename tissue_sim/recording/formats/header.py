@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import difflib
 import io
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.recording.formats.table import Row, Table, is_number, split_rows
+from tissue_sim.recording.formats.number_text import is_number
+from tissue_sim.recording.formats.table import Row, Table, split_rows
 from tissue_sim.units import loose_header, split_header
 
+_LETTER = re.compile(r"[^\W\d_]")
 DELIMITERS = (",", ";", "\t")
 #: Without names a comma may be a decimal comma, so it is tried last.
 DELIMITERS_OF_NUMBERS = ("\t", ";", ",")
@@ -32,9 +35,13 @@ def find_header(tables: Iterable[Table], names: Sequence[str], *, file: Path) ->
         InputError: no such row; names the missing column and the nearest one in the file.
     """
     closest, delimiters = None, []
+    lettered = any(_LETTER.search(name) for name in names)
     for table in tables:
         delimiters.append(table.delimiter)
         for i, row in enumerate(table.rows):
+            # Most rows of a long table are numbers, which match no name.
+            if lettered and closest is not None and not _LETTER.search("".join(row.cells)):
+                continue
             # numpy.savetxt writes its header as a comment.
             row = Row(row.line, (row.cells[0].lstrip("# "), *row.cells[1:]))
             found = [matches(row.cells, name) for name in names]

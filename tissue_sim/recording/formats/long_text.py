@@ -31,20 +31,20 @@ class PlainEnd:
         text, place: the whole, and where the end begins in it.
         delimiter: between the cells.
         cells: of each line.
-        decimal_comma: whether the numbers have decimal commas; False where they have no decimals.
+        mark: the only one of the marks ``.`` and ``,`` in the numbers; empty where there is none.
     """
 
     text: str = field(repr=False)
     place: int
     delimiter: str
     cells: int
-    decimal_comma: bool
+    mark: str
 
     def numbers(self, places: Sequence[int]) -> np.ndarray | None:
         """The numbers at these places, from 0, of each line, shape (lines, places); None: some cell is none."""
         found = []
         for piece in _pieces(self.text, self.place):
-            content = piece.replace(b",", b".") if self.decimal_comma else piece
+            content = piece.replace(b",", b".") if self.mark == "," else piece
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("error")
@@ -91,7 +91,9 @@ def _plain_end(text: str, place: int, delimiter: str) -> PlainEnd | None:
         # Of two beside each other the cell between is empty.
         if between[0] == 0 or (np.diff(between) == 1).any() or (np.diff(ends, prepend=-1) != cells).any():
             return None
-    return PlainEnd(text, place, delimiter, cells, b"," in marks) if cells > 1 and len(marks) < 2 else None
+    if cells < 2 or len(marks) > 1:
+        return None
+    return PlainEnd(text, place, delimiter, cells, "".join(mark.decode() for mark in marks))
 
 
 def _pieces(text: str, place: int) -> Iterator[bytes]:

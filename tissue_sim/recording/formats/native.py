@@ -9,9 +9,10 @@ from typing import Any
 
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.files import read_text
-from tissue_sim.recording.formats.columns import Sheets, read_blocks
+from tissue_sim.recording.formats.columns import Curves, Sheets, read_blocks
 from tissue_sim.recording.formats.long_text import NotPlainError, PlainEnd, split_long
-from tissue_sim.recording.formats.table import Column, Row, conversion, is_number, read_recording_table, split_rows
+from tissue_sim.recording.formats.number_text import is_number
+from tissue_sim.recording.formats.table import Column, Row, conversion, read_recording_table, split_rows
 from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
 from tissue_sim.units import split_header, to_si
 
@@ -21,21 +22,22 @@ _NAMES = {name.casefold(): name for name in (*CHANNELS, *LABELS)}
 
 def read_native(path: str | Path, *, columns: Mapping[str, Any] | None = None, skip_lines: int = 0,
                 delimiter: str | None = None, sheet: Sheets | None = None,
-                curve: int | None = None) -> Recording | tuple[Recording, ...]:
+                curve: Curves | None = None, decimal: str | None = None) -> Recording | tuple[Recording, ...]:
     """A recording in the project's own CSV; see docs/recordings.md.
 
     Args:
         path: the file.
-        columns, skip_lines, delimiter, sheet, curve: as in `tissue_sim.recording.formats.columns.read_blocks`, which
-            then reads the file, of whatever kind.
+        columns, skip_lines, delimiter, sheet, curve, decimal: as in
+            `tissue_sim.recording.formats.columns.read_blocks`, which then reads the file, of whatever kind.
 
     Raises:
         InputError: unknown, repeated or unit-less column, wrong delimiter, or a bad cell; with file and line.
     """
     path = Path(path)
     if columns is not None:
-        return read_blocks(path, columns, skip_lines=skip_lines, delimiter=delimiter, sheet=sheet, curve=curve)
-    for key, value in (("sheet", sheet), ("curve", curve)):
+        return read_blocks(path, columns, skip_lines=skip_lines, delimiter=delimiter, sheet=sheet, curve=curve,
+                           decimal=decimal)
+    for key, value in (("sheet", sheet), ("curve", curve), ("decimal", decimal)):
         if value is not None:
             raise InputError(f"files of format 'native' have no {key}; leave it out", field=key)
     text = read_text(path, f"a recording with the header {EXAMPLE!r}")

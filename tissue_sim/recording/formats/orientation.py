@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from tissue_sim.recording.formats.guesses import ColumnGuess
+from tissue_sim.recording.oscillation import find_oscillation
 from tissue_sim.recording.recording import Recording
 
 #: A travel that begins farther from zero than this share of itself counts from a zero of the machine.
@@ -39,12 +40,32 @@ def oriented(columns: Sequence[ColumnGuess], recordings: Sequence[Recording], ki
 
 def _travel(column: ColumnGuess, recordings: Sequence[Recording], stated: Collection[str]) -> ColumnGuess:
     ways = [each.channel("displacement") for each in recordings]
+    static = [offset for each in recordings if (offset := _static_offset(each)) is not None]
+    if 2 * len(static) > len(recordings):
+        return column if "displacement" in stated or sum(static) >= 0 else replace(
+            column, sign=-1, reason=f"{column.reason}; it oscillates around a negative offset, so turned")
     if "displacement" not in stated and _most(largest_excursion(way) < 0 for way in ways):
         column = replace(column, sign=-1, reason=f"{column.reason}; it falls under load, so turned")
     if any(abs(way[0]) > _AWAY * np.ptp(way) for way in ways):
         column = replace(column, offset="start", reason=f"{column.reason}; begins away from zero, so counted from the "
                                                         "first sample")
     return column
+
+
+def _static_offset(recording: Recording) -> float | None:
+    """Mean displacement of a recording that oscillates from its first sample on, m.
+
+    It is 0 for an oscillation around zero, and None for a recording that does not oscillate or starts from rest.
+    """
+    way = recording.channel("displacement")
+    if not any(name in recording for name in ("force", "nominal stress")):
+        return None
+    load = recording.channel("force" if "force" in recording else "nominal stress")
+    time = recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
+    found = find_oscillation(way, load, time)
+    if found is None or found.returns or abs(way[0] - found.mean) > 1.1 * found.amplitude:
+        return None
+    return found.mean if abs(found.mean) > found.amplitude else 0.0
 
 
 def _load(column: ColumnGuess, recordings: Sequence[Recording], columns: Mapping[str, ColumnGuess]) -> ColumnGuess:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from tissue_sim.errors import InputError
@@ -14,9 +14,11 @@ from tissue_sim.recording.formats.header import matches
 from tissue_sim.recording.formats.kind_hints import title_hints
 from tissue_sim.recording.formats.kind_words import named_tests
 from tissue_sim.recording.formats.measures import ENGINEERING, MEASURES, measure_of
+from tissue_sim.recording.formats.number_text import is_number
 from tissue_sim.recording.formats.sizes import size_signature
-from tissue_sim.recording.formats.sources import Numbers, stated_values
+from tissue_sim.recording.formats.sources import Numbers
 from tissue_sim.recording.formats.speed_text import speeds_in
+from tissue_sim.recording.formats.statements import constant_columns
 from tissue_sim.recording.formats.vocabulary import Machine, plain, role_of, source_of
 from tissue_sim.recording.recording import CHANNELS
 from tissue_sim.units import UNITS
@@ -52,6 +54,7 @@ class Group:
         rivals: columns that measure the same as one of those that are read, the surest first. Strains of another
             measure count as the same.
         speed: constant speed that replaces a column of the motion, m/s, and its source; None: not needed.
+        stated: key -> value with unit, as the file states them about these numbers.
     """
 
     numbers: Numbers
@@ -59,25 +62,38 @@ class Group:
     others: tuple[str, ...]
     rivals: tuple[ColumnGuess, ...] = ()
     speed: tuple[float, str] | None = None
+    stated: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def line(self) -> int:
+        """Line of the header, or of the first row of numbers."""
+        return (self.numbers.header or self.numbers.rows[0]).line
 
     @property
     def signature(self) -> tuple:
         """The same for tables that are replicates, as far as columns, sizes and words for a test show."""
         sheet = self.numbers.table.name
-        sizes = size_signature(stated_values(self.numbers.above)) if sheet else ()
+        sizes = size_signature(self.stated) if sheet else ()
         tests = sorted({each.title for each in named_tests(title_hints(self.numbers))}) if sheet else ()
         return (*sizes, *tests, self.speed,
                 *((each.channel, each.header or each.place, each.unit) for each in self.columns))
 
 
-def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated) -> list[Group]:
-    """The recordings beside each other: a motion, a load, and the time where there is one."""
+def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated, statements: Mapping[str, str]
+                ) -> list[Group]:
+    """The recordings in adjacent columns: a motion, a load, and the time where there is one.
+
+    Args:
+        statements: key -> value with unit, as the file states them about these numbers.
+    """
     if stated.columns:
         named = [column for channel, name in stated.columns.items()
                  if (column := _stated_column(numbers, channel, name, stated))]
-        return [_stated_group(numbers, named, stated)] if len(named) == len(stated.columns) else []
+        return [_stated_group(numbers, named, stated, statements)] if len(named) == len(stated.columns) else []
+    # A constant column "Height" is the size of the specimen, not the position of the crosshead.
+    sizes = {place for place, _ in constant_columns(numbers)}
     roles = [KnownColumn(place, *known, _variant(numbers, place, known[0])) for place in numbers.columns
-             if (known := role_of(numbers.bare_name(place), numbers.unit(place), machine))]
+             if place not in sizes and (known := role_of(numbers.bare_name(place), numbers.unit(place), machine))]
     groups: list[Group] = []
     time = None
     for part in _beside(roles):
@@ -87,7 +103,7 @@ def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated) -> li
         if pair is None and (speed := _speed_for(chosen, numbers, stated)):
             pair = ("force",)
         elif derived := _derived_pair(part, chosen, pair):
-            gauge = gauge_length(numbers, stated)
+            gauge = gauge_length(numbers, statements, stated)
             pair = derived if gauge is not None else pair
         if pair is None:
             continue
@@ -106,7 +122,7 @@ def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated) -> li
                        if each.role in same and each.place not in wanted.values())
         if gauge is not None:
             rivals = tuple(_with_gauge_length(column, pair[0], gauge) for column in rivals)
-        elif pair == ("displacement", "force") and (length := gauge_length(numbers, stated)) is not None:
+        elif pair == ("displacement", "force") and (length := gauge_length(numbers, statements, stated)) is not None:
             # A strain that is not the displacement over the gauge length comes from another sensor.
             rivals = (*rivals, *(replace(displacement_of_strain(strain, length), rank=rank[chosen["displacement"]])
                                  for each in part if each.role in ("strain", "shear strain")
@@ -116,13 +132,14 @@ def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated) -> li
     return groups
 
 
-def _stated_group(numbers: Numbers, named: Sequence[ColumnGuess], stated: Stated) -> Group:
+def _stated_group(numbers: Numbers, named: Sequence[ColumnGuess], stated: Stated,
+                  statements: Mapping[str, str]) -> Group:
     """The recording of the columns that the user names."""
     roles = {column.role: column for column in named}
     motion = next((role for role, load in (("strain", "force"), ("shear strain", "force"), ("displacement", "stress"))
                    if {role, load} <= roles.keys()), None)
     mechanical = {"displacement", "force"} <= roles.keys()
-    gauge = gauge_length(numbers, stated) if motion is not None and not mechanical else None
+    gauge = gauge_length(numbers, statements, stated) if motion is not None and not mechanical else None
     if gauge is not None and motion is not None and roles[motion].measure is None:
         named = [_with_gauge_length(column, motion, gauge) for column in named]
     return Group(numbers, tuple(named), (), (), _speed_for(roles, numbers, stated))
@@ -164,7 +181,7 @@ def _speed_for(roles: Collection[str], numbers: Numbers, stated: Stated) -> tupl
         return None
     if stated.speed is not None:
         return stated.speed, "stated"
-    speeds = speeds_in(numbers.above)
+    speeds = speeds_in((*numbers.above, *numbers.below))
     return next(((speed, f"in the file: {line}") for speed, line in speeds.items()), None) if len(speeds) == 1 else None
 
 
@@ -267,19 +284,23 @@ def with_measure(column: ColumnGuess, stated: str | None = None) -> ColumnGuess:
 
 def _stated_column(numbers: Numbers, channel: str, name: str | int, stated: Stated) -> ColumnGuess | None:
     """The column that a person names; None: this table has none of that name."""
-    role = channel
-    places = [] if isinstance(name, int) or numbers.header is None else matches(numbers.header.cells, name)
-    if places:
-        place = places[0]
-    else:
-        try:
-            place = column_number(int(name) if isinstance(name, str) and name.isdigit() else name) - 1
-        except InputError:
-            return None
-        if place not in numbers.columns:
-            return None
+    place = _place(numbers, name)
+    if place is None or place not in numbers.columns:
+        return None
     role = {"nominal stress": "stress"}.get(channel, channel)
     return _column(numbers, place, role, None, stated, is_named=True)
+
+
+def _place(numbers: Numbers, name: str | int) -> int | None:
+    """Place from 0 of the column with this header, number or letter; None: there is none."""
+    places = [] if isinstance(name, int) or numbers.header is None else matches(numbers.header.cells, name)
+    if places:
+        return places[0]
+    try:
+        place = column_number(int(name) if isinstance(name, str) and name.isdigit() else name) - 1
+    except InputError:
+        return None
+    return place if place < numbers.width else None
 
 
 def no_pair(found: Sequence[Numbers], machine: Machine | None, stated: Stated) -> str:
@@ -289,9 +310,12 @@ def no_pair(found: Sequence[Numbers], machine: Machine | None, stated: Stated) -
     has = (f"the columns are {', '.join(map(repr, names))}" if any(names)
            else f"its {len(numbers.columns)} columns of numbers have no names")
     if stated.columns:
-        missing = [f"{channel} = {name}" for channel, name in stated.columns.items()
+        missing = [(channel, name) for channel, name in stated.columns.items()
                    if _stated_column(numbers, channel, name, stated) is None]
-        return f"has no column {' and none '.join(missing)}: {has}"
+        broken = [f"column {channel} = {name} cannot be read: {said}" for channel, name in missing
+                  if (said := _unreadable(numbers, _place(numbers, name)))]
+        absent = [f"{channel} = {name}" for channel, name in missing if not _unreadable(numbers, _place(numbers, name))]
+        return "; ".join([*broken, *([f"has no column {' and none '.join(absent)}: {has}"] if absent else [])])
     bare = [numbers.bare_name(place).casefold().replace(" ", "").replace("_", "") for place in numbers.columns]
     if any({f"{word}1", f"{word}2"} <= set(bare) for word in ("lambda", "stretch", "λ")):
         return (f"is a biaxial test ({has}), of which there is no kind here; of its rows, those with a free second "
@@ -313,8 +337,23 @@ def no_pair(found: Sequence[Numbers], machine: Machine | None, stated: Stated) -
         return (f"shows no column with a motion (displacement, stretch, strain): {has}; name it, with its unit, such "
                 "as --column displacement=2 --unit displacement=mm, or state the constant speed (--speed-mm-s)")
     wanted = " and ".join(lacks) if lacks else "a motion and a load that belong together"
+    broken = [said for place in range(numbers.width) if place not in numbers.columns
+              and (said := _unreadable(numbers, place))]
+    if lacks and broken:
+        return f"has columns that cannot be read: {'; '.join(broken)}; {has}"
     return (f"shows no column with {wanted}: {has}; name them, with units, such as --column displacement=2 --unit "
             "displacement=mm --column force=3 --unit force=N")
+
+
+def _unreadable(numbers: Numbers, place: int | None) -> str:
+    """Which cell of a column is not a number, in words; empty for a column that is not there."""
+    if place is None:
+        return ""
+    row = next((row for row in numbers.rows if place < len(row.cells) and row.cells[place]
+                and not is_number(row.cells[place])), None)
+    name = numbers.name(place)
+    return "" if row is None else (f"line {row.line}: {f'{name!r} holds ' if name else ''}{row.cells[place][:40]!r}, "
+                                   "which is not a number")
 
 
 def alike(groups: Sequence[Group]) -> list[list[Group]]:

@@ -12,7 +12,8 @@ from pathlib import Path
 from tissue_sim.files import read_text
 from tissue_sim.recording.formats.columns import read_columns
 from tissue_sim.recording.formats.header import find_header, text_tables
-from tissue_sim.recording.formats.table import Row, is_number
+from tissue_sim.recording.formats.number_text import any_number, is_number
+from tissue_sim.recording.formats.table import Row
 from tissue_sim.recording.recording import Recording
 from tissue_sim.units import split_header
 
@@ -47,8 +48,4 @@ def _runs_backwards(header: Row, rows: list[Row]) -> bool:
     index = next(i for i, cell in enumerate(header.cells) if split_header(cell)[0].casefold() == _TIME.casefold())
     cells = [row.cells[index] for row in rows if len(row.cells) > index]
     # A cell that is no number stays in, so that its line is reported.
-    return all(map(is_number, cells)) and any(after < before for before, after in pairwise(map(_value, cells)))
-
-
-def _value(cell: str) -> float:
-    return float(cell.replace(",", "."))
+    return all(map(is_number, cells)) and any(after < before for before, after in pairwise(map(any_number, cells)))

@@ -10,11 +10,13 @@ from pathlib import Path
 
 from tissue_sim.errors import InputError
 from tissue_sim.files import decode_text, read_bytes
-from tissue_sim.recording.formats.blocks import is_unit_row
+from tissue_sim.recording.formats.blocks import begins_with_word, is_unit_row
 from tissue_sim.recording.formats.columns import Sheets, check_delimiter
 from tissue_sim.recording.formats.containers import is_container, read_container
 from tissue_sim.recording.formats.long_text import split_long
-from tissue_sim.recording.formats.table import Row, Table, is_number, split_rows
+from tissue_sim.recording.formats.number_text import is_number
+from tissue_sim.recording.formats.size_words import size_class
+from tissue_sim.recording.formats.table import Row, Table, split_rows
 from tissue_sim.recording.formats.workbook import is_workbook, read_sheets
 from tissue_sim.recording.recording import MIN_POINTS
 from tissue_sim.units import known_unit, loose_header, split_header
@@ -24,8 +26,6 @@ EXPECTED = "a recording (text, spreadsheet, MATLAB, LabVIEW, HDF5 or AFM)"
 _DELIMITERS = ("\t", ";", ",", "|", " ")
 #: Lines by which the delimiter is found.
 _SAMPLE = 2000
-_PAIR = re.compile(r"^(?P<key>[^:=]{1,80}?)\s*[:=]\s*(?P<value>.*?)\s*[;,]*$")
-_QUANTITY = re.compile(r"^(?P<number>[-+]?\d+([.,]\d*)?([eE][-+]?\d+)?)\s*(?P<unit>[^\d\s]\S*)?$")
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,7 @@ class Numbers:
         columns: places from 0 with numbers in them.
         header: the row of names, None: there is none. units: the row of units, above or below the names.
         above: rows from the numbers before, or the beginning, to the names.
+        below: rows below the last numbers of the table; of the others none.
     """
 
     table: Table
@@ -62,6 +63,12 @@ class Numbers:
     header: Row | None
     units: Row | None
     above: tuple[Row, ...] = field(repr=False)
+    below: tuple[Row, ...] = field(default=(), repr=False)
+
+    @property
+    def width(self) -> int:
+        """Number of columns, those without numbers included."""
+        return max(len(row.cells) for row in (self.rows[0], *([self.header] if self.header else [])))
 
     def name(self, place: int) -> str:
         """The whole header of a column; empty: it has none."""
@@ -130,11 +137,23 @@ def _find_delimiter(lines: list[str], path: Path) -> str:
             except InputError:
                 continue
             scores[delimiter] = sum(len(run) * len(columns) for run, columns in _runs(table))
+            # A blank between digits separates thousands where another delimiter makes a table of the same lines.
+            if delimiter == " " and scores[delimiter] > max([0, *scores.values()][:-1]) and any(
+                    scores.get(other) and _has_same_rows(sample, other, table, path) for other in _DELIMITERS[:-1]):
+                del scores[delimiter]
         best = max(scores, key=lambda each: scores[each], default=None)
         if best is not None and scores[best]:
             return best
     raise InputError(f"holds no table of numbers: no {MIN_POINTS} lines in a row have two numbers or more, separated "
                      "by tabs, semicolons, commas, bars or blanks", file=path)
+
+
+def _has_same_rows(lines: list[str], delimiter: str, blank: Table, path: Path) -> bool:
+    """Whether a delimiter makes as many rows of numbers as blanks do, and cells with blanks are numbers in them."""
+    table = Table(split_rows("\n".join(lines), delimiter, file=path), delimiter)
+    runs, of_blanks = [*_runs(table)], [*_runs(blank)]
+    grouped = any(" " in cell and is_number(cell) for run, _ in runs for row in run for cell in row.cells)
+    return grouped and sum(len(run) for run, _ in runs) >= sum(len(run) for run, _ in of_blanks)
 
 
 def find_numbers(source: Source) -> list[Numbers]:
@@ -145,12 +164,14 @@ def find_numbers(source: Source) -> list[Numbers]:
 def _of_table(table: Table) -> Iterator[Numbers]:
     begin = 0
     place = {id(row): i for i, row in enumerate(table.rows)}
-    for run, columns in _runs(table):
+    runs = [*_runs(table)]
+    for number, (run, columns) in enumerate(runs, start=1):
         first = place[id(run[0])]
         above = [row for row in table.rows[begin:first] if re.search(r"\w", "".join(row.cells))]
         begin = place[id(run[-1])] + 1
         header, units, rest = _names(above, columns)
-        yield Numbers(table, tuple(run), columns, header, units, tuple(above[:rest]))
+        below = table.rows[begin:] if number == len(runs) else ()
+        yield Numbers(table, tuple(run), columns, header, units, tuple(above[:rest]), tuple(below))
 
 
 def _names(above: list[Row], columns: Sequence[int]) -> tuple[Row | None, Row | None, int]:
@@ -160,7 +181,7 @@ def _names(above: list[Row], columns: Sequence[int]) -> tuple[Row | None, Row | 
         named = [i for i in columns if i < len(row.cells) and row.cells[i] and not is_number(row.cells[i])]
         if units is None and named and is_unit_row(row, columns):
             units = row
-        elif header is None and 2 * len(named) >= len(columns) and len(named) >= 2:
+        elif header is None and not _states_size(row) and 2 * len(named) >= len(columns) and len(named) >= 2:
             header = row
         else:
             break
@@ -168,6 +189,12 @@ def _names(above: list[Row], columns: Sequence[int]) -> tuple[Row | None, Row | 
         if header is not None and units is not None:
             break
     return header, units, rest
+
+
+def _states_size(row: Row) -> bool:
+    """Whether a row states a size, as ``Height 12 mm`` does, rather than names."""
+    cells = [cell for cell in row.cells if cell]
+    return len(cells) > 1 and is_number(cells[1]) and size_class(cells[0]) is not None
 
 
 def _runs(table: Table) -> Iterator[tuple[list[Row], tuple[int, ...]]]:
@@ -181,34 +208,11 @@ def _runs(table: Table) -> Iterator[tuple[list[Row], tuple[int, ...]]]:
             for i in numeric:
                 counts[i] = counts.get(i, 0) + 1
             continue
+        # Rows such as "Mean, 1.2, 3.4" below the numbers are of a summary.
+        while len(run) > 1 and begins_with_word(run[-1]) and not begins_with_word(run[0]):
+            run.pop()
         # A column that begins late, or ends early, is one too: replicates beside each other differ in length.
         columns = tuple(sorted(i for i, count in counts.items() if count >= MIN_POINTS))
         if len(run) >= MIN_POINTS and len(columns) >= 2:
             yield run, columns
         run, counts = [], {}
-
-
-def stated_values(rows: Sequence[Row]) -> dict[str, str]:
-    """What stands above a table as ``key: value``, ``key;value`` or ``key (unit);value``: key -> text with unit."""
-    found: dict[str, str] = {}
-    for row in rows:
-        cells = [cell for cell in row.cells if cell]
-        if not cells:
-            continue
-        match = _PAIR.match(cells[0])
-        if match and match["value"]:
-            key, value = match["key"], match["value"]
-        elif len(cells) >= 2:
-            key, value = cells[0].rstrip(" :="), " ".join(cells[1:3] if known_unit(cells[-1]) or len(cells) == 2
-                                                          else cells[1:2])
-        else:
-            continue
-        name, unit = loose_header(key)
-        found.setdefault(name, f"{value} {unit}" if unit else value)
-    return found
-
-
-def quantity_in(text: str) -> tuple[float, str | None] | None:
-    """A number and its unit, ``50mm`` or ``12,5 mm``; None: the text is no such thing."""
-    match = _QUANTITY.match(text.strip())
-    return None if match is None else (float(match["number"].replace(",", ".")), match["unit"])

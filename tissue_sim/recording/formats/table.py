@@ -5,18 +5,26 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.recording.formats.decimal_mark import DECIMAL_WORDS, NumberMarks, find_marks
 from tissue_sim.recording.formats.long_text import NotPlainError, PlainEnd
+from tissue_sim.recording.formats.number_text import parse_number
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
 from tissue_sim.units import quantity_of, to_si
 
+_BLANKS = re.compile(r"[ \t]+")
+#: A group of thousands with decimals, and the digits before it.
+_GROUP = re.compile(r"\d{3}(\.\d*)?")
+_LEADING = re.compile(r"[+-]?[1-9]\d{0,2}")
 #: SI units in words of the messages.
 _SI = {"time": "s", "length": "m", "force": "N", "torque": "Nm", "stress": "Pa", "ratio": "units",
        "temperature": "K"}
@@ -62,7 +70,8 @@ def split_rows(text: str, delimiter: str, *, file: Path) -> list[Row]:
         nonlocal line
         for content in io.StringIO(text, newline=None):
             line += 1
-            yield " ".join(content.split()) + "\n" if delimiter == " " else content
+            # A no-break blank separates thousands.
+            yield _BLANKS.sub(" ", content.strip(" \t\r\n")) + "\n" if delimiter == " " else content
 
     rows: list[Row] = []
     reader = csv.reader(lines(), delimiter=delimiter, skipinitialspace=delimiter != " ")
@@ -89,41 +98,38 @@ def narrow(rows: Iterable[Row], places: Sequence[int]) -> list[Row]:
     return [row for row in chosen if not row.blank]
 
 
-def is_number(cell: str) -> bool:
-    """Whether a cell is a number, with a decimal point or a decimal comma."""
-    try:
-        float(cell.replace(",", "."))
-    except ValueError:
-        return False
-    return True
-
-
 def read_recording_table(header: Row, rows: Sequence[Row], columns: Sequence[Column], *, file: Path,
                          delimiter: str = ",", metadata: Mapping[str, Any] | None = None,
-                         end: PlainEnd | None = None) -> Recording:
+                         end: PlainEnd | None = None, marks: NumberMarks | None = None) -> Recording:
     """The recording in `columns` of the data rows, and of the plain end below them.
 
-    Decimal commas are read where the delimiter is not a comma and no cell in use has a decimal point.
+    Args:
+        header: row of names. rows: data rows. columns: that are read. file: for messages.
+        delimiter: between the cells. metadata: of the recording. end: lines below the rows.
+        marks: decimal mark and thousands separator. None: found from the cells of the columns.
 
     Raises:
-        InputError: a row of another length than the header, a cell that is not a finite number, time running
-            backwards, fewer than `MIN_POINTS` rows; with file and line.
+        InputError: a row of another length than the header, a cell that is not a finite number, a decimal mark that
+            the values do not show, time running backwards, fewer than `MIN_POINTS` rows; with file and line.
         NotPlainError: of an end: the rows and the end are not of one table of numbers that can be read so.
     """
     width = len(header.cells)
     for row in rows:
         # Loggers end their lines with the delimiter: empty cells behind the last column carry nothing.
         if len(row.cells) < width or any(row.cells[width:]):
-            raise InputError(f"{_count(len(row.cells), 'cell')}, expected {width} as on line {header.line}",
-                             file=file, line=row.line)
+            raise InputError(f"{_count(len(row.cells), 'cell')}, expected {width} as on line {header.line}"
+                             f"{_split_thousands(row, width, delimiter)}", file=file, line=row.line)
     if len(rows) < MIN_POINTS:
         raise InputError(f"{_count(len(rows), 'point')} in the table on line {header.line}, expected at least "
                          f"{MIN_POINTS}", file=file)
     numeric = [column for column in columns if column.channel not in LABELS]
-    decimal_comma = (delimiter != "," or _quoted_commas(rows, numeric)) and _decimal_comma(rows, numeric, file)
-    values = _numbers(rows, numeric, decimal_comma, file)
+    if marks is None:
+        marks = find_marks(cells_of(rows, numeric), delimiter=delimiter)
+        if marks.is_open:
+            raise InputError(f"{marks.question}; expected numbers with one reading", file=file, line=header.line)
+    values = _numbers(rows, numeric, marks, file)
     if end is not None:
-        values = np.concatenate([values, _below(end, columns, width, delimiter, decimal_comma)])
+        values = np.concatenate([values, _below(end, columns, width, delimiter, marks)])
     channels = {column.channel: values[:, i] * column.factor + column.offset for i, column in enumerate(numeric)}
     if "time" in channels:
         back = np.flatnonzero(np.diff(channels["time"]) < 0)
@@ -138,10 +144,27 @@ def read_recording_table(header: Row, rows: Sequence[Row], columns: Sequence[Col
     return Recording(channels, labels, metadata or {})
 
 
-def _below(end: PlainEnd, columns: Sequence[Column], width: int, delimiter: str, decimal_comma: bool) -> np.ndarray:
+def _split_thousands(row: Row, width: int, delimiter: str) -> str:
+    """A hint that thousands separators may have split numbers into cells; empty if they have not."""
+    groups = [cell for before, cell in pairwise(row.cells) if _GROUP.fullmatch(cell) and _LEADING.fullmatch(before)]
+    if delimiter not in (",", " ") or not 0 < len(row.cells) - width <= len(groups):
+        return ""
+    return ("; a thousands separator that is also the delimiter may have split a number: quote the numbers "
+            "or export without thousands separators")
+
+
+def cells_of(rows: Sequence[Row], columns: Iterable[Column]) -> list[list[str]]:
+    """Cells of each column that has numbers, without labels."""
+    return [[row.cells[column.index] if column.index < len(row.cells) else "" for row in rows] for column in columns
+            if column.channel not in LABELS]
+
+
+def _below(end: PlainEnd, columns: Sequence[Column], width: int, delimiter: str, marks: NumberMarks) -> np.ndarray:
     """The numbers of a plain end, as they stand in the file, shape (rows, columns)."""
-    if any(column.channel in LABELS for column in columns) or (end.delimiter, end.cells, end.decimal_comma) != (
-            delimiter, width, decimal_comma):
+    if any(column.channel in LABELS for column in columns) or (end.delimiter, end.cells) != (delimiter, width):
+        raise NotPlainError
+    # Marks that the rows above do not explain may separate thousands: then all rows decide together.
+    if end.mark and (end.mark != marks.decimal or not (marks.is_certain or marks.is_stated)):
         raise NotPlainError
     values = end.numbers([column.index for column in columns])
     if values is None:
@@ -153,53 +176,19 @@ def _count(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def _decimal_comma(rows, columns, file) -> bool:
-    first: dict[str, tuple[int, str]] = {}
-    for row in rows:
-        for cell in (row.cells[column.index] for column in columns):
-            marks = [mark for mark in ",." if mark in cell]
-            if len(marks) == 2:
-                raise InputError(f"{cell!r} has a decimal point and a comma, expected one of them and no thousands "
-                                 "separators", file=file, line=row.line)
-            for mark in marks:
-                first.setdefault(mark, (row.line, cell))
-        if len(first) == 2:
-            (_, earlier), (line, later) = sorted(first.values())
-            raise InputError(f"{later!r} after {earlier!r} mixes decimal points and decimal commas, expected one of "
-                             "them", file=file, line=line)
-    return "," in first
-
-
-def _quoted_commas(rows, columns) -> bool:
-    """Whether cells between commas hold decimal commas, in quotation marks: no cell in use has a point, and some comma
-    cannot part thousands."""
-    cells = [row.cells[column.index] for row in rows for column in columns]
-    commas = [cell for cell in cells if "," in cell]
-    return bool(commas) and not any("." in cell for cell in cells) and any(
-        len(cell.lstrip("+-").partition(",")[2]) != 3 for cell in commas)
-
-
-def _number(cell: str, decimal_comma: bool) -> float:
-    # float() also takes 1_000 and non-Latin digits, which are typing errors in a table.
-    if "_" in cell or not cell.isascii():
-        return math.nan
-    try:
-        return float(cell.replace(",", ".", 1) if decimal_comma else cell)
-    except ValueError:
-        return math.nan
-
-
-def _numbers(rows, columns, decimal_comma, file) -> np.ndarray:
+def _numbers(rows: Sequence[Row], columns: Sequence[Column], marks: NumberMarks, file: Path) -> np.ndarray:
     """Numbers as they stand in the file, shape (rows, columns)."""
     values = np.empty((len(rows), len(columns)))
     for i, row in enumerate(rows):
         for j, column in enumerate(columns):
             cell = row.cells[column.index]
-            values[i, j] = number = _number(cell, decimal_comma)
+            values[i, j] = number = parse_number(cell, marks.decimal)
             if not math.isfinite(number):
                 found = f"holds {cell[:40]!r}" if cell else "is empty"
-                raise InputError(f"column {column.header!r} {found}, expected a finite number",
-                                 file=file, line=row.line)
+                mixed = (f" with {DECIMAL_WORDS[marks.decimal]}; the table mixes decimal points and decimal commas"
+                         if math.isfinite(parse_number(cell, marks.other)) else "")
+                raise InputError(f"column {column.header!r} {found}, expected a finite number{mixed}", file=file,
+                                 line=row.line)
     return values
 
 

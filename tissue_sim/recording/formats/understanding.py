@@ -1,7 +1,7 @@
-"""A file of measurements understood from its content: which tables it holds, and which columns are what.
+"""A file of measurements understood from its content: the tables that it holds, and the meaning of their columns.
 
-Nothing here is certain. What is found is said as options of `tissue_sim.read_recordings`, each with its reason, so that
-a person can see and correct it; what is not found is said, all at once.
+Every finding is an assumption. It becomes an option of `tissue_sim.read_recordings` with its reason, so that a person
+can see and correct it; everything that is missing is reported together.
 """
 
 from __future__ import annotations
@@ -11,12 +11,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tissue_sim.errors import InputError, located
 from tissue_sim.frozen_mapping import read_only
-from tissue_sim.recording.constant_speed import with_constant_speed
-from tissue_sim.recording.formats.columns import read_blocks
+from tissue_sim.recording.cleaning import clean, counted_from_kept
+from tissue_sim.recording.formats.columns import MarkedRecording
+from tissue_sim.recording.formats.decimal_mark import NumberMarks, find_marks, marks_beside
 from tissue_sim.recording.formats.guesses import ColumnGuess, Reading, Stated, Understanding
 from tissue_sim.recording.formats.header import matches
 from tissue_sim.recording.formats.interpretation import (
@@ -28,24 +27,26 @@ from tissue_sim.recording.formats.interpretation import (
 from tissue_sim.recording.formats.kind_guess import guess_kind, kind_assumption, require_one_test
 from tissue_sim.recording.formats.kind_hints import file_hints, header_hint, label_hints, title_hints
 from tissue_sim.recording.formats.kind_words import Hint
+from tissue_sim.recording.formats.materials import by_material
 from tissue_sim.recording.formats.orientation import oriented
 from tissue_sim.recording.formats.pairing import Group, alike, find_groups, no_pair
-from tissue_sim.recording.formats.sources import Numbers, Source, find_numbers, open_source, stated_values
+from tissue_sim.recording.formats.sources import Numbers, Source, find_numbers, open_source
+from tissue_sim.recording.formats.statements import merged, table_statements
 from tissue_sim.recording.formats.sweeps import is_sweep, sweep_sentence
+from tissue_sim.recording.formats.table_reader import TableReader
 from tissue_sim.recording.formats.vocabulary import MACHINES, Machine, find_machine
 from tissue_sim.recording.recording import Recording
-from tissue_sim.units import UNITS
 
-#: Of any channel, SI or in the units of the file.
-_LARGEST = 1e20
+#: Rows of a table from which the decimal mark of the lines around it is taken.
+_MARKED_ROWS = 2000
 _NAMING = ("displacement", "stretch", "shear strain", "force", "nominal stress")
 
 
 def understand(path: str | Path, stated: Stated | None = None) -> Understanding:
-    """What a text, spreadsheet or container holds.
+    """Content of a text, spreadsheet or container.
 
     Raises:
-        InputError: no such file, nothing in it that can be a recording; everything that is missing, at once.
+        InputError: no such file, or nothing in it that can be a recording; names everything that is missing.
     """
     path, stated = Path(path), stated or Stated()
     source = open_source(path, delimiter=stated.delimiter, sheet=stated.sheet, skip_lines=stated.skip_lines)
@@ -55,26 +56,27 @@ def understand(path: str | Path, stated: Stated | None = None) -> Understanding:
     words = "\n".join(text for numbers in found[:8] for text in _words(numbers))
     machine = MACHINES.get(stated.format or "") or (None if stated.format == "table" else find_machine(words))
     found, warnings = _without_sweeps(found, path)
-    tables = [group for numbers in found for group in find_groups(numbers, machine, stated)]
+    tables = [group for numbers in found
+              for group in find_groups(numbers, machine, stated, _statements(numbers, numbers.columns, stated))]
     titles = file_hints(source, found)
     if not tables:
         kind = guess_kind((), (), [*title_hints(found[0]), *titles], machine, stated.kind)
         if kind.refused is not None:
             raise kind.refused.refusal().located(file=path)
         raise InputError(no_pair(found, machine, stated), file=path)
+    tables = _with_statements(source, tables, stated)
     with located(file=path):
-        readings, refused = _of_known_tests([
-            _reading(source, group, stated, machine, titles, _unused(group[0].numbers, tables))
-            for group in alike(tables)], stated)
+        parts = [_reading(source, group, stated, machine, titles, _unused(group[0].numbers, tables))
+                 for group in alike(tables)]
+        readings, refused = _of_known_tests([reading for several, _ in parts for reading in several], stated)
+    every = [marks for _, marks in parts]
+    marks = next((each for each in every if each.is_open), next((each for each in every if each.thousands), every[0]))
     if len(readings) > 1:
         readings = _named(readings)
-    delimiter = source.tables[0].delimiter
-    cells = "".join(cell for column in readings[0].columns for row in found[0].rows[:200]
-                    for cell in row.cells[column.place - 1:column.place])
-    return Understanding(path, machine.name if machine else "table", source.kind, delimiter,
-                         None if delimiter is None else "," if "," in cells else ".", source.encoding, readings,
+    return Understanding(path, machine.name if machine else "table", source.kind, source.tables[0].delimiter,
+                         marks.decimal if source.kind == "text" else None, source.encoding, readings,
                          (*warnings, *refused, *_warnings(source, readings)),
-                         (format_assumption(machine, stated),))
+                         (format_assumption(machine, stated), *marks.assumptions()))
 
 
 def _without_sweeps(found: Sequence[Numbers], path: Path) -> tuple[list[Numbers], tuple[str, ...]]:
@@ -106,27 +108,56 @@ def _of_known_tests(readings: Sequence[Reading], stated: Stated) -> tuple[tuple[
     return kept, tuple(dict.fromkeys(f"a table is left out: {each.problem}" for each in refused))
 
 
+def _with_statements(source: Source, groups: Sequence[Group], stated: Stated) -> list[Group]:
+    """The tables with what the file states about each; a table without sizes takes those of the table before it."""
+    numbered = {id(group.numbers.table) for group in groups}
+    elsewhere = [row for table in source.tables if id(table) not in numbered for row in table.rows]
+    # Rows below the last table may state the sizes of all.
+    trailing = [row for group in groups[-1:] for row in group.numbers.below]
+    found: list[Group] = []
+    for i, group in enumerate(groups):
+        places = [column.place - 1 for column in group.columns]
+        last = group.numbers is groups[-1].numbers
+        statements = _statements(group.numbers, places, stated, used=places, table=i, tables=len(groups),
+                                 elsewhere=elsewhere if last else [*trailing, *elsewhere])
+        found.append(replace(group, stated=merged(found[-1].stated, statements) if found else dict(statements)))
+    return found
+
+
+def _statements(numbers: Numbers, places: Sequence[int], stated: Stated, *, used: Sequence[int] = (),
+                **context: Any) -> Mapping[str, str]:
+    """Key -> value with unit, as the file states them about a table; see `table_statements`.
+
+    Args:
+        places: columns, from 0, whose first rows tell the decimal mark of the lines around the table.
+    """
+    rows = numbers.rows[:_MARKED_ROWS]
+    decimal = stated.decimal or find_marks([[row.cells[place] for row in rows if place < len(row.cells)]
+                                            for place in places], delimiter=numbers.table.delimiter).decimal
+    return table_statements(numbers, used, decimal=decimal, **context)
+
+
 def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: Machine | None,
-             titles: Sequence[Hint], unused: tuple[str, ...]) -> Reading:
-    """How to read the tables, with columns turned so that a load is positive."""
+             titles: Sequence[Hint], unused: tuple[str, ...]) -> tuple[list[Reading], NumberMarks]:
+    """How to read the tables, with columns turned so that a load is positive, and the marks of their numbers.
+
+    Tables whose titles name different materials are readings of their own.
+    """
     first = groups[0]
     sheets = tuple(dict.fromkeys(group.numbers.table.name for group in groups if group.numbers.table.name))
     by_name = _told_apart(groups)
     columns = tuple(replace(column, by_name=by_name) for column in first.columns)
-    options: dict[str, Any] = {}
-    if sheets and (len(source.tables) > 1 or stated.sheet is not None):
-        options["sheet"] = list(sheets) if len(sheets) > 1 else sheets[0]
-    if source.kind == "text" and first.numbers.table.delimiter in ("|", " "):
-        options["delimiter"] = first.numbers.table.delimiter
-    header = first.numbers.header
-    line = header.line if header is not None else first.numbers.rows[0].line
-    if not by_name and line > 1:
-        options["skip_lines"] = line if header is not None else line - 1
-    elif stated.skip_lines:
-        options["skip_lines"] = stated.skip_lines
-    columns, recordings, remarks = _readable(source.file, _checked_shear(columns), options, first.speed)
-    stated_above = stated_values(first.numbers.above)
-    kind = guess_kind(recordings, columns, _hints(source, first, columns, titles), machine, stated.kind)
+    options = _options(source, first, stated, sheets, by_name=by_name)
+    reader = TableReader(source.file, options, None if first.speed is None else first.speed[0])
+    columns, marked, remarks = reader.readable(_checked_shear(columns))
+    marks = _settled(marked, groups)
+    if marks.decimal != marked[0].marks.decimal:
+        columns, marked, remarks = TableReader(source.file, {**options, "decimal": marks.decimal},
+                                               reader.speed).readable(columns)
+    if marks.thousands or (marks.example and not marks.is_certain):
+        options["decimal"] = marks.decimal
+    recordings = tuple(each.recording for each in marked)
+    kind = guess_kind(_cleaned(recordings), columns, _hints(source, first, columns, titles), machine, stated.kind)
     if kind.is_stated and kind.against:
         remarks = (*remarks, f"kind of test as stated ({kind.kind}), though {'; '.join(kind.against)}")
     elif not kind.is_stated and not stated.any_test:
@@ -135,24 +166,53 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
         columns = tuple(replace(column, channel="shear strain", offset=None,
                                 reason=column.reason.replace("; a strain, which 1 makes a stretch", "; sheared"))
                         if _is_strain(column) else column for column in columns)
-        recordings = _read(source.file, _checked_shear(columns), options, first.speed)
+        recordings = reader.recordings(_checked_shear(columns))
     signed = {column.channel for column in columns if stated.signs.keys() & {column.channel, column.role}}
-
-    def read(chosen: Sequence[ColumnGuess]) -> tuple[Recording, ...]:
-        return _read(source.file, chosen, options, first.speed)
-
-    columns, recordings, rivals, compared = settle_rivals(read, columns, recordings, first.rivals)
-    turned = oriented(columns, recordings, kind.kind, signed)
-    recordings = _turned(source.file, recordings, columns, turned, options, first.speed)
-    columns = turned
-    options["columns"] = {column.channel: column.entry() for column in columns}
+    columns, recordings, rivals, compared = settle_rivals(reader.recordings, columns, recordings, first.rivals)
+    turned = oriented(columns, _cleaned(recordings), kind.kind, signed)
+    recordings = reader.turned(recordings, columns, turned)
+    columns, zeroed = turned, [column.channel for column in turned if column.offset == "start"]
+    recordings = tuple(counted_from_kept(each, zeroed) for each in recordings)
     moved = () if first.speed is None else (speed_assumption(first.speed, recordings),)
     remarks = (*remarks, *(sentence for each in moved for sentence in each.against))
-    assumptions = (*column_assumptions(read, columns, recordings, first.rivals, stated), *moved, *rivals,
+    assumptions = (*column_assumptions(reader.recordings, columns, recordings, first.rivals, stated), *moved, *rivals,
                    kind_assumption(kind))
-    return Reading("", columns, first.others, read_only(options), recordings, kind, line, sheets,
-                   read_only(stated_above), (*remarks, *compared), assumptions=assumptions, unused=unused,
-                   speed=first.speed)
+    kept = {**options, "columns": {column.channel: column.entry() for column in columns}}
+    if marks.is_open:
+        # The user decides.
+        kept.pop("decimal", None)
+    reading = Reading("", columns, first.others, read_only(kept), recordings, kind, first.line, sheets,
+                      read_only(first.stated), (*remarks, *compared), assumptions=assumptions, unused=unused,
+                      speed=first.speed)
+    return by_material(reading, groups, [(each.sheet, each.line) for each in marked], stated), marks
+
+
+def _options(source: Source, first: Group, stated: Stated, sheets: Sequence[str], *, by_name: bool) -> dict[str, Any]:
+    """Options of `read_recordings` but for the columns."""
+    options: dict[str, Any] = {}
+    if sheets and (len(source.tables) > 1 or stated.sheet is not None):
+        options["sheet"] = list(sheets) if len(sheets) > 1 else sheets[0]
+    if source.kind == "text" and first.numbers.table.delimiter in ("|", " "):
+        options["delimiter"] = first.numbers.table.delimiter
+    if not by_name and first.line > 1:
+        options["skip_lines"] = first.line if first.numbers.header is not None else first.line - 1
+    elif stated.skip_lines:
+        options["skip_lines"] = stated.skip_lines
+    if stated.decimal is not None:
+        options["decimal"] = stated.decimal
+    if stated.curve is not None:
+        options["curve"] = stated.curve
+    return options
+
+
+def _settled(marked: Sequence[MarkedRecording], groups: Sequence[Group]) -> NumberMarks:
+    """The marks of the numbers; where these are open, quantities outside of the table decide."""
+    every = [each.marks for each in marked]
+    found = next((marks for marks in every if marks.is_open or marks.thousands), every[0])
+    if not found.is_open:
+        return found
+    rows = [row for group in groups for row in (*group.numbers.above, *group.numbers.below)]
+    return marks_beside(found, "\n".join(" ".join(row.cells) for row in rows))
 
 
 def _hints(source: Source, first: Group, columns: Sequence[ColumnGuess], titles: Sequence[Hint]) -> list[Hint]:
@@ -187,6 +247,11 @@ def _unused(numbers: Numbers, tables: Sequence[Group]) -> tuple[str, ...]:
     return tuple(numbers.name(place) or str(place + 1) for place in numbers.columns if place + 1 not in used)
 
 
+def _cleaned(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    """The recordings without outliers and saturated samples, on which no sign and no zero may depend."""
+    return tuple(clean(each)[0] for each in recordings)
+
+
 def _told_apart(groups: Sequence[Group]) -> bool:
     """Whether the names of the columns find these tables and no other column."""
     for group in groups:
@@ -199,67 +264,13 @@ def _told_apart(groups: Sequence[Group]) -> bool:
     return True
 
 
-def _readable(path: Path, columns: tuple[ColumnGuess, ...], options: Mapping[str, Any],
-              speed: tuple[float, str] | None
-              ) -> tuple[tuple[ColumnGuess, ...], tuple[Recording, ...], tuple[str, ...]]:
-    """Columns and what they give, without a clock that runs backwards, and with a stretch that falls below zero taken
-    for the strain that it is."""
-    remarks: tuple[str, ...] = ()
-    try:
-        recordings = _read(path, columns, options, speed)
-    except InputError as error:
-        if not error.problem.startswith("time runs backwards"):
-            raise
-        columns = tuple(column for column in columns if column.channel != "time")
-        recordings = _read(path, columns, options, speed)
-        remarks = (f"the clock is left out: line {error.line}: {error.problem.split(' in column')[0]}",)
-    if any(column.role == "stretch" for column in columns) and min(
-            each.channel("stretch").min() for each in recordings) <= 0:
-        columns = tuple(replace(column, role="strain", offset=1.0, reason=f"{column.reason}; not above zero, as a "
-                                "stretch is; a strain, which 1 makes a stretch")
-                        if column.role == "stretch" else column for column in columns)
-        recordings = _read(path, columns, options, speed)
-    return columns, recordings, remarks
-
-
-def _read(path: Path, columns: Sequence[ColumnGuess], options: Mapping[str, Any],
-          speed: tuple[float, str] | None = None) -> tuple[Recording, ...]:
-    entries = {}
-    for column in columns:
-        # Where only a person knows the unit, the numbers as they stand show the shape of the test.
-        entries[column.channel] = {**column.entry(), "scale": column.scale or 1.0} if column.missing else column.entry()
-        if column.missing and column.unit not in UNITS:
-            entries[column.channel].pop("unit", None)
-    recordings = read_blocks(path, entries, **{key: value for key, value in options.items() if key != "columns"})
-    if speed is not None:
-        recordings = tuple(with_constant_speed(each, speed[0], path) for each in recordings)
-    for recording in recordings:
-        for channel, values in recording.channels.items():
-            if np.abs(values).max() > _LARGEST:
-                raise InputError(f"{channel} reaches {values[np.argmax(np.abs(values))]:g}, which no machine measures: "
-                                 "a cell is damaged", file=path)
-    return recordings
-
-
-def _turned(path: Path, recordings: tuple[Recording, ...], before: Sequence[ColumnGuess],
-            after: Sequence[ColumnGuess], options: Mapping[str, Any],
-            speed: tuple[float, str] | None) -> tuple[Recording, ...]:
-    """The recordings of columns of which some have got another sign."""
-    other = [column for was, column in zip(before, after, strict=True) if column.entry() != was.entry()]
-    if any(column.offset is not None for column in other) or (other and any(column.measure for column in after)):
-        return _read(path, after, options, speed)
-    # From zero: no zero becomes a negative one.
-    return tuple(each.with_channels(**{column.channel: 0.0 - each.channel(column.channel) for column in other})
-                 if other else each for each in recordings)
-
-
 def _named(readings: Sequence[Reading]) -> tuple[Reading, ...]:
     """Readings of one file with a name each: what their headers begin with, or their sheet."""
     named: list[Reading] = []
     for number, reading in enumerate(readings, start=1):
         heads = [column.header for column in reading.columns if column.channel in _NAMING]
         common = _common_beginning(heads)
-        name = common or (reading.sheets[0] if len(reading.sheets) == 1 else "") or str(number)
+        name = reading.name or common or (reading.sheets[0] if len(reading.sheets) == 1 else "") or str(number)
         if name in [other.name for other in named]:
             name = f"{name}_{number}"
         named.append(replace(reading, name=name))

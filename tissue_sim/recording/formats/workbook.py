@@ -16,6 +16,7 @@ import xlrd
 
 from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.files import ZIP_MAGIC, first_bytes, read_bytes
+from tissue_sim.recording.formats.number_text import ExactNumber
 from tissue_sim.recording.formats.table import Row, Table
 
 EXPECTED = "a spreadsheet (xlsx, xls, ods)"
@@ -160,5 +161,5 @@ def _find(path: Path, sheet: str | int, names: list[str]) -> str:
 
 def _text(value: Any) -> str:
     if isinstance(value, int | float) and not isinstance(value, bool):
-        return repr(value)
+        return ExactNumber(repr(value))
     return " ".join(str(value).split())

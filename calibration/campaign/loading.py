@@ -1,0 +1,77 @@
+"""The samples of the first loading of a recording, and checks of its motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from calibration.campaign.campaign import Test
+from tissue_sim.errors import InputError
+from tissue_sim.recording.recording import MIN_POINTS
+from tissue_sim.recording.screening import Screening
+
+#: Fraction of the largest displacement that a specimen loaded to both sides reaches on the other side.
+OTHER_SIDE = 0.05
+
+
+def elastic_samples(places: np.ndarray, displacement: np.ndarray, screening: Screening, path: Path, *,
+                    both_sides: bool) -> np.ndarray:
+    """The samples to which a law without memory is fitted: the first loading, or all of an oscillation.
+
+    Samples from the first saturated one on, and those from the first creep under a held load on, are left out.
+
+    Args:
+        places: samples that may be used, shape (k,). displacement: of all samples, m, shape (n,).
+
+    Raises:
+        InputError: fewer than five samples, an oscillation out of phase.
+    """
+    control = screening.control
+    places = places[places < screening.kept_before_saturation]
+    if control is not None and control.dissipates:
+        raise InputError(f"{path.name}: {control.sentence}", field="recordings")
+    if control is not None and control.pattern == "oscillation":
+        return places
+    if control is not None and control.pattern == "creep":
+        places = places[places < control.loading]
+        if places.size < MIN_POINTS:
+            raise InputError(f"{path.name}: {control.sentence}; the loading before has {places.size} samples, and an "
+                             f"elastic law needs at least {MIN_POINTS}", field="recordings")
+    loads = first_loading(displacement[places], both_sides=both_sides) if places.size else places
+    if loads.size < MIN_POINTS:
+        raise InputError(f"{path.name} has its largest strain in sample {loads.size}, and what follows counts as "
+                         f"unloading; sort the file by time, so that at least {MIN_POINTS} samples load the specimen",
+                         field="recordings")
+    return places[loads]
+
+
+def first_loading(displacement: np.ndarray, both_sides: bool) -> np.ndarray:
+    """Samples up to the largest displacement, and where it went to both sides those of the other loading: from rest to
+    its own extreme, without the return between them."""
+    last, other = int(np.argmax(displacement)), int(np.argmin(displacement))
+    if not both_sides or -displacement[other] < OTHER_SIDE * displacement[last]:
+        return np.arange(last + 1)
+    first, second = sorted((last, other))
+    # The return ends where the displacement has changed its sign for the last time before the second extreme.
+    turned = np.flatnonzero(displacement[first:second] * displacement[second] <= 0)
+    if first + 1 < MIN_POINTS:
+        # It began at an extreme, so that all that leads to the other is one loading.
+        return np.arange(first, second + 1)
+    return np.append(np.arange(first + 1), np.arange(first + turned[-1] + 1, second + 1))
+
+
+def check_motion(displacement: np.ndarray, height: float, test: Test, path: Path) -> None:
+    """Refuse a motion that is none, or that no specimen follows."""
+    if np.ptp(displacement) == 0:
+        raise InputError(f"{path.name} does not move: its displacement has the same value in all {displacement.size} "
+                         "samples of loading; check which column it is read from", field="recordings")
+    largest = float(displacement.max())
+    if not test.kind.gripped and largest >= height:
+        raise InputError(f"{path.name} reaches stretch {1 - largest:g}; a stretch is above zero"
+                         if test.specimen is None else
+                         f"{path.name} goes to {largest * 1e3:g} mm, deeper than the specimen {test.specimen.name!r} "
+                         f"is high ({height * 1e3:g} mm)", field="recordings")
+    if largest <= 0:
+        raise InputError(f"{path.name} holds no loading: its largest strain is {largest / height:g}; check the kind, "
+                         "or turn the column with sign = -1", field="recordings")

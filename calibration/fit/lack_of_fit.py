@@ -1,0 +1,80 @@
+"""Lack of fit of a law to one test: the part of the residuals that noise and scatter between recordings leave.
+
+With several recordings the residual of their mean tests the law, and their deviations from the mean are pure error.
+Source: Draper and Smith, Applied Regression Analysis, 3rd ed., 1998, section 2.1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.campaign.measured import MeasuredCurve
+from calibration.fit.problem import LeastSquares
+from tissue_sim.recording.segmentation import label_motion
+
+#: Points at which recordings of one test are compared.
+_POINTS = 64
+#: Fewer moving samples than this give no coefficient of determination.
+_FEWEST = 8
+
+
+@dataclass(frozen=True)
+class LackOfFit:
+    """Lack of fit in one test, over the samples in which the displacement moves.
+
+    Attributes:
+        R2: share of the variance of the force that the law explains, noise and scatter between recordings taken out;
+            None with fewer than 8 such samples.
+        share: root mean square lack of fit, relative to the largest force.
+    """
+
+    R2: float | None
+    share: float
+
+
+def lack_of_fit(problem: LeastSquares, gap: np.ndarray, number: int) -> LackOfFit:
+    """Lack of fit in test `number` of a problem.
+
+    Args:
+        gap: model minus data at all samples, N, shape (N,).
+    """
+    rows = [(rows, problem.tests[number].measured[r]) for rows, (t, r) in zip(problem.rows, problem.places, strict=True)
+            if t == number]
+    largest = max(float(np.abs(curve.force).max()) for _, curve in rows)
+    parts = [(curve, gap[place], moving_samples(curve)) for place, curve in rows]
+    parts = [(curve, mine, moving) for curve, mine, moving in parts if moving.sum() >= _FEWEST]
+    if not parts:
+        return LackOfFit(None, 0.0)
+    if len(parts) == 1:
+        curve, mine, moving = parts[0]
+        squares = float(np.mean(mine[moving]**2)) - curve.noise.deviation**2
+        variance = float(np.var(curve.force[moving]))
+    else:
+        squares, variance = _of_mean(parts, problem.tests[number].timed)
+    squares = max(squares, 0.0)
+    R2 = 1.0 - squares / variance if variance > 0 else None
+    return LackOfFit(R2, float(np.sqrt(squares)) / largest)
+
+
+def moving_samples(curve: MeasuredCurve) -> np.ndarray:
+    """Samples in which the displacement moves, bool, shape (n,): holds are left out."""
+    if curve.time is None or np.ptp(curve.clock) == 0 or bool(np.any(np.diff(curve.clock) < 0)):
+        return np.ones(curve.force.size, bool)
+    moving = label_motion(curve.clock, curve.displacement) != "hold"
+    return moving if moving.any() else np.ones(curve.force.size, bool)
+
+
+def _of_mean(parts: list[tuple[MeasuredCurve, np.ndarray, np.ndarray]], timed: bool) -> tuple[float, float]:
+    """Mean square lack of fit of the mean recording, N^2, and the variance of its force."""
+    gaps, forces = [], []
+    courses = [curve.clock[moving] - curve.clock[0] if timed else curve.displacement[moving]
+               for curve, _, moving in parts]
+    grid = np.linspace(max(course.min() for course in courses), min(course.max() for course in courses), _POINTS)
+    for course, (curve, mine, moving) in zip(courses, parts, strict=True):
+        order = np.argsort(course, kind="stable")
+        gaps.append(np.interp(grid, course[order], mine[moving][order]))
+        forces.append(np.interp(grid, course[order], curve.force[moving][order]))
+    within = float(np.mean(np.var(gaps, axis=0, ddof=1)))
+    return float(np.mean(np.mean(gaps, axis=0)**2)) - within / len(parts), float(np.var(np.mean(forces, axis=0)))

@@ -1,0 +1,128 @@
+"""Recordings of one test that disagree: two materials, a wrong unit or a wrong sign."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.campaign.measured import MeasuredCurve
+
+
+@dataclass(frozen=True)
+class ReplicateSettings:
+    """Limits of the comparison of recordings of one test.
+
+    Attributes:
+        ratio: two groups of recordings disagree where their stiffnesses differ by more than this factor ...
+        scatter: ... and the gap between the groups is more than this many standard deviations of the stiffnesses within
+            them (logarithms).
+        compared: recordings are compared over this upper share of the displacement that all of them reach, where an
+            offset of the contact matters least.
+        unit: a ratio within this many decades of 1000 is named as a factor of units.
+    """
+
+    ratio: float = 1.5
+    scatter: float = 3.0
+    compared: float = 0.5
+    unit: float = 0.1
+
+
+SETTINGS = ReplicateSettings()
+#: Points at which recordings are compared.
+_POINTS = 32
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """Two groups of recordings of one test with different stiffnesses.
+
+    Attributes:
+        test: its name. odd: names of the smaller group. others: of the larger one.
+        ratio: stiffness of the smaller group over that of the larger one, negative where the signs differ.
+    """
+
+    test: str
+    odd: tuple[str, ...]
+    others: tuple[str, ...]
+    ratio: float
+
+    def describe(self) -> str:
+        """The finding and its remedy."""
+        ratio = self.ratio
+        if ratio <= 0:
+            what = "have a force of the other sign than"
+        else:
+            times = ratio if ratio >= 1 else 1.0 / ratio
+            what = f"are {times:.3g} times {'stiffer' if ratio > 1 else 'softer'} than"
+        odd = ", ".join(self.odd)
+        suspects = odd if len(self.odd) < len(self.others) else f"{odd} and {_names(self.others)}"
+        unit = " (a factor of 1000 is that of N to mN or of m to mm)" if \
+            ratio > 0 and abs(abs(np.log10(ratio)) - 3.0) < SETTINGS.unit else ""
+        verb = what if len(self.odd) > 1 else what.replace("have", "has", 1).replace("are", "is", 1)
+        return (f"recordings of {self.test} disagree: {odd} {verb} {_names(self.others)}; check unit{unit}, sign and "
+                f"size of the specimen of {suspects}; recordings of another material belong in another campaign")
+
+
+def find_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]) -> list[Disagreement]:
+    """Tests whose recordings fall into two groups of different stiffness.
+
+    Args:
+        measured: test -> its recordings.
+    """
+    return [found for name, curves in measured.items() if (found := _disagreement(name, curves)) is not None]
+
+
+def _disagreement(test: str, curves: Sequence[MeasuredCurve]) -> Disagreement | None:
+    if len(curves) < 2:
+        return None
+    sizes = _stiffnesses(curves)
+    if sizes is None:
+        return None
+    names = [curve.name for curve in curves]
+    negative = sizes <= 0
+    if negative.any() and not negative.all():
+        odd, others = (negative, ~negative) if negative.sum() <= (~negative).sum() else (~negative, negative)
+        return Disagreement(test, _of(names, odd), _of(names, others), -1.0)
+    if negative.all():
+        return None
+    logs = np.log(sizes)
+    order = np.argsort(logs)
+    gaps = np.diff(logs[order])
+    cut = int(np.argmax(gaps)) + 1
+    low, high = logs[order[:cut]], logs[order[cut:]]
+    squares = float(np.sum((low - low.mean())**2) + np.sum((high - high.mean())**2))
+    within = np.sqrt(squares / max(logs.size - 2, 1))
+    if gaps[cut - 1] <= np.log(SETTINGS.ratio) or gaps[cut - 1] <= SETTINGS.scatter * within:
+        return None
+    below = np.isin(np.arange(logs.size), order[:cut])
+    odd = below if below.sum() <= (~below).sum() else ~below
+    ratio = float(np.exp(logs[odd].mean() - logs[~odd].mean()))
+    return Disagreement(test, _of(names, odd), _of(names, ~odd), ratio)
+
+
+def _stiffnesses(curves: Sequence[MeasuredCurve]) -> np.ndarray | None:
+    """Mean force of each recording over displacements that all of them reach, N, shape (R,); None where there are
+    none."""
+    reach = min(float(curve.displacement.max()) for curve in curves)
+    low = max((1.0 - SETTINGS.compared) * reach, *(float(curve.displacement.min()) for curve in curves))
+    if not 0 < low < reach:
+        return None
+    grid, found = np.linspace(low, reach, _POINTS), []
+    for curve in curves:
+        end = int(np.argmax(curve.displacement)) + 1
+        order = np.argsort(curve.displacement[:end], kind="stable")
+        found.append(float(np.mean(np.interp(grid, curve.displacement[:end][order], curve.force[:end][order]))))
+    return np.array(found)
+
+
+def _of(names: Sequence[str], mask: np.ndarray) -> tuple[str, ...]:
+    return tuple(name for name, inside in zip(names, mask.tolist(), strict=True) if inside)
+
+
+def _names(names: Iterable[str]) -> str:
+    """Up to three names, and how many more."""
+    several = list(names)
+    more = f" and {len(several) - 3} more" if len(several) > 3 else ""
+    return ", ".join(several[:3]) + more

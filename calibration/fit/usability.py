@@ -1,0 +1,266 @@
+"""The rule by which a fit is called usable: a list of clauses, each of which holds or fails with a reason and a remedy.
+
+Values between the clauses are compared after noise and the scatter between recordings have been taken out, so that a
+noisy recording of the right law is usable and a precise recording of the wrong law is not. A fit whose residuals are
+many times the noise is usable as long as the limits below hold: real tissue obeys no law to the precision of a sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.campaign.measured import MeasuredCurve
+from calibration.fit.alternatives import describe_alternatives
+from calibration.fit.estimate import Estimate
+from calibration.fit.lack_of_fit import lack_of_fit
+from calibration.fit.population import Specimens
+from calibration.fit.replicates import find_disagreements
+from calibration.fit.usability_records import Alternative, Clause
+from calibration.forward.contract import Reached
+from calibration.statistics.statistics import MODEL_ERROR_RATIO
+from tissue_sim.laws import Stability
+
+
+@dataclass(frozen=True)
+class UsabilitySettings:
+    """Limits of the clauses.
+
+    Attributes:
+        largest_residual: root mean square residual of a test, relative to its largest force.
+        smallest_R2: share of the variance of the force (of the displacement where the force is controlled) that a law
+            must explain in each test, over the samples in which the controlled quantity moves; docs/calibration.md
+            compares the limit with measured data.
+        beyond_loading: relaxation and creep contradict a law without memory where at least this share of the fitted
+            samples comes after the first loading.
+        noise_ratio: residuals below this many times the noise fail no clause on residuals.
+    """
+
+    largest_residual: float = 0.10
+    smallest_R2: float = 0.95
+    beyond_loading: float = 0.10
+    noise_ratio: float = MODEL_ERROR_RATIO
+
+
+SETTINGS = UsabilitySettings()
+#: Status of a usable fit.
+USABLE = "converged"
+_OTHER_LAW = "end the test before something else begins, such as failure (max_strain), or take another law"
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What the clauses are evaluated on.
+
+    Attributes:
+        estimate: the minimum. stability, reached, mu0: of the law there; see `check_stability` and `Reached`.
+        specimens: of the population. alternatives: other parameters that fit as well.
+        symbols, units: of the parameters, for sentences.
+    """
+
+    estimate: Estimate
+    stability: Stability
+    reached: Mapping[str, Reached]
+    mu0: float
+    specimens: Specimens
+    alternatives: Sequence[Alternative]
+    symbols: Mapping[str, str]
+    units: Mapping[str, str]
+
+
+def judge(evidence: Evidence) -> tuple[list[Clause], str, str | None]:
+    """Clauses in the order of their weight, status, and the reasons why the fit is not usable (None: it is)."""
+    clauses = [_physical(evidence), _converged(evidence), _stable(evidence), _recorded(evidence), _replicates(evidence),
+               _residuals(evidence), _explained(evidence), _displacement(evidence), _unique(evidence),
+               _population(evidence)]
+    failed = [clause for clause in clauses if not clause.holds]
+    if not failed:
+        return clauses, USABLE, None
+    # Without a material or a minimum the other clauses have no meaning; several optima matter for a law that fits.
+    first = failed[:1] if failed[0].name in ("physical", "converged") else \
+        [clause for clause in failed if clause.name != "unique" or len(failed) == 1]
+    remedies = dict.fromkeys(clause.remedy for clause in first if clause.remedy)
+    # Where the recordings themselves are at fault, another law is no remedy.
+    at_fault = any(clause.name in ("recordings", "replicates") for clause in first)
+    specific = [remedy for remedy in remedies if remedy != _OTHER_LAW] or ([] if at_fault else list(remedies))
+    return clauses, first[0].status, "; ".join([*(clause.reason for clause in first), *specific])
+
+
+def _clause(name: str, status: str, reason: str, remedy: str = "") -> Clause:
+    """A clause that holds where `reason` is empty."""
+    return Clause(name=name, holds=not reason, status=status, reason=reason, remedy=remedy if reason else "")
+
+
+def _physical(evidence: Evidence) -> Clause:
+    if evidence.mu0 > 0:
+        return _clause("physical", "not_physical", "")
+    remedy = "no material has that, so no material file is written: set bounds or use another law"
+    falling = [curve.name for curve in evidence.estimate.problem.measured if _falls(curve)]
+    if falling:
+        remedy = (f"the force of {', '.join(falling)} falls while the displacement grows: check the sign of both "
+                  "columns, and which of them is the force")
+    return _clause("physical", "not_physical", f"its shear modulus at rest is {evidence.mu0:.4g} Pa", remedy)
+
+
+def _falls(curve: MeasuredCurve) -> bool:
+    """Whether the force of a recording falls as its displacement grows, over the whole recording."""
+    away = curve.displacement - curve.displacement.mean()
+    return float(away @ curve.force) < 0
+
+
+def _converged(evidence: Evidence) -> Clause:
+    estimate = evidence.estimate
+    return _clause("converged", "not_converged",
+                   "" if estimate.converged else estimate.failure or "it did not converge",
+                   "the optimiser ran out of evaluations in a flat valley where other parameters fit as well: fix one, "
+                   "or use a law with fewer")
+
+
+def _stable(evidence: Evidence) -> Clause:
+    ranges: dict[str, tuple[float, float]] = {}
+    for one in evidence.reached.values():
+        if one.mode:
+            low, high = ranges.get(one.mode, (one.low, one.high))
+            ranges[one.mode] = min(low, one.low), max(high, one.high)
+    lost = [loss for mode, stretches in ranges.items() if (loss := losses(evidence.stability, mode, stretches))]
+    return _clause("stable", "unstable", f"not stable {' and '.join(lost)}, where there are data" if lost else "")
+
+
+def losses(stability: Stability, mode: str, stretches: tuple[float, float]) -> str:
+    """Where one mode loses Drucker stability inside these stretches, in words; empty where it does not."""
+    (low, high), (lower, upper) = stretches, stability.limits[mode]
+    if lower == upper == 1.0:
+        return f"in {mode} loading at every stretch"
+    ends = [f"{side} stretch {limit:.3g}" for side, limit, lost in (("below", lower, lower > low),
+                                                                  ("above", upper, upper < high)) if lost]
+    return f"in {mode} loading {' and '.join(ends)}" if ends else ""
+
+
+def _recorded(evidence: Evidence) -> Clause:
+    """Findings of the screening of the recordings by which the moduli of this fit are wrong."""
+    problem = evidence.estimate.problem
+    space = problem.space
+    remembers = space.material(space.values(evidence.estimate.theta[: len(space.free)])).remembers \
+        if evidence.mu0 > 0 else False
+    found: dict[str, list[str]] = {}
+    for curve in problem.measured:
+        for sentence in contradictions(curve, remembers):
+            found.setdefault(sentence, []).append(curve.name)
+    reasons = [f"{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: {sentence}"
+               for sentence, names in found.items()]
+    return _clause("recordings", "misfit", "; ".join(reasons))
+
+
+def contradictions(curve: MeasuredCurve, remembers: bool) -> list[str]:
+    """Sentences of the screening that make the moduli of a fit wrong.
+
+    Relaxation and creep contradict a law without memory only where they are among the samples that are fitted.
+
+    Args:
+        remembers: whether the material of the fit has a memory.
+    """
+    screening = curve.screening
+    found = [] if screening.preload is None or screening.preload.is_settled else [screening.preload.sentence]
+    found += [each.reason for each in screening.suspected]
+    control = screening.control
+    if control is not None and not remembers and not control.is_elastic and _fits_beyond(curve, control.loading):
+        found.append(control.sentence)
+    return found
+
+
+def _fits_beyond(curve: MeasuredCurve, loading: int) -> bool:
+    """Whether a tenth or more of the fitted samples come after the first loading, which has `loading` samples."""
+    if curve.whole is None:
+        return curve.force.size > loading
+    fitted = np.flatnonzero(curve.whole.used)
+    return bool(np.mean(fitted >= loading) >= SETTINGS.beyond_loading) if fitted.size else False
+
+
+def _replicates(evidence: Evidence) -> Clause:
+    problem = evidence.estimate.problem
+    if any(each.recording is not None for each in problem.space.unknowns):
+        return _clause("replicates", "misfit", "")
+    found = find_disagreements({test.name: test.measured for test in problem.tests})
+    return _clause("replicates", "misfit", "; ".join(each.describe() for each in found))
+
+
+def test_misfits(estimate: Estimate) -> tuple[dict[str, float], dict[str, float]]:
+    """Root mean square residual of each test, % of its largest force, and as a multiple of the noise."""
+    problem, gap = estimate.problem, estimate.evaluation.force - estimate.problem.data
+    shares, ratios = {}, {}
+    for number, test in enumerate(problem.tests):
+        mine = [(rows, test.measured[r]) for rows, (t, r) in zip(problem.rows, problem.places, strict=True)
+                if t == number]
+        residual = np.concatenate([gap[rows] for rows, _ in mine])
+        scaled = np.concatenate([gap[rows] / curve.noise.deviation for rows, curve in mine])
+        largest = max(float(np.abs(curve.force).max()) for _, curve in mine)
+        shares[test.name] = 100.0 * float(np.sqrt(np.mean(residual**2))) / largest
+        ratios[test.name] = float(np.sqrt(np.mean(scaled**2)))
+    return shares, ratios
+
+
+def _residuals(evidence: Evidence) -> Clause:
+    """Residuals in each test: large in both units, those of the force and those of the noise."""
+    problem = evidence.estimate.problem
+    shares, ratios = test_misfits(evidence.estimate)
+    missed = [f"its residuals in {test.name} are {shares[test.name]:.2g} % of the largest "
+              f"{'stress' if test.measured[0].stressed else 'force'} and {ratios[test.name]:.3g} times the noise"
+              for test in problem.tests if shares[test.name] > 100 * SETTINGS.largest_residual
+              and ratios[test.name] > SETTINGS.noise_ratio]
+    return _clause("residuals", "misfit", f"does not describe the data: {' and '.join(missed)}" if missed else "",
+                   _OTHER_LAW)
+
+
+def _explained(evidence: Evidence) -> Clause:
+    """Share of the variance of the force, over the samples in which the displacement moves."""
+    problem, (_, ratios) = evidence.estimate.problem, test_misfits(evidence.estimate)
+    gap, missed = evidence.estimate.evaluation.force - problem.data, []
+    for number, test in enumerate(problem.tests):
+        R2 = lack_of_fit(problem, gap, number).R2
+        if R2 is not None and SETTINGS.smallest_R2 > R2 and ratios[test.name] > SETTINGS.noise_ratio:
+            missed.append(f"R2 in {test.name} is {R2:.3f} over the part in which the displacement moves (noise and "
+                          f"scatter taken out), and the limit is {SETTINGS.smallest_R2:g}")
+    return _clause("explained", "misfit", " and ".join(missed), _OTHER_LAW)
+
+
+def _displacement(evidence: Evidence) -> Clause:
+    """Misfit of the displacement in recordings whose force is controlled: there the force itself never misses."""
+    problem = evidence.estimate.problem
+    model, missed = evidence.estimate.evaluation.force, []
+    for rows, curve in zip(problem.rows, problem.measured, strict=True):
+        control = curve.screening.control
+        if control is None or control.quantity != "force":
+            continue
+        R2 = displacement_R2(curve, model[rows])
+        if SETTINGS.smallest_R2 > R2:
+            missed.append(f"{curve.name}: the force is controlled, and the law explains {max(R2, 0.0):.1%} of the "
+                          f"variance of the displacement (R2 {R2:.3g}, limit {SETTINGS.smallest_R2:g})")
+    return _clause("displacement", "misfit", "; ".join(missed), _OTHER_LAW)
+
+
+def displacement_R2(curve: MeasuredCurve, model: np.ndarray) -> float:
+    """Share of the variance of the displacement that a model explains at the measured force.
+
+    The misfit of the force is divided by the secant stiffness of the model.
+
+    Args:
+        model: force at the samples, N, shape (n,).
+    """
+    stiffness = float(model @ curve.displacement) / float(curve.displacement @ curve.displacement)
+    variance = float(np.var(curve.displacement))
+    if stiffness <= 0 or variance <= 0:
+        return 0.0
+    return 1.0 - float(np.mean(((model - curve.force) / stiffness)**2)) / variance
+
+
+def _unique(evidence: Evidence) -> Clause:
+    sentence = describe_alternatives(evidence.alternatives, evidence.symbols, evidence.units)
+    remedy = f"add a test such as {evidence.alternatives[0].separated_by}, or bound the parameters in fit.bounds" \
+        if evidence.alternatives else ""
+    return _clause("unique", "ambiguous", f"ambiguous: {sentence}" if sentence else "", remedy)
+
+
+def _population(evidence: Evidence) -> Clause:
+    return _clause("population", "no_population", evidence.specimens.missing_population or "")

@@ -1,0 +1,33 @@
+"""One decimal mark for files of one import, so that replicates are read with the same options."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from tissue_sim.frozen_mapping import read_only
+from tissue_sim.recording.formats.guesses import Reading, Understanding
+
+
+def same_decimal_mark(understood: Sequence[Understanding]) -> list[Understanding]:
+    """Files whose decimal mark need not be stated get that of the others, where it is their own.
+
+    A file with thousands separators states its decimal mark in the campaign. Its replicates with smaller numbers have
+    no separators; with the same option they stay replicates.
+    """
+    stated = {reading.options["decimal"] for each in understood for reading in each.readings
+              if "decimal" in reading.options}
+    if len(stated) != 1:
+        return list(understood)
+    mark, = stated
+
+    def with_mark(each: Understanding, reading: Reading) -> Reading:
+        if "decimal" in reading.options or "columns" not in reading.options or each.decimal_mark != mark or any(
+                assumption.is_question for assumption in each.assumptions):
+            return reading
+        options = dict(reading.options)
+        columns = options.pop("columns")
+        return replace(reading, options=read_only({**options, "decimal": mark, "columns": columns}))
+
+    return [replace(each, readings=tuple(with_mark(each, reading) for reading in each.readings))
+            for each in understood]

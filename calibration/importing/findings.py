@@ -1,0 +1,41 @@
+"""Assumptions about a recording that its signals support: samples left out, contact, controlled quantity."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from tissue_sim.recording.contact import Contact
+from tissue_sim.recording.formats.assumption import Assumption
+from tissue_sim.recording.screening import Screening, numbered
+
+
+def assumptions_of(screening: Screening, contact: Contact | None, *, has_air: bool | None, stressed: bool
+                   ) -> tuple[Assumption, ...]:
+    """The assumptions about one recording.
+
+    Args:
+        screening: with its controlled quantity. contact: None where it was not looked for.
+        has_air: whether there is air before contact; None: unknown. stressed: recorded as strain and stress.
+    """
+    return tuple(_assumptions(screening, contact, has_air=has_air, stressed=stressed))
+
+
+def _assumptions(screening: Screening, contact: Contact | None, *, has_air: bool | None, stressed: bool
+                 ) -> Iterator[Assumption]:
+    control = screening.control
+    if screening.samples:
+        sentences = [each.sentence for each in (*screening.left_out, *screening.saturation)]
+        yield Assumption("samples left out", numbered(screening.samples), tuple(sentences))
+    if contact is not None and contact.found:
+        yield Assumption("contact", "after air" if has_air else "at the first sample",
+                         (contact.in_words(stressed=stressed),))
+    if control is not None and control.quantity is not None:
+        evidence = {"creep": "the force is constant while the displacement creeps",
+                    "staircase": "the displacement is constant in several holds under load",
+                    "ramp and hold": "the displacement is constant in a hold under load"}.get(
+            control.pattern, f"the {control.quantity} is a line in time, the other channel is not")
+        yield Assumption("controlled quantity", f"{control.quantity} ({control.pattern})", (evidence,))
+    elif control is not None and control.pattern == "oscillation":
+        yield Assumption("controlled quantity", "oscillation", (
+            f"{control.frequency:.3g} Hz" + ("" if control.loss_factor is None else
+                                             f", loss factor {control.loss_factor:.2f}"),))

@@ -1,0 +1,68 @@
+"""Assumptions about the size of the specimen: where a file states it, and what contradicts it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from calibration.importing.imported import Wishes
+from tissue_sim.experiment.kinds.kind import KINDS
+from tissue_sim.recording.formats.assumption import Alternative, Assumption
+from tissue_sim.recording.formats.guesses import Reading, Understanding
+from tissue_sim.recording.formats.sizes import Size, sizes_without_unit, stated_sizes
+
+#: Key -> what it is called, its unit.
+_NAMES = {"radius_mm": ("radius", "mm"), "area_mm2": ("cross-section", "mm²"), "height_mm": ("height", "mm")}
+#: Key -> sizes in a file that give it.
+_GIVEN_BY = {"radius_mm": ("diameter", "radius", "circumference", "area"), "area_mm2": ("area", "width", "thickness"),
+             "height_mm": ("height", "thickness", "length", "gauge length")}
+
+
+def with_size_assumptions(found: Understanding, wishes: Wishes) -> Understanding:
+    """The understanding with an assumption about each size that the file states, unless the user states it."""
+    return replace(found, readings=tuple(
+        replace(reading, assumptions=(*reading.assumptions, *size_assumptions(reading, wishes.specimen)))
+        for reading in found.readings))
+
+
+def size_assumptions(reading: Reading, stated: Mapping[str, Any]) -> tuple[Assumption, ...]:
+    """One assumption for each size of the specimen that the file of a reading states.
+
+    Args:
+        reading: of tables. stated: keys of ``[[specimen]]`` that the user states.
+    """
+    if not any(column.channel == "displacement" for column in reading.columns):
+        return ()
+    given = {key for key in reading.specimen if key != "shape"} | set(stated)
+    section = bool(given & {"radius_mm", "area_mm2"}) or "shape" in given
+    assumptions = []
+    for key, several in stated_sizes(reading.stated, reading.kind.kind).items():
+        name, unit = _NAMES[key]
+        first, *others = several
+        is_stated = section if key != "height_mm" else bool(given & {key, "shape"})
+        assumptions.append(Assumption(
+            f"size of the specimen ({name})", f"{first.value:g} {unit}", (first.reason,), (),
+            tuple(Alternative(f"{each.value:g} {unit} ({each.reason})", _modulus_ratio(key, first, each, reading),
+                              _flag(each)) for each in others), _flag(first), is_stated))
+    return tuple(assumptions)
+
+
+def seen_without_unit(reading: Reading, key: str) -> str:
+    """The statement of the size `key` that has no known unit, for a message; empty if there is none."""
+    seen = sizes_without_unit(reading.stated)
+    return next((seen[name] for name in _GIVEN_BY.get(key, ()) if name in seen), "")
+
+
+def _flag(size: Size) -> str:
+    return f"--{size.key.replace('_', '-')} {size.value:g}"
+
+
+def _modulus_ratio(key: str, first: Size, other: Size, reading: Reading) -> float | None:
+    """Modulus with the other size over that with the first one, for a homogeneous deformation; None: unknown."""
+    kind = KINDS[reading.kind.kind] if reading.kind.kind else None
+    if kind is None or kind.closed_form is None:
+        return None
+    ratio = other.value / first.value
+    return {"radius_mm": 1.0 / ratio**2, "area_mm2": 1.0 / ratio, "height_mm": ratio}.get(key, math.nan)

@@ -1,0 +1,59 @@
+"""The rule of usable in a report: each clause of each law, other optima, and laws without a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+
+from calibration.fit.fit import Fit
+from calibration.report.page import html_table, title_of, with_minus
+from calibration.report.units import Units
+
+#: Name of a clause -> its question.
+QUESTIONS = {
+    "physical": "positive shear modulus",
+    "converged": "a minimum was found",
+    "stable": "stable over the data",
+    "recordings": "recordings sound for this law",
+    "replicates": "recordings agree",
+    "residuals": "residuals within the limit",
+    "explained": "variance of the force explained",
+    "displacement": "displacement explained where the force is controlled",
+    "unique": "no other optimum fits as well",
+    "population": "enough specimens determined",
+}
+
+
+def usability_section(fits: Sequence[Fit], failures: Mapping[str, str], units: Units) -> list[str]:
+    """Table of the clauses, with the reason of each that fails; alternatives of fits with several optima."""
+    if not any(fit.clauses for fit in fits):
+        return []
+    rows: list[list[str | None]] = []
+    for fit in fits:
+        failed = [clause for clause in fit.clauses if not clause.holds]
+        held = ", ".join(QUESTIONS.get(clause.name, clause.name) for clause in fit.clauses if clause.holds)
+        reasons = "<br>".join(
+            f'<span class="bad">{escape(QUESTIONS.get(clause.name, clause.name))}</span>: {escape(clause.reason)}'
+            + (f"; {escape(clause.remedy)}" if clause.remedy else "") for clause in failed)
+        rows.append([title_of(fit.law), "usable" if not failed else escape(fit.status), reasons or "-", escape(held)])
+    rows += [[title_of(law), "no fit", escape(reason), "-"] for law, reason in failures.items()]
+    parts = ["<h2>Which laws are usable</h2>", html_table(["Law", "Status", "Fails", "Holds"], rows, text=(1, 2, 3))]
+    return [*parts, *(_alternatives(fit, units) for fit in fits if fit.alternatives)]
+
+
+def _alternatives(fit: Fit, units: Units) -> str:
+    """Other optima of a law and the test that tells them apart."""
+    def values(parameters: Mapping[str, float]) -> list[str]:
+        scales = [units.of_parameter(fit.units[name]) for name in parameters]
+        return [with_minus(f"{value / unit.size:.5g} {unit.name}".strip())
+                for value, unit in zip(parameters.values(), scales, strict=True)]
+
+    pressure = units.pressure
+    rows: list[list[str | None]] = [[*values(fit.parameters), f"{fit.R2:.5f}", "reported", "-"]]
+    for each in fit.alternatives:
+        stress = (f"{each.alternative_stress_Pa / pressure.size:.4g} {pressure.name} instead of "
+                  f"{each.stress_Pa / pressure.size:.4g} {pressure.name}{each.times}")
+        rows.append([*values(each.parameters), f"{each.R2:.5f}", escape(each.separated_by), with_minus(stress)])
+    labels = [*(escape(fit.symbols[name]) for name in fit.parameters), "R²", "Told apart by", "Nominal stress there"]
+    return (f"<h3>{title_of(fit.law)}: parameters that fit equally well</h3>"
+            + html_table(labels, rows, text=(len(labels) - 2, len(labels) - 1)))

@@ -1,0 +1,63 @@
+"""Estimated force error of a linearised bulk, learned from the differences of successive models."""
+
+from __future__ import annotations
+
+import math
+
+#: Distance from the pose of a model, as a fraction of the contact radius, within which a model is trusted before an
+#: error estimate exists.
+SHORT = 0.1
+#: Fraction of the estimate that is kept when the next model comes.
+_MEMORY = 0.8
+#: The estimate is valid up to this many times the distance between the two models from which it was learned.
+_VALID = 3.0
+
+
+class LinearisationError:
+    """Estimated error of the force on a linearisation, `growth` times the square of the distance to its pose.
+
+    Two successive models differ at the pose of the tool by the error of the first one. This difference, divided by the
+    square of the distance to the pose of the first model, gives `growth`. It describes the tissue between the poses of
+    the two models, so the estimate is valid up to `_VALID` times the distance between these poses. Beyond, and before
+    two models of the deformed tissue have come, the error is unknown. Two models of the undeformed tissue are equal;
+    their difference contains no information and must not be passed to `learn`.
+
+    Args:
+        radius: of the contact, m.
+
+    Attributes:
+        growth: error over the square of the distance, N/m2.
+        reach: distance between the models from which `growth` was learned, m.
+        time: of the newest model from which it was learned, s; minus infinity: nothing was learned.
+        short: `SHORT` times the radius, m.
+    """
+
+    def __init__(self, radius: float):
+        self.short = SHORT * radius
+        self.forget()
+
+    def forget(self) -> None:
+        """Discard the estimate: the error is unknown until the next call of `learn`."""
+        self.growth, self.reach, self.time = 0.0, 0.0, -math.inf
+
+    def learn(self, missed: float, distance: float, between: float, time: float) -> None:
+        """Update the estimate with the difference of two successive models.
+
+        Args:
+            missed: difference of their forces at the pose of the tool, N.
+            distance: of the tool from the pose of the first model, m.
+            between: distance between the poses of the two models, m.
+            time: at which the second one was made, s.
+        """
+        # Two models of nearly the same pose say nothing about larger distances: they raise the estimate only.
+        memory = _MEMORY if between >= self.short else 1.0
+        self.growth = max(memory * self.growth, missed / max(distance, self.short) ** 2)
+        self.reach, self.time = max(memory * self.reach, between), time
+
+    def is_valid(self, distance: float) -> bool:
+        """Whether the error at a distance, m, from the pose of a model is known."""
+        return math.isfinite(self.time) and distance <= max(self.short, _VALID * self.reach)
+
+    def at(self, distance: float) -> float:
+        """Estimated error, N, at a distance, m, from the pose of a model; infinite where it is unknown."""
+        return self.growth * distance**2 if self.is_valid(distance) else math.inf

@@ -1,0 +1,204 @@
+"""The rule of usable: several optima, laws at a limit or without a fit, recordings that disagree, misfits."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import calibration
+import tissue_sim as ts
+from calibration.campaign.campaign import load_campaign
+from calibration.campaign.measured import read_measured
+from calibration.fit.usability import SETTINGS, contradictions, displacement_R2
+from calibration.report.usability import QUESTIONS
+from scenes.cli import main
+from tissue_sim.recording.screening import Control, LeftOut, Preload, Screening
+
+AREA, HEIGHT = np.pi * 0.0125**2, 0.0125
+
+
+def shear(stress, noise=2.0):
+    """A simple shear to 1.5 in 76 samples."""
+    strain = np.linspace(0.0, 1.5, 76)
+    return ts.Recording({"shear strain": strain,
+                         "nominal stress": stress(strain) + np.random.default_rng(1).normal(0.0, noise, strain.size)})
+
+
+def compression(mu=20e3, *, law="neo_hooke", values=None, factor=1.0, noise=0.01, seed=0, strain=0.2, points=80):
+    """A lubricated compression of a cylinder of 25 x 12.5 mm."""
+    displacement = np.linspace(0.0, strain * HEIGHT, points)
+    stress = ts.find_law(law).nominal_stress(1.0 - displacement / HEIGHT, values or {"C10": mu / 2})
+    force = -factor * stress * AREA + np.random.default_rng(seed).normal(0.0, factor * noise, points)
+    return ts.Recording({"displacement": displacement, "force": force})
+
+
+def write(folder, recordings, laws, kind="lubricated_compression", fit="", noise=""):
+    """A campaign file of one test."""
+    for i, recording in enumerate(recordings, 1):
+        ts.write_recording(recording, folder / f"gel_{i}.csv")
+    specimen = "" if kind == "simple_shear" else "[[specimen]]\nradius_mm = 12.5\nheight_mm = 12.5\n"
+    path = folder / "c.toml"
+    path.write_text(f'{specimen}[[test]]\nname = "gel"\nkind = "{kind}"\nrecordings = ["gel_*.csv"]\n[fit]\n'
+                    f"laws = {laws}\n{fit}\n[noise]\n{noise}\n".replace("'", '"'), encoding="utf-8")
+    return path
+
+
+def calibrate(folder, *arguments, **options):
+    """Result of the campaign of `write`, and its fits by law."""
+    result, = calibration.calibrate([write(folder, *arguments, **options)], folder / "out", figures=False)
+    return SimpleNamespace(result=result, **{fit.law: fit for fit in result.fits})
+
+
+def failing(fit):
+    """Names of the clauses that fail."""
+    return [clause.name for clause in fit.clauses if not clause.holds]
+
+
+def stiffening(strain):
+    return ts.find_law("ogden_1").nominal_stress(strain, {"mu1": 2000.0, "alpha1": 8.0}, "simple_shear")
+
+
+@pytest.mark.parametrize("method", ["analytical", "inverse_fem"])
+def test_shear_leaves_the_sign_of_the_exponent_open(tmp_path, method):
+    fit = calibrate(tmp_path, [shear(stiffening)], ["ogden_1"], "simple_shear",
+                    f'method = "{method}"' + ("\nbulk_ratio = 1000.0" if method == "inverse_fem" else "")).ogden_1
+    assert fit.parameters["alpha1"] == pytest.approx(8.0, abs=0.01)
+    assert fit.status == "ambiguous" and failing(fit) == ["unique"] and "alpha1 -8" in fit.unusable
+    other, = fit.alternatives
+    assert other.parameters["alpha1"] == pytest.approx(-8.0, abs=0.01) and other.rise < 1e-3
+    # A parameter that differs between equal optima has no interval; the modulus is common to both.
+    assert fit.standard_errors["alpha1"] is None and fit.intervals95["alpha1"] is None
+    assert 0.5 < fit.standard_errors["mu1"] < 10.0
+    low, high = sorted(abs(stress) for stress in (other.stress_Pa, other.alternative_stress_Pa))
+    assert high / low == pytest.approx(4.17, abs=0.05) and "4.17 times" in fit.unusable
+
+
+def test_report_and_material_file_carry_the_other_optimum(tmp_path):
+    path = write(tmp_path, [shear(stiffening)], ["ogden_1"], "simple_shear")
+    assert main(["calibrate", str(path), "-o", str(tmp_path / "out")]) == 1
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "parameters that fit equally well" in page and QUESTIONS["unique"] in page and "8 or −8" in page
+    settings = ts.read_material_file(tmp_path / "out" / "ogden_1.material.json").provenance.settings
+    assert settings["status"] == "ambiguous"
+    assert settings["alternatives"][0]["parameters"]["alpha1"] == pytest.approx(-8.0, abs=0.01)
+
+
+def test_a_second_kind_of_test_decides_the_sign(tmp_path):
+    ts.write_recording(shear(stiffening), tmp_path / "shear.csv")
+    stretch = np.linspace(0.75, 1.0, 60)
+    stress = ts.find_law("ogden_1").nominal_stress(stretch, {"mu1": 2000.0, "alpha1": 8.0})
+    ts.write_recording(ts.Recording({"stretch": stretch, "nominal stress": stress}), tmp_path / "pressed.csv")
+    path = tmp_path / "both.toml"
+    path.write_text('[[test]]\nkind = "simple_shear"\nrecordings = ["shear.csv"]\n[[test]]\n'
+                    'kind = "lubricated_compression"\nrecordings = ["pressed.csv"]\n[fit]\nlaws = ["ogden_1"]\n'
+                    "[noise]\nnominal_stress_Pa = 2.0\n", encoding="utf-8")
+    result, = calibration.calibrate([path], tmp_path / "out", figures=False)
+    assert result.best.unusable is None and not result.best.alternatives
+    assert result.best.parameters["alpha1"] == pytest.approx(8.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("stress", "mu", "R2", "neo_hooke"), [
+    (lambda g: 700.0 * np.tanh(g / 0.35), 820.0, 0.239, 665.0),
+    (lambda g: 2000.0 * g / (1.0 + g / 0.8), 1038.0, 0.912, 851.0)])
+def test_softening_shear_ends_at_the_limit_of_ogden(tmp_path, stress, mu, R2, neo_hooke):
+    found = calibrate(tmp_path, [shear(stress)], ["neo_hooke", "ogden_1", "ogden_2"], "simple_shear")
+    fit = found.ogden_1
+    assert abs(fit.parameters["alpha1"]) < 1e-2 and fit.mu0 == pytest.approx(mu, abs=20.0)
+    assert pytest.approx(R2, abs=2e-3) == fit.R2 and fit.status == "misfit" and "explained" in failing(fit)
+    assert fit.standard_errors["alpha1"] is None and "alpha1 is at its limit 0" in fit.message
+    assert found.neo_hooke.mu0 == pytest.approx(neo_hooke, abs=5.0)
+    assert {fit.law for fit in found.result.fits} == {"neo_hooke", "ogden_1", "ogden_2"}
+
+
+def test_ogden_tends_to_the_energy_of_hencky():
+    law, stretch = ts.find_law("ogden_1"), np.array([0.5, 0.9, 1.1, 2.0])
+    for alpha in (0.0, -0.0, 1e-9, -5e-5):
+        found = law.nominal_stress(stretch, {"mu1": 1000.0, "alpha1": alpha})
+        assert found == pytest.approx(3.0 * 1000.0 * np.log(stretch) / stretch, rel=1e-4)
+    assert law.at_limit({"mu1": 1.0, "alpha1": 1e-3}) and not law.at_limit({"mu1": 1.0, "alpha1": -0.5})
+
+
+def test_a_law_that_fails_leaves_the_others(tmp_path, monkeypatch):
+    from calibration.fit import ordinary
+
+    whole = ordinary.fit_law
+
+    def fails(problem):
+        if problem.space.law == "ogden_1":
+            raise FloatingPointError("overflow in power")
+        return whole(problem)
+
+    monkeypatch.setattr(ordinary, "fit_law", fails)
+    path = write(tmp_path, [compression()], ["ogden_1", "neo_hooke"])
+    assert main(["calibrate", str(path), "-o", str(tmp_path / "out")]) == 0
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "overflow in power" in page
+    again, = calibration.calibrate([path], tmp_path / "out", figures=False)
+    assert again.resumed and again.best.law == "neo_hooke" and again.failures == {"ogden_1": "overflow in power"}
+
+
+def test_a_report_is_written_where_every_law_fails(tmp_path, monkeypatch):
+    def fails(problem):
+        raise ts.InputError("alpha is out of range")
+
+    monkeypatch.setattr("calibration.fit.ordinary.fit_law", fails)
+    with pytest.raises(ts.ConvergenceError, match="alpha is out of range"):
+        calibrate(tmp_path, [compression()], ["neo_hooke"])
+    assert "alpha is out of range" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("second", "words"), [
+    (lambda: compression(40e3, seed=4), "gel/gel_4 is 1.9"),
+    (lambda: compression(20e3, factor=1e3, seed=4), "a factor of 1000 is that of N to mN")])
+def test_disagreeing_recordings_are_named(tmp_path, second, words):
+    recordings = [*(compression(mu, seed=i) for i, mu in enumerate((20e3, 21e3, 20.5e3))), second()]
+    found = calibrate(tmp_path, recordings, ["neo_hooke"])
+    assert found.neo_hooke.status == "misfit" and "replicates" in failing(found.neo_hooke)
+    assert words in found.result.message and "another law" not in found.neo_hooke.unusable
+
+
+def test_scatter_between_specimens_is_no_disagreement_and_no_misfit(tmp_path):
+    moduli = 20e3 * np.exp(0.2 * np.array([-1.2, -0.7, -0.2, 0.1, 0.5, 0.9, 1.4]))
+    fit = calibrate(tmp_path, [compression(mu, seed=i) for i, mu in enumerate(moduli)], ["neo_hooke"]).neo_hooke
+    assert SETTINGS.smallest_R2 > fit.R2 and not {"replicates", "explained"} & set(failing(fit))
+
+
+def test_noise_is_no_misfit_and_a_precise_wrong_law_is(tmp_path):
+    noisy = calibrate(tmp_path, [compression(noise=1.0)], ["neo_hooke"], noise="force_N = 1.0").neo_hooke
+    assert SETTINGS.smallest_R2 > noisy.R2 and noisy.unusable is None
+    wrong = tmp_path / "wrong"
+    wrong.mkdir()
+    bent = compression(law="reduced_polynomial_3", values={"C10": 10.0, "C20": 0.0, "C30": 1e5}, noise=1e-4, strain=0.4)
+    fit = calibrate(wrong, [bent], ["neo_hooke"]).neo_hooke
+    assert fit.status == "misfit" and "explained" in failing(fit) and "limit is 0.95" in fit.unusable
+
+
+@pytest.fixture
+def curve(tmp_path):
+    """A recording as it is fitted."""
+    campaign = load_campaign(write(tmp_path, [compression()], ["neo_hooke"]))
+    return read_measured(campaign)["gel"][0]
+
+
+def test_screening_contradicts_an_elastic_law(curve):
+    relaxes = replace(curve, screening=Screening(control=Control("displacement", "staircase", relaxation=0.4,
+                                                                 loading=20)))
+    assert "viscoelastic.terms[0].g" in contradictions(relaxes, remembers=False)[0]
+    assert not contradictions(relaxes, remembers=True)
+    # A hold after the loading is not fitted by an elastic law.
+    after = replace(curve, screening=Screening(control=Control("displacement", "ramp and hold", relaxation=0.4,
+                                                               loading=curve.force.size)))
+    assert not contradictions(after, remembers=False)
+    zeroed = replace(curve, screening=Screening(preload=Preload(0.65, 0.11, 4e-4, False, "begins under 0.65 N")))
+    assert contradictions(zeroed, remembers=True) == ["begins under 0.65 N"]
+    kept = replace(curve, screening=Screening(suspected=(LeftOut((61,), "force", "sample 61 is 50 N"),)))
+    assert contradictions(kept, remembers=False) == ["sample 61 is 50 N"]
+
+
+def test_creep_at_constant_force_is_a_misfit_of_the_displacement(curve):
+    size = curve.force.size
+    creeps = replace(curve, displacement=np.linspace(2.9e-3, 4.5e-3, size), force=np.full(size, 0.3))
+    elastic = 0.3 * creeps.displacement / creeps.displacement.mean()
+    assert displacement_R2(creeps, elastic) < 0.1
+    assert displacement_R2(creeps, creeps.force) == pytest.approx(1.0)

@@ -1,0 +1,84 @@
+"""Stability of an explicit coupling between a rigid tool and the tissue: pose in, force out, once per step.
+
+A coupling by hand holds the force of one step during the next one. Tissue that moves with the tool then acts as an
+added mass m_a whose force comes one step late. With the backward differences of `tissue_sim.fem.inertia` and steps of
+dt, a tool of mass m with semi-implicit Euler steps on a tissue of stiffness k obeys
+
+    m (x[n+1] - 2 x[n] + x[n-1]) = - k dt2 x[n] - m_a (9/4 x[n] - 6 x[n-1] + 11/2 x[n-2] - 2 x[n-3] + 1/4 x[n-4]).
+
+The solution that alternates from step to step, x[n] = (-1)^n, is the first one that grows. Inserting it gives
+4 m = k dt2 + 16 m_a. A step answers the stiffness k + (9/4) m_a / dt2, so that
+
+    m > k dt2 / 4 + (16/9) (k_step - k) dt2,
+
+with the largest value of the three translations. Source of the added-mass instability of explicit couplings: Causin,
+Gerbeau and Nobile, Comput. Methods Appl. Mech. Eng. 194 (2005) 4506.
+"""
+
+from __future__ import annotations
+
+from tissue_sim.tool_force import Matrix
+
+#: Added mass (k_step - k) dt2 of the tissue times this is the tool mass at which an explicit coupling becomes unstable.
+ADDED_MASS_FACTOR = 16.0 / 9.0
+#: Stiffness times dt2 times this is the tool mass at which semi-implicit Euler steps become unstable.
+STIFFNESS_FACTOR = 0.25
+
+
+def least_tool_mass(stiffness: Matrix, step_stiffness: Matrix | None, dt: float) -> float:
+    """Smallest tool mass, kg, of a stable explicit coupling.
+
+    The diagonal entries of the three translations are used, as for a tool that moves along an axis of the scene.
+
+    Args:
+        stiffness: of the tissue without its mass, N/m.
+        step_stiffness: within the step, with the mass of the tissue; None if the mass takes no part.
+        dt: step, s.
+    """
+    (kx, _, _, _, _, _), (_, ky, _, _, _, _), (_, _, kz, _, _, _), *_ = stiffness
+    if step_stiffness is None:
+        return STIFFNESS_FACTOR * dt * dt * max(kx, ky, kz, 0.0)
+    (sx, _, _, _, _, _), (_, sy, _, _, _, _), (_, _, sz, _, _, _), *_ = step_stiffness
+    own = STIFFNESS_FACTOR - ADDED_MASS_FACTOR
+    return dt * dt * max(own * kx + ADDED_MASS_FACTOR * sx, own * ky + ADDED_MASS_FACTOR * sy,
+                         own * kz + ADDED_MASS_FACTOR * sz, 0.0)
+
+
+class MotionCheck:
+    """Whether the steps resolve the motion of the tool in time.
+
+    Backward differences resolve the acceleration of a motion only if it takes several steps to turn. A tool that is
+    coupled explicitly and too light turns in every step (see above), which is an artefact of the coupling. With
+    ``inertia="auto"`` the mass of the tissue does not count for such a motion.
+    """
+
+    #: The tool moves to and fro if it turns in this many successive steps.
+    MOST_TURNS = 3
+    __slots__ = ("_turns", "_x", "_y", "_z", "quiet")
+
+    def __init__(self) -> None:
+        #: Time since the tool moved to and fro last, s.
+        self.quiet = float("inf")
+        self._turns, self._x, self._y, self._z = 0, 0.0, 0.0, 0.0
+
+    def advance(self, x: float, y: float, z: float, dt: float, is_fast: bool) -> None:
+        """Register a step.
+
+        Args:
+            x, y, z: translation of the tool in this step, m.
+            dt: s.
+            is_fast: whether the speed counts.
+        """
+        self.quiet += dt
+        turns = is_fast and x * self._x + y * self._y + z * self._z < 0.0
+        self._turns = self._turns + 1 if turns else 0
+        self._x, self._y, self._z = x, y, z
+        if self._turns >= self.MOST_TURNS:
+            self.quiet = 0.0
+
+    def copy(self) -> MotionCheck:
+        """An independent copy, for saved states."""
+        other = MotionCheck()
+        other.quiet, other._turns = self.quiet, self._turns
+        other._x, other._y, other._z = self._x, self._y, self._z
+        return other

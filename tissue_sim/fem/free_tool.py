@@ -1,0 +1,74 @@
+"""What a solver does while the tool does not touch the tissue: before the first touch, and after lift-off.
+
+The defaults suit every solver: the tool first touches where its deepest point reaches z = 0, and after that every
+motion is stepped.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any, ClassVar
+
+import numpy as np
+
+from tissue_sim.pose import Pose
+
+
+class FreeTool:
+    """The part of the contract of a `tissue_sim.fem.solver.Solver` that concerns a tool in the air."""
+
+    mesh: Any = None
+    #: Whether the rotation of the tool about its own axis at the touch has no influence, as for a body of revolution.
+    #: It is then removed from the poses that the solver gets.
+    ignores_twist: ClassVar[bool] = False
+
+    @property
+    def relaxes(self) -> bool:
+        """Whether the tissue changes with time while nothing moves, so that it has to be stepped without a tool."""
+        return True
+
+    def identity(self) -> str:
+        """Digest of what a saved state belongs to: the undeformed mesh."""
+        return digest(getattr(self.mesh, "nodes", None), getattr(self.mesh, "connectivity", None))
+
+    def height_above(self, pose: Pose) -> float:
+        """Distance that the tool must go down from a pose until it touches the undeformed tissue, m, or a positive
+        lower bound of the distance; zero or negative if it touches. Called before the first touch."""
+        return pose.position[2]
+
+    def place_tool(self, pose: Pose) -> bool:
+        """Let the tool begin at the pose of its first touch, on tissue that has not been touched.
+
+        A solver whose mesh, contact or reference is made for one place takes the place of `pose` here, so that nothing
+        is dragged there from elsewhere.
+
+        Returns:
+            False if the solver cannot let the tool begin there; nothing is changed.
+        """
+        return True
+
+    def clearance(self, pose: Pose) -> float | None:
+        """Distance between a tool at a pose and the tissue at the last committed state, m, negative inside; or another
+        number with the same sign.
+
+        Returns:
+            None if the tool touches, holds or attracts tissue at the last committed state, or if the solver does not
+            know: then every motion of the tool is stepped.
+        """
+        return None
+
+    def move_in_air(self, pose: Pose) -> None:
+        """Take the tool to a pose without a step, from and to poses whose `clearance` is positive."""
+
+    def stand_still(self) -> None:
+        """Set the velocity of the tissue to zero."""
+
+
+def digest(*arrays: np.ndarray | None) -> str:
+    """Hexadecimal digest of the contents of arrays; "" if there are none."""
+    known = [array for array in arrays if array is not None]
+    found = hashlib.blake2b(digest_size=16)
+    for array in known:
+        found.update(f"{array.shape}{array.dtype}".encode())
+        found.update(np.ascontiguousarray(array).data)
+    return found.hexdigest() if known else ""

@@ -1,0 +1,147 @@
+"""Where the tool first touches a solid: the mesh, the nodes under the tool and what it holds are moved there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.fem.solid.contact import FREE, Body, ContactNodes, nearest
+from tissue_sim.fem.solid.frame import Frame
+from tissue_sim.fem.solid.mass import Mass
+from tissue_sim.fem.solid.tissue import Tissue
+from tissue_sim.fem.solver import Solver
+from tissue_sim.kernel_owner import KernelOwner
+from tissue_sim.material.material import Material
+from tissue_sim.pose import Pose, motion
+
+#: A tool that touches within this fraction of its radius of the place of the mesh touches at that place.
+SAME_PLACE = 1e-6
+
+
+class PlacedSolver(KernelOwner, Solver):
+    """A solver whose mesh is made for a place, and that can be made again for another one.
+
+    Attributes:
+        placement: makes the solver for a first touch at another pose; None: the solver stays where it is.
+    """
+
+    ignores_twist = True
+    placement: Placement | None = None
+    contact: ContactNodes
+    tissue: Tissue
+    material: Material
+    _asked: bool
+    _committed: tuple[np.ndarray, ...]
+    _mass: Mass | None
+    _bonded: np.ndarray
+    _start: Pose
+    _pose: Pose
+
+    def height_above(self, pose: Pose) -> float:
+        """See `FreeTool.height_above`."""
+        return pose.position[2] if self.placement is None else self.placement.height_above(pose)
+
+    def place_tool(self, pose: Pose) -> bool:
+        """See `FreeTool.place_tool`. The mesh is moved so that it is as fine there as it was at its own place."""
+        if self.placement is None or self.placement.is_at(self._start, pose):
+            return True
+        other = self.placement.solver_at(pose, self)
+        if other is None:
+            return False
+        self.__dict__.update(other.__dict__)
+        return True
+
+    def hand_over(self, other: Any) -> None:
+        """Let another solver of the same model have this one's material, mass and requests."""
+        if self._asked:
+            other.ask_for_stiffness()
+        if self._mass is not None:
+            other.follow_motion(self._mass.density)
+        if self.material is not other.material:
+            other.set_material(self.material)
+
+    def clearance(self, pose: Pose) -> float | None:
+        """See `FreeTool.clearance`; the contact is at the nodes. None for a tool that holds tissue, and with laws of
+        contact."""
+        contact = self.contact
+        if self._bonded.size or contact.laws or (contact.moves & (contact.stays | (contact.bound != FREE))).any():
+            return None
+        frame, displacement, least = Frame(pose, self.datum), self.committed_displacement, math.inf
+        for body, own in contact.parts:
+            if body.moves and own.size:
+                at = frame.into(contact.places[own] + displacement[contact.nodes[own]])
+                least = min(least, float(nearest(body, at, pressed_in=False).gap.min()))
+        return least
+
+    @property
+    def relaxes(self) -> bool:
+        """See `FreeTool.relaxes`."""
+        return self.tissue.remembers
+
+    def stand_still(self) -> None:
+        """See `FreeTool.stand_still`."""
+        if self._mass is not None:
+            self._mass.motion.stop()
+
+    @property
+    def committed_displacement(self) -> np.ndarray:
+        """Of all nodes at the last committed state, m, shape (nodes, 3)."""
+        return self._committed[0].reshape(-1, 3)
+
+    def move_in_air(self, pose: Pose) -> None:
+        """See `FreeTool.move_in_air`."""
+        self._pose = pose
+
+
+class Placement:
+    """The place on the top of a solid where a tool first touches.
+
+    Args:
+        places: of the nodes of the top without a tool, m, shape (n, 3).
+        bodies: the tool and others.
+        datum: height of the scene's origin in the frame of the mesh, m.
+        is_level: whether the top is flat and has not settled.
+        margin: distance of a place from the edge of the top, m.
+        touch_height: height of the scene's origin at which a tool at a pose touches, m; raises InputError beside the
+            solid.
+        remake: the solver for a first touch at a pose; None if there is none.
+    """
+
+    def __init__(self, places: np.ndarray, bodies: list[Body], datum: float, is_level: bool,
+                 margin: Callable[[float, float], float], touch_height: Callable[[Pose], float],
+                 remake: Callable[[Pose, Any], Any] | None):
+        profiles = [body.profile for body in bodies if body.moves]
+        self.radius = max((float(each.vertices[:, 0].max()) + each.rounding for each in profiles), default=0.0)
+        self._highest = float(places[:, 2].max()) - datum
+        self._datum, self._is_level, self._margin = datum, is_level, margin
+        self._touch_height, self._remake = touch_height, remake
+
+    def is_at(self, start: Pose, pose: Pose) -> bool:
+        """Whether a first touch at a pose is one at the place of the mesh."""
+        x, y, z, *turn = motion(start, pose)
+        return math.hypot(x, y, z) + self.radius * math.hypot(*turn) <= SAME_PLACE * self.radius
+
+    def height_above(self, pose: Pose) -> float:
+        """See `FreeTool.height_above`."""
+        x, y, z = pose.position
+        _, a, b, _ = pose.orientation
+        sine = 2.0 * math.sqrt(max(0.0, (a * a + b * b) * (1.0 - a * a - b * b)))
+        lowest = z - self.radius * sine - self._highest
+        if lowest > 0.0:
+            return lowest
+        if self._is_level and sine == 0.0 and self._margin(x, y) >= self.radius:
+            return z
+        from tissue_sim.errors import InputError
+
+        try:
+            return z + self._datum - self._touch_height(Pose((x, y, 0.0), pose.orientation))
+        except InputError:
+            return math.inf  # beside the solid
+
+    def solver_at(self, pose: Pose, solver: Any) -> Any:
+        """The solver for a first touch at a pose, with the material and the mass of another one; None if
+        there is none."""
+        return None if self._remake is None else self._remake(pose, solver)

@@ -1,0 +1,59 @@
+"""Objects that own compiled kernels: they cannot be copied, and one thread at a time may use them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, NoReturn, TypeVar, cast
+
+from tissue_sim.errors import InputError
+
+_Method = TypeVar("_Method", bound=Callable[..., Any])
+
+
+class CopyError(InputError, TypeError):
+    """An object that owns compiled kernels was to be copied or pickled."""
+
+
+class BusyError(InputError, RuntimeError):
+    """Two threads called the same simulator at the same time."""
+
+
+class KernelOwner:
+    """An object whose compiled kernels work on its arrays in place.
+
+    A copy of the Python object would share these arrays, or kernels would go on working on the arrays of the original.
+    `copy`, `deepcopy` and `pickle` are therefore refused.
+    """
+
+    #: What to do instead, in the message.
+    copy_remedy = "Copy the Simulator that owns it with clone(), or keep its state with save() and restore()."
+
+    def __reduce_ex__(self, protocol: object) -> NoReturn:
+        raise CopyError(f"{type(self).__name__} cannot be copied or pickled: compiled kernels work on its memory. "
+                        f"{self.copy_remedy}")
+
+
+def exclusive(method: _Method) -> _Method:
+    """Refuse a call while another thread is inside a method of the same object, which has a reentrant lock `_guard`.
+
+    Raises:
+        BusyError: simultaneous calls of two threads.
+    """
+    @wraps(method)
+    def guarded(self: Any, *args: Any, **kwargs: Any) -> Any:
+        if not self._guard.acquire(blocking=False):
+            raise busy(self)
+        try:
+            return method(self, *args, **kwargs)
+        finally:
+            self._guard.release()
+    return cast("_Method", guarded)
+
+
+def busy(owner: object) -> BusyError:
+    """The error of a simultaneous call."""
+    name = type(owner).__name__
+    return BusyError(f"{name} was called from two threads at the same time ({threading.current_thread().name} came "
+                     f"second). Give each thread a clone(), or let one thread call it.")

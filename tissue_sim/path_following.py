@@ -1,0 +1,276 @@
+"""Steps of a simulator: the path of the tool to a pose, followed from equilibrium to equilibrium."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+
+from tissue_sim.explicit_coupling import MotionCheck, least_tool_mass
+from tissue_sim.fem.solver import Solver, Step, StepStatus
+from tissue_sim.material.effect import ReducedForce
+from tissue_sim.pose import Pose, Screw, between, motion
+from tissue_sim.simulator_state import AT_REST, Attempt, Creep, Equilibrium
+from tissue_sim.step_clock import Allowance, StepClock, solves_in
+from tissue_sim.tool_force import (
+    ForceStatus,
+    NextForce,
+    ToolForce,
+    carried_on,
+    force_of_increment,
+    is_known_well,
+    shortened,
+)
+from tissue_sim.tool_track import ToolTrack
+
+#: Linear solutions of a part of a step that begins with an extrapolation (True) or without one.
+_MOST_SOLVES = {True: 6, False: 30}
+#: Linear solutions after an extrapolation that came as near as `_NEAR`.
+_MOST_IF_NEAR = 12
+#: Relative residual below which an extrapolation is near.
+_NEAR = 1e-2
+#: A tool that moves farther in one step than this fraction of the contact radius is followed in parts.
+LARGEST_PART = 0.0625
+#: Parts shorter than this fraction of a part are rounding errors.
+_ROUNDING = 1e-9
+#: Fraction of the largest part to which a part is cut at most.
+_SMALLEST_CUT = 2.0**-8
+#: Below this fraction of the largest part the tissue creeps past a part that fails.
+_CREEPS = 0.5
+#: Linear solutions of a step of a creep.
+_MOST_OF_CREEP = 12
+#: Force over the largest force so far below which the tool may have lifted off.
+_FREE = 1e-6
+#: Tool speed from which on the mass of the tissue counts, m/s.
+INERTIAL_SPEED = 0.005
+#: Time after the last fast motion for which the mass of the tissue counts, s.
+LINGERS = 0.1
+
+
+class PathFollower:
+    """The part of a `Simulator` that follows the tool: parts of a path, retries, creep, and the answer.
+
+    Attributes:
+        error: estimate of the error of the force at the last equilibrium, N; None if it is unknown.
+    """
+
+    budget: float | None
+    inertia: str
+    tolerance: float
+    looks_ahead: bool
+    force_error: float | None
+    error: float | None
+    _solver: Solver
+    _clock: StepClock
+    _reduced: ReducedForce
+    _equilibrium: Equilibrium
+    _pose: Pose
+    _answer: ToolForce
+    _tool: ToolTrack
+    _motion_check: MotionCheck
+    _attempt: Attempt | None
+    _creep: Creep | None
+    _most: int | None
+    _solve: float | None
+    _radius: float
+    _largest_part: float
+    _waiting: float
+    _lingers: float
+    _share: float
+    _left: float
+    _largest_force: float
+    _stiffness_lasts: int
+    _weighs: bool
+    _bonded: bool
+    _pulls: bool
+    _leaps: bool
+    _begins: bool
+    _extrapolates: bool
+    _anew: bool
+
+    @property
+    def max_solves(self) -> int | None:
+        """Linear solutions of a step at most; None: no bound."""
+        return self._most or solves_in(self.budget, self._solve)
+
+    def _note_motion(self, target: Pose, dt: float) -> None:
+        """Register how fast the tool moves in contact, and whether the steps resolve its motion."""
+        if self._begins:
+            return
+        x, y, z, a, b, c = motion(self._pose, target)
+        length = math.hypot(x, y, z)
+        if a or b or c:
+            length += self._radius * math.hypot(a, b, c)
+        is_fast = length >= INERTIAL_SPEED * dt > 0.0
+        self._lingers = 0.0 if is_fast else self._lingers + dt
+        self._motion_check.advance(x, y, z, dt, is_fast)
+
+    @property
+    def _is_free(self) -> bool:
+        """Whether the tool may have lifted off at the last equilibrium."""
+        x, y, z, *_ = self._equilibrium.wrench
+        return (not self._pulls and abs(x) + abs(y) + abs(z) <= _FREE * self._largest_force
+                and self._attempt is None and self._creep is None and self._waiting == 0.0)
+
+    def _step_in_air(self, pose: Pose, target: Pose, dt: float, began: float) -> ToolForce | None:
+        """A step of a tool that has lifted off; None if it has to be followed, because it touches, or because the
+        tissue relaxes or swings: then the solver has the tool where the tissue meets it."""
+        solver, tool = self._solver, self._tool
+        clearance = solver.clearance(target)
+        if clearance is None:
+            return None
+        if clearance <= 0.0:
+            tool.contact_again(solver, pose)
+            assert tool.pose is not None
+            self._pose = tool.seen_by(solver, tool.pose)
+            return None
+        solver.move_in_air(target)
+        self._pose = target
+        if solver.relaxes or self._counts_mass:
+            return None
+        self._lingers += dt
+        solver.stand_still()
+        self._reduced.go(target.depth, dt)
+        tool.pose, self._equilibrium, self.error = pose, Equilibrium.in_air(target), None
+        self._answer = ToolForce(AT_REST.wrench, AT_REST.stiffness, ForceStatus.CONVERGED, pose=pose,
+                                 compute_time=time.perf_counter() - began)
+        return self._answer
+
+    def _distance(self, start: Pose, end: Pose) -> float:
+        """How far the points of the contact go at most, m."""
+        x, y, z, a, b, c = motion(start, end)
+        return math.hypot(x, y, z) + self._radius * math.hypot(a, b, c)
+
+    def _follow(self, pose: Pose, tick: float, began: float) -> ToolForce:
+        """Step to a pose in as many parts as it takes; the next step is thought as long as this tick, s."""
+        solver, status, solves, residual, outside = self._solver, None, 0, self._answer.residual, False
+        inertial = self._counts_mass
+        allowance = Allowance(self._clock, self.max_solves, None if self.budget is None else began + self.budget)
+        while status is None:
+            started, creep, here = time.perf_counter(), self._creep, solver.pose
+            way, part = self._distance(here, pose), self._share * self._largest_part
+            # Parts of one length: the mass of the tissue resists a short one as a blow.
+            share = 1.0 / max(1, math.ceil(way / part - _ROUNDING)) if way else 1.0
+            # Without rounding the last part ends where the tool is.
+            target, dt = between(here, pose, share), 0.0 if self._leaps else share * self._waiting
+            if (attempt := self._attempt) is not None:
+                target, dt = attempt.pose, attempt.dt
+            weighs = inertial and dt > 0.0 and creep is None
+            if attempt is None:
+                # Across a change of contact extrapolation leads astray, but less so where mass is in the way.
+                order = min(solver.highest_order, max(solver.unchanged, weighs)) if self._extrapolates else 0
+                attempt = Attempt(target, dt, order, _MOST_SOLVES[order > 0])
+            most = attempt.limit - attempt.spent
+            asks = self._equilibrium.stiffness_age + 1 >= self._stiffness_lasts and allowance.fitting(answers=2) > 0
+            fitting = allowance.fitting()
+            if fitting < 1:
+                status = ForceStatus.LATE
+                allowance.end()
+                break
+            allowed = min(most, fitting)
+            if creep is None:
+                step = solver.step(target, dt, tolerance=self.tolerance, max_iterations=allowed, own_stiffness=asks,
+                                   predictor_order=attempt.order, inertial=weighs, resumes=attempt is self._attempt)
+            elif (crept := creep.go_on(fitting)) is not None:
+                step = crept
+            else:  # it has arrived, or will not
+                step, target, dt, self._creep = replace(creep.last, iterations=0), creep.pose, creep.dt, None
+            solves, residual = solves + step.iterations, step.residual
+            # Its own stiffness, whether it was found or not.
+            allowance.take(step.iterations, 1 + (weighs and asks and step.iterations < allowed))
+            if not step.found_own_stiffness:
+                self._clock.follow(time.perf_counter() - started, step.iterations)
+            if self._creep is not None:
+                continue
+            attempt, self._attempt = replace(attempt, spent=attempt.spent + step.iterations), None
+            if step.status is StepStatus.CONVERGED:
+                self._take(step, dt, weighs)
+                self._waiting = max(0.0, self._waiting - dt)
+                self._share, self._extrapolates = min(1.0, 2.0 * self._share), True
+                if target == pose and (creep is not None or share == 1.0 or self._waiting == 0.0):
+                    self._waiting, self._leaps, self._anew = 0.0, False, not self._bonded
+                    if self._begins:
+                        # The motion to the first pose is unknown: the tissue is at rest there.
+                        solver.stand_still()
+                        self._begins = False
+                    status = ForceStatus.CONVERGED
+            elif creep is None and step.status is StepStatus.SLOW and allowed < most:
+                # The next step goes on with this iteration, and with what is left of the way then.
+                self._attempt, status = attempt, ForceStatus.LATE
+            elif step.status is StepStatus.OUTSIDE:
+                # No shorter part leads there; the tissue waits where it is, and what it would do is not guessed.
+                status, outside = ForceStatus.STOPPED, True
+            elif creep is None and attempt.order:
+                if step.status is StepStatus.SLOW and step.residual <= _NEAR and attempt.limit < _MOST_IF_NEAR:
+                    self._attempt = replace(attempt, limit=_MOST_IF_NEAR)
+                else:
+                    self._extrapolates = False
+            elif creep is None and min(self._share, way / self._largest_part) < _CREEPS:
+                # After a hold parts are as short as they may be, and no shorter.
+                self._share = max(_SMALLEST_CUT, min(self._share, way / self._largest_part))
+                self._creep = Creep(target, dt, step)
+                self._creep.steps = solver.creep(target, dt, tolerance=self.tolerance, max_iterations=_MOST_OF_CREEP,
+                                                 allowed=self._creep.may_take)
+            else:
+                self._share, self._extrapolates = 0.5 * self._share, True
+                if self._share < _SMALLEST_CUT and self._anew:
+                    # Press anew from the touch on; what friction remembers begins there.
+                    solver.lift_off()
+                    self._share, self._leaps, self._anew = 1.0, True, False
+                elif self._share < _SMALLEST_CUT:
+                    self._share, self._anew, status = _SMALLEST_CUT, not self._bonded, ForceStatus.STOPPED
+        if status is ForceStatus.LATE and not solver.takes(pose):
+            # It goes on to where the tool may be; what the force would be beyond is not guessed either.
+            status, outside = ForceStatus.STOPPED, True
+        return self._answered(pose, tick, status, outside, solves, residual, began)
+
+    @property
+    def _counts_mass(self) -> bool:
+        """Whether the mass of the tissue takes part in this step."""
+        if not self._weighs or self._begins:
+            return False
+        return self.inertia == "on" or (self._lingers < LINGERS and self._motion_check.quiet >= LINGERS)
+
+    def _answered(self, pose: Pose, tick: float, status: ForceStatus, outside: bool, solves: int, residual: float,
+                  began: float) -> ToolForce:
+        """The answer of a step to a pose of the solver."""
+        at, tool = self._equilibrium, self._tool
+        wrench, ahead, within = at.wrench, None, None
+        if status is ForceStatus.CONVERGED:
+            ahead = self._ahead(tick) if self.looks_ahead and at.inertial and tick > 0.0 else None
+            within = at.step_stiffness
+            if not is_known_well(wrench, self.error):
+                status = ForceStatus.LATE
+        elif not outside:
+            # Mass resists a motion within the step, not one that goes on.
+            wrench = self._carried_on(wrench, motion(at.pose, pose))
+            if status is ForceStatus.STOPPED:
+                wrench = shortened(wrench, self._largest_force + force_of_increment(at.stiffness, self._largest_part))
+        error = self.error if status is not ForceStatus.STOPPED else None
+        return ToolForce(wrench, at.stiffness, status, solves, residual, time.perf_counter() - began, at.inertial,
+                         self._waiting, at.pose if tool.twist is None else tool.given(at.pose), ahead, within,
+                         at.stiffness_time + self._waiting, error, self._waiting, True,
+                         least_tool_mass(at.stiffness, at.step_stiffness, tick))
+
+    def _ahead(self, tick: float) -> NextForce | None:
+        """What a next step of a tick, s, would answer, after one that converged."""
+        ahead, left = self._solver.ahead(tick), self._left
+        return ahead if ahead is None or left == 1.0 else ahead.scaled(left)
+
+    def _carried_on(self, wrench: Screw, way: Screw) -> Screw:
+        """The wrench of the last equilibrium a little further on; tissue that cannot pull at the tool does not."""
+        wrench = carried_on(wrench, self._equilibrium.stiffness, way)
+        return wrench if self._pulls or wrench[2] > 0.0 else AT_REST.wrench
+
+    def _take(self, step: Step, dt: float, inertial: bool) -> None:
+        """Keep the answer of an equilibrium."""
+        left = self._left = self._reduced.go(self._solver.pose.depth, dt)
+        at = self._equilibrium = self._equilibrium.followed_by(step, self._solver.pose, left, inertial, dt)
+        x, y, z, *_ = at.wrench
+        force = math.sqrt(x * x + y * y + z * z)
+        if force > self._largest_force:
+            self._largest_force = force
+        if step.force_error is not None:
+            self.error = left * step.force_error
+        else:
+            self.error = None if self.force_error is None else self.force_error * force

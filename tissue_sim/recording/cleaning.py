@@ -1,0 +1,109 @@
+"""Remove outliers and saturated samples from a recording, with the reasons."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+from tissue_sim.recording.outliers import find_outliers, left_out
+from tissue_sim.recording.recording import CHANNELS, MIN_POINTS, Recording
+from tissue_sim.recording.saturation import SaturatedRun, find_saturation
+from tissue_sim.recording.screening import LeftOut, Saturation, Screening
+
+#: Channels of the motion and of the load, the first of which that a recording has are examined.
+MOTIONS = ("displacement", "stretch", "shear strain")
+LOADS = ("force", "nominal stress")
+#: Quantity -> unit and units in one of SI, for sentences.
+_SHOWN = {"length": (" mm", 1e3), "force": (" N", 1.0), "stress": (" kPa", 1e-3), "ratio": ("", 1.0)}
+
+
+def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: Sequence[str] = ()
+          ) -> tuple[Recording, Screening]:
+    """The recording without outliers and saturated samples, and the findings.
+
+    Args:
+        recording: one without a motion or without a load is returned as it is.
+        leave_out: numbers of the samples to leave out, from 1; None: outliers are found.
+        zeroed: channels that were counted from the first sample; they are counted from the first sample that is kept.
+
+    Raises:
+        InputError: a number beyond the recording, too many outliers, or too few samples that are kept.
+    """
+    motion, load = (next((name for name in names if name in recording), None) for names in (MOTIONS, LOADS))
+    if motion is None or load is None:
+        return recording, Screening()
+    channels = {name: recording.channel(name) for name in (motion, load)}
+    try:
+        found = left_out(find_outliers(*channels.values()), channels, in_words)
+    except InputError:
+        # Who lists the samples to leave out has seen the others.
+        if leave_out is None:
+            raise
+        found = ()
+    suspected: tuple[LeftOut, ...] = ()
+    if leave_out is not None:
+        found, suspected = _as_stated(recording, leave_out, found)
+    kept = np.setdiff1d(np.arange(len(recording)), [number - 1 for each in found for number in each.samples])
+    if kept.size < MIN_POINTS:
+        raise InputError(f"only {kept.size} of {len(recording)} samples are kept; at least {MIN_POINTS} are needed",
+                         field="leave_out")
+    rest = recording if kept.size == len(recording) else recording.select(kept)
+    saturation = tuple(_saturation(rest, kept, run, name, other)
+                       for name, other in ((load, motion), (motion, load))
+                       for run in find_saturation(rest.channel(name), rest.channel(other), _clock(rest)))
+    if saturation:
+        cut = [number - 1 for each in saturation for number in each.samples]
+        if len(recording) - len(cut) >= MIN_POINTS:
+            kept = np.setdiff1d(kept, cut)
+            rest = recording.select(kept)
+    if kept.size and kept[0] > 0 and zeroed:
+        rest = rest.with_channels(**{name: rest.channel(name) - rest.channel(name)[0] for name in zeroed
+                                     if name in rest})
+    return rest, Screening(found, saturation, suspected=suspected)
+
+
+def counted_from_kept(recording: Recording, zeroed: Sequence[str]) -> Recording:
+    """Count channels from the first sample that is kept, not from the first one.
+
+    Args:
+        recording: all of its samples. zeroed: channels that count from the first sample.
+    """
+    rest, screening = clean(recording)
+    if not zeroed or 1 not in screening.samples:
+        return recording
+    return recording.with_channels(**{name: recording.channel(name) - rest.channel(name)[0] for name in zeroed
+                                      if name in recording})
+
+
+def _as_stated(recording: Recording, leave_out: Sequence[int], found: tuple[LeftOut, ...]
+               ) -> tuple[tuple[LeftOut, ...], tuple[LeftOut, ...]]:
+    """Samples that the campaign lists, with the reason where they are outliers, and outliers that it does not list."""
+    for number in leave_out:
+        if not 1 <= number <= len(recording):
+            raise InputError(f"leave_out must list samples from 1 to {len(recording)}; got {number}", field="leave_out")
+    listed = set(leave_out)
+    confirmed = tuple(each for each in found if listed.issuperset(each.samples))
+    others = tuple(sorted(listed - {number for each in confirmed for number in each.samples}))
+    stated = (LeftOut(others, "", "the campaign lists it in leave_out"),) if others else ()
+    return (*confirmed, *stated), tuple(each for each in found if not listed.issuperset(each.samples))
+
+
+def _saturation(recording: Recording, kept: np.ndarray, run: SaturatedRun, name: str, other: str) -> Saturation:
+    level = float(recording.channel(name)[run.first])
+    samples = tuple((kept[run.first:run.last + 1] + 1).tolist())
+    goes_on = "motion" if other in MOTIONS else "load"
+    return Saturation(name, level, samples,
+                      f"the {name} stays at {in_words(name, level)} over {run.count} samples while the {goes_on} goes "
+                      f"on: a saturated sensor; samples {samples[0]} to {samples[-1]} are left out")
+
+
+def _clock(recording: Recording) -> np.ndarray | None:
+    return recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
+
+
+def in_words(channel: str, value: float) -> str:
+    """A value of a channel with its unit, for sentences: ``"2.35 mm"``."""
+    unit, factor = _SHOWN[CHANNELS[channel]]
+    return f"{factor * value:.4g}{unit}"

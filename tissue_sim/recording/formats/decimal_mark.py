@@ -1,0 +1,302 @@
+"""Decimal mark and thousands separator of a table, decided from all its values together."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+
+import numpy as np
+
+from tissue_sim.recording.formats.assumption import Alternative, Assumption
+from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, ExactNumber, parse_number, thousands_separator
+
+#: Cells that may contradict an interpretation of a column, as one damaged cell in a hundred does.
+_DAMAGED_FRACTION = 0.01
+#: Ratio of the roughness of two readings of a column above which the smoother one is taken.
+_ROUGHNESS_RATIO = 2.0
+#: Roughness of a reading (sum of second differences over range) that shows at least one jump.
+_JUMP_ROUGHNESS = 1.0
+#: Log-likelihood ratio above which the number of digits decides (1 : 100).
+_DIGITS_DECIDE = math.log(100.0)
+#: Log-likelihood of one more value with exactly three decimals where trailing zeros are left out (9 of 10 are).
+_THREE_DECIMALS = -math.log(0.9)
+#: Log-likelihood ratio of a value without mark among values that all have three decimals (1 of 1000).
+_NO_MARK = math.log(1000.0)
+#: The same of a zero, which some programs write without decimals.
+_ZERO_WITHOUT_MARK = math.log(10.0)
+#: Values with three decimals from which one with fewer decimals is unlikely where trailing zeros are left out.
+_MOST_SHORT = 30
+#: Fewest values with a mark from which the number of digits decides.
+_FEWEST_MARKED = 3
+#: Decimal mark -> words of the messages.
+DECIMAL_WORDS = {".": "a decimal point", ",": "a decimal comma"}
+_SEPARATORS = {" ": "a blank", "'": "an apostrophe", ",": "a comma", ".": "a point"}
+#: Mark -> uses of it that cannot separate thousands.
+_NO_GROUP = {mark: re.compile(rf"{re.escape(mark)}(?!\d{{3}}(?!\d))|(?<![\d.,])0{re.escape(mark)}")
+             for mark in DECIMAL_MARKS}
+#: A number with a decimal mark, and a unit of length behind it.
+_QUANTITY = re.compile(r"(?<![\d.,])\d+(?P<mark>[.,])(?!\d{3}\b)\d+\s*[\[(]?(mm|cm|m|µm|um|in)\b")
+
+
+@dataclass(frozen=True)
+class NumberMarks:
+    """How the numbers of a table are written.
+
+    Attributes:
+        decimal: decimal mark, ``"."`` or ``","``.
+        thousands: thousands separators that occur (blanks and apostrophes in their plain spelling).
+        evidence: sentences that support this reading. against: sentences that contradict it.
+        is_certain: whether single cells allow no other reading; a table without marks is not certain.
+        is_open: whether the other reading fits as well.
+        is_stated: whether the user stated the decimal mark.
+        example: first cell that the other decimal mark changes; empty if there is none.
+    """
+
+    decimal: str = "."
+    thousands: str = ""
+    evidence: tuple[str, ...] = ()
+    against: tuple[str, ...] = ()
+    is_certain: bool = False
+    is_open: bool = False
+    is_stated: bool = False
+    example: str = ""
+
+    @property
+    def other(self) -> str:
+        """The other decimal mark."""
+        return _other(self.decimal)
+
+    @property
+    def question(self) -> str:
+        """The open question, in one sentence."""
+        return (f"{self.example!r} is {_shown(self.example, '.')} with a decimal point and "
+                f"{_shown(self.example, ',')} with a decimal comma, and the values fit both")
+
+    def assumptions(self) -> tuple[Assumption, ...]:
+        """Decimal mark and thousands separator with their evidence; empty where no number has a mark."""
+        if not self.example and not self.thousands and not self.evidence:
+            return ()
+        reading = f"{self.example!r} is {_shown(self.example, self.decimal)}"
+        other = f"{DECIMAL_WORDS[self.other]}: {self.example!r} is {_shown(self.example, self.other)}"
+        alternatives = (Alternative(other, None, f'--decimal "{self.other}"'),) if self.is_open else ()
+        value = f"{DECIMAL_WORDS[self.decimal]}: {reading}" if self.is_open else DECIMAL_WORDS[self.decimal]
+        found = [Assumption("decimal mark", value, self.evidence, self.against, alternatives,
+                            f'--decimal "{self.decimal}"', self.is_stated)]
+        if self.thousands:
+            named = " and ".join(_SEPARATORS[mark] for mark in self.thousands)
+            found.append(Assumption("thousands separator", named, (*((reading,) if self.example else ()),
+                                                                   *self.evidence),
+                                    flag=f'--decimal "{self.decimal}"', is_stated=self.is_stated))
+        return tuple(found)
+
+
+@dataclass(frozen=True)
+class _Vote:
+    """The decimal mark that the values of a column show (None: both fit), and why."""
+
+    decimal: str | None
+    reason: str = ""
+    is_certain: bool = False
+    example: str = ""
+
+
+def find_marks(used: Iterable[Sequence[str]], others: Iterable[Sequence[str]] = (), *, delimiter: str | None = None,
+               stated: str | None = None) -> NumberMarks:
+    """The decimal mark of a table.
+
+    Args:
+        used: cells of the columns that are read, one sequence a column. others: cells of the other columns of numbers,
+            which decide only where the used ones do not.
+        delimiter: of a text. A point is the decimal mark in cells between commas unless the values show otherwise.
+        stated: decimal mark by the user; None: it is found.
+    """
+    columns = [list(cells) for cells in used]
+    if stated is not None:
+        return _with_separators(NumberMarks(stated, evidence=("stated",), is_stated=True,
+                                            example=_first_example(columns)), columns)
+    votes = [vote for cells in columns if (vote := _vote(cells)) is not None]
+    if not votes:
+        return _with_separators(NumberMarks(), columns)
+    example = next((vote.example for vote in votes if vote.example), "")
+    deciding = [vote for vote in votes if vote.decimal is not None]
+    if not deciding:
+        deciding = [vote for cells in others if (vote := _vote(list(cells))) is not None and vote.decimal is not None]
+    chosen = {vote.decimal for vote in deciding}
+    if len(chosen) == 1:
+        decimal = deciding[0].decimal or "."
+        reasons = tuple(dict.fromkeys(vote.reason for vote in deciding))[:2]
+        found = NumberMarks(decimal, "", reasons, is_certain=any(vote.is_certain for vote in deciding),
+                            example=example)
+    elif chosen:
+        found = _contradiction(deciding, example)
+    else:
+        mark = next(each for each in DECIMAL_MARKS if each in example)
+        sure = delimiter == "," and mark == "."
+        reasons = ("the cells are separated by commas",) if sure else ()
+        found = NumberMarks(mark, "", reasons, is_open=not sure, example=example)
+    return _with_separators(found, columns)
+
+
+def marks_beside(marks: NumberMarks, text: str) -> NumberMarks:
+    """Open marks, decided by quantities with units in the text outside of the table, where these have one mark."""
+    found = {match["mark"]: match[0] for match in _QUANTITY.finditer(text)}
+    if len(found) != 1:
+        return marks
+    (mark, quantity), = found.items()
+    return replace(marks, decimal=mark, is_open=False, thousands="".join({*marks.example} & {_other(mark)}), evidence=(
+        f"{quantity!r} outside of the table has {DECIMAL_WORDS[mark]}",))
+
+
+def _contradiction(votes: Sequence[_Vote], example: str) -> NumberMarks:
+    """Columns that show different decimal marks: a question, unless both are certain and a cell will be refused."""
+    best = max(votes, key=lambda vote: vote.is_certain)
+    against = tuple(dict.fromkeys(vote.reason for vote in votes if vote.decimal != best.decimal))[:2]
+    certain = all(any(vote.decimal == mark and vote.is_certain for vote in votes) for mark in DECIMAL_MARKS)
+    doubted = next((vote.example for vote in votes if vote.decimal != best.decimal and vote.example), example)
+    return NumberMarks(best.decimal or ".", "", (best.reason,), against, is_certain=certain, is_open=not certain,
+                       example=doubted)
+
+
+def _with_separators(marks: NumberMarks, columns: Iterable[Sequence[str]]) -> NumberMarks:
+    """The marks with the thousands separators that occur in the columns."""
+    seen: dict[str, str] = {}
+    for cells in columns:
+        text = "\n".join(cells)
+        if marks.other in text or not text.isascii() or " " in text or "'" in text:
+            for cell in cells:
+                if separator := thousands_separator(cell, marks.decimal):
+                    seen.setdefault(separator, cell)
+                    if not marks.is_certain and not marks.example:
+                        break
+    if not seen:
+        return marks
+    return replace(marks, thousands="".join(sorted(seen)), example=marks.example or next(iter(seen.values())))
+
+
+def _first_example(columns: Iterable[Sequence[str]]) -> str:
+    return next((cell for cells in columns for cell in cells if _differs(cell)), "")
+
+
+def _differs(cell: str) -> bool:
+    """Whether the two decimal marks give two numbers."""
+    if isinstance(cell, ExactNumber) or not ("." in cell or "," in cell):
+        return False
+    point, comma = parse_number(cell, "."), parse_number(cell, ",")
+    return not (math.isnan(point) or math.isnan(comma)) and point != comma
+
+
+def _vote(cells: Sequence[str]) -> _Vote | None:
+    """What the values of one column show; None: no value has a point or comma."""
+    text = "\n".join(cell for cell in cells if not isinstance(cell, ExactNumber))
+    marks = [mark for mark in DECIMAL_MARKS if mark in text]
+    if not marks:
+        return None
+    if len(marks) == 1:
+        mark, = marks
+        uses = text.count(mark)
+        odd = sum(1 for _ in islice(_NO_GROUP[mark].finditer(text), 1 + int(_most_damaged(uses))))
+        if odd > _most_damaged(uses):
+            found = _NO_GROUP[mark].search(text)
+            cell = "" if found is None else _cell_at(text, found.start())
+            return _Vote(mark, f"{cell!r} has no group of three digits behind its mark", True)
+    return _detailed_vote(cells)
+
+
+def _most_damaged(count: int) -> float:
+    return max(1.0, _DAMAGED_FRACTION * count) if count > _FEWEST_MARKED else 0.0
+
+
+def _cell_at(text: str, place: int) -> str:
+    return text[text.rfind("\n", 0, place) + 1:].partition("\n")[0]
+
+
+def _detailed_vote(cells: Sequence[str]) -> _Vote | None:
+    """What the values of one column show, by each value and by the jumps between them."""
+    cells = [cell for cell in cells if cell]
+    readings = {mark: np.array([parse_number(cell, mark) for cell in cells]) for mark in DECIMAL_MARKS}
+    marked = np.array([not isinstance(cell, ExactNumber) and ("." in cell or "," in cell) for cell in cells])
+    known = {mark: np.isfinite(values) for mark, values in readings.items()}
+    number = marked & (known["."] | known[","])
+    refused = {mark: number & ~known[mark] for mark in DECIMAL_MARKS}
+    differing = known["."] & known[","] & (readings["."] != readings[","])
+    example = cells[int(np.argmax(differing))] if differing.any() else ""
+    if not number.any():
+        return None
+    smoother = _smoother(readings, known["."] & known[","]) if example else None
+    if smoother is not None and refused[smoother].sum() <= _most_damaged(int(number.sum())):
+        other = _other(smoother)
+        jumps = f"{_where_it_jumps(cells, readings, smoother)} with {DECIMAL_WORDS[other]}"
+        return _Vote(smoother, jumps, bool(refused[other].any()) and not refused[smoother].any(), example)
+    fewest = min(DECIMAL_MARKS, key=lambda mark: int(refused[mark].sum()))
+    if refused[_other(fewest)].any():
+        if example and not refused[fewest].any() and _is_damage(cells, refused[_other(fewest)], int(number.sum())):
+            return _Vote(None, example=example)
+        return _Vote(fewest, _only_reading(cells, refused[_other(fewest)], fewest), True, example)
+    return _by_digits(cells, marked, readings, example) if example else None
+
+
+def _other(mark: str) -> str:
+    return "," if mark == "." else "."
+
+
+def _is_damage(cells: Sequence[str], refused: np.ndarray, count: int) -> bool:
+    """Whether the few refused cells may be damaged, and prove nothing: none of them begins with a zero."""
+    odd = [cell for cell, is_odd in zip(cells, refused.tolist(), strict=True) if is_odd]
+    return len(odd) <= _DAMAGED_FRACTION * count + 1 and count > _MOST_SHORT and not any(
+        cell.lstrip("+-").startswith("0") for cell in odd)
+
+
+def _only_reading(cells: Sequence[str], refused: np.ndarray, mark: str) -> str:
+    return f"{cells[int(np.argmax(refused))]!r} is a number only with {DECIMAL_WORDS[mark]}"
+
+
+def _by_digits(cells: Sequence[str], marked: np.ndarray, readings: dict[str, np.ndarray], example: str) -> _Vote:
+    """All marks have exactly three digits behind them: values below 1000 without a mark support thousands."""
+    mark = next(each for each in DECIMAL_MARKS if each in example)
+    count = int(marked.sum())
+    unmarked = [cell for cell, has_mark in zip(cells, marked, strict=True)
+                if not has_mark and not isinstance(cell, ExactNumber)]
+    plain = np.abs([parse_number(cell) for cell in unmarked])
+    large = next((cell for cell, value in zip(unmarked, plain, strict=True) if value >= 1000.0), None)
+    if large is not None and (len(large.lstrip("+-")) > 4 or (readings[_other(mark)][marked] < 10_000.0).any()):
+        return _Vote(mark, f"{large!r} has no thousands separator", False, example)
+    plain = plain[np.isfinite(plain)]
+    zeros = int((plain == 0.0).sum())
+    evidence = (count * _THREE_DECIMALS + (_NO_MARK if plain.size > zeros else 0.0)
+                + (_ZERO_WITHOUT_MARK if zeros else 0.0))
+    if plain.size and count >= _FEWEST_MARKED and evidence > _DIGITS_DECIDE:
+        return _Vote(_other(mark), f"all {count} values from 1000 have exactly three digits behind each "
+                     f"mark, and {plain.size} smaller {'value has' if plain.size == 1 else 'values have'} no mark",
+                     False, example)
+    return _Vote(None, example=example)
+
+
+def _smoother(readings: dict[str, np.ndarray], known: np.ndarray) -> str | None:
+    """The decimal mark that makes the column smooth where the other one makes it jump; None: neither does."""
+    rough = {mark: _roughness(values[known]) for mark, values in readings.items()}
+    smooth, other = sorted(rough, key=lambda mark: rough[mark])
+    if rough[other] >= _JUMP_ROUGHNESS and rough[other] > _ROUGHNESS_RATIO * rough[smooth]:
+        return smooth
+    return None
+
+
+def _roughness(values: np.ndarray) -> float:
+    """Sum of the absolute second differences over the range."""
+    extent = float(np.ptp(values)) if values.size > 2 else 0.0
+    return float(np.abs(np.diff(values, 2)).sum() / extent) if extent > 0 else 0.0
+
+
+def _where_it_jumps(cells: Sequence[str], readings: dict[str, np.ndarray], smoother: str) -> str:
+    """The largest jump of the other reading, as the cells have it."""
+    rough = readings[_other(smoother)]
+    steps = np.abs(np.diff(rough))
+    place = int(np.nanargmax(steps)) if np.isfinite(steps).any() else 0
+    return (f"the column jumps from {cells[place]!r} to {cells[place + 1]!r} where its neighbours change evenly, if "
+            "read")
+
+
+def _shown(cell: str, decimal: str) -> str:
+    return f"{parse_number(cell, decimal):.12g}"

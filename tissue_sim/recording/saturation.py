@@ -1,0 +1,121 @@
+"""Saturated sensors: a channel that stays at its extreme value, to the last digit, while the other channel goes on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class SaturationSettings:
+    """Thresholds of `find_saturation`.
+
+    Attributes:
+        fewest: samples at the extreme value.
+        before: samples before the first one, from which the rates of both channels are taken.
+        missing_range: change that the channel would have made without saturation, as a fraction of its range.
+        missing_digits: the same in last digits, so that a coarse sensor is not taken for a saturated one.
+        missing_noise: the same in deviations of the noise.
+        travel: progress of the other channel, as a fraction of its range.
+        speed: rate of the other channel over its rate before; a creeping displacement is slower.
+        at_rest: distance of the extreme value from the first ones, as a fraction of the range.
+        gap: largest number of samples between two at the extreme value that are counted as saturated.
+    """
+
+    fewest: int = 5
+    before: int = 8
+    missing_range: float = 0.02
+    missing_digits: float = 4.0
+    missing_noise: float = 4.0
+    travel: float = 0.02
+    speed: float = 0.5
+    gap: int = 3
+    at_rest: float = 0.1
+
+
+SETTINGS = SaturationSettings()
+
+
+@dataclass(frozen=True)
+class SaturatedRun:
+    """Samples `first` to `last` (from 0, both included) of a saturated channel; `count` have its extreme value."""
+
+    first: int
+    last: int
+    count: int
+
+
+def find_saturation(values: np.ndarray, other: np.ndarray, time: np.ndarray | None = None,
+                    settings: SaturationSettings = SETTINGS) -> tuple[SaturatedRun, ...]:
+    """Find where a channel is cut off at its largest or smallest value.
+
+    A run of equal extreme values is saturation if the other channel goes on in its direction at no less than half of
+    its rate before, and the channel would have changed clearly at its rate before. Holds, coarse sensors, air, creep at
+    a constant force and ruptures are none.
+
+    Args:
+        values: of the channel in the order of time, any unit and sign, shape (n,).
+        other: the channel that goes on: the motion of a load, the load of a motion, shape (n,).
+        time: s, shape (n,); None: even steps.
+    """
+    clock = np.arange(values.size, dtype=float) if time is None else time
+    steps = np.abs(np.diff(values))
+    steps = steps[steps > 1e-9 * float(np.abs(values).max() or 1.0)]
+    if not steps.size or not np.ptp(other) > 0:
+        return ()
+    missing = max(settings.missing_range * float(np.ptp(values)), settings.missing_digits * float(steps.min()),
+                  settings.missing_noise * _noise(values))
+    steps = np.abs(np.diff(other))
+    travel = max(settings.travel * float(np.ptp(other)), settings.missing_digits * float(steps[steps > 0].min()),
+                 settings.missing_noise * _noise(other))
+    found = []
+    for side in (1.0, -1.0):
+        extreme = side * float((side * values).max())
+        # The value at rest is no limit of a sensor.
+        if abs(extreme - np.median(values[:3])) <= settings.at_rest * np.ptp(values):
+            continue
+        for run in _runs(np.flatnonzero(values == extreme), settings):
+            if _is_saturated(run, side * values, other, clock, missing, travel, settings):
+                found.append(run)
+    return tuple(sorted(found, key=lambda run: run.first))
+
+
+def _noise(values: np.ndarray) -> float:
+    """Deviation of the noise. Equal values of a saturated sensor have none: their bends do not count."""
+    bend = np.abs(np.diff(values, 2))
+    return float(np.median(bend[bend > 0])) / (0.6745 * np.sqrt(6.0)) if np.any(bend > 0) else 0.0
+
+
+def _runs(places: np.ndarray, settings: SaturationSettings) -> list[SaturatedRun]:
+    """Runs of samples at the extreme value, of at least the fewest."""
+    if places.size < settings.fewest:
+        return []
+    parts = np.split(places, np.flatnonzero(np.diff(places) > settings.gap + 1) + 1)
+    return [SaturatedRun(int(part[0]), int(part[-1]), part.size) for part in parts if part.size >= settings.fewest]
+
+
+def _is_saturated(run: SaturatedRun, values: np.ndarray, other: np.ndarray, clock: np.ndarray, missing: float,
+                  travel: float, settings: SaturationSettings) -> bool:
+    """Whether the channel, positive towards its extreme value, would have gone on.
+
+    Args:
+        missing: least change of the channel that is missing. travel: least progress of the other channel.
+    """
+    first = max(run.first - settings.before, 0)
+    if run.first - first < 3 or not clock[run.first - 1] > clock[first]:
+        return False
+    before = slice(first, run.first)
+    rate, rate_of_other = (float(np.polyfit(clock[before] - clock[first], each[before], 1)[0])
+                           for each in (values, other))
+    if rate <= 0 or rate_of_other == 0:
+        return False
+    along = np.sign(rate_of_other) * (other[run.first:run.last + 1] - other[run.first])
+    farthest = int(np.argmax(along))
+    duration = clock[run.first + farthest] - clock[run.first]
+    if farthest < settings.fewest - 1 or not duration > 0 or along[farthest] <= travel:
+        return False
+    goes_on = along[farthest] / duration >= settings.speed * abs(rate_of_other)
+    # At the peak of a cycle the other channel may lead, so that its rate alone says little.
+    expected = min(rate * duration, rate / abs(rate_of_other) * along[farthest])
+    return bool(goes_on and expected > missing)

@@ -1,0 +1,204 @@
+"""Findings about the signals of one recording that a fit must respect: outliers, saturation, preload, control."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+#: Fraction of the force that is lost in a hold, above which the material relaxes.
+RELAXES = 0.05
+#: Fraction of the displacement that is gained at constant force, above which the material creeps.
+CREEPS = 0.02
+#: Loss factor (tangent of the phase angle) of an oscillation, above which the material dissipates.
+LOSES = 0.05
+#: Estimated relative error of an elastic modulus by relaxation or creep during the loading, above which it is wrong.
+RATE_ERROR = 0.05
+#: The remedy where a material relaxes, creeps or dissipates.
+VISCOELASTIC_REMEDY = "state viscoelastic.terms[0].g and viscoelastic.terms[0].tau_s in [fit.start]"
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Samples that are left out for one reason.
+
+    Attributes:
+        samples: numbers of the samples in the recording, from 1.
+        channel: that shows the fault, e.g. ``"force"``; empty where the campaign lists the samples.
+        reason: one clause without its subject, e.g. ``"displacement is -0.7 mm, and its neighbours point to 0 mm"``.
+    """
+
+    samples: tuple[int, ...]
+    channel: str
+    reason: str
+
+    @property
+    def sentence(self) -> str:
+        """The samples and the reason."""
+        return f"{numbered(self.samples)} left out: {self.reason}"
+
+
+@dataclass(frozen=True)
+class Saturation:
+    """A channel that stays at its extreme value while the other channel goes on.
+
+    Attributes:
+        channel: ``"force"``, ``"nominal stress"``, ``"displacement"``, ...
+        level: of the channel, SI, with its sign in the recording.
+        samples: numbers of the samples that are left out, from 1: from the first saturated one to the last.
+        sentence: the finding in words.
+    """
+
+    channel: str
+    level: float
+    samples: tuple[int, ...]
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Preload:
+    """A load that is there at the first displacement, where the test has no air before contact.
+
+    Attributes:
+        force: at zero displacement, N (Pa where stress was recorded), positive under load.
+        fraction: of the range of the force.
+        shift: distance by which contact lies before the zero of the displacement if the force is right, m (strain).
+        is_settled: whether the contact offset that the campaign states or fits covers `shift`, or the zero of the force
+            that it states removes `force`. False: the moduli are wrong.
+        sentence: the finding in words, with the remedy where it is not settled.
+    """
+
+    force: float
+    fraction: float
+    shift: float
+    is_settled: bool
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Control:
+    """The quantity that the machine controls, and what the material does while that quantity is constant.
+
+    Attributes:
+        quantity: ``"displacement"``, ``"force"``, or None where the signals do not decide.
+        pattern: ``"ramp"``, ``"ramp and hold"``, ``"staircase"``, ``"creep"``, ``"oscillation"`` or ``"cycles"``.
+        relaxation: largest fraction of the force that is lost in a hold of the displacement; 0 without a hold.
+        creep: largest fraction of the displacement that is gained while the force is held; 0 without such a hold.
+        loss_factor: tangent of the phase angle of an oscillation; None without an oscillation.
+        frequency: of the oscillation, Hz (1 / samples without time); None without one.
+        loading: number of samples of the first loading before the first hold or creep.
+        time_constant: s (samples without time), in which 63 % of the relaxation or creep takes place; None without one.
+        loading_time: s (samples), from the first sample to the largest displacement, or to the start of the creep.
+    """
+
+    quantity: Literal["displacement", "force"] | None
+    pattern: str
+    relaxation: float = 0.0
+    creep: float = 0.0
+    loss_factor: float | None = None
+    frequency: float | None = None
+    loading: int = 0
+    time_constant: float | None = None
+    loading_time: float = 0.0
+
+    @property
+    def rate_error(self) -> float:
+        """Estimated relative error of an elastic modulus of the loading by what relaxes or creeps during it.
+
+        A material with the relaxed fraction g and the time constant tau, loaded at a constant rate for a time T, shows
+        a mean modulus that is smaller by g (1 - (tau / T) (1 - exp(-T / tau))).
+        """
+        lost = self.creep / (1.0 + self.creep) if self.pattern == "creep" else self.relaxation
+        if not self.time_constant or not self.loading_time > 0:
+            return 0.0
+        ratio = self.loading_time / self.time_constant
+        return lost * (1.0 - -math.expm1(-ratio) / ratio)
+
+    @property
+    def dissipates(self) -> bool:
+        """Whether the force of an oscillation is out of phase."""
+        return self.loss_factor is not None and abs(self.loss_factor) > LOSES
+
+    @property
+    def is_elastic(self) -> bool:
+        """Whether a law without memory can describe the loading, as far as the signals show."""
+        return not self.dissipates and self.rate_error <= RATE_ERROR
+
+    @property
+    def sentence(self) -> str:
+        """What an elastic law cannot describe, and the remedy; empty where there is nothing."""
+        if self.dissipates:
+            return (f"oscillation at {self.frequency:.3g} Hz with the loss factor {self.loss_factor:.2f}: the force is "
+                    "out of phase, and an elastic law cannot describe it; measure the relaxation in a hold, and "
+                    f"{VISCOELASTIC_REMEDY}")
+        if self.creep > CREEPS:
+            return (f"the force is held and the displacement creeps by {100 * self.creep:.0f} %: an elastic law cannot "
+                    f"describe it; {VISCOELASTIC_REMEDY}")
+        if self.relaxation > RELAXES and not self.is_elastic:
+            return (f"the force relaxes in holds by up to {100 * self.relaxation:.0f} %: an elastic law gives neither "
+                    f"the modulus at once nor that at equilibrium; {VISCOELASTIC_REMEDY}")
+        if self.relaxation > RELAXES:
+            return (f"the force relaxes in holds by up to {100 * self.relaxation:.0f} %, which an elastic law leaves "
+                    f"out; to fit it, {VISCOELASTIC_REMEDY}")
+        return ""
+
+
+@dataclass(frozen=True)
+class Screening:
+    """Findings about one recording, of `tissue_sim.recording.screening`.
+
+    Attributes:
+        left_out: samples that are not used, by reason; numbers from 1 in the recording as the file has it.
+        saturation: of each saturated channel. preload: None where the load starts from zero.
+        control: None where it was not examined (tables without an order).
+        suspected: outliers that are kept, because the campaign lists the samples to leave out.
+    """
+
+    left_out: tuple[LeftOut, ...] = ()
+    saturation: tuple[Saturation, ...] = ()
+    preload: Preload | None = None
+    control: Control | None = None
+    suspected: tuple[LeftOut, ...] = ()
+
+    @property
+    def samples(self) -> tuple[int, ...]:
+        """Numbers of all samples that are left out, from 1, sorted, saturated ones included."""
+        return tuple(sorted({number for each in (*self.left_out, *self.saturation) for number in each.samples}))
+
+    @property
+    def kept_before_saturation(self) -> float:
+        """Number of samples that are kept before the first saturated one; infinite without saturation."""
+        first = min((each.samples[0] for each in self.saturation), default=None)
+        return float("inf") if first is None else first - 1 - sum(number < first for number in self.samples)
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """One sentence for each group of outliers that is kept."""
+        return tuple(f"{numbered(each.samples)} kept, as leave_out does not list it: {each.reason}"
+                     for each in self.suspected)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """One sentence for each finding."""
+        found = [each.sentence for each in (*self.left_out, *self.saturation)]
+        found += self.doubts
+        found += [each.sentence for each in (self.preload, self.control) if each is not None]
+        return tuple(filter(None, found))
+
+    @property
+    def contradictions(self) -> tuple[str, ...]:
+        """The remarks by which the moduli of an elastic fit are wrong or doubtful."""
+        found = [] if self.preload is None or self.preload.is_settled else [self.preload.sentence]
+        found += self.doubts
+        if self.control is not None and not self.control.is_elastic:
+            found.append(self.control.sentence)
+        return tuple(found)
+
+
+def numbered(samples: tuple[int, ...]) -> str:
+    """``sample 61``, ``samples 3 and 4`` or ``samples 40 to 80``."""
+    if len(samples) == 1:
+        return f"sample {samples[0]}"
+    if len(samples) > 2 and samples[-1] - samples[0] == len(samples) - 1:
+        return f"samples {samples[0]} to {samples[-1]}"
+    return f"samples {', '.join(map(str, samples[:-1]))} and {samples[-1]}"

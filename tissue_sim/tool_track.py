@@ -1,0 +1,111 @@
+"""Poses of the tool from step to step: in the air, at the first touch, in contact, after lift-off."""
+
+from __future__ import annotations
+
+import math
+
+from tissue_sim.fem.solver import Solver
+from tissue_sim.pose import Pose, Quaternion, between, motion, raised, twist_about_axis, with_twist, without_twist
+from tissue_sim.tool_force import TouchState
+
+#: Halvings in the search for the pose of a touch: the last part of the air is 1/4096 of the step.
+_HALVINGS = 12
+#: A tool on the axis of an axisymmetric scene is at most this fraction of the contact radius away from it.
+AXIS_OFFSET = 0.01
+#: A tool that is parallel to the axis of an axisymmetric scene leans by at most this angle, rad.
+AXIS_ANGLE = 2e-3
+
+
+class ToolTrack:
+    """Where the tool is between two steps, and whether it has touched.
+
+    The rotation about its own axis that a body of revolution has at the touch has no influence. It is removed from the
+    poses of solvers that say so (`FreeTool.ignores_twist`).
+
+    Attributes:
+        touch: whether it has touched; see `TouchState`.
+        pose: last accepted pose, as it was given; None before the first step.
+        twist: rotation about its axis at the last touch, which is removed from the poses of the solver; None: none.
+    """
+
+    __slots__ = ("pose", "touch", "twist")
+
+    def __init__(self) -> None:
+        self.touch = TouchState()
+        self.twist: Quaternion | None = None
+        self.pose: Pose | None = None
+
+    def copy(self) -> ToolTrack:
+        """An independent copy, for saved states."""
+        other = ToolTrack()
+        other.touch, other.twist, other.pose = self.touch.copy(), self.twist, self.pose
+        return other
+
+    def untwisted(self, pose: Pose) -> Pose:
+        """A pose without the rotation about the tool's own axis at the last touch."""
+        return pose if self.twist is None else without_twist(pose, self.twist)
+
+    def seen_by(self, solver: Solver, pose: Pose) -> Pose:
+        """The pose that the solver gets."""
+        return solver.follow(self.untwisted(pose))
+
+    def given(self, pose: Pose) -> Pose:
+        """Inverse of `untwisted`, for a pose of the solver."""
+        return pose if self.twist is None else with_twist(pose, self.twist)
+
+    def first_contact(self, solver: Solver, pose: Pose, dt: float) -> tuple[float | None, bool]:
+        """Register a step before the first touch, and let the solver begin where the tool touches.
+
+        Args:
+            solver: on tissue that has not been touched.
+            pose: end of the step, as it was given.
+            dt: s.
+
+        Returns:
+            Time of the step in contact, s, or None while the tool is in the air; and whether the solver can let the
+            tool begin there. If it cannot, the tool counts as not having touched.
+        """
+        before = self.touch.height
+        height = solver.height_above(pose)
+        spent = self.touch.advance(height, dt)
+        if spent is None:
+            return None, True
+        start = raised(pose, -height)
+        if before is not None and before > 0.0 and self.pose is not None:
+            start = between(self.pose, pose, before / (before - height))
+            start = raised(start, -solver.height_above(start))
+        twist = twist_about_axis(start.orientation) if solver.ignores_twist else None
+        if solver.place_tool(without_twist(start, twist)):
+            self.twist = twist
+            return spent, True
+        self.touch = TouchState(False, height)
+        return spent, False
+
+    def contact_again(self, solver: Solver, pose: Pose) -> None:
+        """Take a tool that has lifted off, in the air, to where it touches on its straight path to a pose."""
+        assert self.pose is not None
+        before, low, high = self.pose, 0.0, 1.0
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            clearance = solver.clearance(solver.follow(between(before, pose, middle)))
+            low, high = (middle, high) if clearance is not None and clearance > 0.0 else (low, middle)
+        start = between(before, pose, low)
+        self.twist = twist_about_axis(start.orientation) if solver.ignores_twist else None
+        solver.move_in_air(self.seen_by(solver, start))
+
+
+def is_on_axis(pose: Pose, seen: Pose, radius: float) -> bool:
+    """Whether a pose agrees with the one on the axis that an axisymmetric solver takes instead of it.
+
+    Args:
+        pose: as it was given.
+        seen: by the solver.
+        radius: of the contact, m.
+    """
+    (x, y, _), (u, v, _) = pose.position, seen.position
+    if abs(x - u) + abs(y - v) > 0.0 and math.hypot(x - u, y - v) > AXIS_OFFSET * radius:
+        return False
+    if pose.orientation is seen.orientation:
+        return True
+    untwisted = without_twist(pose, twist_about_axis(pose.orientation))
+    return math.hypot(*motion(seen, untwisted)[3:]) <= AXIS_ANGLE
