@@ -247,3 +247,20 @@ def test_assumptions_are_one_table_everywhere(tmp_path, capsys):
         assert words in said and words in campaign
     assert answer["files"][0]["unused_columns"] == ["Counter"]
     assert "columns not used: a.csv: 'Counter'" in said and "Columns not used: a.csv: 'Counter'" in campaign
+
+
+def test_a_unit_that_the_row_below_contradicts_is_a_question(tmp_path):
+    way, force = LENGTH * (STRETCH - 1), STRESS * AREA
+    path = write(tmp_path, "Extension [mm],Load\n(in),(N)", way, force, above=SHEET)
+    question, = load(path).questions
+    assert "unit of displacement: mm (--unit displacement=mm) or in (--unit displacement=in)" in question
+    assert shear_modulus(load(path, units={"displacement": "mm"}), tmp_path) == pytest.approx(MU, rel=1e-3)
+
+
+def test_a_speed_that_contradicts_the_file_is_refused(tmp_path, capsys):
+    path = write(tmp_path, "Time (s),Load (N)", LENGTH * (STRETCH - 1) / 0.5, STRESS * AREA,
+                 above=SHEET + "The grips move at 0.5 mm/s\n")
+    assert shear_modulus(load(path), tmp_path) == pytest.approx(MU, rel=1e-3)
+    assert main(["import", str(path), "--speed-mm-s", "0.5"]) == 0
+    assert main(["import", str(path), "--speed-mm-s", "40"]) == 2
+    assert "speed of 40 mm/s contradicts the file" in capsys.readouterr().err

@@ -47,6 +47,7 @@ class ColumnGuess:
         reason: why, for people.
         role: what the header says: a strain is read as a stretch.
         rank: of `tissue_sim.recording.formats.vocabulary.role_of`; the lowest of a role is read.
+        other_unit: unit in the row of units, where it contradicts that of the header.
     """
 
     channel: str
@@ -61,6 +62,7 @@ class ColumnGuess:
     reason: str = ""
     measure: str | None = None
     rank: int = 0
+    other_unit: str | None = None
 
     def entry(self) -> dict[str, Any]:
         """As it stands in ``columns`` of a campaign."""

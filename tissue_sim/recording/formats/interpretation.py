@@ -15,7 +15,7 @@ from tissue_sim.recording.formats.measures import ENGINEERING, MEASURES, measure
 from tissue_sim.recording.formats.pairing import with_measure
 from tissue_sim.recording.formats.vocabulary import Machine, plain, source_of
 from tissue_sim.recording.recording import CHANNELS, Recording
-from tissue_sim.units import loose_header
+from tissue_sim.units import UNITS, loose_header
 
 #: Columns -> recordings of the table.
 Read = Callable[[Sequence[ColumnGuess]], tuple[Recording, ...]]
@@ -166,6 +166,13 @@ def _unit(read: Read, column: ColumnGuess, recordings: Sequence[Recording], othe
     value = column.unit or "not stated"
     if is_derived(column):
         return Assumption(subject, value, (column.reason.split("; ")[-1],))
+    if column.other_unit is not None and not is_stated and column.unit is not None:
+        own, other = (UNITS[unit][1] for unit in (column.unit, column.other_unit))
+        grows = CHANNELS[channel] in ("force", "stress")
+        return Assumption(subject, value, (f"in the header {column.header!r}",), (
+            f"the row of units has {column.other_unit}",), (Alternative(
+                column.other_unit, other / own if grows else None if channel == "time" else own / other,
+                f"--unit {flag}={column.other_unit}"),), f"--unit {flag}={column.unit}")
     if is_stated or column.missing:
         evidence: tuple[str, ...] = ()
     elif loose_header(column.header)[1] is not None:

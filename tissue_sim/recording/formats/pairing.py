@@ -21,12 +21,14 @@ from tissue_sim.recording.formats.speed_text import speeds_in
 from tissue_sim.recording.formats.statements import constant_columns
 from tissue_sim.recording.formats.vocabulary import Machine, plain, role_of, source_of
 from tissue_sim.recording.recording import CHANNELS
-from tissue_sim.units import UNITS
+from tissue_sim.units import UNITS, known_unit
 
 #: Role of a column -> channel of a recording. The strain of a test is one less than its stretch.
 _CHANNEL = {"time": "time", "displacement": "displacement", "force": "force", "stretch": "stretch",
             "strain": "stretch", "shear strain": "shear strain", "stress": "nominal stress",
             "temperature": "temperature"}
+#: Relative difference up to which a stated speed agrees with that in the file.
+_SAME_SPEED = 0.01
 #: A shear strain keeps the measure that its header names, which has no conversion.
 _CHANNEL_OF_MEASURE = {"shear strain": "stretch"}
 
@@ -179,9 +181,13 @@ def _speed_for(roles: Collection[str], numbers: Numbers, stated: Stated) -> tupl
     no speed is known."""
     if not {"time", "force"} <= set(roles) or set(roles) & {"displacement", "stretch", "strain", "shear strain"}:
         return None
-    if stated.speed is not None:
-        return stated.speed, "stated"
     speeds = speeds_in((*numbers.above, *numbers.below))
+    if stated.speed is not None:
+        if speeds and not any(abs(speed / stated.speed - 1.0) <= _SAME_SPEED for speed in speeds):
+            lines = "; ".join(speeds.values())
+            raise InputError(f"speed of {1e3 * stated.speed:g} mm/s contradicts the file ({lines}); leave the flag out, "
+                             "or that line (--skip-lines)", field="--speed-mm-s")
+        return stated.speed, "stated"
     return next(((speed, f"in the file: {line}") for speed, line in speeds.items()), None) if len(speeds) == 1 else None
 
 
@@ -253,8 +259,18 @@ def _column(numbers: Numbers, place: int, role: str, machine: Machine | None, st
         # "Strain (true)", "Load (corrected)", "ln(lambda)": the brackets hold no unit.
         unit = "-" if CHANNELS[channel] == "ratio" else None
     column = ColumnGuess(channel, header, place + 1, unit, role, int(said["sign"] or 1),
-                         None if said["scale"] is None else float(said["scale"]), None, bool(header), reason)
+                         None if said["scale"] is None else float(said["scale"]), None, bool(header), reason,
+                         other_unit=None if said["unit"] is not None else _other_unit(numbers, place, unit))
     return with_measure(column, stated.measures.get(role, stated.measures.get(channel)))
+
+
+def _other_unit(numbers: Numbers, place: int, unit: str | None) -> str | None:
+    """The unit in the row of units, if it has another size than that of the header; None: no contradiction."""
+    cells = () if numbers.units is None else numbers.units.cells
+    below = known_unit(cells[place]) if place < len(cells) else None
+    if below is None or unit not in UNITS or UNITS[below] == UNITS[unit]:
+        return None
+    return below
 
 
 def _is_remark(text: str, role: str) -> bool:

@@ -47,9 +47,11 @@ UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
         "not uniaxial tension: the specimen is loaded along two axes, and its stress would be taken for that of one",
         short=("eb", "ebt", "bt")),
     UnknownTest("confined_compression", "confined compression", (
-        r"confined( compress\w*)?", r"(radially |laterally )?(confined|constrained|restrained) compress\w*",
+        r"confined( compress\w*)?", r"confining", r"confinement", r"porous (platens?|plates?|filters?)",
+        r"(radially |laterally )?(confined|constrained|restrained) compress\w*",
         r"compress\w* confinee?", r"confinee?", r"o?edomet\w*", r"laterally (confined|constrained|restrained)",
-        r"uniaxial strain", r"(ein|um)geschlossen\w* (kompress\w*|druck\w*)",
+        r"uniaxial strain", r"(ein|um)geschlossen\w*( (kompress\w*|druck\w*))?",
+        r"(seitlich|radial) (begrenzt|behindert|gehalten|gefuhrt)\w*",
         r"(behindert\w*|verhindert\w*) (quer|seiten)dehnung", r"eingeschrankt\w* (kompress\w*|druck\w*)",
         r"aggregate modulus"),
         "not compression between plates: the specimen cannot widen, and its force measures the aggregate modulus"),
