@@ -185,8 +185,8 @@ def _speed_for(roles: Collection[str], numbers: Numbers, stated: Stated) -> tupl
     if stated.speed is not None:
         if speeds and not any(abs(speed / stated.speed - 1.0) <= _SAME_SPEED for speed in speeds):
             lines = "; ".join(speeds.values())
-            raise InputError(f"speed of {1e3 * stated.speed:g} mm/s contradicts the file ({lines}); leave the flag out, "
-                             "or that line (--skip-lines)", field="--speed-mm-s")
+            raise InputError(f"speed of {1e3 * stated.speed:g} mm/s contradicts the file ({lines}); leave the flag "
+                             "out, or that line (--skip-lines)", field="--speed-mm-s")
         return stated.speed, "stated"
     return next(((speed, f"in the file: {line}") for speed, line in speeds.items()), None) if len(speeds) == 1 else None
 
