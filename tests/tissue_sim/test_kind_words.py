@@ -13,7 +13,7 @@ TABLE = "Time (s),Travel (mm),Load (N)\n" + ROWS
 
 
 def names(text):
-    return [each.kind or each.unknown.name for each in named_tests([Hint(text, "here")])]
+    return list(dict.fromkeys(each.kind or each.unknown.name for each in named_tests([Hint(text, "here")])))
 
 
 @pytest.mark.parametrize(("text", "expected"), [
