@@ -86,7 +86,7 @@ def picture_lines(tests: Sequence[ImportedTest], width: int, most: int) -> list[
     lines = []
     for row in rows:
         subject, value, *_ = row.cells
-        others = [f"or {row.alternatives} ({row.flag})" if row.alternatives else "",
+        others = [f"or {row.alternatives}" if row.alternatives else "",
                   f"against: {row.against}" if row.against else "", row.evidence]
         cells = (f"{'? ' if row.is_question else ''}{subject}", value, "; ".join(filter(None, others)))
         padded = (f"{shortened(cell, size):<{size}}" for cell, size in zip(cells, sizes, strict=True))
