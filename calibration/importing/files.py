@@ -18,7 +18,7 @@ from calibration.importing.imported import Imported, ImportedTest, Line, Part, W
 from calibration.importing.motion import describe_motion
 from calibration.importing.picture import draw_imported
 from calibration.importing.sidecar import kind_said, read_sidecar, with_sidecar
-from calibration.importing.size_assumptions import seen_without_unit, with_size_assumptions
+from calibration.importing.size_assumptions import unclear_statement, with_size_assumptions
 from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.bounded import bounded
 from tissue_sim.errors import InputError, located, shortened
@@ -209,10 +209,9 @@ def _specimen(reading: Reading, wishes: Wishes, kind: TestKind | None) -> tuple[
         else:
             flag = f"--{key.replace('_', '-')}"
             also = " (or --radius-mm)" if key == "area_mm2" else ""
-            seen = seen_without_unit(reading, key)
-            why = f"the file states {seen!r} without a known unit" if seen else "which no file states"
-            lines.append(Line(key, None, f"{what} of the specimen, {why}; {flag}{also}"))
-            missing.append(f"the {what} of the specimen ({flag}{also}{f'; {why}' if seen else ''})")
+            unclear = unclear_statement(reading, key)
+            lines.append(Line(key, None, f"{what} of the specimen, {unclear or 'which no file states'}; {flag}{also}"))
+            missing.append(f"the {what} of the specimen ({flag}{also}{f'; {unclear}' if unclear else ''})")
     return tuple(lines), missing
 
 

@@ -43,6 +43,9 @@ def _reader(machine: str) -> Callable[..., tuple[Recording, ...]]:
 def _read(path: str | Path, machine: str | None, sheet: Sheets | None, curve: int | None) -> tuple[Recording, ...]:
     path = Path(path)
     understood = understand(path, Stated(format=machine, sheet=sheet))
+    if question := next((each.question for each in understood.assumptions if each.is_question), None):
+        raise InputError(f"{question}; give columns and decimal in place of the format", file=path,
+                         line=understood.readings[0].line)
     missing = [what for reading in understood.readings for what in reading.missing]
     if missing:
         raise InputError(f"does not state {', nor '.join(missing)}; give columns with unit, or scale, in place of the "

@@ -66,6 +66,12 @@ class Numbers:
     below: tuple[Row, ...] = field(default=(), repr=False)
 
     @property
+    def lines(self) -> tuple[Row, ...]:
+        """All rows: above the names, the names and units, the numbers, and below."""
+        names = [row for row in (self.header, self.units) if row is not None]
+        return (*self.above, *sorted(names, key=lambda row: row.line), *self.rows, *self.below)
+
+    @property
     def width(self) -> int:
         """Number of columns, those without numbers included."""
         return max(len(row.cells) for row in (self.rows[0], *([self.header] if self.header else [])))

@@ -51,7 +51,7 @@ def understand(path: str | Path, stated: Stated | None = None) -> Understanding:
     tables = [group for numbers in found for group in find_groups(numbers, machine, stated)]
     if not tables:
         raise InputError(no_pair(found, machine, stated), file=path)
-    tables = _with_statements(source, tables, stated)
+    tables = _with_statements(source, found, tables, stated)
     parts = [_reading(source, group, stated, machine, words) for group in alike(tables)]
     readings = tuple(reading for several, _ in parts for reading in several)
     every = [marks for _, marks in parts]
@@ -63,20 +63,24 @@ def understand(path: str | Path, stated: Stated | None = None) -> Understanding:
                          _warnings(source, readings), marks.assumptions())
 
 
-def _with_statements(source: Source, groups: Sequence[Group], stated: Stated) -> list[Group]:
+def _with_statements(source: Source, found: Sequence[Numbers], groups: Sequence[Group], stated: Stated) -> list[Group]:
     """The tables with what the file states about each; a table without sizes takes those of the table before it."""
-    numbered = {id(group.numbers.table) for group in groups}
-    elsewhere = [row for table in source.tables if id(table) not in numbered for row in table.rows]
+    sheets = {id(numbers.table) for numbers in found}
+    elsewhere = [row for table in source.tables if id(table) not in sheets for row in table.rows]
+    read = {id(group.numbers) for group in groups}
+    # Numbers that are no recording may be a summary of the specimens.
+    elsewhere += [row for numbers in found if id(numbers) not in read for row in numbers.lines]
     # Rows below the last table may state the sizes of all.
     trailing = [row for group in groups[-1:] for row in group.numbers.below]
-    found: list[Group] = []
+    complete: list[Group] = []
     for i, group in enumerate(groups):
         used = [column.place - 1 for column in group.columns]
         last = group.numbers is groups[-1].numbers
         statements = table_statements(group.numbers, used, decimal=stated.decimal or _probable_mark(group), table=i,
                                       tables=len(groups), elsewhere=elsewhere if last else [*trailing, *elsewhere])
-        found.append(replace(group, stated=merged(found[-1].stated, statements) if found else dict(statements)))
-    return found
+        before = complete[-1].stated if complete else {}
+        complete.append(replace(group, stated=merged(before, statements)))
+    return complete
 
 
 def _probable_mark(group: Group) -> str:
