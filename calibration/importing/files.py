@@ -12,7 +12,7 @@ from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
 from calibration.importing.afm import is_afm, understand_afm
 from calibration.importing.campaign_text import FILL_IN, campaign_text
-from calibration.importing.decimal_marks import same_decimal_mark
+from calibration.importing.decimal_marks import decimal_reason, same_decimal_mark
 from calibration.importing.grouping import group, same_motion
 from calibration.importing.imported import Imported, ImportedTest, Line, Part, Wishes
 from calibration.importing.motion import describe_motion
@@ -237,7 +237,8 @@ def _keys(parts: Sequence[Part], wishes: Wishes) -> tuple[list[Line], list[str]]
         missing.append("the kind of test (--kind)")
     missing += [f"{what} (--{'scale' if what.startswith('the scale') else 'unit'} {_flag_name(column.channel)}=...)"
                 for column in reading.columns if (what := column.missing)]
-    lines += [Line(key, value) for key, value in reading.options.items() if key != "columns"]
+    lines += [Line(key, value, decimal_reason(parts) if key == "decimal" else "")
+              for key, value in reading.options.items() if key != "columns"]
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None
     test = dict(wishes.test)
     if kind is not None and kind.tool_stated:
