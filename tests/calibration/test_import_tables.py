@@ -115,6 +115,10 @@ LINES = "Diameter,20,mm\nHeight,12,mm\n"
     "Diameter = 20.0 ± 0.1 mm, h = 12 mm\n" + compression(),
     compression() + "Results\nSpecimen,Diameter (mm),Height (mm)\n" + "".join(f"{i},20,12\n" for i in range(1, 8)),
     "Probe diameter,50,mm\n" + LINES + compression() + "\nDiameter (mm),20.0\n",
+    # Integers do not show the decimal mark: a size of 12,000 mm has a decimal comma.
+    "Durchmesser;20,0;mm\nHöhe;12,000;mm\nTime (s);Extension (um);Load (mN)\n" + "".join(
+        f"{i};{round(1e3 * way)};{round(load)}\n" for i, (way, load) in
+        enumerate(zip(SMALL_MM, load_mN(10.0, 12.0, SMALL_MM, 20e3), strict=True))),
     "Durchmesser;20,0;mm\nHöhe;12,0;mm\n" + compression(";").replace(".", ","),
 ])
 def test_sizes_are_found_wherever_the_file_states_them(tmp_path, text):

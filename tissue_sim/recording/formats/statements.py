@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from tissue_sim.recording.formats.blocks import is_unit_row
-from tissue_sim.recording.formats.number_text import is_number, parse_number, thousands_separator
+from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, is_number, parse_number, thousands_separator
 from tissue_sim.recording.formats.size_words import SENTENCE_WORDS, size_class
 from tissue_sim.recording.formats.sizes import quantity_in
 from tissue_sim.recording.formats.sources import Numbers
@@ -56,13 +56,13 @@ class Statements(dict[str, str]):
         self.setdefault(key, value)
 
 
-def table_statements(numbers: Numbers, used: Sequence[int], *, decimal: str, table: int = 0, tables: int = 1,
+def table_statements(numbers: Numbers, used: Sequence[int], *, decimal: str | None, table: int = 0, tables: int = 1,
                      elsewhere: Sequence[Row] = ()) -> Statements:
     """What a file states about one table of numbers.
 
     Args:
         numbers: the table. used: places from 0 of the columns that are read.
-        decimal: decimal mark of the numbers of the file.
+        decimal: decimal mark of the numbers of the file; None: the numbers do not show it.
         table: number from 0 of it among `tables` of the file, which chooses the row of a summary with as many rows.
         elsewhere: rows of other tables and sheets, which count where the table states nothing.
     """
@@ -86,7 +86,8 @@ def table_statements(numbers: Numbers, used: Sequence[int], *, decimal: str, tab
     return found
 
 
-def row_statements(rows: Sequence[Row], found: Statements, decimal: str = ".", table: int = 0, tables: int = 1) -> None:
+def row_statements(rows: Sequence[Row], found: Statements, decimal: str | None = None, table: int = 0,
+                   tables: int = 1) -> None:
     """Add what rows outside of the numbers state."""
     used: set[int] = set()
     for i, names in enumerate(rows):
@@ -113,7 +114,7 @@ def constant_columns(numbers: Numbers) -> Iterator[tuple[int, str]]:
             yield place, value
 
 
-def _pairs(row: Row, decimal: str) -> Iterator[tuple[str, str]]:
+def _pairs(row: Row, decimal: str | None) -> Iterator[tuple[str, str]]:
     """``key: value``, ``key;value;unit`` or ``key (unit);value``, several in a row."""
     cells = [cell for cell in row.cells if cell]
     if not cells:
@@ -141,9 +142,16 @@ def _pair(key: str, value: str) -> tuple[str, str]:
     return name, f"{value} {unit}" if unit else value
 
 
-def _canonical(cell: str, decimal: str) -> str:
-    """A number with thousands separators without them; any other cell as it is."""
-    return f"{parse_number(cell, decimal):.12g}" if thousands_separator(cell, decimal) else cell
+def _canonical(cell: str, decimal: str | None) -> str:
+    """A number with thousands separators without them; any other cell as it is.
+
+    Where the decimal mark of the file is not known, only blanks and apostrophes separate thousands.
+    """
+    for mark in DECIMAL_MARKS if decimal is None else (decimal,):
+        separator = thousands_separator(cell, mark)
+        if separator and (decimal is not None or separator not in DECIMAL_MARKS):
+            return f"{parse_number(cell, mark):.12g}"
+    return cell
 
 
 def _names_sizes(row: Row) -> bool:
@@ -152,7 +160,7 @@ def _names_sizes(row: Row) -> bool:
         size_class(loose_header(cell)[0]) is not None for cell in cells)
 
 
-def _small_table(rows: Sequence[Row], header: int, found: Statements, decimal: str, table: int, tables: int
+def _small_table(rows: Sequence[Row], header: int, found: Statements, decimal: str | None, table: int, tables: int
                  ) -> set[int]:
     """Add the sizes in the rows below a row of names; returns the rows that belong to the small table."""
     names, places = rows[header], range(len(rows[header].cells))
@@ -184,7 +192,7 @@ def _small_table(rows: Sequence[Row], header: int, found: Statements, decimal: s
     return set(range(header, last + 1))
 
 
-def _sentences(row: Row, decimal: str) -> Iterator[tuple[str, str]]:
+def _sentences(row: Row, decimal: str | None) -> Iterator[tuple[str, str]]:
     """Sizes with units in running text."""
     cells: Iterable[str] = [cell for cell in row.cells if cell]
     if sum(map(len, cells)) > _LONGEST_SENTENCE:

@@ -83,11 +83,12 @@ def _with_statements(source: Source, found: Sequence[Numbers], groups: Sequence[
     return complete
 
 
-def _probable_mark(group: Group) -> str:
-    """The decimal mark of the first rows of a table."""
+def _probable_mark(group: Group) -> str | None:
+    """The decimal mark that the first rows of a table show; None: they have no marks, or fit both."""
     rows = group.numbers.rows[:_MARKED_ROWS]
-    return find_marks([[row.cells[column.place - 1] for row in rows if column.place <= len(row.cells)]
-                       for column in group.columns], delimiter=group.numbers.table.delimiter).decimal
+    marks = find_marks([[row.cells[column.place - 1] for row in rows if column.place <= len(row.cells)]
+                        for column in group.columns], delimiter=group.numbers.table.delimiter)
+    return marks.decimal if (marks.evidence or marks.is_certain) and not marks.is_open else None
 
 
 def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: Machine | None, words: str
