@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from calibration.importing.imported import Part
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.recording.formats.guesses import Reading, Understanding
 
@@ -31,3 +32,11 @@ def same_decimal_mark(understood: Sequence[Understanding]) -> list[Understanding
 
     return [replace(each, readings=tuple(with_mark(each, reading) for reading in each.readings))
             for each in understood]
+
+
+def decimal_reason(parts: Sequence[Part]) -> str:
+    """Why a campaign states the decimal mark of its files, in words."""
+    found = [assumption for part in parts for assumption in part.understanding.assumptions
+             if assumption.subject in ("thousands separator", "decimal mark")]
+    found.sort(key=lambda each: each.subject, reverse=True)
+    return "" if not found else f"{found[0].subject}: {found[0].value}; {'; '.join(found[0].evidence)}"

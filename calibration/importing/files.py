@@ -12,7 +12,7 @@ from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
 from calibration.importing.afm import is_afm, understand_afm
 from calibration.importing.campaign_text import FILL_IN, campaign_text
-from calibration.importing.decimal_marks import same_decimal_mark
+from calibration.importing.decimal_marks import decimal_reason, same_decimal_mark
 from calibration.importing.flags import applies, check_wishes, require_used
 from calibration.importing.grouping import group, same_motion
 from calibration.importing.imported import Imported, ImportedTest, Line, Part, Wishes, Zero, questions_of
@@ -20,7 +20,7 @@ from calibration.importing.motion import describe_motion
 from calibration.importing.picture import draw_imported
 from calibration.importing.sidecar import kind_said, read_sidecar, with_sidecar
 from calibration.importing.signal_lines import leave_out_lines, offset_lines, start_lines
-from calibration.importing.size_assumptions import seen_without_unit, with_size_assumptions
+from calibration.importing.size_assumptions import unclear_statement, with_size_assumptions
 from calibration.importing.zero import linear_laws, with_zero
 from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.bounded import bounded
@@ -224,10 +224,9 @@ def _specimen(reading: Reading, wishes: Wishes, kind: TestKind | None) -> tuple[
         else:
             flag = f"--{key.replace('_', '-')}"
             also = " (or --radius-mm)" if key == "area_mm2" else ""
-            seen = seen_without_unit(reading, key)
-            why = f"the file states {seen!r} without a known unit" if seen else "which no file states"
-            lines.append(Line(key, None, f"{what} of the specimen, {why}; {flag}{also}"))
-            missing.append(f"the {what} of the specimen ({flag}{also}{f'; {why}' if seen else ''})")
+            unclear = unclear_statement(reading, key)
+            lines.append(Line(key, None, f"{what} of the specimen, {unclear or 'which no file states'}; {flag}{also}"))
+            missing.append(f"the {what} of the specimen ({flag}{also}{f'; {unclear}' if unclear else ''})")
     return tuple(lines), missing
 
 
@@ -253,7 +252,8 @@ def _keys(parts: Sequence[Part], wishes: Wishes) -> tuple[list[Line], list[str]]
         missing.append("the kind of test (--kind)")
     missing += [f"{what} (--{'scale' if what.startswith('the scale') else 'unit'} {_flag_name(column.channel)}=...)"
                 for column in reading.columns if (what := column.missing)]
-    lines += [Line(key, value) for key, value in reading.options.items() if key != "columns"]
+    lines += [Line(key, value, decimal_reason(parts) if key == "decimal" else "")
+              for key, value in reading.options.items() if key != "columns"]
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None
     test = dict(wishes.test)
     if kind is not None and kind.tool_stated:

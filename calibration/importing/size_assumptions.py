@@ -12,6 +12,7 @@ from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
 from tissue_sim.recording.formats.guesses import Reading, Understanding
 from tissue_sim.recording.formats.sizes import Size, sizes_without_unit, stated_sizes
+from tissue_sim.recording.formats.statements import DIMENSIONS
 
 #: Key -> what it is called, its unit.
 _NAMES = {"radius_mm": ("radius", "mm"), "area_mm2": ("cross-section", "mm²"), "height_mm": ("height", "mm")}
@@ -49,10 +50,14 @@ def size_assumptions(reading: Reading, stated: Mapping[str, Any]) -> tuple[Assum
     return tuple(assumptions)
 
 
-def seen_without_unit(reading: Reading, key: str) -> str:
-    """The statement of the size `key` that has no known unit, for a message; empty if there is none."""
+def unclear_statement(reading: Reading, key: str) -> str:
+    """Why a statement of the file does not give the size `key`, in words; empty if there is no such statement."""
     seen = sizes_without_unit(reading.stated)
-    return next((seen[name] for name in _GIVEN_BY.get(key, ()) if name in seen), "")
+    found = next((seen[name] for name in _GIVEN_BY.get(key, ()) if name in seen), "")
+    if found:
+        return f"the file states {found!r} without a known unit"
+    product = reading.stated.get(DIMENSIONS)
+    return f"the file states {product!r}, which does not name the sizes" if product else ""
 
 
 def _flag(size: Size) -> str:

@@ -5,6 +5,7 @@ import openpyxl
 import pytest
 
 import calibration
+import tissue_sim as ts
 from calibration import Stated
 from scenes.cli import main
 
@@ -110,7 +111,14 @@ LINES = "Diameter,20,mm\nHeight,12,mm\n"
     "Specimen dimensions: diameter 20 mm, height 12 mm\n" + compression(),
     "The sample was 20 mm in diameter and 12 mm high.\nPlates of diameter 50 mm\n" + compression(),
     compression() + "Specimen Ø 20 x 12 mm\n", "Diameter,20,mm,Height,12,mm\n" + compression(),
+    "Dimensions (diameter x height): 20 x 12 mm\n" + compression(),
+    "Diameter = 20.0 ± 0.1 mm, h = 12 mm\n" + compression(),
+    compression() + "Results\nSpecimen,Diameter (mm),Height (mm)\n" + "".join(f"{i},20,12\n" for i in range(1, 8)),
     "Probe diameter,50,mm\n" + LINES + compression() + "\nDiameter (mm),20.0\n",
+    # Integers do not show the decimal mark: a size of 12,000 mm has a decimal comma.
+    "Durchmesser;20,0;mm\nHöhe;12,000;mm\nTime (s);Extension (um);Load (mN)\n" + "".join(
+        f"{i};{round(1e3 * way)};{round(load)}\n" for i, (way, load) in
+        enumerate(zip(SMALL_MM, load_mN(10.0, 12.0, SMALL_MM, 20e3), strict=True))),
     "Durchmesser;20,0;mm\nHöhe;12,0;mm\n" + compression(";").replace(".", ","),
 ])
 def test_sizes_are_found_wherever_the_file_states_them(tmp_path, text):
@@ -190,3 +198,18 @@ def test_replicates_with_and_without_separators_stay_replicates(tmp_path):
         Stated(kind="lubricated_compression"), {"radius_mm": 10.0, "height_mm": 12.0}))
     test, = imported.tests
     assert len(test.parts) == 2 and imported.complete
+
+
+def test_sizes_that_no_word_names_are_shown_and_asked_for(tmp_path):
+    path = put(tmp_path, "Size: 20 x 12 mm\n" + compression())
+    imported = calibration.import_files([path], wishes=calibration.Wishes(Stated(kind="lubricated_compression")))
+    assert len(imported.missing) == 2 and "no file states" not in imported.text
+    assert all("'Size: 20 x 12 mm', which does not name the sizes" in each for each in imported.missing)
+
+
+def test_a_machine_format_does_not_choose_between_two_decimal_marks(tmp_path):
+    rows = "".join(f"{i}\t{in_style(2000 + 50 * i, 0, '.', ',')}\t{in_style(1500 + 90 * i, 0, '.', ',')}\n"
+                   for i in range(30))
+    path = put(tmp_path, "Time (s)\tExtension (um)\tLoad (mN)\n" + rows, "gel.txt")
+    with pytest.raises(ts.InputError, match="decimal mark: a decimal comma: '2,000' is 2 "):
+        ts.read_recordings(path, format="table")

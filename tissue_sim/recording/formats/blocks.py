@@ -45,7 +45,7 @@ def named_blocks(tables: Iterable[Table], names: Sequence[str], *, also: Sequenc
                  file: Path) -> tuple[Table, list[Block]]:
     """The first table with a row that has all the names, and its blocks.
 
-    Each such row begins blocks: as many beside each other as it has each name. A block ends above the first row of
+    Each such row begins blocks: as many side by side as it has each name. A block ends above the first row of
     text; a row of units below the names is no part of the numbers.
 
     Args:

@@ -201,7 +201,9 @@ def _vote(cells: Sequence[str]) -> _Vote | None:
         if odd > _most_damaged(uses):
             found = _NO_GROUP[mark].search(text)
             cell = "" if found is None else _cell_at(text, found.start())
-            return _Vote(mark, f"{cell!r} has no group of three digits behind its mark", True)
+            zero = cell.lstrip("+-").startswith(f"0{mark}")
+            why = "a zero before its mark" if zero else "no group of three digits behind its mark"
+            return _Vote(mark, f"{cell!r} has {why}", True)
     return _detailed_vote(cells)
 
 

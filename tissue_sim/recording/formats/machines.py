@@ -48,10 +48,9 @@ def _read(path: str | Path, machine: str | None, sheet: Sheets | None, curve: in
     if missing:
         raise InputError(f"does not state {', nor '.join(missing)}; give columns with unit, or scale, in place of the "
                          "format", file=path, line=understood.readings[0].line)
-    asked = [each.question for reading in understood.readings for each in reading.assumptions
-             if each.is_question and each.subject != KIND_OF_TEST]
-    if asked:
-        raise InputError(f"{asked[0]} Give columns in place of the format", file=path,
+    assumptions = (*understood.assumptions, *(each for reading in understood.readings for each in reading.assumptions))
+    if asked := [each.question for each in assumptions if each.is_question and each.subject != KIND_OF_TEST]:
+        raise InputError(f"{asked[0]} Give columns, and decimal, in place of the format", file=path,
                          line=understood.readings[0].line)
     found = [recording.with_metadata(format=understood.format, understood={
         column.channel: {**column.entry(), "reason": column.reason} for column in reading.columns})

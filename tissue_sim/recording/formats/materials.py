@@ -38,7 +38,7 @@ def by_material(reading: Reading, groups: Sequence[Group], places: Sequence[tupl
     for key in dict.fromkeys(keys):
         chosen = [i for i, each in enumerate(keys) if each == key]
         curves = [numbers[i] for i in chosen]
-        name = titles[chosen[0]] or f"table {curves[0]}"
+        name = materials[chosen[0]] or titles[chosen[0]] or f"table {curves[0]}"
         found.append(replace(
             reading, name=name, recordings=tuple(reading.recordings[i] for i in chosen),
             stated=read_only(dict(tables[chosen[0]][0].stated)),

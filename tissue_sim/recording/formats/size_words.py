@@ -13,11 +13,12 @@ SIZE_WORDS: dict[str, str] = {
     "diameter": r"diameter|diam|dia|\w*durchmesser|diamètre|diametre|diámetro|diametro|ø|d0",
     "area": r"area|cross section|cross sectional area|\w*querschnitt|\w*querschnittsfläche|section|aire|s0",
     "width": r"width|breadth|\w*breite|largeur|ancho|larghezza|b0",
-    "thickness": r"thickness|depth|\w*dicke|épaisseur|epaisseur|espesor|spessore|a0",
-    "gauge length": r"gauge length|gage length|grip separation|grip distance|einspannlänge|messlänge|l0",
+    "thickness": r"thickness|\w*dicke|épaisseur|epaisseur|espesor|spessore|a0",
+    "gauge length": r"gauge length|gage length|grip separation|grip distance|\w*einspannlänge|\w*messlänge|l0",
     "height": r"height|\w*höhe|\w*hoehe|hauteur|altura|altezza|h0",
     "length": r"length|\w*länge|longueur|longitud|lunghezza",
     "gap": r"gap",
+    "depth": r"depth|tiefe|profondeur",
 }
 _PATTERNS = {name: re.compile(rf"\b({words})\b") for name, words in SIZE_WORDS.items()}
 #: Keys of one letter.
@@ -29,7 +30,7 @@ _ADJECTIVES = {"high": "height", "tall": "height", "hoch": "height", "thick": "t
 _NOT = re.compile(
     r"\b(probe|tool|punch|plate|plates|platen|platens|stempel|indenter|needle|cell|wave|step|data|path|pre|tip|ball|"
     r"anvil|jaw|camera|crosshead|final|end|after|failure|rupture|break|travel|displacement|surface area|edge|fillet|"
-    r"sonde|kugel|wire|cable)\b")
+    r"sonde|kugel|wire|cable|nach|après|ende|target|trigger|stroke|indentation|maximum|max|minimum|limit|px)\b")
 #: Words for a size in a sentence.
 SENTENCE_WORDS = (
     r"diameter|diam\.|radius|circumference|thickness|gauge length|height|width|length|area|durchmesser|umfang|höhe|"

@@ -101,7 +101,8 @@ def stated_sizes(stated: Mapping[str, str], kind: str | None) -> dict[str, tuple
 def _rectangles(known: Mapping[str, Sequence[_Stated]], kind: str | None, height: str | None
                 ) -> list[_Candidate]:
     """Width times thickness, mm2; of a sheared or compressed block width times length."""
-    others = {"simple_shear": ("length",), "uniaxial_tension": ("thickness",)}.get(kind or "", ("length", "thickness"))
+    others = {"simple_shear": ("length",), "uniaxial_tension": ("thickness",)}.get(
+        kind or "", ("length", "depth", "thickness"))
     other = next((name for name in others if name in known and name != height), None)
     if other is None or "width" not in known or (kind is None and other == "thickness"):
         return []

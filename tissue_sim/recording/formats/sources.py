@@ -66,6 +66,12 @@ class Numbers:
     below: tuple[Row, ...] = field(default=(), repr=False)
 
     @property
+    def lines(self) -> tuple[Row, ...]:
+        """All rows: above the names, the names and units, the numbers, and below."""
+        names = [row for row in (self.header, self.units) if row is not None]
+        return (*self.above, *sorted(names, key=lambda row: row.line), *self.rows, *self.below)
+
+    @property
     def width(self) -> int:
         """Number of columns, those without numbers included."""
         return max(len(row.cells) for row in (self.rows[0], *([self.header] if self.header else [])))
@@ -124,7 +130,7 @@ def _text_table(text: str, delimiter: str | None, skip_lines: int, path: Path) -
 
 
 def _find_delimiter(lines: list[str], path: Path) -> str:
-    """The delimiter that makes most numbers in columns of the text.
+    """The delimiter that makes most numbers in columns of the text, and fewest other cells in their rows.
 
     Raises:
         InputError: none makes any.
@@ -136,7 +142,7 @@ def _find_delimiter(lines: list[str], path: Path) -> str:
                 table = Table(split_rows("\n".join(sample), delimiter, file=path), delimiter)
             except InputError:
                 continue
-            scores[delimiter] = sum(len(run) * len(columns) for run, columns in _runs(table))
+            scores[delimiter] = sum(max(score, 1) for _, _, score in _scored_runs(table))
             # A blank between digits separates thousands where another delimiter makes a table of the same lines.
             if delimiter == " " and scores[delimiter] > max([0, *scores.values()][:-1]) and any(
                     scores.get(other) and _has_same_rows(sample, other, table, path) for other in _DELIMITERS[:-1]):
@@ -199,12 +205,21 @@ def _states_size(row: Row) -> bool:
 
 def _runs(table: Table) -> Iterator[tuple[list[Row], tuple[int, ...]]]:
     """Rows that hold two numbers or more and little else, at least `MIN_POINTS` in a row, and their columns."""
+    for run, columns, _ in _scored_runs(table):
+        yield run, columns
+
+
+def _scored_runs(table: Table) -> Iterator[tuple[list[Row], tuple[int, ...], int]]:
+    """As `_runs`, with the number of cells that are numbers less those that are not."""
     run: list[Row] = []
     counts: dict[int, int] = {}
+    score = 0
     for row in (*table.rows, Row(0, ())):
         numeric = [i for i, cell in enumerate(row.cells) if cell and is_number(cell)]
-        if len(numeric) >= 2 and 2 * len(numeric) >= sum(map(bool, row.cells)):
+        filled = sum(map(bool, row.cells))
+        if len(numeric) >= 2 and 2 * len(numeric) >= filled:
             run.append(row)
+            score += 2 * len(numeric) - filled
             for i in numeric:
                 counts[i] = counts.get(i, 0) + 1
             continue
@@ -214,5 +229,5 @@ def _runs(table: Table) -> Iterator[tuple[list[Row], tuple[int, ...]]]:
         # A column that begins late, or ends early, is one too: replicates beside each other differ in length.
         columns = tuple(sorted(i for i, count in counts.items() if count >= MIN_POINTS))
         if len(run) >= MIN_POINTS and len(columns) >= 2:
-            yield run, columns
-        run, counts = [], {}
+            yield run, columns, score
+        run, counts, score = [], {}, 0

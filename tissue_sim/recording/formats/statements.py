@@ -6,14 +6,15 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from tissue_sim.recording.formats.blocks import is_unit_row
-from tissue_sim.recording.formats.number_text import any_number, is_number, parse_number, thousands_separator
+from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, is_number, parse_number, thousands_separator
 from tissue_sim.recording.formats.size_words import SENTENCE_WORDS, size_class
+from tissue_sim.recording.formats.sizes import quantity_in
 from tissue_sim.recording.formats.sources import Numbers
 from tissue_sim.recording.formats.table import Row
 from tissue_sim.units import known_unit, loose_header
 
 _PAIR = re.compile(r"^(?P<key>[^:=]{1,80}?)\s*[:=]\s*(?P<value>.*?)\s*[;,]*$")
-_NUMBER = r"(?P<number>\d+(?:[.,]\d+)?)"
+_NUMBER = r"(?P<number>\d+(?:[.,]\d+)?)(?:\s*(?:\u00b1|\+/?-)\s*\d+(?:[.,]\d+)?)?"
 _UNIT = r"(?P<unit>mm|cm|µm|um|m|in|inch)(?P<square>\s*(?:\^2|²|2))?(?![\w/])"
 _JOINED = r"\s*(?:[:=\u2248~]|of|is|was|about|approx\.?|ca\.?|von|beträgt|de|est)?\s*"
 #: "diameter 20 mm", "height of 12 mm", with up to two words before that may name a tool.
@@ -25,6 +26,14 @@ _NUMBER_FIRST = re.compile(rf"{_NUMBER}\s*{_UNIT}\s*(?:in\s+|de\s+)?(?P<key>(?:{
 #: "Ø 20 x 12 mm": diameter and height.
 _ROUND = re.compile(r"[Øø⌀]\s*(?P<diameter>\d+(?:[.,]\d+)?)\s*(?:mm|cm)?\s*[x\u00d7]\s*(?P<height>\d+(?:[.,]\d+)?)\s*"
                     r"(?P<unit>mm|cm)\b")
+#: "20 x 12 mm" and "10 x 10 x 12 mm", without words for the sizes.
+_UNNAMED = re.compile(r"\d+(?:[.,]\d+)?\s*(?:mm|cm)?(?:\s*[x\u00d7*]\s*\d+(?:[.,]\d+)?\s*(?:mm|cm)?){1,2}(?<=mm|cm)\b")
+#: "diameter x height: 20 x 12 mm".
+_NAMED_PRODUCT = re.compile(
+    rf"(?P<first>{SENTENCE_WORDS})\s*[x\u00d7*]\s*(?P<second>{SENTENCE_WORDS})[^\d]{{1,20}}?(?P<a>\d+(?:[.,]\d+)?)\s*"
+    r"(?:mm|cm)?\s*[x\u00d7*]\s*(?P<b>\d+(?:[.,]\d+)?)\s*(?P<unit>mm|cm)\b", re.IGNORECASE)
+#: Key of sizes that no word names.
+DIMENSIONS = "dimensions"
 #: A cell that may hold a unit, known or not.
 _UNIT_CELL = re.compile(r"^[\[(]?[^\W\d]{1,10}(\s*(\^2|²|2)|/[^\W\d]{1,5})?[\])]?$")
 #: Rows of a small table that summarise others.
@@ -47,13 +56,13 @@ class Statements(dict[str, str]):
         self.setdefault(key, value)
 
 
-def table_statements(numbers: Numbers, used: Sequence[int], *, decimal: str, table: int = 0, tables: int = 1,
+def table_statements(numbers: Numbers, used: Sequence[int], *, decimal: str | None, table: int = 0, tables: int = 1,
                      elsewhere: Sequence[Row] = ()) -> Statements:
     """What a file states about one table of numbers.
 
     Args:
         numbers: the table. used: places from 0 of the columns that are read.
-        decimal: decimal mark of the numbers of the file.
+        decimal: decimal mark of the numbers of the file; None: the numbers do not show it.
         table: number from 0 of it among `tables` of the file, which chooses the row of a summary with as many rows.
         elsewhere: rows of other tables and sheets, which count where the table states nothing.
     """
@@ -77,7 +86,8 @@ def table_statements(numbers: Numbers, used: Sequence[int], *, decimal: str, tab
     return found
 
 
-def row_statements(rows: Sequence[Row], found: Statements, decimal: str = ".", table: int = 0, tables: int = 1) -> None:
+def row_statements(rows: Sequence[Row], found: Statements, decimal: str | None = None, table: int = 0,
+                   tables: int = 1) -> None:
     """Add what rows outside of the numbers state."""
     used: set[int] = set()
     for i, names in enumerate(rows):
@@ -104,7 +114,7 @@ def constant_columns(numbers: Numbers) -> Iterator[tuple[int, str]]:
             yield place, value
 
 
-def _pairs(row: Row, decimal: str) -> Iterator[tuple[str, str]]:
+def _pairs(row: Row, decimal: str | None) -> Iterator[tuple[str, str]]:
     """``key: value``, ``key;value;unit`` or ``key (unit);value``, several in a row."""
     cells = [cell for cell in row.cells if cell]
     if not cells:
@@ -115,6 +125,9 @@ def _pairs(row: Row, decimal: str) -> Iterator[tuple[str, str]]:
             unit = cells[i + 1] if i + 1 < len(cells) and known_unit(cells[i + 1]) else ""
             yield _pair(cells[i - 1], f"{_canonical(cells[i], decimal)} {unit}")
         return
+    for cell in cells[1:]:
+        if (match := _PAIR.match(cell)) and match["value"]:
+            yield _pair(match["key"], match["value"])
     match = _PAIR.match(cells[0])
     if match and match["value"]:
         unit = cells[1] if len(cells) > 1 and is_number(match["value"]) and known_unit(cells[1]) else ""
@@ -129,9 +142,16 @@ def _pair(key: str, value: str) -> tuple[str, str]:
     return name, f"{value} {unit}" if unit else value
 
 
-def _canonical(cell: str, decimal: str) -> str:
-    """A number with thousands separators without them; any other cell as it is."""
-    return f"{parse_number(cell, decimal):.12g}" if thousands_separator(cell, decimal) else cell
+def _canonical(cell: str, decimal: str | None) -> str:
+    """A number with thousands separators without them; any other cell as it is.
+
+    Where the decimal mark of the file is not known, only blanks and apostrophes separate thousands.
+    """
+    for mark in DECIMAL_MARKS if decimal is None else (decimal,):
+        separator = thousands_separator(cell, mark)
+        if separator and (decimal is not None or separator not in DECIMAL_MARKS):
+            return f"{parse_number(cell, mark):.12g}"
+    return cell
 
 
 def _names_sizes(row: Row) -> bool:
@@ -140,7 +160,7 @@ def _names_sizes(row: Row) -> bool:
         size_class(loose_header(cell)[0]) is not None for cell in cells)
 
 
-def _small_table(rows: Sequence[Row], header: int, found: Statements, decimal: str, table: int, tables: int
+def _small_table(rows: Sequence[Row], header: int, found: Statements, decimal: str | None, table: int, tables: int
                  ) -> set[int]:
     """Add the sizes in the rows below a row of names; returns the rows that belong to the small table."""
     names, places = rows[header], range(len(rows[header].cells))
@@ -172,7 +192,7 @@ def _small_table(rows: Sequence[Row], header: int, found: Statements, decimal: s
     return set(range(header, last + 1))
 
 
-def _sentences(row: Row, decimal: str) -> Iterator[tuple[str, str]]:
+def _sentences(row: Row, decimal: str | None) -> Iterator[tuple[str, str]]:
     """Sizes with units in running text."""
     cells: Iterable[str] = [cell for cell in row.cells if cell]
     if sum(map(len, cells)) > _LONGEST_SENTENCE:
@@ -184,6 +204,11 @@ def _sentences(row: Row, decimal: str) -> Iterator[tuple[str, str]]:
         for match in _ROUND.finditer(cell):
             yield "diameter", f"{match['diameter']} {match['unit']}"
             yield "height", f"{match['height']} {match['unit']}"
+        for match in _NAMED_PRODUCT.finditer(cell):
+            yield match["first"], f"{match['a']} {match['unit']}"
+            yield match["second"], f"{match['b']} {match['unit']}"
+        if (unnamed := _UNNAMED.search(cell)) and not _ROUND.search(cell) and not _NAMED_PRODUCT.search(cell):
+            yield DIMENSIONS, cell if len(cell) < 80 else unnamed[0]
         taken: set[int] = set()
         for pattern in (_WORD_FIRST, _NUMBER_FIRST):
             for match in pattern.finditer(cell):
@@ -194,10 +219,10 @@ def _sentences(row: Row, decimal: str) -> Iterator[tuple[str, str]]:
                     yield match["key"].strip(), f"{_canonical(match['number'], decimal)} {match['unit']}{square}"
 
 
-def _same(first: str, second: str) -> bool:
-    """Whether two texts begin with the same number."""
-    numbers = [any_number(text.split()[0]) if text.split() else 0.0 for text in (first, second)]
-    return numbers[0] == numbers[1]
+def _same(stated: str, quantity: str) -> bool:
+    """Whether a statement is the same quantity, with a unit."""
+    first, second = quantity_in(stated), quantity_in(quantity)
+    return first is not None and second is not None and first[1] is not None and first[0] == second[0]
 
 
 def merged(first: Mapping[str, str], second: Mapping[str, str]) -> dict[str, str]:

@@ -64,7 +64,7 @@ def understand(path: str | Path, stated: Stated | None = None) -> Understanding:
         if kind.refused is not None:
             raise kind.refused.refusal().located(file=path)
         raise InputError(no_pair(found, machine, stated), file=path)
-    tables = _with_statements(source, tables, stated)
+    tables = _with_statements(source, found, tables, stated)
     with located(file=path):
         parts = [_reading(source, group, stated, machine, titles, _unused(group[0].numbers, tables))
                  for group in alike(tables)]
@@ -108,20 +108,23 @@ def _of_known_tests(readings: Sequence[Reading], stated: Stated) -> tuple[tuple[
     return kept, tuple(dict.fromkeys(f"a table is left out: {each.problem}" for each in refused))
 
 
-def _with_statements(source: Source, groups: Sequence[Group], stated: Stated) -> list[Group]:
+def _with_statements(source: Source, found: Sequence[Numbers], groups: Sequence[Group], stated: Stated) -> list[Group]:
     """The tables with what the file states about each; a table without sizes takes those of the table before it."""
-    numbered = {id(group.numbers.table) for group in groups}
-    elsewhere = [row for table in source.tables if id(table) not in numbered for row in table.rows]
+    sheets = {id(numbers.table) for numbers in found}
+    elsewhere = [row for table in source.tables if id(table) not in sheets for row in table.rows]
+    read = {id(group.numbers) for group in groups}
+    # Numbers that are no recording may be a summary of the specimens.
+    elsewhere += [row for numbers in found if id(numbers) not in read for row in numbers.lines]
     # Rows below the last table may state the sizes of all.
     trailing = [row for group in groups[-1:] for row in group.numbers.below]
-    found: list[Group] = []
+    complete: list[Group] = []
     for i, group in enumerate(groups):
         places = [column.place - 1 for column in group.columns]
         last = group.numbers is groups[-1].numbers
         statements = _statements(group.numbers, places, stated, used=places, table=i, tables=len(groups),
                                  elsewhere=elsewhere if last else [*trailing, *elsewhere])
-        found.append(replace(group, stated=merged(found[-1].stated, statements) if found else dict(statements)))
-    return found
+        complete.append(replace(group, stated=merged(complete[-1].stated if complete else {}, statements)))
+    return complete
 
 
 def _statements(numbers: Numbers, places: Sequence[int], stated: Stated, *, used: Sequence[int] = (),
@@ -131,10 +134,16 @@ def _statements(numbers: Numbers, places: Sequence[int], stated: Stated, *, used
     Args:
         places: columns, from 0, whose first rows tell the decimal mark of the lines around the table.
     """
-    rows = numbers.rows[:_MARKED_ROWS]
-    decimal = stated.decimal or find_marks([[row.cells[place] for row in rows if place < len(row.cells)]
-                                            for place in places], delimiter=numbers.table.delimiter).decimal
+    decimal = stated.decimal or _probable_mark(numbers, places)
     return table_statements(numbers, used, decimal=decimal, **context)
+
+
+def _probable_mark(numbers: Numbers, places: Sequence[int]) -> str | None:
+    """The decimal mark that the first rows of a table show; None: they have no marks, or fit both."""
+    rows = numbers.rows[:_MARKED_ROWS]
+    marks = find_marks([[row.cells[place] for row in rows if place < len(row.cells)] for place in places],
+                       delimiter=numbers.table.delimiter)
+    return marks.decimal if (marks.evidence or marks.is_certain) and not marks.is_open else None
 
 
 def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: Machine | None,
