@@ -260,8 +260,8 @@ def _leaves_rest(sample: int, next_one: int, motion: _Channel, load: _Channel, s
     rests = [abs(one.values[sample]) <= settings.rest * most for one, most in zip((motion, load), largest, strict=True)]
     is_plausible = (abs(motion.values[sample]) <= settings.plausible * largest[0]
                     and (rests[1] or abs(load.values[sample]) <= abs(load.values[next_one])))
-    # Where the motion goes on, the first step has a stiffness like that of all steps.
-    if motion.range > 0.3 * abs(jumps[0]):
+    # Where motion and load go on, the first step has a stiffness like that of all steps.
+    if all(one.range > 0.3 * abs(jump) for one, jump in zip((motion, load), jumps, strict=True)):
         stiffness = abs(jumps[1] / jumps[0]) * motion.range / load.range
         is_plausible &= 1 / settings.stiffness <= stiffness <= settings.stiffness
     return together and any(rests) and is_plausible
