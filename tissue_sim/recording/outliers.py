@@ -34,7 +34,7 @@ class OutlierSettings:
             load belongs to the motion.
         rest: fraction of the largest value below which a first or last sample is at rest.
         correlated: correlation of motion and load above which their signs are known.
-        plausible: largest motion at rest over that of the test, where a machine counts from a position of its own.
+        plausible: largest motion at rest over that of the test, where a machine does not start at zero.
         stiffness: largest ratio of the stiffness of the first step from rest to that of the test.
         most: largest fraction of outliers; more are an error.
     """
@@ -80,7 +80,7 @@ def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSetting
     """
     found: dict[tuple[str, tuple[int, ...]], float] = {}
     kept = np.arange(motion.size)
-    # A second search sees what an outlier beside another one has hidden.
+    # A second search sees outliers that are close to other outliers.
     for _ in range(2):
         if kept.size < settings.fewest:
             break

@@ -40,7 +40,7 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Saturation:
-    """A channel that stays at its extreme value while the other channel goes on.
+    """A channel that stays at its extreme value while the other channel continues.
 
     Attributes:
         channel: ``"force"``, ``"nominal stress"``, ``"displacement"``, ...
