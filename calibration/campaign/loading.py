@@ -36,8 +36,8 @@ def elastic_samples(places: np.ndarray, displacement: np.ndarray, screening: Scr
     if control is not None and control.pattern == "creep":
         places = places[places < control.loading]
         if places.size < MIN_POINTS:
-            raise InputError(f"{path.name}: {control.sentence}; the loading before has {places.size} samples, and an "
-                             f"elastic law needs at least {MIN_POINTS}", field="recordings")
+            raise InputError(f"{path.name}: {control.sentence} ({places.size} samples of loading)",
+                             field="recordings")
     loads = first_loading(displacement[places], both_sides=both_sides) if places.size else places
     if loads.size < MIN_POINTS:
         raise InputError(f"{path.name} has its largest strain in sample {loads.size}, and what follows counts as "

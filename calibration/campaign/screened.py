@@ -74,7 +74,7 @@ def with_preload(screening: Screening, motion: np.ndarray, load: np.ndarray, cam
     if found is None:
         return screening
     fit = campaign.fit
-    # A prior that nobody states is widened to the preload, see `calibration.campaign.measured.scale_offsets`.
+    # A prior that is not stated is widened to the preload, see `calibration.campaign.measured.scale_offsets`.
     covers = fit.offset == "fit" and not stressed and (
         "offset_prior" in fit.offset_usual or fit.offset_prior >= _COVERS * found.shift)
     return replace(screening, preload=Preload(*found, covers, _preload_words(found, stressed=stressed, covers=covers)))

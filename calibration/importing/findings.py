@@ -24,7 +24,7 @@ def _assumptions(screening: Screening, contact: Contact | None, *, has_air: bool
                  ) -> Iterator[Assumption]:
     control = screening.control
     if screening.samples:
-        sentences = [each.sentence for each in (*screening.left_out, *screening.saturation)]
+        sentences = [*(each.sentence for each in screening.left_out), *(each.sentence for each in screening.saturation)]
         yield Assumption("samples left out", numbered(screening.samples), tuple(sentences))
     if contact is not None and contact.found:
         yield Assumption("contact", "after air" if has_air else "at the first sample",

@@ -12,6 +12,7 @@ from calibration.importing.imported import Imported, ImportedTest
 from calibration.report.drawing import COLOURS, STYLE, new_figure, thinned
 from calibration.report.png import as_png
 from tissue_sim.recording.recording import Recording
+from tissue_sim.recording.screening import Screening
 
 #: Tests that are drawn, and recordings of a test that are named in its legend.
 _MOST_TESTS, _MOST_NAMES = 12, 8
@@ -59,11 +60,14 @@ def _draw(left, right, test: ImportedTest) -> None:
             load = "force" if "force" in recording else "nominal stress"
             style = {"color": COLOURS[number % len(COLOURS)], "lw": 1.0}
             name = part.file.name if len(part.motions) == 1 else f"{part.file.name} {number + 1}"
-            every = thinned(len(recording))
-            way, value = (_values(recording, channel, raw)[every] for channel in (motion.channel, load))
-            clock = recording.time[every] if motion.rate is not None else np.arange(len(recording))[every]
-            left.plot(clock, way, **style)
-            right.plot(way, value, **style, label=name if number < _MOST_NAMES else None)
+            kept = np.arange(len(recording)) if motion.kept is None else motion.kept
+            every = kept[thinned(kept.size)]
+            ways, loads = (_values(recording, channel, raw) for channel in (motion.channel, load))
+            clocks = recording.time if motion.rate is not None else np.arange(len(recording))
+            left.plot(clocks[every], ways[every], **style)
+            right.plot(ways[every], loads[every], **style, label=name if number < _MOST_NAMES else None)
+            if kept.size < len(recording):
+                _mark_left_out(left, right, clocks, ways, loads, kept, motion.screening)
             if motion.failure is not None:
                 at = motion.sample(motion.failure.index)
                 right.plot(*(_values(recording, channel, raw)[at] for channel in (motion.channel, load)), "x",
@@ -75,12 +79,29 @@ def _draw(left, right, test: ImportedTest) -> None:
     kind = test.kind.replace("_", " ") if test.kind else "kind not known"
     left.set_title(f"{test.name}: {kind}", loc="left", fontsize=10)
     more = f"and {number - _MOST_NAMES} more" if number > _MOST_NAMES else None
-    if number > 1 or any(motion.failure for part in test.parts for motion in part.motions):
+    if number > 1 or any(motion.failure or motion.kept is not None for part in test.parts for motion in part.motions):
         right.legend(fontsize=7, title=more, title_fontsize=7)
 
 
 def _values(recording: Recording, channel: str, raw: set[str]) -> np.ndarray:
     return recording.channel(channel) * (1.0 if channel in raw else _SHOWN[channel][1])
+
+
+def _mark_left_out(left, right, clocks: np.ndarray, ways: np.ndarray, loads: np.ndarray, kept: np.ndarray,
+                   screening: Screening) -> None:
+    """Mark samples that are left out; those beyond the kept ones are drawn at the edge of these."""
+    saturated = [sample - 1 for each in screening.saturation for sample in each.samples]
+    outliers = np.setdiff1d(np.setdiff1d(np.arange(ways.size), kept), saturated)
+    for samples, style, name in ((outliers, {"marker": "x", "color": "r", "ms": 6}, "left out: outlier"),
+                                 (np.array(saturated, int), {"marker": ".", "color": "0.5", "ms": 3},
+                                  "left out: saturated")):
+        if samples.size:
+            way, load = ways[samples], loads[samples]
+            if samples is outliers:
+                way, load = (np.clip(values[samples], values[kept].min(), values[kept].max())
+                             for values in (ways, loads))
+            left.plot(clocks[samples], way, ls="", **style)
+            right.plot(way, load, ls="", **style, label=name)
 
 
 def _label(left, right, way: str, load: str, raw: set[str], *, timed: bool) -> None:

@@ -36,7 +36,7 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
         return recording, Screening()
     channels = {name: recording.channel(name) for name in (motion, load)}
     try:
-        found = left_out(find_outliers(*channels.values()), channels, in_words)
+        found = left_out(find_outliers(channels[motion], channels[load]), channels, in_words)
     except InputError:
         # Who lists the samples to leave out has seen the others.
         if leave_out is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 
@@ -54,9 +55,9 @@ def find_control(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None =
     steps = [first for first in loaded if motion[first] >= 0.98 * motion[:first + 1].max()]
     pattern = "staircase" if len(steps) > 1 else "ramp and hold" if loaded else "cycles" if oscillation else "ramp"
     peak = int(np.argmax(motion))
-    quantity = "displacement" if loaded else _straighter(motion, load, clock, peak + 1)
+    quantity = _straighter(motion, load, clock, peak + 1)
     relaxation, first, last = lost
-    return Control(quantity, pattern, relaxation, loading=min([*loaded, peak + 1]),
+    return Control("displacement" if loaded else quantity, pattern, relaxation, loading=min([*loaded, peak + 1]),
                    time_constant=_time_constant(load, clock, first, last) if relaxation else None,
                    loading_time=float(clock[_arrival(motion)] - clock[0]))
 
@@ -130,7 +131,8 @@ def _creep(motion: np.ndarray, load: np.ndarray, clock: np.ndarray) -> Iterator[
             yield first, last, gain / float(motion[first])
 
 
-def _straighter(motion: np.ndarray, load: np.ndarray, clock: np.ndarray, end: int) -> str | None:
+def _straighter(motion: np.ndarray, load: np.ndarray, clock: np.ndarray, end: int
+                ) -> Literal["displacement", "force"] | None:
     """The channel that is a line in time up to sample `end` (not included), if the other one is not."""
     if end < 2 * _FEWEST or not clock[end - 1] > clock[0]:
         return None

@@ -34,7 +34,7 @@ class OutlierSettings:
             load belongs to the motion.
         rest: fraction of the largest value below which a first or last sample is at rest.
         correlated: correlation of motion and load above which their signs are known.
-        plausible: largest motion at rest over that of the test, where a machine counts from a position of its own.
+        plausible: largest motion at rest over that of the test, where a machine does not start at zero.
         stiffness: largest ratio of the stiffness of the first step from rest to that of the test.
         most: largest fraction of outliers; more are an error.
     """
@@ -80,7 +80,7 @@ def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSetting
     """
     found: dict[tuple[str, tuple[int, ...]], float] = {}
     kept = np.arange(motion.size)
-    # A second search sees what an outlier beside another one has hidden.
+    # A second search sees outliers that are close to other outliers.
     for _ in range(2):
         if kept.size < settings.fewest:
             break
@@ -241,12 +241,16 @@ def _belongs_to_test(name: str, group: tuple[int, ...], channels: Mapping[str, _
     if name == "load" and first == 0 and _relaxes(load.values[:last], float(load.values[last])):
         return True
     if first == 0:
-        return any(_leaves_rest(sample, sample + 1, motion, load, settings) for sample in group)
-    return any(_leaves_rest(sample, sample - 1, motion, load, settings) for sample in group)
+        return any(_steps_together(sample, sample + 1, motion, load, settings) for sample in group)
+    return any(_steps_together(sample, sample - 1, motion, load, settings) for sample in group)
 
 
-def _leaves_rest(sample: int, next_one: int, motion: _Channel, load: _Channel, settings: OutlierSettings) -> bool:
-    """Whether motion and load leave rest together between two samples, as in a step or under a dead weight."""
+def _steps_together(sample: int, next_one: int, motion: _Channel, load: _Channel, settings: OutlierSettings) -> bool:
+    """Whether motion and load step together: out of rest, as under a dead weight, or in a last step.
+
+    Args:
+        sample: at an end of the recording. next_one: its neighbour inside.
+    """
     jumps = []
     for one in (motion, load):
         jump = float(one.values[next_one] - one.values[sample])
@@ -258,12 +262,15 @@ def _leaves_rest(sample: int, next_one: int, motion: _Channel, load: _Channel, s
     together = jumps[0] * jumps[1] * correlation >= 0 or abs(correlation) < settings.correlated
     largest = [float(np.abs(one.smooth).max()) for one in (motion, load)]
     rests = [abs(one.values[sample]) <= settings.rest * most for one, most in zip((motion, load), largest, strict=True)]
-    is_plausible = (abs(motion.values[sample]) <= settings.plausible * largest[0]
-                    and (rests[1] or abs(load.values[sample]) <= abs(load.values[next_one])))
-    # Where the motion goes on, the first step has a stiffness like that of all steps.
-    if motion.range > 0.3 * abs(jumps[0]):
+    is_plausible = abs(motion.values[sample]) <= settings.plausible * largest[0] and (
+        rests[1] or sample > next_one or abs(load.values[sample]) <= abs(load.values[next_one]))
+    # Where motion and load go on, the step has a stiffness like that of the whole test.
+    comparable = all(one.range > 0.3 * abs(jump) for one, jump in zip((motion, load), jumps, strict=True))
+    if comparable:
         stiffness = abs(jumps[1] / jumps[0]) * motion.range / load.range
         is_plausible &= 1 / settings.stiffness <= stiffness <= settings.stiffness
+        if sample > next_one:
+            return together and is_plausible
     return together and any(rests) and is_plausible
 
 

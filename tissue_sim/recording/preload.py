@@ -12,8 +12,8 @@ _START = 0.15
 _FEWEST = 6
 #: A recording whose displacement begins farther from zero than this fraction of its range states its own zero.
 _ELSEWHERE = 0.05
-#: Load at zero as a fraction of the range, above which the moduli err by some 5 %.
-_FRACTION = 0.03
+#: Load at zero as a fraction of the range, above which the moduli err by more than 4 %.
+_FRACTION = 0.02
 #: Load at zero in standard errors of its estimate.
 _SIGNIFICANT = 6.0
 

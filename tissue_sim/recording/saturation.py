@@ -1,4 +1,4 @@
-"""Saturated sensors: a channel that stays at its extreme value, to the last digit, while the other channel goes on."""
+"""Saturated sensors: a channel that keeps its extreme value, to the last digit, while the other one continues."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ def find_saturation(values: np.ndarray, other: np.ndarray, time: np.ndarray | No
                     settings: SaturationSettings = SETTINGS) -> tuple[SaturatedRun, ...]:
     """Find where a channel is cut off at its largest or smallest value.
 
-    A run of equal extreme values is saturation if the other channel goes on in its direction at no less than half of
+    A run of equal extreme values is saturation if the other channel continues in its direction at no less than half of
     its rate before, and the channel would have changed clearly at its rate before. Holds, coarse sensors, air, creep at
     a constant force and ruptures are none.
 
     Args:
         values: of the channel in the order of time, any unit and sign, shape (n,).
-        other: the channel that goes on: the motion of a load, the load of a motion, shape (n,).
+        other: the channel that continues: the motion of a load, the load of a motion, shape (n,).
         time: s, shape (n,); None: even steps.
     """
     clock = np.arange(values.size, dtype=float) if time is None else time
@@ -97,7 +97,7 @@ def _runs(places: np.ndarray, settings: SaturationSettings) -> list[SaturatedRun
 
 def _is_saturated(run: SaturatedRun, values: np.ndarray, other: np.ndarray, clock: np.ndarray, missing: float,
                   travel: float, settings: SaturationSettings) -> bool:
-    """Whether the channel, positive towards its extreme value, would have gone on.
+    """Whether the channel, positive towards its extreme value, would have continued.
 
     Args:
         missing: least change of the channel that is missing. travel: least progress of the other channel.

@@ -40,7 +40,7 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Saturation:
-    """A channel that stays at its extreme value while the other channel goes on.
+    """A channel that stays at its extreme value while the other channel continues.
 
     Attributes:
         channel: ``"force"``, ``"nominal stress"``, ``"displacement"``, ...
@@ -163,7 +163,8 @@ class Screening:
     @property
     def samples(self) -> tuple[int, ...]:
         """Numbers of all samples that are left out, from 1, sorted, saturated ones included."""
-        return tuple(sorted({number for each in (*self.left_out, *self.saturation) for number in each.samples}))
+        groups = [*(each.samples for each in self.left_out), *(each.samples for each in self.saturation)]
+        return tuple(sorted({number for group in groups for number in group}))
 
     @property
     def kept_before_saturation(self) -> float:
@@ -180,7 +181,7 @@ class Screening:
     @property
     def remarks(self) -> tuple[str, ...]:
         """One sentence for each finding."""
-        found = [each.sentence for each in (*self.left_out, *self.saturation)]
+        found = [*(each.sentence for each in self.left_out), *(each.sentence for each in self.saturation)]
         found += self.doubts
         found += [each.sentence for each in (self.preload, self.control) if each is not None]
         return tuple(filter(None, found))

@@ -1,0 +1,171 @@
+"""From raw files to moduli where the signals hold outliers, saturation, preloads, creep, relaxation or oscillation."""
+
+import numpy as np
+import pytest
+
+import calibration
+from calibration.importing.imported import to_json
+from tissue_sim.errors import InputError
+
+HEAD = "Compression test\nDiameter,20,mm\nHeight,12,mm\n\nTime (s),Displacement (mm),Force (N)\n"
+TIME = np.arange(66) * 0.08
+WAY = 0.5 * TIME
+
+
+def force(way, height=12.0, area=np.pi * 100):
+    stretch = 1 - np.clip(way, 0, None) / height
+    return area * 0.02 * (stretch**-2 - stretch)
+
+
+def relaxed(time, load, fraction, constant):
+    """The force of a material with one Prony term."""
+    found, memory = load.copy(), load[0]
+    for i in range(1, load.size):
+        ratio = (time[i] - time[i - 1]) / constant
+        memory = np.exp(-ratio) * memory + (1 - np.exp(-ratio)) / ratio * (load[i] - load[i - 1])
+        found[i] = (1 - fraction) * load[i] + fraction * memory
+    return found
+
+
+def noise(size, deviation=0.01):
+    return np.random.default_rng(7).normal(0.0, deviation, size)
+
+
+def write(folder, way, load, time=TIME, head=HEAD, name="gel.csv"):
+    path = folder / name
+    path.write_text(head + "".join(f"{t:.3f},{w:.4f},{f:.4f}\n" for t, w, f in zip(time, way, load, strict=True)))
+    return path
+
+
+def wishes(**stated):
+    return calibration.Wishes(laws=("neo_hooke",), **stated)
+
+
+def imported_and_fitted(folder, path, **stated):
+    imported = calibration.import_files([path], folder / "gel.toml", wishes(**stated))
+    result, = calibration.calibrate([folder / "gel.toml"], folder / "out", figures=False)
+    return imported, result.fits[0]
+
+
+def changed(values, samples, value):
+    values = values.copy()
+    values[samples] = value
+    return values
+
+
+@pytest.mark.parametrize(("way", "load", "samples"), [
+    (changed(WAY, 0, -0.7), force(WAY), [1]), (WAY, changed(force(WAY), 0, 5.0), [1]),
+    (WAY, changed(force(WAY), [30, 65], [0.0, 0.0]), [31, 66]), (changed(WAY, 30, 9.0), force(WAY), [31])])
+def test_outliers_are_listed_in_the_campaign_and_do_not_move_the_modulus(tmp_path, way, load, samples):
+    imported, fit = imported_and_fitted(tmp_path, write(tmp_path, way, load + noise(TIME.size)))
+    assert f"leave_out = {samples}" in imported.text and imported.complete
+    assert f"sample {samples[0]} left out" in imported.warnings[0]
+    assert fit.mu0 == pytest.approx(20e3, rel=0.01)
+    columns = {column.channel: column for column in imported.files[0].readings[0].columns}
+    assert columns["displacement"].sign == columns["force"].sign == 1 and columns["displacement"].offset is None
+
+
+def test_a_campaign_by_hand_leaves_out_the_same_samples(tmp_path):
+    path = write(tmp_path, WAY, changed(force(WAY), 30, 50.0) + noise(TIME.size))
+    imported, fit = imported_and_fitted(tmp_path, path)
+    text = "\n".join(line for line in imported.text.splitlines() if "leave_out" not in line)
+    (tmp_path / "hand.toml").write_text(text)
+    result, = calibration.calibrate([tmp_path / "hand.toml"], tmp_path / "hand", figures=False)
+    assert result.fits[0].parameters == fit.parameters
+    assert "sample 31 left out" in result.message
+
+
+def test_leave_out_names_recordings_and_samples_that_exist(tmp_path):
+    paths = [write(tmp_path, WAY, changed(force(WAY), k, 50.0) + noise(TIME.size), name=f"gel_{k}.csv") for k in (1, 2)]
+    imported = calibration.import_files(paths, tmp_path / "gel.toml", wishes())
+    assert "leave_out = { gel_1 = [2], gel_2 = [3] }" in imported.text
+    for wrong, message in (("{ gel_9 = [2] }", "must name a recording"), ("[2]", "must name the recording"),
+                           ("{ gel_1 = [99] }", "from 1 to 66"), ("{ gel_1 = [0] }", "at least 1")):
+        (tmp_path / "wrong.toml").write_text(imported.text.replace("{ gel_1 = [2], gel_2 = [3] }", wrong))
+        with pytest.raises(InputError, match=message):
+            calibration.calibrate([tmp_path / "wrong.toml"], tmp_path / "wrong")
+
+
+def test_a_saturated_load_cell_is_cut_off(tmp_path):
+    imported, fit = imported_and_fitted(tmp_path, write(tmp_path, WAY, np.minimum(force(WAY) + noise(TIME.size), 4.0)))
+    assert any("stays at 4 N" in warning for warning in imported.warnings)
+    assert fit.mu0 == pytest.approx(20e3, rel=0.01)
+
+
+@pytest.mark.parametrize("shift", [0.2, 0.4, 0.8])
+def test_a_displacement_zeroed_at_a_preload(tmp_path, shift):
+    imported, fit = imported_and_fitted(tmp_path, write(tmp_path, WAY, force(WAY + shift) + noise(TIME.size)))
+    assert imported.complete and 'offset = "fit"' in imported.text
+    assert fit.mu0 == pytest.approx(20e3, rel=0.02)
+    assert abs(fit.parameters["C10"] - 10e3) < 3 * fit.standard_errors["C10"]
+
+
+def test_a_load_cell_that_was_not_zeroed(tmp_path):
+    imported, fit = imported_and_fitted(tmp_path, write(tmp_path, WAY, force(WAY) + 0.65 + noise(TIME.size)))
+    assert imported.complete and "offset = -0.6" in imported.text
+    assert fit.mu0 == pytest.approx(20e3, rel=0.01)
+
+
+def test_a_load_at_zero_that_the_curve_does_not_explain_is_a_question(tmp_path):
+    path = write(tmp_path, WAY, force(WAY + 0.4) + noise(TIME.size, 0.05))
+    imported = calibration.import_files([path], tmp_path / "gel.toml", wishes())
+    assert not imported.complete and "--zero preload" in imported.questions[0]
+    (tmp_path / "stated").mkdir()
+    imported, fit = imported_and_fitted(tmp_path / "stated", path, zero="preload")
+    assert imported.complete and fit.mu0 == pytest.approx(20e3, rel=0.05)
+
+
+def test_a_campaign_by_hand_names_the_preload_and_widens_the_prior_of_the_offset(tmp_path):
+    path = write(tmp_path, WAY, force(WAY + 0.4) + noise(TIME.size))
+    imported = calibration.import_files([path], tmp_path / "gel.toml", wishes())
+    lines = [line for line in imported.text.splitlines() if "offset" not in line]
+    (tmp_path / "none.toml").write_text("\n".join(lines))
+    result, = calibration.calibrate([tmp_path / "none.toml"], tmp_path / "none", figures=False)
+    assert 'set offset = "fit" and offset_prior_mm' in result.message
+    (tmp_path / "fit.toml").write_text("\n".join([*lines, 'offset = "fit"']))
+    result, = calibration.calibrate([tmp_path / "fit.toml"], tmp_path / "fit", figures=False)
+    assert result.fits[0].mu0 == pytest.approx(20e3, rel=0.02)
+
+
+def test_a_relaxing_staircase_gets_a_prony_term(tmp_path):
+    time = np.arange(0.0, 180.0)
+    way = 0.6 * (np.floor(time / 60) + np.clip((time % 60) / 5, 0, 1))
+    imported, fit = imported_and_fitted(tmp_path, write(
+        tmp_path, way, relaxed(time, force(way), 0.5, 15.0) + noise(time.size, 0.005), time))
+    assert "viscoelastic.terms[0].g" in imported.text
+    assert any("relaxes in holds" in warning for warning in imported.warnings)
+    assert fit.mu0 == pytest.approx(20e3, rel=0.02)
+
+
+def test_creep_is_not_fitted_by_an_elastic_law(tmp_path):
+    head = "Tensile creep\nWidth,20,mm\nThickness,2,mm\nGauge length,20,mm\n\nTime (s),Displacement (mm),Force (N)\n"
+    time = np.arange(0.0, 200.0)
+    way = np.where(time > 0, 2.8 * (1 + 0.6 * (1 - np.exp(-time / 20))), 0.0)
+    path = write(tmp_path, way, np.where(time > 0, 0.3, 0.0) + noise(time.size, 0.001), time, head)
+    imported = calibration.import_files([path], tmp_path / "gel.toml", wishes())
+    assert any("the force is held and the displacement creeps" in warning for warning in imported.warnings)
+    assert "viscoelastic.terms[0].g" in imported.text
+    elastic = "\n".join(line for line in imported.text.splitlines() if not line.startswith("start"))
+    (tmp_path / "elastic.toml").write_text(elastic)
+    with pytest.raises(InputError, match="an elastic law cannot describe it"):
+        calibration.calibrate([tmp_path / "elastic.toml"], tmp_path / "elastic")
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("ramp", [False, True])
+def test_elastic_oscillations_give_the_modulus(tmp_path, ramp, sign):
+    time = np.arange(0.0, 10.0 if ramp else 5.0, 0.05)
+    way = 1.0 + 0.2 * np.sin(2 * np.pi * time)
+    way = np.where(time < 5, 0.2 * time, way) if ramp else way
+    imported, fit = imported_and_fitted(tmp_path, write(tmp_path, sign * way, sign * (force(way) + noise(time.size)),
+                                                        time))
+    assert fit.mu0 == pytest.approx(20e3, rel=0.015)
+    assert any("oscillation" in each.value for _, each in imported.assumptions)
+
+
+def test_an_oscillation_out_of_phase_is_refused(tmp_path):
+    time = np.arange(0.0, 5.0, 0.02)
+    way, load = 1.0 + 0.2 * np.sin(2 * np.pi * time), 2.0 + 0.4 * np.sin(2 * np.pi * time + 0.2)
+    imported = calibration.import_files([write(tmp_path, way, load, time)], tmp_path / "gel.toml", wishes())
+    assert not imported.complete and "oscillation" in imported.problem
+    assert "oscillation" in to_json(imported)["problem"]

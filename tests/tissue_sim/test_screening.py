@@ -1,0 +1,171 @@
+"""Outliers, saturation, preload and control, found in the signals of a recording."""
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from tissue_sim.errors import InputError
+from tissue_sim.recording.cleaning import clean
+from tissue_sim.recording.control import find_control
+from tissue_sim.recording.oscillation import find_oscillation
+from tissue_sim.recording.preload import load_at_zero
+
+TIME = np.arange(126) * 0.2
+WAY = 1e-4 * TIME
+NOISE = np.random.default_rng(4).normal(0.0, 0.01, TIME.size)
+
+
+def force(way, height=12.5e-3, area=np.pi * 12.5e-3**2):
+    stretch = 1 - np.clip(way, 0, None) / height
+    return area * 20e3 * (stretch**-2 - stretch)
+
+
+FORCE = force(WAY) + NOISE
+
+
+def recording(way=WAY, load=FORCE, time=TIME):
+    return ts.Recording({"time": time, "displacement": way, "force": load})
+
+
+def changed(values, samples, value):
+    values = values.copy()
+    values[samples] = value
+    return values
+
+
+class TestOutliers:
+    @pytest.mark.parametrize("samples", [[0], [0, 1], [1], [60], [59, 60, 61], [124], [125], [123, 124, 125]])
+    @pytest.mark.parametrize("value", [-5.0, 50.0, 9999.0])
+    def test_wrong_forces_are_left_out_wherever_they_are(self, samples, value):
+        rest, found = clean(recording(load=changed(FORCE, samples, value)))
+        assert found.samples == tuple(sample + 1 for sample in samples)
+        assert len(rest) == TIME.size - len(samples)
+        assert f"{value:.4g} N" in found.remarks[0]
+
+    @pytest.mark.parametrize("samples", [[0], [0, 1, 2], [60], [60, 61], [125], [124, 125]])
+    @pytest.mark.parametrize("value", [-0.7e-3, 9e-3, 9.999])
+    def test_wrong_displacements_are_left_out_wherever_they_are(self, samples, value):
+        assert clean(recording(way=changed(WAY, samples, value)))[1].samples == tuple(each + 1 for each in samples)
+
+    def test_lost_values_of_several_places(self):
+        load = FORCE.copy()
+        load[[20, 60, 61, 62, 100]] = [9999.0, 0.0, 0.0, 0.0, -40.0]
+        assert clean(recording(load=load))[1].samples == (21, 61, 62, 63, 101)
+
+    def test_a_lost_row(self):
+        assert clean(recording(changed(WAY, 60, 0.0), changed(FORCE, 60, 0.0)))[1].samples == (61,)
+
+    @pytest.mark.parametrize("seed", range(20))
+    def test_clean_recordings_lose_no_sample(self, seed):
+        rng = np.random.default_rng(seed)
+        for way in (WAY, np.clip(WAY - 1e-3, 0, None), WAY.max() - np.abs(2 * WAY - WAY.max()),
+                    np.minimum(np.floor(TIME / 5) * 5e-4, WAY.max())):
+            for load in (force(way), force(way) + rng.normal(0, 0.1, TIME.size), np.round(force(way) / 0.3) * 0.3):
+                assert clean(recording(way, load))[1].samples == ()
+
+    def test_ruptures_punctures_and_starts_from_rest_are_none(self):
+        torn = FORCE.copy()
+        torn[80:] *= 0.1
+        pierced = FORCE - np.where(np.arange(TIME.size) > 70, 2.0, 0.0)
+        step = changed(np.full(TIME.size, 2e-3), 0, 0.0)
+        relaxing = changed(4.0 + np.exp(-TIME), 0, 0.0) + 0.1 * NOISE
+        for way, load in ((WAY, torn), (WAY, pierced), (step, relaxing)):
+            assert clean(recording(way, load))[1].samples == ()
+
+    def test_a_file_of_outliers_is_refused_with_their_numbers(self):
+        load = FORCE.copy()
+        load[5::8] = 100.0
+        with pytest.raises(InputError, match=r"outliers \(samples 6, 14"):
+            clean(recording(load=load))
+
+    def test_samples_that_are_listed_are_left_out_and_others_are_named(self):
+        rest, found = clean(recording(load=changed(FORCE, [60, 80], 50.0)), leave_out=[61, 3])
+        assert found.samples == (3, 61) and len(rest) == TIME.size - 2
+        assert found.suspected[0].samples == (81,)
+        assert "sample 81 kept" in found.contradictions[0]
+
+    def test_a_channel_counts_from_the_first_sample_that_is_kept(self):
+        rest, _ = clean(recording(way=changed(WAY, 0, 5e-3) + 1e-3), zeroed=["displacement"])
+        assert rest.displacement[0] == 0.0
+
+
+class TestSaturation:
+    @pytest.mark.parametrize(("sign", "limit"), [(1, 5.0), (1, 6.5), (-1, 6.0)])
+    def test_a_force_at_its_limit_is_cut_off(self, sign, limit):
+        load = sign * np.minimum(FORCE, limit)
+        rest, found = clean(recording(load=load))
+        assert found.saturation[0].level == sign * limit
+        assert found.samples[0] == int(np.argmax(limit <= FORCE)) + 1
+        assert "a saturated sensor" in found.remarks[0]
+        assert np.abs(rest.force).max() < limit
+
+    def test_a_displacement_at_its_limit_is_cut_off(self):
+        _, found = clean(recording(way=np.minimum(WAY, 2e-3)))
+        assert found.saturation[0].channel == "displacement" and found.samples[0] == 101
+
+    def test_coarse_sensors_holds_and_air_are_none(self):
+        hold = np.minimum(WAY, 2e-3)
+        air = np.clip(WAY - 1e-3, 0, None)
+        for way, load in ((WAY, np.round(FORCE / 0.3) * 0.3), (hold, force(hold)), (WAY, force(air))):
+            assert clean(recording(way, load))[1].saturation == ()
+
+
+class TestControl:
+    def test_creep_under_a_dead_weight(self):
+        time = np.arange(0.0, 200.0)
+        way = np.where(time > 0, 2.8e-3 * (1 + 0.6 * (1 - np.exp(-time / 20))), 0.0)
+        load = np.where(time > 0, 0.3, 0.0) + 0.001 * np.random.default_rng(1).normal(size=time.size)
+        found = find_control(way, load, time)
+        assert (found.quantity, found.pattern, found.loading) == ("force", "creep", 2)
+        assert found.creep == pytest.approx(0.56, abs=0.06)
+        assert "viscoelastic.terms[0].g" in found.sentence
+
+    def test_a_relaxing_staircase_is_not_elastic_and_an_elastic_one_is(self):
+        time = np.arange(0.0, 240.0)
+        way = 6e-4 * (np.floor(time / 60) + np.clip((time % 60) / 5, 0, 1))
+        relaxed = 1 - 0.4 * (1 - np.exp(-(time % 60) / 15))
+        found = find_control(way, force(way) * relaxed, time)
+        assert found.pattern == "staircase" and found.relaxation == pytest.approx(0.35, abs=0.06)
+        assert not found.is_elastic and "relaxes in holds by up to" in found.sentence
+        assert find_control(way, force(way), time).is_elastic
+
+    def test_a_fast_ramp_before_a_hold_is_elastic_and_a_slow_one_is_not(self):
+        time = np.arange(0.0, 120.0, 0.5)
+        for duration, is_elastic in ((1.0, True), (30.0, False)):
+            way = 2e-3 * np.clip(time / duration, 0, 1)
+            load = force(way) * (1 - 0.4 * (1 - np.exp(-np.clip(time - duration, 0, None) / 15)))
+            assert find_control(way, load, time).is_elastic == is_elastic
+
+    @pytest.mark.parametrize("phase", [0.0, 0.2])
+    def test_an_oscillation_with_its_loss_factor(self, phase):
+        time = np.arange(0.0, 5.0, 0.02)
+        way = 1e-3 + 2e-4 * np.sin(2 * np.pi * time)
+        load = 2.0 + 0.4 * np.sin(2 * np.pi * time + phase)
+        found = find_control(way, load, time)
+        assert found.pattern == "oscillation" and found.frequency == pytest.approx(1.0, rel=0.01)
+        assert found.loss_factor == pytest.approx(np.tan(phase), abs=0.01)
+        assert found.is_elastic == (phase == 0.0)
+
+    def test_cycles_that_return_to_rest_are_no_oscillation_around_an_offset(self):
+        time = np.arange(0.0, 5.0, 0.02)
+        way = 1e-3 * (1 - np.cos(2 * np.pi * time))
+        found = find_oscillation(way, force(way), time)
+        assert found is not None and found.returns
+
+    def test_an_oscillation_after_a_ramp_does_not_make_the_ramp_preconditioning(self):
+        time = np.arange(0.0, 10.0, 0.05)
+        way = np.where(time < 5, 2e-4 * time, 1e-3 + 2e-4 * np.sin(2 * np.pi * time))
+        found = ts.find_segments(recording(way, force(way), time))
+        assert "preconditioning" not in found.labels and found.labels[10] == "ramp"
+
+
+class TestPreload:
+    @pytest.mark.parametrize("shift", [0.1e-3, 0.4e-3, 1e-3])
+    def test_a_displacement_zeroed_at_a_preload(self, shift):
+        found = load_at_zero(WAY, force(WAY + shift) + NOISE)
+        assert found.load == pytest.approx(float(force(np.array([shift]))[0]), abs=0.02)
+        assert found.shift == pytest.approx(shift, rel=0.15)
+
+    def test_loads_that_start_from_zero_or_elsewhere_are_none(self):
+        assert load_at_zero(WAY, FORCE) is None
+        assert load_at_zero(WAY + 1e-3, force(WAY + 1e-3)) is None
