@@ -42,6 +42,11 @@ class AlternativeSettings:
 
 
 SETTINGS = AlternativeSettings()
+#: A start with other signs of the exponents is followed where its sum of squares is below this many times the best one,
+#: or this many per sample.
+PROMISING = 2.0
+#: Sums of squares that differ by less than this, in units of the variance of the residuals, are numerically equal.
+_EQUAL = 1e-3
 
 
 def mirrored_starts(space: ParameterSpace, theta: np.ndarray) -> list[np.ndarray]:
@@ -80,10 +85,6 @@ def prefer_positive_exponents(space: ParameterSpace, minima: Sequence[tuple[floa
     exponents = [place for place, each in enumerate(space.varied) if each.is_exponent]
     equal = [i for i, (error, _) in enumerate(minima) if error - minima[0][0] < _EQUAL]
     return max(equal, key=lambda i: (int(np.sum(minima[i][1][exponents] > 0)), -i))
-
-
-#: Sums of squares that differ by less than this, in units of the variance of the residuals, are numerically equal.
-_EQUAL = 1e-3
 
 
 def find_alternatives(law: Law, parameters: Mapping[str, float], minima: Sequence[tuple[Minimum, Mapping[str, float]]],

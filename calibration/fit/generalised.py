@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from calibration.campaign.campaign import Noise, Test
-from calibration.fit.alternatives import mirrored_starts, prefer_positive_exponents
+from calibration.fit.alternatives import PROMISING, mirrored_starts, prefer_positive_exponents
 from calibration.fit.campaign_problem import build_problem
 from calibration.fit.checks import check_start
 from calibration.fit.estimate import Estimate, settle
@@ -32,9 +32,6 @@ from calibration.statistics.uncertainty import Uncertainty
 
 #: Minima whose parameters differ by less than this share of their size are one.
 _SAME = 1e-2
-#: A start with other signs of the exponents is followed where its sum of squares is below this many times the best one,
-#: or this many per sample.
-_PROMISING = 2.0
 #: A nuisance so many standard deviations away is not chance.
 SUSPECT = 4.0
 #: Degrees of freedom below which an estimated scatter of 0 is doubted.
@@ -86,7 +83,7 @@ class Generalised(Estimator):
         for law in laws:
             best = min(descents[law], key=lambda end: end.error)
             if np.isfinite(best.error):
-                keys += [(law, len(descents[law]) + number, theta, _PROMISING * max(best.error, problems[law].samples))
+                keys += [(law, len(descents[law]) + number, theta, PROMISING * max(best.error, problems[law].samples))
                          for number, theta in enumerate(mirrored_starts(problems[law].space, best.theta), 1)]
         if keys:
             ends = steps.descents(run_mirrored, [law for law, *_ in keys], [(problems[law], *rest) for law, *rest in

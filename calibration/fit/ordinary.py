@@ -12,14 +12,14 @@ import numpy as np
 from calibration.campaign.campaign import Campaign, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.fit.alternatives import mirrored_starts, prefer_positive_exponents
+from calibration.fit.alternatives import PROMISING, mirrored_starts, prefer_positive_exponents
 from calibration.fit.closed_starts import closed_starts
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.failure import Failure, attempt
 from calibration.fit.fit import Minimum, Nuisance
 from calibration.fit.levenberg_marquardt import Descent, descend, distinct
-from calibration.fit.ordinary_problem import OrdinaryProblem
+from calibration.fit.ordinary_problem import OrdinaryProblem, feasible
 from calibration.fit.predictor import Predictor
 from calibration.fit.problem import Evaluation
 from calibration.fit.steps import Steps
@@ -164,11 +164,12 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
         hint = "" if all(test.specimen is None for test in problem.tests) else \
             "; the specimen may be too heavy for it, so check density_kg_m3"
         return descents, f"no start of {law} gives a finite stress over the data; state one in fit.start{hint}"
-    if not problem.relaxing:
-        for start in mirrored_starts(problem.space, refined[0][0].theta):
-            descents.append(end_of(thin, start, len(descents) + 1, *how))
-            if np.isfinite(descents[-1].error):
-                refined.append((end_of(problem, descents[-1].theta, descents[-1].start, SOLVES), 1))
+    for start in mirrored_starts(problem.space, refined[0][0].theta):
+        if problem.relaxing and not _is_promising(problem, start, refined[0][0].error):
+            continue
+        descents.append(end_of(thin, start, len(descents) + 1, *how))
+        if np.isfinite(descents[-1].error):
+            refined.append((end_of(problem, descents[-1].theta, descents[-1].start, SOLVES), 1))
     refined = distinct([item for item in refined if np.isfinite(item[0].error)], near)
     scale = max(1.0, refined[0][0].error / max(problem.samples - problem.bounds[0].size, 1))
     best = refined[prefer_positive_exponents(problem.space, [(d.error / scale, d.theta) for d, _ in refined])][0]
@@ -183,6 +184,12 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
     history = tuple(step for descent, _ in refined for step in descent.history)
     return descents, Estimate(best.start, best.theta, best.error, best.converged, "", history, *spent(),
                               problem=problem, minima=tuple(minima))
+
+
+def _is_promising(problem: OrdinaryProblem, start: np.ndarray, best: float) -> bool:
+    """Whether the sum of squares at a start is near enough to the best one to be worth a descent over histories."""
+    evaluation = feasible(problem, start)
+    return evaluation is not None and evaluation.error < PROMISING * max(best, problem.samples)
 
 
 def assess_sandwich(problem: OrdinaryProblem, evaluation: Evaluation, stated: Noise) -> Uncertainty:

@@ -33,14 +33,11 @@ class UsabilitySettings:
         smallest_R2: share of the variance of the force (of the displacement where the force is controlled) that a law
             must explain in each test, over the samples in which the controlled quantity moves; docs/calibration.md
             compares the limit with measured data.
-        beyond_loading: relaxation and creep contradict a law without memory where at least this share of the fitted
-            samples comes after the first loading.
         noise_ratio: residuals below this many times the noise fail no clause on residuals.
     """
 
     largest_residual: float = 0.10
     smallest_R2: float = 0.95
-    beyond_loading: float = 0.10
     noise_ratio: float = MODEL_ERROR_RATIO
 
 
@@ -156,26 +153,14 @@ def _recorded(evidence: Evidence) -> Clause:
 def contradictions(curve: MeasuredCurve, remembers: bool) -> list[str]:
     """Sentences of the screening that make the moduli of a fit wrong.
 
-    Relaxation and creep contradict a law without memory only where they are among the samples that are fitted.
+    Relaxation, creep and dissipation contradict a law without memory only.
 
     Args:
         remembers: whether the material of the fit has a memory.
     """
     screening = curve.screening
-    found = [] if screening.preload is None or screening.preload.is_settled else [screening.preload.sentence]
-    found += [each.reason for each in screening.suspected]
-    control = screening.control
-    if control is not None and not remembers and not control.is_elastic and _fits_beyond(curve, control.loading):
-        found.append(control.sentence)
-    return found
-
-
-def _fits_beyond(curve: MeasuredCurve, loading: int) -> bool:
-    """Whether a tenth or more of the fitted samples come after the first loading, which has `loading` samples."""
-    if curve.whole is None:
-        return curve.force.size > loading
-    fitted = np.flatnonzero(curve.whole.used)
-    return bool(np.mean(fitted >= loading) >= SETTINGS.beyond_loading) if fitted.size else False
+    of_memory = screening.control.sentence if remembers and screening.control is not None else None
+    return [sentence for sentence in screening.contradictions if sentence != of_memory]
 
 
 def _replicates(evidence: Evidence) -> Clause:

@@ -182,18 +182,16 @@ def curve(tmp_path):
 
 
 def test_screening_contradicts_an_elastic_law(curve):
-    relaxes = replace(curve, screening=Screening(control=Control("displacement", "staircase", relaxation=0.4,
-                                                                 loading=20)))
-    assert "viscoelastic.terms[0].g" in contradictions(relaxes, remembers=False)[0]
-    assert not contradictions(relaxes, remembers=True)
-    # A hold after the loading is not fitted by an elastic law.
-    after = replace(curve, screening=Screening(control=Control("displacement", "ramp and hold", relaxation=0.4,
-                                                               loading=curve.force.size)))
-    assert not contradictions(after, remembers=False)
+    loses = replace(curve, screening=Screening(control=Control("displacement", "oscillation", loss_factor=0.3,
+                                                               frequency=1.0)))
+    assert "viscoelastic.terms[0].g" in contradictions(loses, remembers=False)[0]
+    assert not contradictions(loses, remembers=True)
+    follows = replace(curve, screening=Screening(control=Control("displacement", "ramp", loading=curve.force.size)))
+    assert not contradictions(follows, remembers=False)
     zeroed = replace(curve, screening=Screening(preload=Preload(0.65, 0.11, 4e-4, False, "begins under 0.65 N")))
     assert contradictions(zeroed, remembers=True) == ["begins under 0.65 N"]
     kept = replace(curve, screening=Screening(suspected=(LeftOut((61,), "force", "sample 61 is 50 N"),)))
-    assert contradictions(kept, remembers=False) == ["sample 61 is 50 N"]
+    assert "sample 61 is 50 N" in contradictions(kept, remembers=False)[0]
 
 
 def test_creep_at_constant_force_is_a_misfit_of_the_displacement(curve):

@@ -51,7 +51,7 @@ def test_another_tool_keeps_the_interfaces(needle):
 
 def test_another_scene_forgets_the_interfaces(needle):
     plates = needle.with_scene("friction_compression", friction=0.2)
-    assert (plates.experiment.friction, plates.experiment.friction_base) == (0.2, 0.7)
+    assert (plates.experiment.friction, plates.experiment.base_interface) == (0.2, 0.2)
     bonded = plates.with_scene("bonded_compression")
     assert (bonded.experiment.friction, bonded.experiment.friction_base) == ("bonded", "bonded")
 
