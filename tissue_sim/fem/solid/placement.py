@@ -19,6 +19,8 @@ from tissue_sim.pose import Pose, motion
 
 #: A tool that touches within this fraction of its radius of the place of the mesh touches at that place.
 SAME_PLACE = 1e-6
+#: A flat tool may touch this fraction of its radius away from the place of a mesh that cannot be moved.
+FACE_WITHIN = 0.01
 
 
 class PlacedSolver(KernelOwner, Solver):
