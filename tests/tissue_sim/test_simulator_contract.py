@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.explicit_coupling import MotionCheck, least_tool_mass
+from tissue_sim.explicit_coupling import LightToolWarning, MotionCheck, least_tool_mass
 from tissue_sim.kernel_owner import BusyError, CopyError
 from tissue_sim.motion_limits import MotionLimits
 from tissue_sim.tool_force import ERROR_FLOOR, ERROR_SHARE, axial_stiffness, is_known_well
@@ -230,11 +230,13 @@ class TestLightTool:
         """2 g on a servo of 500 N/m, coupled explicitly."""
         sim, mass, rate, dt, depth, speed = needle(inertia="auto"), 0.002, 500.0, 1e-3, -1e-3, 0.0
         damping, felt = 2.0 * math.sqrt(rate * mass), []
-        for tick in range(400):
-            felt.append(sim.step(depth, dt).force)
-            aim = min(-1e-3 + 0.05 * tick * dt, 3e-3)
-            speed = (mass * speed / dt + rate * (aim - depth) - felt[-1]) / (mass / dt + rate * dt + damping)
-            depth += speed * dt
+        with pytest.warns(LightToolWarning, match=r"tool below [4-7]\.?\d* g") as warned:
+            for tick in range(400):
+                felt.append(sim.step(depth, dt).force)
+                aim = min(-1e-3 + 0.05 * tick * dt, 3e-3)
+                speed = (mass * speed / dt + rate * (aim - depth) - felt[-1]) / (mass / dt + rate * dt + damping)
+                depth += speed * dt
+        assert len(warned) == 1
         assert np.ptp(felt[-50:]) < 0.02 * felt[-1]
 
     def test_a_motion_that_turns_in_every_step_is_not_resolved(self):

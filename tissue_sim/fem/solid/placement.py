@@ -17,12 +17,14 @@ from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solver import Solver, Step
 from tissue_sim.kernel_owner import KernelOwner
 from tissue_sim.material.material import Material
-from tissue_sim.pose import Pose, motion
+from tissue_sim.pose import Pose, motion, raised
 
 #: A tool that touches within this fraction of its radius of the place of the mesh touches at that place.
 SAME_PLACE = 1e-6
 #: A flat tool may touch this fraction of its radius away from the place of a mesh that cannot be moved.
 FACE_WITHIN = 0.01
+#: Tissue that has moved by less than this fraction of the tolerance of the contact is at rest.
+_AT_REST = 0.1
 
 
 class PlacedSolver(KernelOwner, Solver):
@@ -39,6 +41,8 @@ class PlacedSolver(KernelOwner, Solver):
     material: Material
     _asked: bool
     _committed: tuple[np.ndarray, ...]
+    _rest: tuple[np.ndarray, ...]
+    _tolerance: float
     _mass: Mass | None
     _bonded: np.ndarray
     _start: Pose
@@ -101,6 +105,17 @@ class PlacedSolver(KernelOwner, Solver):
     def committed_displacement(self) -> np.ndarray:
         """Of all nodes at the last committed state, m, shape (nodes, 3)."""
         return self._committed[0].reshape(-1, 3)
+
+    def approach(self, pose: Pose) -> None:
+        """See `FreeTool.approach`."""
+        if not self.relaxes and self._is_at_rest:
+            self.place_tool(raised(pose, -self.height_above(pose)))
+        self.move_in_air(pose)
+
+    @property
+    def _is_at_rest(self) -> bool:
+        """Whether the tissue is back where it was before the first touch."""
+        return float(np.abs(self._committed[0] - self._rest[0]).max()) <= _AT_REST * self._tolerance
 
     def move_in_air(self, pose: Pose) -> None:
         """See `FreeTool.move_in_air`."""
