@@ -131,8 +131,8 @@ class Placement:
         datum: height of the scene's origin in the frame of the mesh, m.
         is_level: whether the top is flat and has not settled.
         margin: distance of a place from the edge of the top, m.
-        touch_height: height of the scene's origin at which a tool at a pose touches, m; raises InputError beside the
-            solid.
+        touch_height: height of the scene's origin at which a tool at a pose touches, m; raises InputError outside
+            the top.
         remake: the solver for a first touch at a pose; None if there is none.
     """
 
@@ -165,7 +165,7 @@ class Placement:
         try:
             return z + self._datum - self._touch_height(Pose((x, y, 0.0), pose.orientation))
         except InputError:
-            return math.inf  # beside the solid
+            return math.inf  # outside the top
 
     def solver_at(self, pose: Pose, solver: Any) -> Any:
         """The solver for a first touch at a pose, with the material and the mass of another one; None if
