@@ -18,6 +18,7 @@ from tissue_sim.experiment.kinds.kind import TestKind as TestKind
 from tissue_sim.experiment.protocol import Protocol as Protocol
 from tissue_sim.experiment.tools.tool import TOOLS as TOOLS
 from tissue_sim.experiment.tools.tool import Tool as Tool
+from tissue_sim.explicit_coupling import LightToolWarning as LightToolWarning
 from tissue_sim.fem.axisymmetric.fields import Fields as Fields
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface as DeformedSurface
 from tissue_sim.fem.reduced.file import load_reduced as load_reduced
@@ -29,6 +30,8 @@ from tissue_sim.fem.solver import SOLVERS as SOLVERS
 from tissue_sim.fem.solver import Solver as Solver
 from tissue_sim.fem.solver import Step as Step
 from tissue_sim.fem.solver import StepStatus as StepStatus
+from tissue_sim.kernel_owner import BusyError as BusyError
+from tissue_sim.kernel_owner import CopyError as CopyError
 from tissue_sim.laws import LAWS as LAWS
 from tissue_sim.laws import check_stability as check_stability
 from tissue_sim.laws import find_law as find_law
@@ -51,6 +54,7 @@ from tissue_sim.material.softening import Softening as Softening
 from tissue_sim.material.viscoelasticity import Prony as Prony
 from tissue_sim.material.viscoelasticity import PronyTerm as PronyTerm
 from tissue_sim.model import Model as Model
+from tissue_sim.motion_limits import MotionLimits as MotionLimits
 from tissue_sim.parameters import parameter as parameter
 from tissue_sim.parameters import with_values as with_values
 from tissue_sim.pose import Pose as Pose

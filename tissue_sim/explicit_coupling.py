@@ -17,6 +17,8 @@ Gerbeau and Nobile, Comput. Methods Appl. Mech. Eng. 194 (2005) 4506.
 
 from __future__ import annotations
 
+import warnings
+
 from tissue_sim.tool_force import Matrix
 
 #: Added mass (k_step - k) dt2 of the tissue times this is the tool mass at which an explicit coupling becomes unstable.
@@ -42,6 +44,22 @@ def least_tool_mass(stiffness: Matrix, step_stiffness: Matrix | None, dt: float)
     own = STIFFNESS_FACTOR - ADDED_MASS_FACTOR
     return dt * dt * max(own * kx + ADDED_MASS_FACTOR * sx, own * ky + ADDED_MASS_FACTOR * sy,
                          own * kz + ADDED_MASS_FACTOR * sz, 0.0)
+
+
+class LightToolWarning(UserWarning):
+    """A tool that is coupled explicitly is too light for the tissue that moves with it."""
+
+
+def warn_of_light_tool(least_mass: float) -> None:
+    """Warn that the tool turns in every step, and name the remedies.
+
+    Args:
+        least_mass: `ToolForce.least_tool_mass` of the last step, kg.
+    """
+    warnings.warn(LightToolWarning(
+        f"the tool moves to and fro in every step, as a tool below {1e3 * least_mass:.2g} g does that is coupled by "
+        "pose and force. Use looks_ahead=True with an implicit coupling, inertia='off', or a heavier tool; see "
+        "docs/realtime.md."), stacklevel=2)
 
 
 class MotionCheck:

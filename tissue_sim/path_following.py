@@ -6,10 +6,10 @@ import math
 import time
 from dataclasses import replace
 
-from tissue_sim.explicit_coupling import MotionCheck, least_tool_mass
+from tissue_sim.explicit_coupling import MotionCheck, least_tool_mass, warn_of_light_tool
 from tissue_sim.fem.solver import Solver, Step, StepStatus
 from tissue_sim.material.effect import ReducedForce
-from tissue_sim.pose import Pose, Screw, between, motion
+from tissue_sim.pose import Pose, Screw, between, motion, raised
 from tissue_sim.simulator_state import AT_REST, Attempt, Creep, Equilibrium
 from tissue_sim.step_clock import Allowance, StepClock, solves_in
 from tissue_sim.tool_force import (
@@ -79,12 +79,14 @@ class PathFollower:
     _share: float
     _left: float
     _largest_force: float
+    _error_floor: float
     _stiffness_lasts: int
     _weighs: bool
     _bonded: bool
     _pulls: bool
     _leaps: bool
     _begins: bool
+    _has_warned: bool
     _extrapolates: bool
     _anew: bool
 
@@ -104,6 +106,9 @@ class PathFollower:
         is_fast = length >= INERTIAL_SPEED * dt > 0.0
         self._lingers = 0.0 if is_fast else self._lingers + dt
         self._motion_check.advance(x, y, z, dt, is_fast)
+        if self._motion_check.quiet == 0.0 and self._equilibrium.inertial and not self._has_warned:
+            self._has_warned = True
+            warn_of_light_tool(self._answer.least_tool_mass)
 
     @property
     def _is_free(self) -> bool:
@@ -214,8 +219,9 @@ class PathFollower:
             else:
                 self._share, self._extrapolates = 0.5 * self._share, True
                 if self._share < _SMALLEST_CUT and self._anew:
-                    # Press anew from the touch on; what friction remembers begins there.
+                    # Press again from above this pose; what friction remembers begins there.
                     solver.lift_off()
+                    solver.move_in_air(raised(pose, -solver.height_above(pose)))
                     self._share, self._leaps, self._anew = 1.0, True, False
                 elif self._share < _SMALLEST_CUT:
                     self._share, self._anew, status = _SMALLEST_CUT, not self._bonded, ForceStatus.STOPPED
@@ -239,7 +245,7 @@ class PathFollower:
         if status is ForceStatus.CONVERGED:
             ahead = self._ahead(tick) if self.looks_ahead and at.inertial and tick > 0.0 else None
             within = at.step_stiffness
-            if not is_known_well(wrench, self.error):
+            if not is_known_well(wrench, self.error, self._error_floor):
                 status = ForceStatus.LATE
         elif not outside:
             # Mass resists a motion within the step, not one that goes on.

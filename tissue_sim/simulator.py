@@ -27,7 +27,7 @@ from tissue_sim.realtime_ladder import choose, measure_tick
 from tissue_sim.simulator_state import AT_REST, NEVER, Attempt, Creep, SimulatorState, StateOrigin
 from tissue_sim.snapshot import Snapshot, snapshot
 from tissue_sim.step_clock import StepClock, require_solves
-from tissue_sim.tool_force import ForceStatus, ToolForce
+from tissue_sim.tool_force import ForceStatus, ToolForce, error_floor
 from tissue_sim.tool_track import ToolTrack, is_on_axis
 
 #: Unbalanced over balanced forces at which an equilibrium is one.
@@ -119,6 +119,7 @@ class Simulator(PathFollower, KernelOwner):
         # A turn counts as the way of a point at the edge of the contact.
         self._radius = model.experiment.contact_radius
         self._largest_part = LARGEST_PART * self._radius
+        self._error_floor = error_floor(model.material.mu0, self._radius)
         self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         # What the effects on the whole force left of it at the last equilibrium.
         self._left = 1.0
@@ -129,7 +130,7 @@ class Simulator(PathFollower, KernelOwner):
         self.error: float | None = None
         # Where the tool is, and whether it has touched; whether its first pose in the tissue has yet to be reached.
         self._tool, self._begins, self._largest_force = ToolTrack(), False, 0.0
-        self._pose, self._motion_check = self._solver.pose, MotionCheck()
+        self._pose, self._motion_check, self._has_warned = self._solver.pose, MotionCheck(), False
         # Time since the last equilibrium and since the last fast motion, s; fraction of the largest part that works.
         self._waiting, self._lingers, self._share = 0.0, math.inf, 1.0
         # Whether a step without time has yet to arrive: on the way tissue has no mass, however many ticks it takes.

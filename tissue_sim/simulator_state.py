@@ -108,7 +108,7 @@ class Creep:
 
 @dataclass(frozen=True)
 class StateOrigin:
-    """What a state belongs to. A simulator takes states of its own origin only.
+    """Origin of a saved state. A simulator restores states whose origin equals that of its own states.
 
     Attributes:
         solver: name.

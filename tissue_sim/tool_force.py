@@ -35,13 +35,27 @@ def carried_on(wrench: Screw, stiffness: Matrix, way: Screw) -> Screw:
 
 #: Fraction of the force beyond which an estimated error of the force rules out `ForceStatus.CONVERGED`.
 ERROR_SHARE = 0.25
-#: An estimated error below this force never rules it out, N.
+#: An estimated error below this force, N, never rules it out in a scene with large forces.
 ERROR_FLOOR = 0.05
+#: In a scene with small forces, neither does one below this fraction of the shear modulus times the contact radius
+#: squared, which is about the force at a depth of an eighth of that radius.
+ERROR_FLOOR_SHARE = 0.05
 
 
-def is_known_well(wrench: Screw, error: float | None) -> bool:
-    """Whether the estimated error of the force, N, allows the status CONVERGED; an unknown error (None) does."""
-    if error is None or error <= ERROR_FLOOR:
+def error_floor(shear_modulus: float, contact_radius: float) -> float:
+    """Estimated error of the force, N, that never rules out CONVERGED, for a modulus in Pa and a radius in m."""
+    return min(ERROR_FLOOR, ERROR_FLOOR_SHARE * shear_modulus * contact_radius**2)
+
+
+def is_known_well(wrench: Screw, error: float | None, floor: float = ERROR_FLOOR) -> bool:
+    """Whether the estimated error of the force, N, allows the status CONVERGED; an unknown error (None) does.
+
+    Args:
+        wrench: force and torque on the tool.
+        error: N.
+        floor: see `error_floor`, N.
+    """
+    if error is None or error <= floor:
         return True
     x, y, z, *_ = wrench
     return error <= ERROR_SHARE * math.sqrt(x * x + y * y + z * z)
@@ -77,7 +91,7 @@ class ForceStatus(IntEnum):
     - the tissue is in equilibrium with the tool at the pose of this step, within the tolerance, with the material that
       is set now;
     - the equilibrium is one of this time: no time and no part of the path is left to later steps;
-    - the estimated error of the force, where one is known, is at most `ERROR_SHARE` of the force or `ERROR_FLOOR`.
+    - the estimated error of the force, where one is known, is at most `ERROR_SHARE` of the force, or `error_floor`.
 
     It says nothing of the age of the stiffness (`ToolForce.stiffness_age`). An error that is not known is None, not 0.
     A tissue answers with the first four; the others belong to what is between a tissue and a hand

@@ -91,7 +91,7 @@ class ToolTrack:
             low, high = (middle, high) if clearance is not None and clearance > 0.0 else (low, middle)
         start = between(before, pose, low)
         self.twist = twist_about_axis(start.orientation) if solver.ignores_twist else None
-        solver.move_in_air(self.seen_by(solver, start))
+        solver.approach(self.seen_by(solver, start))
 
 
 def is_on_axis(pose: Pose, seen: Pose, radius: float) -> bool:

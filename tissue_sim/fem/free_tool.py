@@ -60,6 +60,11 @@ class FreeTool:
     def move_in_air(self, pose: Pose) -> None:
         """Take the tool to a pose without a step, from and to poses whose `clearance` is positive."""
 
+    def approach(self, pose: Pose) -> None:
+        """Take a tool that has lifted off, in the air, to the pose from which it touches again. A solver whose mesh is
+        made for one place may take another place here, if the tissue is as it was before the first touch."""
+        self.move_in_air(pose)
+
     def stand_still(self) -> None:
         """Set the velocity of the tissue to zero."""
 

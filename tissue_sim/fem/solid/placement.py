@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from tissue_sim.fem.solid.chords import faceting_error
 from tissue_sim.fem.solid.contact import FREE, Body, ContactNodes, nearest
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.mass import Mass
 from tissue_sim.fem.solid.tissue import Tissue
-from tissue_sim.fem.solver import Solver
+from tissue_sim.fem.solver import Solver, Step
 from tissue_sim.kernel_owner import KernelOwner
 from tissue_sim.material.material import Material
-from tissue_sim.pose import Pose, motion
+from tissue_sim.pose import Pose, motion, raised
 
 #: A tool that touches within this fraction of its radius of the place of the mesh touches at that place.
 SAME_PLACE = 1e-6
+#: A flat tool may touch this fraction of its radius away from the place of a mesh that cannot be moved.
+FACE_WITHIN = 0.01
+#: Tissue that has moved by less than this fraction of the tolerance of the contact is at rest.
+_AT_REST = 0.1
 
 
 class PlacedSolver(KernelOwner, Solver):
@@ -35,6 +41,8 @@ class PlacedSolver(KernelOwner, Solver):
     material: Material
     _asked: bool
     _committed: tuple[np.ndarray, ...]
+    _rest: tuple[np.ndarray, ...]
+    _tolerance: float
     _mass: Mass | None
     _bonded: np.ndarray
     _start: Pose
@@ -53,6 +61,13 @@ class PlacedSolver(KernelOwner, Solver):
             return False
         self.__dict__.update(other.__dict__)
         return True
+
+    def _with_error(self, step: Step) -> Step:
+        """A converged step with the estimated error of its force, where stiffness is asked for in every step."""
+        if not self._asked:
+            return step
+        error = faceting_error(self.contact, self.mesh, self.committed_displacement, math.hypot(*step.wrench[:3]))
+        return step if error is None else replace(step, force_error=error)
 
     def hand_over(self, other: Any) -> None:
         """Let another solver of the same model have this one's material, mass and requests."""
@@ -91,6 +106,17 @@ class PlacedSolver(KernelOwner, Solver):
         """Of all nodes at the last committed state, m, shape (nodes, 3)."""
         return self._committed[0].reshape(-1, 3)
 
+    def approach(self, pose: Pose) -> None:
+        """See `FreeTool.approach`."""
+        if not self.relaxes and self._is_at_rest:
+            self.place_tool(raised(pose, -self.height_above(pose)))
+        self.move_in_air(pose)
+
+    @property
+    def _is_at_rest(self) -> bool:
+        """Whether the tissue is back where it was before the first touch."""
+        return float(np.abs(self._committed[0] - self._rest[0]).max()) <= _AT_REST * self._tolerance
+
     def move_in_air(self, pose: Pose) -> None:
         """See `FreeTool.move_in_air`."""
         self._pose = pose
@@ -105,8 +131,8 @@ class Placement:
         datum: height of the scene's origin in the frame of the mesh, m.
         is_level: whether the top is flat and has not settled.
         margin: distance of a place from the edge of the top, m.
-        touch_height: height of the scene's origin at which a tool at a pose touches, m; raises InputError beside the
-            solid.
+        touch_height: height of the scene's origin at which a tool at a pose touches, m; raises InputError outside
+            the top.
         remake: the solver for a first touch at a pose; None if there is none.
     """
 
@@ -139,7 +165,7 @@ class Placement:
         try:
             return z + self._datum - self._touch_height(Pose((x, y, 0.0), pose.orientation))
         except InputError:
-            return math.inf  # beside the solid
+            return math.inf  # outside the top
 
     def solver_at(self, pose: Pose, solver: Any) -> Any:
         """The solver for a first touch at a pose, with the material and the mass of another one; None if
