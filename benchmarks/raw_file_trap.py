@@ -9,6 +9,8 @@ import numpy as np
 from raw_file_drafts import FORCES, LENGTHS, RATIOS, STRESSES, TIMES, Column, Draft
 from raw_file_truth import KINDS, Test
 
+#: All layouts.
+ALL = ("table", "bluehill", "mts", "zwick", "exponent", "mach1", "mecmesin", "trios")
 #: Layouts whose units and delimiters may be changed.
 FREE = ("table", "bluehill", "mts", "zwick", "mecmesin")
 #: Layouts in which an unusual cell or line is plausible.
@@ -42,7 +44,7 @@ class Trap:
     on_test: OnTest | None = None
     on_draft: OnDraft | None = None
     kinds: tuple[str, ...] = KINDS
-    layouts: tuple[str, ...] = ("table", "bluehill", "mts", "zwick", "exponent", "mach1", "mecmesin", "trios")
+    layouts: tuple[str, ...] = ALL
 
 
 _FACTORS = {"displacement": LENGTHS, "force": FORCES, "time": TIMES, "stress": STRESSES, "strain": RATIOS}

@@ -10,7 +10,7 @@ from raw_file_drafts import Column, Draft
 from raw_file_trap import PLAIN, Trap
 from raw_file_truth import COMPRESSION, SHEAR, TENSION, Test, equibiaxial_stress, planar_stress
 
-_GROUPS = frozenset({"history", "names", "sizes", "blocks", "flags"})
+_GROUPS = frozenset({"title", "history", "names", "sizes", "blocks", "flags"})
 
 
 @dataclass(frozen=True)

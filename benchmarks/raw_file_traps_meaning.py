@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from raw_file_drafts import FORCES, LENGTHS, Column, Draft, Table
 from raw_file_trap import FREE, PLAIN, OnDraft, Trap, change_columns, in_unit
-from raw_file_truth import COMPRESSION, TENSION, Test, with_noise
+from raw_file_truth import COMPRESSION, SHEAR, TENSION, Test, with_noise
 
 _MEASURE = frozenset({"names", "sizes", "numbers", "history"})
 _NAMES, _UNITS = frozenset({"names"}), frozenset({"names", "units", "numbers"})
@@ -86,6 +86,35 @@ def _percent_displacement(draft: Draft, rng: np.random.Generator) -> None:
         return Column.of("strain", column.name, "%", 100 * column.values * LENGTHS[column.unit] / height, 6)
 
     change_columns(draft, change)
+
+
+def _percent_as_ratio(draft: Draft, rng: np.random.Generator) -> None:
+    """A strain in percent under a unit that says ratio."""
+    _measures("Strain", _engineering, "Stress", 0.0, ("%",))(draft, rng)
+    change_columns(draft, lambda column: replace(column, unit="mm/mm") if column.role == "strain" else column)
+
+
+def _title_against_stretch(draft: Draft, rng: np.random.Generator) -> None:
+    """A title of another test than the stretches show."""
+    _measures("Stretch", _stretch, "Nominal stress", 0.0, ("-",))(draft, rng)
+    draft.head = [["Tensile test" if draft.test.kind == COMPRESSION else "Compression test"]]
+
+
+_DENIALS = {COMPRESSION: ("Compression test, not confined", "Compression test without confinement",
+                          "Non-confined compression", "Compression test (no bending)"),
+            TENSION: ("Uniaxial tension, not planar", "Tensile test without extensometer", "Tension test, not biaxial"),
+            SHEAR: ("Simple shear test, not pure shear", "Simple shear test without torsion")}
+_REMARKS = ("Remark: peel test of the same batch follows", "Note: specimens for bending are in box 3",
+            "Fixture also used for biaxial tension", "Next: torsion series")
+
+
+def _other_words(draft: Draft, rng: np.random.Generator) -> None:
+    """Words of another test in a denial or in a remark."""
+    if rng.random() < 0.5:
+        titles = _DENIALS[draft.test.kind]
+        draft.head = [[titles[int(rng.integers(len(titles)))]]]
+    else:
+        draft.head = [*draft.head, [_REMARKS[int(rng.integers(len(_REMARKS)))]]]
 
 
 def _second_sensor(name: str, unit: str) -> OnDraft:
@@ -272,9 +301,16 @@ MEANING_TRAPS = (
     *MEASURE_TRAPS,
     Trap("displacement in percent", "meaning", _NAMES, ("percent", "in %", "relative to the height"),
          on_draft=_percent_displacement, kinds=(COMPRESSION, TENSION), layouts=("table",)),
+    Trap("percent under mm/mm", "meaning", _MEASURE, ("percent", "unit of", "in %", "strain of"), False,
+         on_draft=_percent_as_ratio, kinds=(TENSION, COMPRESSION), layouts=("table",)),
+    Trap("title against the stretch", "meaning", _MEASURE, ("kind of test", "compression", "tension"),
+         on_draft=_title_against_stretch, kinds=(TENSION, COMPRESSION), layouts=("table",)),
+    Trap("words of other tests", "meaning", frozenset({"title"}),
+         ("kind of test", "confine", "bend", "planar", "pure shear", "biaxial", "peel", "torsion"),
+         on_draft=_other_words, layouts=("table",)),
     _sensor_trap("Extensometer", "mm"), _sensor_trap("Video strain", "%"), _sensor_trap("Extensometer strain", "%"),
     Trap("turned signs", "meaning", _NAMES, ("sign",), on_draft=_signs),
-    Trap("positions of the machine", "meaning", _NAMES, ("sign", "zero", "position"), on_draft=_position,
+    Trap("positions of the machine", "meaning", _NAMES | {"zero"}, ("sign", "zero", "position"), on_draft=_position,
          layouts=("table", "mecmesin")),
     Trap("no units", "meaning", _UNITS, ("unit",), False, on_draft=_no_units, layouts=("table", "mts", "bluehill")),
     Trap("contradictory units", "meaning", _UNITS, ("unit",), False, on_draft=_contradictory_units, layouts=FREE),

@@ -196,5 +196,5 @@ NUMBER_TRAPS = (
     _trap("lost cells", _lost_cells, _CELL, PLAIN),
     _trap("blank lines", _blank_lines, _CELL, PLAIN),
     _trap("UTF-16 or byte order mark", _encoding("utf-16", "utf-16-le", "utf-16-be", "utf-8-sig"), ("encoding",)),
-    _trap("8-bit encoding with µ", _encoding("cp1252", "latin-1", "mac-roman"), ("encoding", "unit of")),
+    _trap("8-bit encoding with µ", _encoding("cp1252", "latin-1"), ("encoding", "unit of")),
 )
