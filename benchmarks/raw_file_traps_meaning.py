@@ -235,7 +235,7 @@ def _decoys(draft: Draft, rng: np.random.Generator) -> None:
     reach = np.abs(own.values).max()
     choices = [Column.of("size", "Command displacement", own.unit, own.values + 0.05 * reach, 6),
                Column.of("size", "Displacement set point", own.unit, np.full(size, reach), 6),
-               Column.of("size", "Peak force", force.unit, np.maximum.accumulate(force.values), 6),
+               Column.of("size", "Peak force", force.unit, np.maximum.accumulate(np.abs(force.values)), 6),
                Column.of("size", "Temperature", "°C", 21 + 0.1 * rng.normal(size=size), 4),
                Column("size", "Sample", "", np.arange(size, dtype=float), 0)]
     draft.encoding = "utf-8"
