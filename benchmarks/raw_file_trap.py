@@ -30,7 +30,7 @@ class Trap:
         reasons: words (regular expressions) of a question or refusal that is to the point.
         wants_right: whether one reading is correct, so that a modulus is wanted; else no modulus follows from the file.
         note: words that a result must mention, such as the sample that was left out; empty: none.
-        on_test: changes the test, before noise; it may return the acceptable moduli, Pa, beside the test.
+        on_test: changes the test, before noise; it may return the test and the acceptable moduli, Pa.
         on_draft: changes the file.
         kinds, layouts: in which it may stand.
     """

@@ -15,7 +15,7 @@ _GROUPS = frozenset({"title", "history", "names", "sizes", "blocks", "flags"})
 
 @dataclass(frozen=True)
 class _OtherTest:
-    """A test that is none of tension, compression and simple shear.
+    """A test other than tension, compression and simple shear.
 
     Attributes:
         titles: that name it. reasons: words of a refusal that is to the point. base: kind whose layout is used.

@@ -77,7 +77,7 @@ MEASURE_TRAPS = (
 
 
 def _percent_displacement(draft: Draft, rng: np.random.Generator) -> None:
-    """Displacement in percent of the height, beside a force."""
+    """Displacement in percent of the height, with a force."""
     height = draft.test.specimen.height(draft.test.kind)
 
     def change(column: Column) -> Column:
@@ -118,7 +118,7 @@ def _other_words(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _second_sensor(name: str, unit: str) -> OnDraft:
-    """A compliant frame in the crosshead's displacement, and the specimen's own beside it."""
+    """A compliant frame in the crosshead's displacement, and a second sensor on the specimen."""
     def apply(draft: Draft, rng: np.random.Generator) -> None:
         test, height = draft.test, draft.test.specimen.height(draft.test.kind)
         slack = float(rng.uniform(0.15, 0.5)) * test.motion.max() / np.abs(test.force).max()
@@ -134,7 +134,7 @@ def _second_sensor(name: str, unit: str) -> OnDraft:
 
 
 def _sensor_trap(name: str, unit: str) -> Trap:
-    return Trap(f"{name} beside the crosshead", "meaning", _MEASURE,
+    return Trap(f"{name} and crosshead", "meaning", _MEASURE,
                 ("extensometer", "video", "crosshead", "traverse", "two columns"), on_draft=_second_sensor(name, unit),
                 kinds=(TENSION,), layouts=("table", "mecmesin"))
 
@@ -286,7 +286,7 @@ def _blocks(titles: tuple[tuple[str, ...], ...], alike: bool, split: bool) -> On
         factors = [1.0 + 0.01 * float(rng.normal()) if alike else stiffer**i for i in range(len(names))]
         _more_tables(draft, rng, factors, names)
         draft.truths = (draft.test.mu,) if alike else ()
-        draft.split, draft.beside = split, not split and bool(rng.random() < 0.5)
+        draft.split, draft.side_by_side = split, not split and bool(rng.random() < 0.5)
     return apply
 
 
