@@ -127,7 +127,7 @@ def _lost_cells(draft: Draft, rng: np.random.Generator) -> None:
 
     def change(text: str) -> str:
         lines, rows = _data_lines(text, draft)
-        place = [column.role for column in draft.tables[0].columns].index("force")
+        place = next(i for i, column in enumerate(draft.tables[0].columns) if column.role in ("force", "stress"))
         for row in rng.choice(rows[3:-3], int(rng.integers(1, 4)), replace=False):
             cells = lines[row].split(draft.delimiter)
             cells[place] = word
