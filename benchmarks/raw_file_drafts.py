@@ -67,7 +67,7 @@ class Draft:
         head: rows of cells above the sizes. sizes: rows (name, number, unit). below: rows under the tables.
         delimiter, decimal, thousands, encoding, newline: of the text. quoted: whether all cells are.
         units: ``header``, ``row`` or ``none``.
-        beside: whether tables stand beside each other. split: whether each is a file of its own.
+        side_by_side: whether the columns of all tables are adjacent. split: whether each is a file of its own.
         name: of the file. stated_kind, stated_sizes, stated_test: flags that the user gives.
         columns_stated, units_stated: columns and units that the user names.
         truths: moduli, Pa, that a sound program may report. finish: changes of the text, in order.
@@ -87,7 +87,7 @@ class Draft:
     encoding: str = "utf-8"
     newline: str = "\n"
     quoted: bool = False
-    beside: bool = False
+    side_by_side: bool = False
     split: bool = False
     name: str = "specimen.csv"
     stated_kind: str | None = None
@@ -119,7 +119,7 @@ class Draft:
                                    for cell in cells)
 
     def table_rows(self, tables: list[Table]) -> list[list[str]]:
-        """Names, units and numbers of tables that stand beside each other."""
+        """Names, units and numbers of tables whose columns are adjacent."""
         columns = [column for table in tables for column in table.columns]
         names = [f"{each.name} ({each.unit})" if self.units == "header" and each.unit else each.name
                  for each in columns]
@@ -134,7 +134,7 @@ class Draft:
 
     def text(self, tables: list[Table]) -> str:
         rows = [*self.head, *self.sizes, []]
-        if self.beside:
+        if self.side_by_side:
             titles = [cell for table in tables for cell in [table.title, *[""] * (len(table.columns) - 1)]]
             rows += [titles, *self.table_rows(tables)]
         else:

@@ -9,6 +9,8 @@ import numpy as np
 from raw_file_drafts import FORCES, LENGTHS, RATIOS, STRESSES, TIMES, Column, Draft
 from raw_file_truth import KINDS, Test
 
+#: All layouts.
+ALL = ("table", "bluehill", "mts", "zwick", "exponent", "mach1", "mecmesin", "trios")
 #: Layouts whose units and delimiters may be changed.
 FREE = ("table", "bluehill", "mts", "zwick", "mecmesin")
 #: Layouts in which an unusual cell or line is plausible.
@@ -28,7 +30,7 @@ class Trap:
         reasons: words (regular expressions) of a question or refusal that is to the point.
         wants_right: whether one reading is correct, so that a modulus is wanted; else no modulus follows from the file.
         note: words that a result must mention, such as the sample that was left out; empty: none.
-        on_test: changes the test, before noise; it may return the acceptable moduli, Pa, beside the test.
+        on_test: changes the test, before noise; it may return the test and the acceptable moduli, Pa.
         on_draft: changes the file.
         kinds, layouts: in which it may stand.
     """
@@ -42,7 +44,7 @@ class Trap:
     on_test: OnTest | None = None
     on_draft: OnDraft | None = None
     kinds: tuple[str, ...] = KINDS
-    layouts: tuple[str, ...] = ("table", "bluehill", "mts", "zwick", "exponent", "mach1", "mecmesin", "trios")
+    layouts: tuple[str, ...] = ALL
 
 
 _FACTORS = {"displacement": LENGTHS, "force": FORCES, "time": TIMES, "stress": STRESSES, "strain": RATIOS}

@@ -10,12 +10,12 @@ from raw_file_drafts import Column, Draft
 from raw_file_trap import PLAIN, Trap
 from raw_file_truth import COMPRESSION, SHEAR, TENSION, Test, equibiaxial_stress, planar_stress
 
-_GROUPS = frozenset({"history", "names", "sizes", "blocks", "flags"})
+_GROUPS = frozenset({"title", "history", "names", "sizes", "blocks", "flags"})
 
 
 @dataclass(frozen=True)
 class _OtherTest:
-    """A test that is none of tension, compression and simple shear.
+    """A test other than tension, compression and simple shear.
 
     Attributes:
         titles: that name it. reasons: words of a refusal that is to the point. base: kind whose layout is used.

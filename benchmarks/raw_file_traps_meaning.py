@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from raw_file_drafts import FORCES, LENGTHS, Column, Draft, Table
 from raw_file_trap import FREE, PLAIN, OnDraft, Trap, change_columns, in_unit
-from raw_file_truth import COMPRESSION, TENSION, Test, with_noise
+from raw_file_truth import COMPRESSION, SHEAR, TENSION, Test, with_noise
 
 _MEASURE = frozenset({"names", "sizes", "numbers", "history"})
 _NAMES, _UNITS = frozenset({"names"}), frozenset({"names", "units", "numbers"})
@@ -77,7 +77,7 @@ MEASURE_TRAPS = (
 
 
 def _percent_displacement(draft: Draft, rng: np.random.Generator) -> None:
-    """Displacement in percent of the height, beside a force."""
+    """Displacement in percent of the height, with a force."""
     height = draft.test.specimen.height(draft.test.kind)
 
     def change(column: Column) -> Column:
@@ -88,8 +88,37 @@ def _percent_displacement(draft: Draft, rng: np.random.Generator) -> None:
     change_columns(draft, change)
 
 
+def _percent_as_ratio(draft: Draft, rng: np.random.Generator) -> None:
+    """A strain in percent under a unit that says ratio."""
+    _measures("Strain", _engineering, "Stress", 0.0, ("%",))(draft, rng)
+    change_columns(draft, lambda column: replace(column, unit="mm/mm") if column.role == "strain" else column)
+
+
+def _title_against_stretch(draft: Draft, rng: np.random.Generator) -> None:
+    """A title of another test than the stretches show."""
+    _measures("Stretch", _stretch, "Nominal stress", 0.0, ("-",))(draft, rng)
+    draft.head = [["Tensile test" if draft.test.kind == COMPRESSION else "Compression test"]]
+
+
+_DENIALS = {COMPRESSION: ("Compression test, not confined", "Compression test without confinement",
+                          "Non-confined compression", "Compression test (no bending)"),
+            TENSION: ("Uniaxial tension, not planar", "Tensile test without extensometer", "Tension test, not biaxial"),
+            SHEAR: ("Simple shear test, not pure shear", "Simple shear test without torsion")}
+_REMARKS = ("Remark: peel test of the same batch follows", "Note: specimens for bending are in box 3",
+            "Fixture also used for biaxial tension", "Next: torsion series")
+
+
+def _other_words(draft: Draft, rng: np.random.Generator) -> None:
+    """Words of another test in a denial or in a remark."""
+    if rng.random() < 0.5:
+        titles = _DENIALS[draft.test.kind]
+        draft.head = [[titles[int(rng.integers(len(titles)))]]]
+    else:
+        draft.head = [*draft.head, [_REMARKS[int(rng.integers(len(_REMARKS)))]]]
+
+
 def _second_sensor(name: str, unit: str) -> OnDraft:
-    """A compliant frame in the crosshead's displacement, and the specimen's own beside it."""
+    """A compliant frame in the crosshead's displacement, and a second sensor on the specimen."""
     def apply(draft: Draft, rng: np.random.Generator) -> None:
         test, height = draft.test, draft.test.specimen.height(draft.test.kind)
         slack = float(rng.uniform(0.15, 0.5)) * test.motion.max() / np.abs(test.force).max()
@@ -105,7 +134,7 @@ def _second_sensor(name: str, unit: str) -> OnDraft:
 
 
 def _sensor_trap(name: str, unit: str) -> Trap:
-    return Trap(f"{name} beside the crosshead", "meaning", _MEASURE,
+    return Trap(f"{name} and crosshead", "meaning", _MEASURE,
                 ("extensometer", "video", "crosshead", "traverse", "two columns"), on_draft=_second_sensor(name, unit),
                 kinds=(TENSION,), layouts=("table", "mecmesin"))
 
@@ -206,7 +235,7 @@ def _decoys(draft: Draft, rng: np.random.Generator) -> None:
     reach = np.abs(own.values).max()
     choices = [Column.of("size", "Command displacement", own.unit, own.values + 0.05 * reach, 6),
                Column.of("size", "Displacement set point", own.unit, np.full(size, reach), 6),
-               Column.of("size", "Peak force", force.unit, np.maximum.accumulate(force.values), 6),
+               Column.of("size", "Peak force", force.unit, np.maximum.accumulate(np.abs(force.values)), 6),
                Column.of("size", "Temperature", "°C", 21 + 0.1 * rng.normal(size=size), 4),
                Column("size", "Sample", "", np.arange(size, dtype=float), 0)]
     draft.encoding = "utf-8"
@@ -257,7 +286,7 @@ def _blocks(titles: tuple[tuple[str, ...], ...], alike: bool, split: bool) -> On
         factors = [1.0 + 0.01 * float(rng.normal()) if alike else stiffer**i for i in range(len(names))]
         _more_tables(draft, rng, factors, names)
         draft.truths = (draft.test.mu,) if alike else ()
-        draft.split, draft.beside = split, not split and bool(rng.random() < 0.5)
+        draft.split, draft.side_by_side = split, not split and bool(rng.random() < 0.5)
     return apply
 
 
@@ -272,17 +301,25 @@ MEANING_TRAPS = (
     *MEASURE_TRAPS,
     Trap("displacement in percent", "meaning", _NAMES, ("percent", "in %", "relative to the height"),
          on_draft=_percent_displacement, kinds=(COMPRESSION, TENSION), layouts=("table",)),
+    Trap("percent under mm/mm", "meaning", _MEASURE, ("percent", "unit of", "in %", "strain of"), False,
+         on_draft=_percent_as_ratio, kinds=(TENSION, COMPRESSION), layouts=("table",)),
+    Trap("title against the stretch", "meaning", _MEASURE, ("kind of test", "compression", "tension"),
+         on_draft=_title_against_stretch, kinds=(TENSION, COMPRESSION), layouts=("table",)),
+    Trap("words of other tests", "meaning", frozenset({"title"}),
+         ("kind of test", "confine", "bend", "planar", "pure shear", "biaxial", "peel", "torsion"),
+         on_draft=_other_words, layouts=("table",)),
     _sensor_trap("Extensometer", "mm"), _sensor_trap("Video strain", "%"), _sensor_trap("Extensometer strain", "%"),
     Trap("turned signs", "meaning", _NAMES, ("sign",), on_draft=_signs),
-    Trap("positions of the machine", "meaning", _NAMES, ("sign", "zero", "position"), on_draft=_position,
+    Trap("positions of the machine", "meaning", _NAMES | {"zero"}, ("sign", "zero", "position"), on_draft=_position,
          layouts=("table", "mecmesin")),
-    Trap("no units", "meaning", _UNITS, ("unit",), on_draft=_no_units, layouts=("table", "mts", "bluehill")),
+    Trap("no units", "meaning", _UNITS, ("unit",), False, on_draft=_no_units, layouts=("table", "mts", "bluehill")),
     Trap("contradictory units", "meaning", _UNITS, ("unit",), False, on_draft=_contradictory_units, layouts=FREE),
     Trap("displacements beyond the specimen", "meaning", _UNITS, ("unit", "deeper", "beyond", "higher than"), False,
          on_draft=_impossible_unit, kinds=(COMPRESSION,), layouts=FREE),
-    Trap("time and force at a stated speed", "meaning", frozenset({"names", "history", "blocks"}),
+    Trap("time and force at a stated speed", "meaning", frozenset({"names", "history", "blocks", "flags"}),
          ("speed",), on_test=_ramp, on_draft=_time_and_force, layouts=PLAIN),
-    Trap("a flag that is not needed", "meaning", frozenset({"flags"}), ("speed",), note="speed", on_draft=_spare_flag),
+    Trap("a flag that is not needed", "meaning", frozenset({"flags"}), ("speed",), False, note="speed",
+         on_draft=_spare_flag),
     Trap("no names of columns", "meaning", _MEASURE, ("column",), on_draft=_no_names, layouts=("table",)),
     Trap("columns that look alike", "meaning", _NAMES, ("which column", "two columns", "set point", "command"),
          on_draft=_decoys, layouts=FREE),

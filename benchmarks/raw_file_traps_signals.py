@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 from raw_file_drafts import Column, Draft
-from raw_file_trap import OnDraft, OnTest, Trap, change_columns
+from raw_file_trap import ALL, OnDraft, OnTest, Trap, change_columns
 from raw_file_truth import COMPRESSION, TENSION, Test, fitted_modulus, relaxing_force
 
+#: Layouts whose displacement counts from a zero of the test: the static displacement of an oscillation is in the file.
+_ZEROED = tuple(name for name in ALL if name not in ("mach1", "trios"))
 _HISTORY, _DEFECT, _CLIP = frozenset({"history"}), frozenset({"defect"}), frozenset({"clip"})
 _DEFORMED = (COMPRESSION, TENSION)
 _OUTLIER = ("outlier", "spike", "neighbour", "left out", "single sample", "first sample", "last sample", "jump")
@@ -205,8 +207,8 @@ def _rupture(test: Test, rng: np.random.Generator) -> Test:
 
 
 def _trap(name: str, on_test: OnTest, reasons: tuple[str, ...], *, wants_right: bool = True, note: str = "",
-          kinds: tuple[str, ...] = _DEFORMED, groups: frozenset[str] = _HISTORY) -> Trap:
-    return Trap(name, "signals", groups, reasons, wants_right, note, on_test=on_test, kinds=kinds)
+          groups: frozenset[str] = _HISTORY, layouts: tuple[str, ...] = ALL) -> Trap:
+    return Trap(name, "signals", groups, reasons, wants_right, note, on_test=on_test, kinds=_DEFORMED, layouts=layouts)
 
 
 def _spikes() -> tuple[Trap, ...]:
@@ -238,10 +240,11 @@ SIGNAL_TRAPS = (
     _trap("force ramp", _force_ramp, ("force is (held|prescribed|controlled)", "load.controlled")),
     _trap("stairs of force, creeping", _force_stairs, (*_RELAX, "force is held", "constant force"), wants_right=False,
           note="relax|creep|viscoelastic|constant force|force is held"),
-    _trap("sine about a static displacement", _oscillation("at once", 0.0), _ANY, groups=_HISTORY | {"air"}),
+    _trap("sine about a static displacement", _oscillation("at once", 0.0), _ANY, groups=_HISTORY | {"air", "zero"},
+          layouts=_ZEROED),
     _trap("ramp, then a sine", _oscillation("ramp", 0.0), _ANY),
     _trap("sine with loss", _oscillation("at once", 0.25), (*_ANY, "loss", "phase", "viscoelastic"), wants_right=False,
-          groups=_HISTORY | {"air"}),
+          groups=_HISTORY | {"air", "zero"}, layouts=_ZEROED),
     _trap("ramp, then a sine with loss", _oscillation("ramp", 0.25), (*_ANY, "loss", "phase", "viscoelastic"),
           wants_right=False),
     _trap("rupture", _rupture, ("rupture", r"\btears?\b", "breaks?", "fails? at", "torn"), note="rupture|fail|tear"),

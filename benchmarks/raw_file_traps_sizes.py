@@ -12,7 +12,7 @@ from raw_file_truth import COMPRESSION, SHEAR, TENSION
 _SIZES = frozenset({"sizes"})
 #: That a size is missing is no true reason: the file states it.
 _REASONS = ("unit of the", "without a unit", "ambiguous", "contradict", "read as", "states")
-_CONTRADICTION = ("contradict", "disagree", "differs? from",
+_CONTRADICTION = ("contradict", "disagree", "differs? from", "size of the specimen .* or ",
                   "two (diameters|heights|sizes|values|radii|lengths)", "twice")
 
 
@@ -176,7 +176,7 @@ SIZE_TRAPS = (
     _trap("units in the names of sizes", _unit_in_name),
     _trap("short names of sizes", _short_names, _ROUND),
     _trap("sizes in other units", _other_units),
-    _trap("sizes without a unit", _no_unit, reasons=(*_REASONS, "unit")),
+    _trap("sizes without a unit", _no_unit, wants_right=False, reasons=(*_REASONS, "unit")),
     _trap("sizes of the machine", _tool_decoy, _ROUND),
     _trap("final size", _final_decoy),
     _trap("French names of sizes", _french),

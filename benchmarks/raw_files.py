@@ -2,7 +2,7 @@
 
     python benchmarks/raw_files.py --count 5000 --seed 1 [--clean] [--workers 2] [--only TRAP]
         [--areas AREA ...] [--json FILE]
-    python benchmarks/raw_files.py --seed 1 --index 17 --keep DIR     (one file again, with its files)
+    python benchmarks/raw_files.py --seed 1 --index 17 --keep DIR     (one file again, with the same --areas and --only)
     python benchmarks/raw_files.py --traps                            (names of the traps)
 
 Each file goes through `calibration.import_files` and `calibration.calibrate` with the law neo_hooke, and flags for the
