@@ -136,7 +136,7 @@ def out_of_the_box(chance: np.random.Generator, scene: Scene) -> Motion:
             for s in (0.5, 1.0, 0.5)]
     turned = [replace(pose, orientation=poses[at].orientation) for pose in away]
     return Motion("out of the box", scene, (*moves(poses[:at + 1], dt),
-                                            *(Move(pose, dt, pose, may_refuse=True) for pose in turned),
+                                            *(Move(pose, dt, pose, is_unknown=True) for pose in turned),
                                             *moves(poses[at:], dt)))
 
 

@@ -374,7 +374,7 @@ def too_deep(chance: np.random.Generator) -> Motion:
     poses = profile(scene, chance, 1e-3)
     at = a_third(poses, chance)
     deep = Pose((0.0, 0.0, -float(chance.uniform(0.6, 3.0)) * scene.specimen[1]))
-    beyond = [Move(deep, 1e-3, deep, may_refuse=True)] * int(chance.integers(1, 3))
+    beyond = [Move(deep, 1e-3, deep, is_unknown=True)] * int(chance.integers(1, 3))
     return Motion("too deep", scene, (*moves(poses[:at], 1e-3), *beyond, *moves(poses[at:], 1e-3)))
 
 
