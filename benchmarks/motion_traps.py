@@ -186,9 +186,8 @@ def bad_poses(chance: np.random.Generator, pose: Pose) -> list[tuple[Any, Any]]:
 def wild_poses(chance: np.random.Generator, pose: Pose) -> list[tuple[Any, Any]]:
     """Inputs of the wrong type, poses far outside of any scene, and quaternions that are not unit."""
     far = float(chance.choice([1e3, 1e12, 1e200, 1.7e308])) * float(chance.choice([-1.0, 1.0]))
-    place = int(chance.integers(3))
     x = list(pose.position)
-    x[place] = far
+    x[int(chance.integers(3))] = far
     scale = float(chance.choice([0.0, 0.5, 0.99, 1.01, 2.0, 1e200]))
     return [(lambda: Pose(tuple(x), pose.orientation), 1e-3), (None, 1e-3), ("0.001", 1e-3), (pose, None),
             (lambda: Pose(pose.position, (scale, 0.0, 0.0, 0.0)), 1e-3), ([0.0, 0.0, -1e-3], 1e-3),
