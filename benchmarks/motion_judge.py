@@ -217,7 +217,9 @@ def _is_unbounded(scene: Scene, answer: ts.ToolForce) -> bool:
 
 def _judge_bound(judgement: Judgement, motion: Motion, index: int, answer: Any) -> None:
     """An answer without a known truth: the force of a STOPPED step must be bounded."""
-    if isinstance(answer, Exception):
+    if isinstance(answer, EndlessStepError):  # nothing bounds a step without max_solves or budget
+        judgement.counts[Verdict.UNKNOWN] += 1
+    elif isinstance(answer, Exception):
         verdict = Verdict.REFUSED if isinstance(answer, ts.InputError) else Verdict.FAULT
         judgement.note(verdict, f"{index}: {type(answer).__name__}: {str(answer)[:120]}")
     elif answer.status is ts.ForceStatus.STOPPED and _is_unbounded(motion.scene, answer):
