@@ -5,7 +5,7 @@ Where the tissue has mass the reference takes the same ticks: the force of a wav
 
 Closed forms: no force in the air before the first touch, nor after lift-off where the tissue has no mass; all moduli
 times a factor give all elastic forces times this factor; elastic tissue that the tool has left is as new; a bonded tool
-that lands beside the axis of a wide specimen feels the force of one that lands on the axis.
+that lands off the axis of a wide specimen feels the force of one that lands on the axis.
 """
 
 from __future__ import annotations
