@@ -27,6 +27,7 @@ class Move:
         truth: pose at which the tool is, such that the scene can represent it; None: the input must be refused.
         off_axis: whether the axisymmetric scene cannot represent the pose, so that the answer must be marked.
         may_refuse: whether a refusal is right, too.
+        is_unknown: whether no truth is known: any answer is right that is finite and bounded.
         like: index of the operation whose force is right here, too, as the tissue is as new; None: no such.
         copy: whether the move is of the copy that `Fork` made.
     """
@@ -36,6 +37,7 @@ class Move:
     truth: Pose | None
     off_axis: bool = False
     may_refuse: bool = False
+    is_unknown: bool = False
     like: int | None = None
     copy: bool = False
 
@@ -141,14 +143,12 @@ class Motion:
         scene: what is simulated.
         operations: in their order.
         checks_stiffness: whether the stiffness of each answer is compared.
-        needs_answers: whether the ticks count for the fraction of answers; False where refusals are the point.
     """
 
     trap: str
     scene: Scene
     operations: tuple[Operation, ...]
     checks_stiffness: bool = False
-    needs_answers: bool = True
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ def paths(operations: Sequence[Operation]) -> list[list[PathTick]]:
     factor = 1.0
     for index, operation in enumerate(operations):
         match operation:
-            case Move(truth=Pose() as truth, dt=dt, copy=copy):
+            case Move(truth=Pose() as truth, dt=dt, copy=copy, is_unknown=False):
                 current[copy].append(PathTick(truth, float(dt), factor, index))
             case Scale(factor=factor):
                 pass

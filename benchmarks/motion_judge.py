@@ -42,10 +42,12 @@ STIFFNESS_TOLERANCE = 0.05
 LEAST_FORCE_OF_STIFFNESS = 0.2
 #: Least peak force, over the force of a press to the scene's depth.
 LEAST_PEAK = 0.1
-#: Most that the force of a STOPPED step may be, over the largest converged force and the nominal one.
-STOPPED_BOUND = 3.0
+#: Most that the force of a STOPPED step may be, over that of a press to the pose of its last equilibrium.
+STOPPED_BOUND = 2.0
 #: CPU time of a step after which it counts as one that does not end, s.
 STEP_LIMIT = 5.0
+#: CPU time after which the truth of a path is given up, s.
+TRUTH_LIMIT = 60.0
 #: Wrong answers of a motion that are described.
 DESCRIBED = 3
 
@@ -120,22 +122,27 @@ def judged(motion: Motion) -> Judgement:
     answers = _Player(motion, judgement).play()
     known: dict[int, Truth] = {}
     for path in paths(motion.operations):
-        known |= truths(motion.scene, path)
+        signal.setitimer(signal.ITIMER_PROF, TRUTH_LIMIT)
+        try:
+            known |= truths(motion.scene, path)
+        except EndlessStepError:
+            judgement.counts[Verdict.UNKNOWN] += len(path)
+        finally:
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
     for index, operation in enumerate(motion.operations):
-        if isinstance(operation, Move) and operation.like is not None:
+        if isinstance(operation, Move) and operation.like in known:
             known[index] = known[operation.like]
     peak = max([np.linalg.norm(truth.force) for truth in known.values()] + [LEAST_PEAK * nominal_force(motion.scene)])
-    most = 0.0
     for index, answer in answers.items():
         operation = motion.operations[index]
         assert isinstance(operation, Move)
         if operation.truth is None:
             _judge_refusal(judgement, index, operation, answer)
             continue
-        if index in known:
-            _judge(judgement, motion, index, answer, known[index], float(peak), most)
-        if isinstance(answer, ts.ToolForce) and answer.status is ts.ForceStatus.CONVERGED:
-            most = max(most, float(np.linalg.norm(answer.force_vector)))
+        if operation.is_unknown:
+            _judge_bound(judgement, motion, index, answer)
+        elif index in known:
+            _judge(judgement, motion, index, answer, known[index], float(peak))
     judgement.seconds = time.process_time() - began
     return judgement
 
@@ -153,8 +160,7 @@ def _judge_refusal(judgement: Judgement, index: int, move: Move, answer: Any) ->
         judgement.note(Verdict.FAULT, f"{index}: an input that must be refused is {answer.status.name}")
 
 
-def _judge(judgement: Judgement, motion: Motion, index: int, answer: Any, truth: Truth, peak: float,
-           most: float) -> None:
+def _judge(judgement: Judgement, motion: Motion, index: int, answer: Any, truth: Truth, peak: float) -> None:
     """An answer to a valid input."""
     move = motion.operations[index]
     assert isinstance(move, Move)
@@ -172,10 +178,8 @@ def _judge(judgement: Judgement, motion: Motion, index: int, answer: Any, truth:
             judgement.counts[Verdict.REFUSED] += 1
         elif not np.isfinite(error):
             judgement.note(Verdict.FAULT, described)
-        elif (answer.status is ts.ForceStatus.STOPPED
-              and np.linalg.norm(answer.force_vector) > STOPPED_BOUND * max(most, nominal_force(motion.scene))):
-            judgement.note(Verdict.FAULT, f"{index}: STOPPED with {_mN(answer.force_vector)} mN, converged so far "
-                           f"at most {1e3 * most:.4g} mN")
+        elif answer.status is ts.ForceStatus.STOPPED and _is_unbounded(motion.scene, answer):
+            _judge_bound(judgement, motion, index, answer)
         else:
             judgement.counts[Verdict.LATE_OFF if error > FORCE_TOLERANCE else Verdict.LATE_NEAR] += 1
         return
@@ -200,6 +204,29 @@ def _judge(judgement: Judgement, motion: Motion, index: int, answer: Any, truth:
         judgement.note(Verdict.FAULT, f"{index}: a pose on the axis is marked as off the axis")
     else:
         judgement.counts[Verdict.RIGHT] += 1
+
+
+def _is_unbounded(scene: Scene, answer: ts.ToolForce) -> bool:
+    """Whether a force is larger than the pose of its last equilibrium explains."""
+    force = float(np.linalg.norm(answer.force_vector))
+    if force <= STOPPED_BOUND * nominal_force(scene):
+        return False
+    there = simulator(scene, bounded=False).step(answer.pose, 0.0)
+    return not force <= STOPPED_BOUND * float(np.linalg.norm(there.force_vector))
+
+
+def _judge_bound(judgement: Judgement, motion: Motion, index: int, answer: Any) -> None:
+    """An answer without a known truth: the force of a STOPPED step must be bounded."""
+    if isinstance(answer, EndlessStepError):  # nothing bounds a step without max_solves or budget
+        judgement.counts[Verdict.UNKNOWN] += 1
+    elif isinstance(answer, Exception):
+        verdict = Verdict.REFUSED if isinstance(answer, ts.InputError) else Verdict.FAULT
+        judgement.note(verdict, f"{index}: {type(answer).__name__}: {str(answer)[:120]}")
+    elif answer.status is ts.ForceStatus.STOPPED and _is_unbounded(motion.scene, answer):
+        judgement.note(Verdict.FAULT, f"{index}: STOPPED with {_mN(answer.force_vector)} mN, last equilibrium at "
+                       f"{answer.pose}")
+    else:
+        judgement.counts[Verdict.REFUSED] += answer.status is not ts.ForceStatus.CONVERGED
 
 
 def _mN(force: Any) -> list[float]:
@@ -317,7 +344,7 @@ def _interrupt(number: int, frame: Any) -> None:
 def _is_refusal(scene: Scene, operation: Fork, error: Exception) -> bool:
     """Whether an exception refuses a copy in a sentence; that of a simulator must name `save`."""
     if scene.solver == "multirate":
-        return isinstance(error, ts.InputError | TypeError) and "pickle" not in str(error).split(".")[0].lower()
+        return isinstance(error, ts.InputError | TypeError) and "cannot be copied" in str(error)
     return operation.how != "clone" and "save()" in str(error)
 
 

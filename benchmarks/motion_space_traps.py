@@ -46,7 +46,7 @@ def _air(chance: np.random.Generator, x: float, y: float, dt: float, count: int)
 
 
 def aside_in_the_air(chance: np.random.Generator, scene: Scene) -> Motion:
-    """The tool comes down beside the axis, from jumps in the air."""
+    """The tool jumps in the air and comes down off the axis."""
     dt = tick_length(scene, chance)
     x, y = _somewhere(chance)
     keys = press_keys(scene, chance, start=3e-4, origin=(x, y))
@@ -92,7 +92,7 @@ def touch_again(chance: np.random.Generator, scene: Scene) -> Motion:
 
 
 def start_inside(chance: np.random.Generator, scene: Scene) -> Motion:
-    """The first step finds the tool at rest in the tissue beside the axis."""
+    """The first step finds the tool at rest in the tissue, off the axis."""
     dt = tick_length(scene, chance)
     return Motion("start inside", scene, tuple(moves(_from_inside(scene, chance, dt), dt)))
 
@@ -136,7 +136,7 @@ def out_of_the_box(chance: np.random.Generator, scene: Scene) -> Motion:
             for s in (0.5, 1.0, 0.5)]
     turned = [replace(pose, orientation=poses[at].orientation) for pose in away]
     return Motion("out of the box", scene, (*moves(poses[:at + 1], dt),
-                                            *(Move(pose, dt, pose, may_refuse=True) for pose in turned),
+                                            *(Move(pose, dt, pose, is_unknown=True) for pose in turned),
                                             *moves(poses[at:], dt)))
 
 
@@ -212,7 +212,7 @@ def pauses(chance: np.random.Generator, scene: Scene) -> Motion:
 
 
 def material_under_load(chance: np.random.Generator, scene: Scene) -> Motion:
-    """All moduli change under load, and the tool rests, then goes on."""
+    """All moduli change under load, and the tool rests, then continues."""
     poses = profile(scene, chance, 1e-3, press_keys(scene, chance, lifts=False))
     at = a_third(poses, chance)
     rest = [poses[at - 1]] * int(chance.integers(30, 250))
@@ -222,7 +222,7 @@ def material_under_load(chance: np.random.Generator, scene: Scene) -> Motion:
 
 
 def press(chance: np.random.Generator, scene: Scene) -> Motion:
-    """A press without a trap of its own: that the bulk is late is the trap."""
+    """A press; the trap is the late bulk."""
     return Motion("slow bulk", scene, tuple(moves(profile(scene, chance, 1e-3), 1e-3)))
 
 

@@ -23,6 +23,7 @@ from motion_course import (
     Save,
     Scale,
 )
+from motion_inputs import bad_poses, rounded, wild_poses
 from motion_profiles import Key, press_keys, profile, tick_length
 from motion_scenes import Scene, axisymmetric_scene
 
@@ -119,9 +120,14 @@ def teleport(chance: np.random.Generator) -> Motion:
 
 def start_inside(chance: np.random.Generator) -> Motion:
     """The first step finds the tool at rest in the tissue; it rests for some ticks, then moves."""
-    scene = axisymmetric_scene(chance)
+    scene = slowly_relaxing(axisymmetric_scene(chance))
     dt = tick_length(scene, chance)
     return Motion("start inside", scene, tuple(moves(_from_inside(scene, chance, dt), dt)))
+
+
+def slowly_relaxing(scene: Scene) -> Scene:
+    """The scene with times of 0.1 s at least: how long a tool that is first seen inside has been there is unknown."""
+    return replace(scene, prony=tuple((g, max(tau, 0.1)) for g, tau in scene.prony))
 
 
 def _from_inside(scene: Scene, chance: np.random.Generator, dt: float) -> list[Pose]:
@@ -131,7 +137,7 @@ def _from_inside(scene: Scene, chance: np.random.Generator, dt: float) -> list[P
 
 def reset_inside(chance: np.random.Generator) -> Motion:
     """`reset` in contact; the tool stays in the tissue, or is elsewhere in it at the next step."""
-    scene = axisymmetric_scene(chance)
+    scene = slowly_relaxing(axisymmetric_scene(chance))
     dt = tick_length(scene, chance)
     poses = profile(scene, chance, dt)
     at = a_third(poses, chance)
@@ -170,31 +176,6 @@ def rest_in_the_air(chance: np.random.Generator) -> Motion:
     return Motion("long rest in the air", scene, (*moves(press, dt), *up, *pause, *again))
 
 
-def bad_poses(chance: np.random.Generator, pose: Pose) -> list[tuple[Any, Any]]:
-    """Poses and time steps with a number that is not finite."""
-    bad = float(chance.choice([NAN, INF, -INF]))
-    place, quaternion = int(chance.integers(3)), int(chance.integers(4))
-    x = list(pose.position)
-    x[place] = bad
-    q = list(pose.orientation)
-    q[quaternion] = bad
-    return [(lambda: Pose(tuple(x), pose.orientation), 1e-3), (lambda: Pose(pose.position, tuple(q)), 1e-3),
-            (lambda: Pose((bad,) * 3, (bad,) * 4), 1e-3), (pose, bad), (pose, -1e-3), (bad, 1e-3),
-            (lambda: Pose(tuple(x), tuple(q)), bad)]
-
-
-def wild_poses(chance: np.random.Generator, pose: Pose) -> list[tuple[Any, Any]]:
-    """Inputs of the wrong type, poses far outside of any scene, and quaternions that are not unit."""
-    far = float(chance.choice([1e3, 1e12, 1e200, 1.7e308])) * float(chance.choice([-1.0, 1.0]))
-    place = int(chance.integers(3))
-    x = list(pose.position)
-    x[place] = far
-    scale = float(chance.choice([0.0, 0.5, 0.99, 1.01, 2.0, 1e200]))
-    return [(lambda: Pose(tuple(x), pose.orientation), 1e-3), (None, 1e-3), ("0.001", 1e-3), (pose, None),
-            (lambda: Pose(pose.position, (scale, 0.0, 0.0, 0.0)), 1e-3), ([0.0, 0.0, -1e-3], 1e-3),
-            (lambda: Pose(pose.position[:2], pose.orientation), 1e-3), (pose, 1e-3j), (-far, 1e-3)]
-
-
 def with_refused(name: str, inputs: Callable[[np.random.Generator, Pose], list[tuple[Any, Any]]]
                  ) -> Callable[[np.random.Generator, Scene], Motion]:
     """A trap that puts inputs which must be refused between the ticks of a motion."""
@@ -215,21 +196,6 @@ not_finite = with_refused("not finite", bad_poses)
 wild = with_refused("wild input", wild_poses)
 
 
-def rounded(pose: Pose, chance: np.random.Generator) -> Pose:
-    """The pose with an orientation of five or four decimals, or of a length that drifted by at most 9e-4.
-
-    Raises:
-        InputError: `Pose` refuses it.
-    """
-    q = [float(value) for value in pose.orientation]
-    kind = int(chance.integers(3))
-    if kind < 2:
-        q = [round(value, 5 - kind) for value in q]
-    else:
-        q = [value * (1.0 + float(chance.uniform(-9e-4, 9e-4))) for value in q]
-    return Pose(pose.position, (q[0], q[1], q[2], q[3]))
-
-
 def quaternions(chance: np.random.Generator, scene: Scene) -> Motion:
     """Orientations of four or five decimals, and drifted ones, of a tool that spins about its axis."""
     dt = tick_length(scene, chance)
@@ -244,7 +210,7 @@ def quaternions(chance: np.random.Generator, scene: Scene) -> Motion:
 
 
 def copies(how: str) -> Callable[[np.random.Generator, Scene], Motion]:
-    """A trap that copies the simulator in a motion: the copy goes on, and the original goes elsewhere in turns."""
+    """A trap that copies the simulator in a motion: the copy continues, and in alternate steps the original moves elsewhere."""
     def trap(chance: np.random.Generator, scene: Scene) -> Motion:
         dt = tick_length(scene, chance)
         poses = profile(scene, chance, dt)
@@ -374,7 +340,7 @@ def too_deep(chance: np.random.Generator) -> Motion:
     poses = profile(scene, chance, 1e-3)
     at = a_third(poses, chance)
     deep = Pose((0.0, 0.0, -float(chance.uniform(0.6, 3.0)) * scene.specimen[1]))
-    beyond = [Move(deep, 1e-3, deep, may_refuse=True)] * int(chance.integers(1, 3))
+    beyond = [Move(deep, 1e-3, deep, is_unknown=True)] * int(chance.integers(1, 3))
     return Motion("too deep", scene, (*moves(poses[:at], 1e-3), *beyond, *moves(poses[at:], 1e-3)))
 
 

@@ -5,7 +5,7 @@ Where the tissue has mass the reference takes the same ticks: the force of a wav
 
 Closed forms: no force in the air before the first touch, nor after lift-off where the tissue has no mass; all moduli
 times a factor give all elastic forces times this factor; elastic tissue that the tool has left is as new; a bonded tool
-that lands beside the axis of a wide specimen feels the force of one that lands on the axis.
+that lands off the axis of a wide specimen feels the force of one that lands on the axis.
 """
 
 from __future__ import annotations
@@ -161,12 +161,10 @@ class _Reference:
             start = replace(start, position=(x, y, min(z, 0.0) - TOUCH_DEPTH))
             self._step(start, 0.0 if first or not self._has_touched else fraction * dt)
         count = self._substeps(start, pose)
-        # A tool that is inside when its history begins has been there: no time passes until it is.
+        # The first step has no past: no time passes until the tool is where it is first seen.
         rest = 0.0 if first else (1.0 - fraction) * dt
         for number in range(1, count + 1):
             self._step(between(start, pose, number / count), rest / count)
-        if first and dt > 0.0:
-            self._step(pose, dt)
 
     def _substeps(self, start: Pose, end: Pose) -> int:
         x, y, z, a, b, c = motion(start, end)
