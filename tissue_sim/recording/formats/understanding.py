@@ -78,16 +78,15 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
     # The name of the file says least: it comes last.
     hints = [" ".join(each.header for each in columns) + " " + " ".join(first.others),
              " ".join(row for number in (first.numbers,) for row in _words(number)), source.file.stem]
-    cleaned = _cleaned(recordings)
-    kind = KindGuess(stated.kind, "stated") if stated.kind else guess_kind(cleaned, columns, hints, machine)
+    kind = KindGuess(stated.kind, "stated") if stated.kind else guess_kind(_cleaned(recordings), columns, hints,
+                                                                           machine)
     if kind.kind == "simple_shear" and any(column.role == "strain" for column in columns):
         columns = tuple(replace(column, channel="shear strain", offset=None,
                                 reason=column.reason.replace("; a strain, which 1 makes a stretch", "; sheared"))
                         if column.role == "strain" else column for column in columns)
         recordings = _read(source.file, columns, options)
-        cleaned = _cleaned(recordings)
     signed = {column.channel for column in columns if stated.signs.keys() & {column.channel, column.role}}
-    turned = oriented(columns, cleaned, kind.kind, signed)
+    turned = oriented(columns, _cleaned(recordings), kind.kind, signed)
     recordings = _turned(source.file, recordings, columns, turned, options)
     zeroed = [column.channel for column in turned if column.offset == "start"]
     recordings = tuple(counted_from_kept(each, zeroed) for each in recordings)
