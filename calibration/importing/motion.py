@@ -96,7 +96,9 @@ def describe_motion(recording: Recording, kind: str | None) -> Motion:
     channel = next(name for name in MOTIONS if name in recording)
     size = len(recording)
     recording, screening = clean(recording)
-    kept = np.setdiff1d(np.arange(size), np.array(screening.samples, int) - 1)
+    is_kept = np.ones(size, bool)
+    is_kept[np.array(screening.samples, int) - 1] = False
+    kept = np.flatnonzero(is_kept)
     way = np.array(recording.channel(channel)) - MOTIONS[channel]
     # Compression is recorded as a stretch below 1, and a table may begin at its far end.
     turned = -way if channel != "displacement" and abs(way.max()) < abs(way.min()) else way

@@ -17,7 +17,6 @@ from calibration.importing.motion import Motion
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import LAWS, find_law
-from tissue_sim.recording.cleaning import clean
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
 from tissue_sim.recording.preload import LoadAtZero, load_at_zero
 from tissue_sim.recording.recording import Recording
@@ -79,7 +78,8 @@ def _loading(recording: Recording, motion: Motion, kind: TestKind | None) -> tup
         return None
     if motion.screening.control is not None and motion.screening.control.pattern == "oscillation":
         return None
-    way, load, _ = loading_of(clean(recording)[0], kind)
+    kept = recording if motion.kept is None else recording.select(motion.kept)
+    way, load, _ = loading_of(kept, kind)
     end = int(np.argmax(way)) + 1
     if motion.failure is not None:
         end = min(end, motion.failure.index + 1)

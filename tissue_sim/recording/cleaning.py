@@ -45,7 +45,9 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
     suspected: tuple[LeftOut, ...] = ()
     if leave_out is not None:
         found, suspected = _as_stated(recording, leave_out, found)
-    kept = np.setdiff1d(np.arange(len(recording)), [number - 1 for each in found for number in each.samples])
+    is_kept = np.ones(len(recording), bool)
+    is_kept[np.array([number - 1 for each in found for number in each.samples], int)] = False
+    kept = np.flatnonzero(is_kept)
     if kept.size < MIN_POINTS:
         raise InputError(f"only {kept.size} of {len(recording)} samples are kept; at least {MIN_POINTS} are needed",
                          field="leave_out")
@@ -56,7 +58,8 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
     if saturation:
         cut = [number - 1 for each in saturation for number in each.samples]
         if len(recording) - len(cut) >= MIN_POINTS:
-            kept = np.setdiff1d(kept, cut)
+            is_kept[cut] = False
+            kept = np.flatnonzero(is_kept)
             rest = recording.select(kept)
     if kept.size and kept[0] > 0 and zeroed:
         rest = rest.with_channels(**{name: rest.channel(name) - rest.channel(name)[0] for name in zeroed
@@ -70,8 +73,10 @@ def counted_from_kept(recording: Recording, zeroed: Sequence[str]) -> Recording:
     Args:
         recording: all of its samples. zeroed: channels that count from the first sample.
     """
+    if not zeroed:
+        return recording
     rest, screening = clean(recording)
-    if not zeroed or 1 not in screening.samples:
+    if 1 not in screening.samples:
         return recording
     return recording.with_channels(**{name: recording.channel(name) - rest.channel(name)[0] for name in zeroed
                                       if name in recording})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from typing import Literal
 
@@ -24,6 +25,8 @@ _SLOWER = 0.3
 #: A line in time: largest deviation from it as a fraction of the range; and how many times more the other channel has.
 _STRAIGHT = 0.01
 _STRAIGHTER = 4.0
+#: Most samples that are examined; others are skipped evenly.
+_MOST = 20_000
 #: Samples at each end of a hold whose median counts.
 _AT_ENDS = 3
 
@@ -34,6 +37,11 @@ def find_control(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None =
     Args:
         motion, load: positive under load, in the order of time, shape (n,). time: s, shape (n,); None: even steps.
     """
+    if motion.size > _MOST:
+        every = -(-motion.size // _MOST)
+        clock = np.arange(motion.size, dtype=float) if time is None else time
+        found = find_control(motion[::every], load[::every], clock[::every])
+        return replace(found, loading=min(every * found.loading, motion.size))
     clock = np.arange(motion.size, dtype=float) if time is None else time
     if motion.size < 2 * _FEWEST or not np.ptp(motion) > 0 or not np.ptp(load) > 0 or not clock[-1] > clock[0]:
         return Control(None, "ramp", loading=motion.size)
@@ -64,6 +72,10 @@ def find_control(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None =
 
 def creep_holds(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None = None) -> tuple[tuple[int, int], ...]:
     """First sample (from 0) and end of each part in which the displacement creeps under a held load."""
+    if motion.size > _MOST:
+        every = -(-motion.size // _MOST)
+        thinned = creep_holds(motion[::every], load[::every], None if time is None else time[::every])
+        return tuple((every * first, min(every * last, motion.size)) for first, last in thinned)
     clock = np.arange(motion.size, dtype=float) if time is None else time
     if motion.size < 2 * _FEWEST or not np.ptp(motion) > 0 or not np.ptp(load) > 0 or not clock[-1] > clock[0]:
         return ()

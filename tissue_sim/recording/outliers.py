@@ -91,7 +91,7 @@ def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSetting
         if not new:
             break
         found |= new
-        kept = np.setdiff1d(kept, [sample for _, group in new for sample in group])
+        kept = kept[~np.isin(kept, [sample for _, group in new for sample in group])]
     return tuple((name, group, found[name, group]) for name, group in sorted(found, key=lambda each: each[1]))
 
 
