@@ -155,7 +155,7 @@ SPATIAL: dict[str, tuple[Trap, float]] = {
     "lean in the air": (_in_space(lean_in_the_air, solver="solid", bonded=False), 1.0),
     "lift off and touch aside": (_in_space(touch_again, bonded=False), 2.0),
     "start inside": (_in_space(start_inside), 2.0), "reset inside": (_in_space(reset_inside), 2.0),
-    "teleport": (_in_space(teleport), 1.0), "out of the box": (_in_space(out_of_the_box, solver="reduced"), 1.0),
+    "teleport": (_in_space(teleport), 1.0), "out of the box": (_in_space(out_of_the_box, solver="reduced", bonded=True), 1.0),
     "not finite": (_in_space(not_finite), 1.0), "wild input": (_in_space(wild), 1.0),
     "rounded quaternions": (_in_space(quaternions), 0.7), "deepcopy": (_in_space(copies("deepcopy")), 0.5),
     "pickle": (_in_space(copies("pickle")), 0.5), "clone": (_in_space(copies("clone")), 1.0),
