@@ -210,7 +210,7 @@ def quaternions(chance: np.random.Generator, scene: Scene) -> Motion:
 
 
 def copies(how: str) -> Callable[[np.random.Generator, Scene], Motion]:
-    """A trap that copies the simulator in a motion: the copy continues, and in alternate steps the original moves elsewhere."""
+    """A trap that copies the simulator in a motion: the copy continues, the original moves elsewhere."""
     def trap(chance: np.random.Generator, scene: Scene) -> Motion:
         dt = tick_length(scene, chance)
         poses = profile(scene, chance, dt)
