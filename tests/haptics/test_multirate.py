@@ -258,7 +258,8 @@ def test_a_slow_bulk_is_never_wrong_and_converged(history, delay, deep):
     assert not wrong and all(answer.force_error is None or math.isfinite(answer.force_error) for answer in answers)
     for _ in range(round(3.0 * delay / DT)):
         answer = tissue.step(down(6e-3), DT)
-    assert answer.status is ForceStatus.CONVERGED and answer.force == pytest.approx(deep, rel=0.05)
+    # Friction remembers what it was on the models of then.
+    assert answer.status is ForceStatus.CONVERGED and answer.force == pytest.approx(deep, rel=0.1)
 
 
 def test_a_step_that_waits_is_right_at_any_speed(deep):
