@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from haptics.loop.shared_slots import SlotReader, SlotWriter
+from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Screw
 from tissue_sim.tool_force import ToolForce
 
@@ -143,10 +144,16 @@ class RingReader(SlotReader):
 
 
 def _ticks_of(*contents: bytes) -> np.ndarray:
-    """Records of dtype `TICK` from the contents of slots, also of a loop that wrote fewer fields."""
-    content = b"".join(contents)
-    if not contents or len(contents[0]) == TICK.itemsize:
+    """Records of dtype `TICK` from the contents of slots, also of a loop that wrote fewer fields.
+
+    Raises:
+        InputError: slots of another size.
+    """
+    content, sizes = b"".join(contents), set(map(len, contents))
+    if sizes <= {TICK.itemsize}:
         return np.frombuffer(content, TICK)
+    if sizes != {_OLD_TICK.itemsize}:
+        raise InputError(f"a tick must have {TICK.itemsize} or {_OLD_TICK.itemsize} bytes; got {sorted(sizes)}.")
     old = np.frombuffer(content, _OLD_TICK)
     ticks = np.zeros(old.shape, TICK)
     for name, _ in _AGES[:-1]:

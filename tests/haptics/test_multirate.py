@@ -393,3 +393,34 @@ def test_every_part_of_an_answer_has_its_age():
     assert 0.0 < answer.age < 0.02 and answer.age <= answer.stiffness_age < 0.1
     assert answer.status is ForceStatus.CONVERGED and answer.force_error == pytest.approx(tissue.error)
     assert 0.0 <= answer.error_age < 0.1
+
+
+def test_a_bulk_that_is_killed_is_late_and_can_be_closed():
+    tested = model()
+    tissue = MultiRateTissue(tested, link=BulkProcess(tested, mesh=MESH), waits=True)
+    try:
+        tissue.step(down(0.0), DT)
+        assert tissue.step(down(2e-3), DT).status is ForceStatus.CONVERGED
+        tissue._link._process.kill()
+        tissue._link._process.wait()
+        assert tissue.step(down(2e-3), DT).status is ForceStatus.LATE
+        with pytest.raises(ts.InputError, match="process of the bulk has ended"):
+            tissue.set_parameters(C10=1000.0)
+    finally:
+        tissue.close()
+
+
+def test_a_step_that_waits_gets_its_answers_from_the_process(deep):
+    """Changes of the material too, in the very step."""
+    tested = model()
+    tissue = MultiRateTissue(tested, link=BulkProcess(tested, mesh=MESH), waits=True)
+    try:
+        for tick in range(301):
+            answer = tissue.step(down(2e-5 * tick), DT)
+            assert answer.status is ForceStatus.CONVERGED
+        assert answer.force == pytest.approx(deep, rel=0.02)
+        tissue.set_parameters(C10=2 * 1404.9, C20=2 * 699.4)
+        stiff = tissue.step(down(6e-3), DT)
+        assert stiff.status is ForceStatus.CONVERGED and stiff.force == pytest.approx(2.0 * answer.force, rel=0.02)
+    finally:
+        tissue.close()
