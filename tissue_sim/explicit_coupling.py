@@ -35,15 +35,13 @@ def least_tool_mass(stiffness: Matrix, step_stiffness: Matrix | None, dt: float)
         step_stiffness: within the step, with the mass of the tissue; None if the mass takes no part.
         dt: step, s.
     """
+    (kx, _, _, _, _, _), (_, ky, _, _, _, _), (_, _, kz, _, _, _), *_ = stiffness
     if step_stiffness is None:
-        return STIFFNESS_FACTOR * dt * dt * max(stiffness[0][0], stiffness[1][1], stiffness[2][2], 0.0)
-    least = 0.0
-    for axis in (0, 1, 2):
-        own, within = stiffness[axis][axis], step_stiffness[axis][axis]
-        mass = STIFFNESS_FACTOR * own + ADDED_MASS_FACTOR * (within - own)
-        if mass > least:
-            least = mass
-    return least * dt * dt
+        return STIFFNESS_FACTOR * dt * dt * max(kx, ky, kz, 0.0)
+    (sx, _, _, _, _, _), (_, sy, _, _, _, _), (_, _, sz, _, _, _), *_ = step_stiffness
+    own = STIFFNESS_FACTOR - ADDED_MASS_FACTOR
+    return dt * dt * max(own * kx + ADDED_MASS_FACTOR * sx, own * ky + ADDED_MASS_FACTOR * sy,
+                         own * kz + ADDED_MASS_FACTOR * sz, 0.0)
 
 
 class MotionCheck:

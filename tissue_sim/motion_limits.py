@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields
 
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
-from tissue_sim.tool_force import pose_of
 
 
 class LimitError(InputError):
@@ -22,10 +21,12 @@ def checked_pose(pose: float | Pose) -> Pose:
     """
     if isinstance(pose, Pose):
         return pose
+    if type(pose) is float:
+        return Pose((0.0, 0.0, -pose))
     if isinstance(pose, str | bytes):
         raise _not_a_pose(pose)
     try:
-        return pose_of(pose)
+        return Pose.at_depth(float(pose))
     except (TypeError, ValueError, OverflowError):
         raise _not_a_pose(pose) from None
 
@@ -75,8 +76,10 @@ class MotionLimits:
         """
         try:
             x, y, z = pose.position
-            is_finite = math.isfinite(x + y + z + sum(pose.orientation))
-            is_near = is_finite and -self.reach <= min(x, y, z) and max(x, y, z) <= self.reach
+            q, a, b, c = pose.orientation
+            is_finite = math.isfinite(x + y + z + q + a + b + c)
+            reach = self.reach
+            is_near = -reach <= x <= reach and -reach <= y <= reach and -reach <= z <= reach
         except (TypeError, ValueError):
             raise InputError(f"must consist of numbers; got {pose!r}.", field="pose") from None
         if not is_finite:
@@ -94,9 +97,8 @@ class MotionLimits:
             raise LimitError(f"dt must be 0 to {self.longest:g} s; got {dt:g} s.", field="time")
         if before is not None and dt > 0.0:
             u, v, w = before.position
-            length = abs(min(z, 0.0) - min(w, 0.0))
-            if z < 0.0 and w < 0.0:
-                length = math.hypot(x - u, y - v, length)
+            is_inside = z < 0.0 and w < 0.0
+            length = math.hypot(x - u, y - v, z - w) if is_inside else abs(min(z, 0.0) - min(w, 0.0))
             if length > self.speed * dt:
                 raise LimitError(f"speed within the tissue must be at most {self.speed:g} m/s; got {length:g} m in "
                                  f"{dt:g} s.", field="position")

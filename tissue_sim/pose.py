@@ -16,7 +16,8 @@ Screw = tuple[float, float, float, float, float, float]
 LENGTH_TOLERANCE = 1e-3
 #: A quaternion whose length differs from 1 by less is kept bit for bit.
 _ROUNDING = 1e-12
-_NO_ROTATION: Quaternion = (1.0, 0.0, 0.0, 0.0)
+#: Orientation of an upright tool.
+NO_ROTATION: Quaternion = (1.0, 0.0, 0.0, 0.0)
 #: Below this sine of half an angle two orientations are turned linearly into each other.
 _SMALL = 1e-9
 
@@ -36,12 +37,12 @@ class Pose:
     """
 
     position: Vector
-    orientation: Quaternion = _NO_ROTATION
+    orientation: Quaternion = NO_ROTATION
 
     def __post_init__(self):
         if type(self.position) is not tuple or len(self.position) != 3:
             object.__setattr__(self, "position", _numbers(self.position, 3, "position", "x, y, z in m"))
-        if self.orientation is _NO_ROTATION:
+        if self.orientation is NO_ROTATION:
             return
         if type(self.orientation) is not tuple or len(self.orientation) != 4:
             object.__setattr__(self, "orientation", _numbers(self.orientation, 4, "orientation", "w, x, y, z"))

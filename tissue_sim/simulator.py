@@ -247,7 +247,7 @@ class Simulator(PathFollower, KernelOwner):
         target = solver.follow(seen)
         on_axis = target is seen or is_on_axis(pose, target, self._radius)
         if not on_axis and self.strict_axis:
-            return self._refused(began)
+            return replace(self._refused(began), is_on_axis=False)
         tick = dt
         if not tool.touch.has_touched:
             first = tool.touch.height is None or tool.touch.height <= 0.0

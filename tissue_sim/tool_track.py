@@ -19,8 +19,8 @@ AXIS_ANGLE = 2e-3
 class ToolTrack:
     """Where the tool is between two steps, and whether it has touched.
 
-    Every tool is a body of revolution. Its rotation about its own axis at the touch has no influence, so that the
-    solver gets poses from which this rotation is removed.
+    The rotation about its own axis that a body of revolution has at the touch has no influence. It is removed from the
+    poses of solvers that say so (`FreeTool.ignores_twist`).
 
     Attributes:
         touch: whether it has touched; see `TouchState`.
@@ -74,7 +74,7 @@ class ToolTrack:
         if before is not None and before > 0.0 and self.pose is not None:
             start = between(self.pose, pose, before / (before - height))
             start = raised(start, -solver.height_above(start))
-        twist = twist_about_axis(start.orientation)
+        twist = twist_about_axis(start.orientation) if solver.ignores_twist else None
         if solver.place_tool(without_twist(start, twist)):
             self.twist = twist
             return spent, True
@@ -90,7 +90,7 @@ class ToolTrack:
             clearance = solver.clearance(solver.follow(between(before, pose, middle)))
             low, high = (middle, high) if clearance is not None and clearance > 0.0 else (low, middle)
         start = between(before, pose, low)
-        self.twist = twist_about_axis(start.orientation)
+        self.twist = twist_about_axis(start.orientation) if solver.ignores_twist else None
         solver.move_in_air(self.seen_by(solver, start))
 
 

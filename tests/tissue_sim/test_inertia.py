@@ -92,7 +92,9 @@ def test_auto_follows_the_speed(model):
     sim = ts.Simulator(model)
     assert not any(answer.inertial for answer in drive(sim, 0.004, dt=2.5e-2))
     sim.reset()
-    assert all(answer.inertial for answer in drive(sim, 0.05))
+    first, *others = drive(sim, 0.05)
+    # Where the tool was before its first pose is not known, so that the first step has no speed.
+    assert not first.inertial and all(answer.inertial for answer in others)
     for _ in range(300):
         at_rest = sim.step(5e-3, 1e-3)
     assert not at_rest.inertial

@@ -65,7 +65,7 @@ class Experiment:
 
     def __post_init__(self):
         if not isinstance(self.tool, Tool):
-            raise InputError(f"tool must be one Tool; got {_kind_of(self.tool)}. An experiment has one tool: make one "
+            raise InputError(f"must be one Tool; got {_kind_of(self.tool)}. An experiment has one tool: make one "
                              "experiment for each.", field="tool")
         given = self.contact_laws.values() if isinstance(self.contact_laws, Mapping) else self.contact_laws
         object.__setattr__(self, "contact_laws", read_only({law.name: law for law in given}))

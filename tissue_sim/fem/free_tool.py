@@ -7,7 +7,7 @@ motion is stepped.
 from __future__ import annotations
 
 import hashlib
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -18,6 +18,9 @@ class FreeTool:
     """The part of the contract of a `tissue_sim.fem.solver.Solver` that concerns a tool in the air."""
 
     mesh: Any = None
+    #: Whether the rotation of the tool about its own axis at the touch has no influence, as for a body of revolution.
+    #: It is then removed from the poses that the solver gets.
+    ignores_twist: ClassVar[bool] = False
 
     @property
     def relaxes(self) -> bool:

@@ -24,7 +24,7 @@ from tissue_sim.kernel_owner import KernelOwner
 from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
 from tissue_sim.model import Model
-from tissue_sim.pose import Pose
+from tissue_sim.pose import NO_ROTATION, Pose
 from tissue_sim.tool_force import NextForce, axial_stiffness, axial_wrench, depth_of
 
 if TYPE_CHECKING:
@@ -92,7 +92,10 @@ class AxisymmetricSolver(KernelOwner, Solver):
 
     def follow(self, pose: Pose) -> Pose:
         """On the axis and upright at the depth of the pose."""
-        return Pose.at_depth(pose.depth)
+        x, y, z = pose.position
+        if x == y == 0.0 and pose.orientation == NO_ROTATION:
+            return pose
+        return Pose((0.0, 0.0, z))
 
     def step(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,

@@ -29,6 +29,7 @@ HOLDS_LEANING = 2e-3
 class PlacedReduced(KernelOwner, Solver):
     """The part of a reduced solver that concerns a tool in the air and its first touch."""
 
+    ignores_twist = True
     reduced: ReducedModel
     elements: SampledElements
     contact: LayerContact

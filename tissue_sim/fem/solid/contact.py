@@ -151,8 +151,8 @@ class ContactNodes:
         laws: of contact with the tool, beside friction.
 
     Attributes:
-        nodes: numbers, shape (n,). moves, stays: whether the body of each moves, keeps it, shape (n,). parts: bodies, and
-            where their nodes are in these arrays.
+        nodes: numbers, shape (n,). moves, stays: whether the body of each moves, keeps it, shape (n,).
+            parts: bodies, and where their nodes are in these arrays.
         bound: `FREE`, `HELD` or `TOUCHED`; anchors: where, as a displacement in the body's frame, m, shape (n, 3).
         pressed, slips: states of a step, shape (n,); slipped: which slipped at the last equilibrium.
         forces: of contact and friction on the bodies, N, in the frame of the mesh, shape (n, 3).

@@ -15,7 +15,7 @@ from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.plate import PLATE_RADIUS
 from tissue_sim.fem.solid.contact import STICK, Body
 from tissue_sim.fem.solid.contact_laws import NodeLaws
-from tissue_sim.fem.solid.placement import SAME_PLACE, Placement
+from tissue_sim.fem.solid.placement import FACE_WITHIN, SAME_PLACE, Placement
 from tissue_sim.fem.solid.sensitivity import StartRates
 from tissue_sim.fem.solid.settling import Settling, settle
 from tissue_sim.fem.solid.solver import SolidSolver
@@ -142,8 +142,8 @@ def _solver_at(model: Model, mesh: SolidMesh, start: Pose, datum: float, can_mov
         solver: whose material, mass and requests the new one takes over.
 
     Returns:
-        None where the tool would reach beyond the specimen, or where the mesh cannot be moved and is needed there: a
-        flat tool needs its edge on edges of elements.
+        None where the tool would reach beyond the specimen, or where the mesh cannot be moved and is needed there: the
+        edge of a flat tool has to be on edges of elements.
     """
     experiment = model.experiment
     (x, y, _), (u, v, _) = pose.position, start.position
@@ -154,7 +154,7 @@ def _solver_at(model: Model, mesh: SolidMesh, start: Pose, datum: float, can_mov
         return None
     if moves and can_move:
         mesh = specimen.moved_mesh(mesh, specimen, (Circle(radius, (u, v)), Circle(radius, (x, y))))
-    elif moves and tool.face_radius:
+    elif tool.face_radius and math.hypot(x - u, y - v) > FACE_WITHIN * radius:
         return None
     try:
         other = _solver(model, mesh, pose, datum, can_move=can_move)

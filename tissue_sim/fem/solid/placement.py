@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from tissue_sim.fem.solid.chords import faceting_error
 from tissue_sim.fem.solid.contact import FREE, Body, ContactNodes, nearest
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.mass import Mass
 from tissue_sim.fem.solid.tissue import Tissue
-from tissue_sim.fem.solver import Solver
+from tissue_sim.fem.solver import Solver, Step
 from tissue_sim.kernel_owner import KernelOwner
 from tissue_sim.material.material import Material
 from tissue_sim.pose import Pose, motion
 
 #: A tool that touches within this fraction of its radius of the place of the mesh touches at that place.
 SAME_PLACE = 1e-6
+#: A flat tool may touch this fraction of its radius away from the place of a mesh that cannot be moved.
+FACE_WITHIN = 0.01
 
 
 class PlacedSolver(KernelOwner, Solver):
@@ -28,6 +32,7 @@ class PlacedSolver(KernelOwner, Solver):
         placement: makes the solver for a first touch at another pose; None: the solver stays where it is.
     """
 
+    ignores_twist = True
     placement: Placement | None = None
     contact: ContactNodes
     tissue: Tissue
@@ -52,6 +57,13 @@ class PlacedSolver(KernelOwner, Solver):
             return False
         self.__dict__.update(other.__dict__)
         return True
+
+    def _with_error(self, step: Step) -> Step:
+        """A converged step with the estimated error of its force, where stiffness is asked for in every step."""
+        if not self._asked:
+            return step
+        error = faceting_error(self.contact, self.mesh, self.committed_displacement, math.hypot(*step.wrench[:3]))
+        return step if error is None else replace(step, force_error=error)
 
     def hand_over(self, other: Any) -> None:
         """Let another solver of the same model have this one's material, mass and requests."""

@@ -155,7 +155,7 @@ class SolidSolver(PlacedSolver):
             self._committed = self.x.copy(), self.batches.pressures.copy(), self.contact.forces.copy()
             self._pose = pose
             self._largest_force = max(self._largest_force, float(np.linalg.norm(outcome.wrench[:3])))
-            self._last = outcome
+            self._last = outcome = self._with_error(outcome)
         return outcome
 
     def _go_back(self) -> None:
