@@ -249,10 +249,10 @@ class MultiRateTissue(KernelOwner):
         self._poses.append((self._time, here))
         if any(step.wrench):
             self._touch.has_touched = True
-        else:
+        elif transition.is_near_surface(here):
             transition.free = here
         if self.waits:
-            if any(step.wrench) and self._needs_exchange(step, here):
+            if transition.free is not here and self._needs_exchange(step, here):
                 self._step = step = self._exchanged(step, here)
         elif known is not None or self._ticks % _SEND_EVERY == 0:
             earlier, there = self._poses[0]

@@ -424,3 +424,16 @@ def test_a_step_that_waits_gets_its_answers_from_the_process(deep):
         assert stiff.status is ForceStatus.CONVERGED and stiff.force == pytest.approx(2.0 * answer.force, rel=0.02)
     finally:
         tissue.close()
+
+
+@pytest.mark.parametrize("delay", [0.05, 0.1, 0.2])
+def test_a_tool_that_stops_before_the_pose_of_its_model_is_not_in_the_air(delay):
+    """200 mm/s to 2 mm: models are made for where the tool would have gone, and there is no contact on them at 2 mm."""
+    tissue, tested = delayed(delay), model()
+    waiting = MultiRateTissue(tested, link=DelayedBulk(SolidLinearisation(make_solver(tested, mesh=MESH)), delay),
+                              waits=True)
+    for tick in range(-5, 800):
+        pose = down(min(2e-4 * tick, 2e-3))
+        answer, right = tissue.step(pose, DT), waiting.step(pose, DT)
+        if answer.status is ForceStatus.CONVERGED:
+            assert abs(answer.force - right.force) <= max(ERROR_FLOOR, ERROR_SHARE * right.force)
