@@ -172,11 +172,7 @@ class MultiRateTissue(KernelOwner):
             link.close()
 
     def clone(self) -> NoReturn:
-        """Refused: a multirate tissue has no copy.
-
-        Raises:
-            CopyError: always.
-        """
+        """Raise a `CopyError`: a multirate tissue has no copy."""
         raise CopyError(f"{type(self).__name__} cannot be cloned. {self.copy_remedy}")
 
     @property
@@ -208,11 +204,7 @@ class MultiRateTissue(KernelOwner):
         return self._answer
 
     def _advance(self, pose: Pose, dt: float) -> float | None:
-        """Register the pose of a step; begin the contact if the tool touches for the first time.
-
-        Returns:
-            Time of the step after the first touch, s; None while the tool is in the air.
-        """
+        """Register the pose of a step, and begin the contact if it is the first touch; see `TouchState.advance`."""
         assert self._stepper is not None
         start, touched = self._link.surface.start, self._touch.has_touched
         height = start.position[2]
