@@ -256,6 +256,10 @@ def _of_the_wire(folder: Path) -> dict[str, tuple[bytes, Reader]]:
     return {
         "request": (wire.encode_request(wire.Request(3, 0.5, (0.0, 0.0, -0.01))), wire.decode_request),
         "reply": (wire.encode_reply(wire.Reply(0, 3, 0.5, force=(0.0, 0.0, 1.0))), wire.decode_reply),
+        "request of version 2": (wire.encode_request(wire.Request(3, 0.5, (0.0, 0.0, -0.01), version=2)),
+                                 wire.decode_request),
+        "reply of version 2": (wire.encode_reply(wire.Reply(0, 3, 0.5, force=(0.0, 0.0, 1.0), version=2)),
+                               wire.decode_reply),
         "command line": (commands_sample, command),
         "ring": (ring, read_ring),
     }

@@ -1,9 +1,10 @@
-/* Client of `tissue-sim serve`, protocol version 2, in one header. C99 or C++; Linux, macOS, Windows (link ws2_32).
+/* Client of `tissue-sim serve`, protocol version 3, in one header. C99 or C++; Linux, macOS, Windows (link ws2_32).
  *
  * In exactly one source file write
  *     #define TISSUE_SIM_CLIENT_IMPLEMENTATION
  *     #include "tissue_sim_client.h"
- * and in all others include it alone. drive_needle.c is an example; docs/wire_protocol.md says what the fields mean.
+ * and in all others include it alone. For a server of version 2 write before both: #define TISSUE_SIM_VERSION 2
+ * (the fields of version 3 then have their defaults). drive_needle.c is an example; docs/wire_protocol.md says what the fields mean.
  *
  * SI units. Frame: origin at the centre of the undeformed top face, z out of the tissue; forces are those on the tool.
  *
@@ -18,9 +19,15 @@
 extern "C" {
 #endif
 
-#define TISSUE_SIM_VERSION 2
+#ifndef TISSUE_SIM_VERSION
+#define TISSUE_SIM_VERSION 3
+#endif
 #define TISSUE_SIM_REQUEST_SIZE 96
+#if TISSUE_SIM_VERSION == 2
 #define TISSUE_SIM_REPLY_SIZE 728
+#else
+#define TISSUE_SIM_REPLY_SIZE 760
+#endif
 
 /* Status of an answer. Below 100 there is a force, from 100 on there is none. */
 enum {
@@ -65,7 +72,15 @@ typedef struct {
     uint32_t iterations;    /* linear solves of the step */
     int inertial;           /* whether the mass of the tissue was taken into account */
     int limited;            /* whether the force was cut to the server's largest one */
+    int stale_stiffness;    /* whether the stiffness is too old for a coupling */
     uint64_t malformed, stale, skipped, turned_away; /* packets since the server started */
+    /* From here on version 3. */
+    int is_on_axis;         /* whether the tool is on the axis of an axisymmetric scene; 1 in version 2 */
+    int has_force_error;    /* whether the error of the force is known; 0 in version 2 */
+    double stiffness_age;   /* time since the stiffness was evaluated, s; 0 in version 2 */
+    double force_error;     /* estimated error of the force, N; NaN if unknown, 0 in version 2 */
+    double error_age;       /* time since this error was estimated, s; 0 in version 2 */
+    double least_tool_mass; /* smallest tool mass of a stable explicit coupling, kg; 0 in version 2 */
 } tissue_sim_answer;
 
 typedef struct {
@@ -236,10 +251,22 @@ static int tissue_sim_ask_(tissue_sim_client *client, unsigned kind, double time
         flags_back = (uint32_t)tissue_sim_get_(&at, 4);
         answer->inertial = (int)(flags_back & 1);
         answer->limited = (int)(flags_back >> 1 & 1);
+        answer->stale_stiffness = (int)(flags_back >> 2 & 1);
         answer->malformed = tissue_sim_get_(&at, 8);
         answer->stale = tissue_sim_get_(&at, 8);
         answer->skipped = tissue_sim_get_(&at, 8);
         answer->turned_away = tissue_sim_get_(&at, 8);
+        answer->is_on_axis = 1;
+        answer->has_force_error = 0;
+        answer->stiffness_age = answer->force_error = answer->error_age = answer->least_tool_mass = 0.0;
+#if TISSUE_SIM_VERSION >= 3
+        answer->is_on_axis = !(flags_back >> 3 & 1);
+        tissue_sim_get_doubles_(&at, &answer->stiffness_age, 1);
+        tissue_sim_get_doubles_(&at, &answer->force_error, 1);
+        tissue_sim_get_doubles_(&at, &answer->error_age, 1);
+        tissue_sim_get_doubles_(&at, &answer->least_tool_mass, 1);
+        answer->has_force_error = answer->force_error == answer->force_error; /* not NaN */
+#endif
         return TISSUE_SIM_OK;
     }
     return TISSUE_SIM_NO_REPLY;

@@ -11,6 +11,7 @@ import sys
 import time
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, Protocol
 
 import numpy as np
@@ -280,7 +281,8 @@ class BulkProcess:
             if self._board is not None:
                 self._board.close()
         if process.stdin is not None:
-            process.stdin.close()  # the process takes it for the end
+            with suppress(OSError):  # the process was killed before it read everything
+                process.stdin.close()  # the end of its input ends the process
         try:
             process.wait(_PATIENCE)
         except subprocess.TimeoutExpired:

@@ -22,17 +22,21 @@ class LocalModel:
         stiffness_matrix: as of a `ToolForce`, 6 x 6, N/m, N, N m.
         pose: of the tool.
         time: when the tool was there, on the clock of the loop, s.
-        error: how far the force may be off where the tool goes until the next model, N; says nothing of the torque.
+        error: estimated error of the force on the way of the tool until the next model, N; None if it is unknown. It
+            says nothing of the torque.
+        stiffness_time: when the stiffness was evaluated, s; None: at `time`.
     """
 
     wrench: Screw
     stiffness_matrix: Matrix
     pose: Pose
     time: float
-    error: float = 0.0
+    error: float | None = 0.0
+    stiffness_time: float | None = None
 
     @classmethod
-    def axial(cls, force: float, stiffness: float, depth: float, time: float, error: float = 0.0) -> LocalModel:
+    def axial(cls, force: float, stiffness: float, depth: float, time: float,
+              error: float | None = 0.0) -> LocalModel:
         """Of a scene that knows the motion along z only: N, N/m, m."""
         answer = ToolForce.axial(force, stiffness, ForceStatus.CONVERGED)
         return cls(answer.wrench, answer.stiffness_matrix, Pose.at_depth(depth), time, error)
@@ -43,7 +47,7 @@ class LocalModel:
 
 
 #: Before the first model, and after one that is too old: no wrench.
-_NONE = LocalModel(_NO_WRENCH, _NO_STIFFNESS, Pose.at_depth(0.0), -math.inf, math.inf)
+_NONE = LocalModel(_NO_WRENCH, _NO_STIFFNESS, Pose.at_depth(0.0), -math.inf, None)
 #: Part of an error estimate that outlives the next model.
 _MEMORY = 0.8
 
@@ -54,8 +58,9 @@ class SlowSolver:
     The error estimate is how far the forces of the last two models are off at the new pose, the larger of the two.
     While a model is being made, the loop goes on with the one before; so a model serves until the tool has moved on for
     up to two periods, and the last but one tells what that costs if the motion goes on like this. At a reversal both
-    happen to be right, so a fifth of the estimate at most is forgotten with each model. It is an estimate, not a bound:
-    a motion as fast as the solver deceives it.
+    happen to be right, so a fifth of the estimate at most is forgotten with each model. Models of a tool in the air are
+    all equal: they change no estimate, and before the first force the error is unknown. An error that the tissue itself
+    estimates is a lower limit. The estimate is no bound: a motion as fast as the solver deceives it.
 
     Args:
         tissue: steps at 2 to 60 Hz.
@@ -83,15 +88,26 @@ class SlowSolver:
         if answer.status is ForceStatus.REFUSED or not answer.is_finite:
             return None
         made, last = time, self._last or _NONE
-        error = max(math.dist(model.evaluate(where)[:3], answer.wrench[:3]) for model in (last, self._before or last))
-        if self._last is not None:
-            # A force without equilibrium lies on the last model's own line and says nothing about its error.
-            converged = answer.status is ForceStatus.CONVERGED
-            error = max(error, _MEMORY * last.error if converged else last.error)
-            made = time if converged else max(time - answer.age, last.time)
+        # A force without equilibrium lies on the last model's own line and says nothing about its error.
+        converged = answer.status is ForceStatus.CONVERGED
+        if self._last is not None and not converged:
+            made = max(time - answer.age, last.time)
+        error = self._error(where, answer, last, _MEMORY if converged else 1.0)
+        evaluated = max(made - max(0.0, answer.stiffness_age - (time - made)), last.stiffness_time or -math.inf)
         self._before = self._last
-        self._last = LocalModel(answer.wrench, answer.stiffness_matrix, where, made, error)
+        self._last = LocalModel(answer.wrench, answer.stiffness_matrix, where, made, error, min(made, evaluated))
         return self._last
+
+    def _error(self, pose: Pose, answer: ToolForce, last: LocalModel, memory: float) -> float | None:
+        """Estimated error of the model that an answer makes, N; None while it is unknown."""
+        known = last.error
+        if any(answer.wrench) or any(last.wrench):
+            models = (last, self._before or last)
+            error = max(math.dist(model.evaluate(pose)[:3], answer.wrench[:3]) for model in models)
+            known = error if known is None or self._last is None else max(error, memory * known)
+        if known is None or answer.force_error is None:
+            return known
+        return max(known, answer.force_error)
 
 
 class LocalModelBlend:
@@ -141,8 +157,9 @@ class LocalModelBlend:
 
     @property
     def error(self) -> float:
-        """Estimate of how far the force may be off, N: the model's, and what is left of the change to it."""
-        return self._model.error + _size(self.offset[:3])
+        """Estimated error of the force, N: of the model, and the rest of the change to it; infinite if unknown."""
+        error = self._model.error
+        return math.inf if error is None else error + _size(self.offset[:3])
 
     def publish(self, model: LocalModel) -> bool:
         """Take a new model; returns whether it was taken.
@@ -151,7 +168,7 @@ class LocalModelBlend:
         one from after now (made before a reset).
         """
         wrench = model.evaluate(model.pose if self._pose is None else self._pose)
-        finite = math.isfinite(sum(wrench)) and math.isfinite(model.time) and math.isfinite(model.error)
+        finite = math.isfinite(sum(wrench)) and math.isfinite(model.time) and math.isfinite(model.error or 0.0)
         if not (finite and self._published <= model.time <= self.time):
             self.refused += 1
             return False
@@ -188,7 +205,12 @@ class LocalModelBlend:
             self.offset = added(self._wrench, scaled(-1.0, model.evaluate(self._pose)))
 
     def _answer(self, status: ForceStatus) -> ToolForce:
-        return ToolForce(self._wrench, self._model.stiffness_matrix, status, age=self.age, pose=self._model.pose)
+        model, age, error = self._model, self.age, self.error
+        is_known = math.isfinite(error)
+        stiffness_age = age if model.stiffness_time is None else self.time - model.stiffness_time
+        return ToolForce(self._wrench, model.stiffness_matrix, status, age=age, pose=model.pose,
+                         stiffness_age=stiffness_age if any(map(any, model.stiffness_matrix)) else 0.0,
+                         force_error=error if is_known else None, error_age=age if is_known else 0.0)
 
 
 def _size(vector: Vector) -> float:

@@ -30,7 +30,7 @@ class ModelTransition:
     Attributes:
         offset: rest of the differences of the models so far, N and N m; it is part of the wrench that is answered.
         estimate: of the error of the force on a model.
-        free: last pose of the tool without a contact force.
+        free: last pose of the tool without a contact force, near the surface or above.
     """
 
     def __init__(self, stepper: CondensedStepper):
@@ -49,10 +49,20 @@ class ModelTransition:
         """Distance of a pose from that of a model, m.
 
         A model without contact is of the undeformed tissue, which each pose in the air has in common: its distance is
-        that from the last of them, or from its own pose if that is nearer.
+        that from the last of them, or from its own pose if that is in the air and nearer.
         """
         distance = self._stepper.distance(motion(model.pose, pose))
-        return distance if model.has_contact else min(distance, self._stepper.distance(motion(self.free, pose)))
+        if model.has_contact:
+            return distance
+        from_air = self._stepper.distance(motion(self.free, pose))
+        return min(distance, from_air) if self.is_near_surface(model.pose) else from_air
+
+    def is_near_surface(self, pose: Pose) -> bool:
+        """Whether a pose is above the surface of the undeformed tissue, or at most the short distance below.
+
+        A round tool between the nodes of the surface meets them only a little below.
+        """
+        return pose.position[2] >= self._stepper.surface.start.position[2] - self.estimate.short
 
     def take_over(self, before: ContactStep, old: CondensedContact, last: Pose, pose: Pose, after: ContactStep) -> None:
         """Continue the wrench as it would have been on the model before; the difference becomes an offset.
@@ -104,9 +114,13 @@ class ModelTransition:
         """Estimated error of the force of a step at a pose, and the error by which its status is judged, N.
 
         The first is infinite while it is unknown. The second is then only that of the offset, if the tool is within
-        the short distance at which a model is trusted without an estimate.
+        the short distance at which a model is trusted without an estimate. Without a force deep in the tissue both are
+        infinite: the newest model is then one of a tissue that is deformed more.
         """
-        distance = self.distance(self._newest, pose) if any(step.wrench) else 0.0
+        is_loaded = any(step.wrench)
+        if not (is_loaded or self.is_near_surface(pose)):
+            return math.inf, math.inf
+        distance = self.distance(self._newest, pose) if is_loaded else 0.0
         offset = math.hypot(*self.offset[:3])
         error = self.estimate.at(distance) + offset
         return error, offset if math.isinf(error) and distance <= self.estimate.short else error

@@ -172,11 +172,7 @@ class MultiRateTissue(KernelOwner):
             link.close()
 
     def clone(self) -> NoReturn:
-        """Refused: a multirate tissue has no copy.
-
-        Raises:
-            CopyError: always.
-        """
+        """Raise a `CopyError`: a multirate tissue has no copy."""
         raise CopyError(f"{type(self).__name__} cannot be cloned. {self.copy_remedy}")
 
     @property
@@ -208,11 +204,7 @@ class MultiRateTissue(KernelOwner):
         return self._answer
 
     def _advance(self, pose: Pose, dt: float) -> float | None:
-        """Register the pose of a step; begin the contact if the tool touches for the first time.
-
-        Returns:
-            Time of the step after the first touch, s; None while the tool is in the air.
-        """
+        """Register the pose of a step, and begin the contact if it is the first touch; see `TouchState.advance`."""
         assert self._stepper is not None
         start, touched = self._link.surface.start, self._touch.has_touched
         height = start.position[2]
@@ -249,10 +241,10 @@ class MultiRateTissue(KernelOwner):
         self._poses.append((self._time, here))
         if any(step.wrench):
             self._touch.has_touched = True
-        else:
+        elif transition.is_near_surface(here):
             transition.free = here
         if self.waits:
-            if any(step.wrench) and self._needs_exchange(step, here):
+            if transition.free is not here and self._needs_exchange(step, here):
                 self._step = step = self._exchanged(step, here)
         elif known is not None or self._ticks % _SEND_EVERY == 0:
             earlier, there = self._poses[0]

@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from haptics.loop.shared_slots import SlotReader, SlotWriter
+from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Screw
 from tissue_sim.tool_force import ToolForce
 
 #: One tick. SI units; times in s since the loop began; a pose that is not known is NaN. Depths, forces and the
 #: stiffness of the first part are those along z of the poses, wrenches and the matrix of the second.
-TICK = np.dtype([
+_FIELDS = [
     ("tick", "<u8"),            # number of the deadline, from 1; what is not there was missed
     ("time", "<f8"),            # when it began
     ("device_depth", "<f8"),    # of the device or the motion; NaN: no pose
@@ -39,13 +40,24 @@ TICK = np.dtype([
     ("tissue_wrench", "<f8", 6),
     ("stiffness_matrix", "<f8", (6, 6)),
     ("step_stiffness", "<f8"),  # dF/dd within the step, N/m: with the mass of the tissue where inertial
-])
+]
+#: Added later; see `tissue_sim.tool_force.ToolForce`.
+_AGES = [
+    ("stiffness_age", "<f8"),   # since the stiffness was evaluated; NaN: not recorded
+    ("force_error", "<f8"),     # estimated error of the tissue's force; NaN: unknown
+    ("error_age", "<f8"),       # since it was estimated; NaN: not recorded
+    ("least_tool_mass", "<f8"),  # of a stable explicit coupling, kg; NaN: not recorded
+    ("on_axis", "<u8"),         # 0: away from or across the axis of an axisymmetric scene
+]
+TICK = np.dtype(_FIELDS + _AGES)
+#: Ticks of loops before these fields existed.
+_OLD_TICK = np.dtype(_FIELDS)
 #: The bit of `flags` that a loop which is paused adds to those of `haptics.safety.rendering.RenderFlag`.
 PAUSED = 1 << 16
 #: 16 s at 1 kHz.
 CAPACITY = 16384
 _KIND = b"tsTICKS\0"
-_RECORD = struct.Struct("<Q10d2Q2i2I63d")
+_RECORD = struct.Struct("<Q10d2Q2i2I63d4dQ")
 assert _RECORD.size == TICK.itemsize
 _UNKNOWN = (math.nan,) * 7
 
@@ -97,7 +109,9 @@ class RingWriter(SlotWriter):
         _RECORD.pack_into(self._record, 0, tick, time, -seen[2], -place[2], wrench[2], tissue[2], c[2],
                           answer.residual, compute_time, lateness, answer.age, late, missed, answer.status,
                           answer.iterations, flags, answer.inertial, *seen, *place, *tool.orientation, *wrench, *tissue,
-                          *a, *b, *c, *d, *e, *f, answer.step_stiffness)
+                          *a, *b, *c, *d, *e, *f, answer.step_stiffness, answer.stiffness_age,
+                          math.nan if answer.force_error is None else answer.force_error, answer.error_age,
+                          answer.least_tool_mass, answer.is_on_axis)
         return self.write(self._record)
 
 
@@ -121,9 +135,30 @@ class RingReader(SlotReader):
     def latest(self) -> np.void | None:
         """The newest tick, a record of dtype `TICK`; None before the first."""
         newest = self.newest()
-        return None if newest is None else np.frombuffer(newest[1], TICK)[0]
+        return None if newest is None else _ticks_of(newest[1])[0]
 
     def since(self, number: int = 0) -> Ticks:
         """Ticks that were written after a number; with 0 all that the ring still has."""
         contents, newest, lost = self.after(number)
-        return Ticks(np.frombuffer(b"".join(contents), TICK), newest, lost)
+        return Ticks(_ticks_of(*contents), newest, lost)
+
+
+def _ticks_of(*contents: bytes) -> np.ndarray:
+    """Records of dtype `TICK` from the contents of slots, also of a loop that wrote fewer fields.
+
+    Raises:
+        InputError: slots of another size.
+    """
+    content, sizes = b"".join(contents), set(map(len, contents))
+    if sizes <= {TICK.itemsize}:
+        return np.frombuffer(content, TICK)
+    if sizes != {_OLD_TICK.itemsize}:
+        raise InputError(f"a tick must have {TICK.itemsize} or {_OLD_TICK.itemsize} bytes; got {sorted(sizes)}.")
+    old = np.frombuffer(content, _OLD_TICK)
+    ticks = np.zeros(old.shape, TICK)
+    for name, _ in _AGES[:-1]:
+        ticks[name] = math.nan
+    for name in _OLD_TICK.names or ():
+        ticks[name] = old[name]
+    ticks["on_axis"] = 1
+    return ticks

@@ -9,6 +9,15 @@ from tissue_sim.pose import Pose, Vector
 from tissue_sim.tool_force import ToolForce
 
 _NO_VECTOR: Vector = (0.0, 0.0, 0.0)
+#: Age up to which a coupling uses the stiffness of an answer, s. The tangents of a multirate bulk are 20 to 100 ms old.
+LONGEST_STIFFNESS_AGE = 0.1
+#: Motion of the proxy in a tick below which two forces give no secant stiffness, m.
+_LEAST_MOTION = 1e-7
+
+
+def is_stale(answer: ToolForce) -> bool:
+    """Whether the stiffness of an answer is older than `LONGEST_STIFFNESS_AGE`."""
+    return answer.stiffness_age > LONGEST_STIFFNESS_AGE
 
 
 class VirtualCoupling:
@@ -36,6 +45,13 @@ class VirtualCoupling:
     gives a root at -1, by second-order ones (c = 9/4) at -1.5: the force changes sides and grows. An inertial answer
     that does not look ahead is taken as it is; the proxy is then stable only while the mass of the tissue that it moves
     is below 2 mass + B tick + (K + k) tick^2/2 (first order).
+
+    A stiffness that is older than `LONGEST_STIFFNESS_AGE` is not used. In its place S is the same in every direction:
+    the largest entry on the diagonal of all that were not too old, or the largest secant |change of the force| /
+    |motion of the proxy| between two ticks since then. With S above the stiffness k of the tissue the distance of the
+    proxy to its equilibrium changes by the factor 1 - (K + k)/(K + S) in a tick, between 0 and 1, so the step is
+    stable; the proxy lags behind by about (K + S)/(K + k) ticks. The stiffness within the step, of a tissue with mass,
+    belongs to its step and is never too old.
 
     Passivity. With a zero-order hold of length T, a sampled wall K + B (z - 1)/(T z) on a device of physical damping b
     is passive if and only if b > K T/2 + |B| (Colgate and Schenkel 1997). A coupling to a proxy needs the same: for
@@ -72,6 +88,10 @@ class VirtualCoupling:
         self.pose: Pose | None = None
         self.force, self.dissipated = _NO_VECTOR, 0.0
         self._device, self._motion = _NO_VECTOR, _NO_VECTOR
+        #: Largest stiffness of the tissue so far, and largest secant since it is too old, N/m.
+        self._stiffest = self._secant = 0.0
+        #: Force of the tissue in the last tick, N.
+        self._load: Vector | None = None
 
     def least_device_damping(self, tick: float, delay_ticks: int = 0) -> float:
         """Physical damping, N s/m, that the device must have more of: (1 + delay)^2 (K tick/2 + B).
@@ -127,6 +147,11 @@ class VirtualCoupling:
         d, e, f = matrix[1][:3]
         g, h, i = matrix[2][:3]
         a, e, i = max(a, 0.0), max(e, 0.0), max(i, 0.0)
+        if matrix is answer.stiffness_matrix:
+            self._note_stiffness(answer, max(a, e, i))
+            if is_stale(answer):
+                a = e = i = max(self._stiffest, self._secant)
+                b = c = d = f = g = h = 0.0
         before_x, before_y, before_z = self._motion
         load_x, load_y, load_z = ahead.wrench[:3]
         inertia, damping, stiffness = self.mass / dt**2, self.damping, self.stiffness
@@ -145,3 +170,12 @@ class VirtualCoupling:
         z = (z - g * x - h * y) / third
         y = (y - f * z) / second
         return ((x - b * y - c * z) / first, y, z)
+
+    def _note_stiffness(self, answer: ToolForce, largest: float) -> None:
+        """Note the largest stiffness, N/m, of an answer that is not too old, or else the secant of two forces."""
+        load, before, motion = answer.wrench[:3], self._load, math.hypot(*self._motion)
+        self._load = load
+        if not is_stale(answer):
+            self._stiffest, self._secant = max(self._stiffest, largest), 0.0
+        elif before is not None and motion > _LEAST_MOTION:
+            self._secant = max(self._secant, math.dist(load, before) / motion)

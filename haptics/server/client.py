@@ -11,6 +11,7 @@ from haptics.server.server import LOOPBACK
 from haptics.server.wire import (
     REPLY_SIZE,
     VERSION,
+    VERSIONS,
     Kind,
     OtherVersionError,
     Reply,
@@ -33,10 +34,17 @@ class TissueClient:
         timeout: longest wait for a reply, s.
         polls: how often to look for a reply, a few us each, before sleeping until it comes.
         session: number by which the server knows this client; a random one by default.
+        version: of the protocol, one of `haptics.server.wire.VERSIONS`.
+
+    Raises:
+        InputError: another version.
     """
 
     def __init__(self, port: int, host: str = LOOPBACK, timeout: float = 1.0, polls: int = 0,
-                 session: int | None = None):
+                 session: int | None = None, version: int = VERSION):
+        if version not in VERSIONS:
+            raise InputError(f"version must be {' or '.join(map(str, VERSIONS))}; got {version!r}.", field="version")
+        self._version = version
         self._timeout, self._polls, self._sequence = timeout, polls, 0
         self.session = secrets.randbits(64) | 1 if session is None else session
         self._socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
@@ -63,12 +71,14 @@ class TissueClient:
             pose = Pose((0.0, 0.0, -pose))
         at = time.monotonic() if at is None else at
         return self._ask(Request(self._sequence, at, pose.position, pose.orientation, self.session,
-                                 flags=RequestFlags.RESET if reset else RequestFlags.NONE))
+                                 flags=RequestFlags.RESET if reset else RequestFlags.NONE,
+                                 version=self._version))
 
     def close(self) -> None:
         """Say goodbye, so that another client can have the tissue at once."""
         with self._socket, suppress(OSError):  # the server may have gone before
-            self._ask(Request(self._sequence, 0.0, session=self.session, kind=Kind.GOODBYE))
+            self._ask(Request(self._sequence, 0.0, session=self.session, kind=Kind.GOODBYE,
+                              version=self._version))
 
     def __enter__(self) -> TissueClient:
         return self
@@ -85,9 +95,13 @@ class TissueClient:
                 reply = decode_reply(self._receive())
             except OtherVersionError as error:
                 raise InputError(f"the server speaks version {error.version} of the protocol, and this client "
-                                 f"{VERSION}; install the same tissue_sim on both sides") from None
+                                 f"{self._version}; install the same tissue_sim on both sides") from None
             except WireError:
                 continue
+            # A server of version 2 answers a request of version 3 without a step, in its own version.
+            if reply.version != request.version:
+                raise InputError(f"the server speaks version {reply.version} of the protocol, and this client "
+                                 f"{self._version}; give version={reply.version}")
             if (reply.sequence, reply.session) == (request.sequence, request.session):
                 return reply
             if time.monotonic() > end:  # replies to requests that were given up

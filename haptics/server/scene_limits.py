@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from tissue_sim.motion_limits import MotionLimits
 from tissue_sim.tool_force import ToolForce, axial_stiffness
@@ -31,5 +31,5 @@ class SceneLimits(MotionLimits):
         if force <= self.force:
             return answer, False
         cut = answer.scaled(self.force / force, answer.status)
-        return ToolForce(cut.wrench, _NO_STIFFNESS, cut.status, cut.iterations, cut.residual, cut.compute_time,
-                         cut.inertial, cut.age, cut.pose), True
+        return replace(cut, stiffness_matrix=_NO_STIFFNESS, ahead=None, step_stiffness_matrix=None, stiffness_age=0.0,
+                       force_error=None, error_age=0.0), True

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
+from haptics.safety.coupling import is_stale
 from haptics.safety.force_release import ForceRelease
 from haptics.server.scene_limits import SceneLimits
 from haptics.server.wire import (
@@ -31,6 +32,7 @@ Address = tuple[Any, ...]
 #: A plain number: flags of an enumeration cost a microsecond to compare.
 _RESET = int(RequestFlags.RESET)
 _INERTIAL, _LIMITED = int(ReplyFlags.INERTIAL), int(ReplyFlags.LIMITED)
+_STALE, _OFF_AXIS = int(ReplyFlags.STALE_STIFFNESS), int(ReplyFlags.OFF_AXIS)
 #: The owner of the tissue loses it to another client after this time without a packet, s.
 SILENCE = 5.0
 _NO_FORCE = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
@@ -218,11 +220,13 @@ class StepService:
         counters = self.counters
         counters.count(answer.status)
         counters.limited += limited
+        flags = (_INERTIAL * answer.inertial | _LIMITED * limited | _STALE * is_stale(answer)
+                 | _OFF_AXIS * (request.version > 2 and not answer.is_on_axis))
         reply = Reply(answer.status, request.sequence, request.time, request.session, answer.force_vector,
                       answer.torque_vector, answer.stiffness_matrix, answer.within_step, answer.age,
-                      answer.compute_time, answer.residual, dt, answer.iterations,
-                      _INERTIAL * answer.inertial | _LIMITED * limited, counters.malformed, counters.stale,
-                      counters.skipped, counters.turned_away)
+                      answer.compute_time, answer.residual, dt, answer.iterations, flags, counters.malformed,
+                      counters.stale, counters.skipped, counters.turned_away, request.version, answer.stiffness_age,
+                      answer.force_error, answer.error_age, answer.least_tool_mass)
         return encode_reply(reply), owner.address
 
     def answered(self, now: float) -> None:
@@ -302,7 +306,8 @@ class StepService:
         counters = self.counters
         return encode_reply(Reply(status, request.sequence, request.time, request.session,
                                   malformed=counters.malformed, stale=counters.stale,
-                                  skipped=counters.skipped, turned_away=counters.turned_away))
+                                  skipped=counters.skipped, turned_away=counters.turned_away,
+                                  version=request.version))
 
 
 def _to_standard_error(line: str) -> None:

@@ -1,11 +1,13 @@
 """The UDP protocol between a simulator that is not ours and the tissue: one request, one reply, fixed layouts.
 
 Little-endian, SI, no padding; docs/wire_protocol.md has the offsets. The frame is that of the scenes (`FRAME`), and
-both packets carry all six degrees of freedom, whatever the scene uses of them.
+both packets carry all six degrees of freedom, whatever the scene uses of them. Requests of versions 2 and 3 differ in
+the version alone; a reply has the version of its request, and one of version 3 continues where that of version 2 ends.
 """
 
 from __future__ import annotations
 
+import math
 import struct
 from enum import IntEnum, IntFlag
 from itertools import chain
@@ -13,8 +15,10 @@ from typing import NamedTuple
 
 from tissue_sim.tool_force import ForceStatus
 
-#: Raised by every change of a layout, or of what a field means.
-VERSION = 2
+#: Version of the requests of a client. Every change of a layout or of the meaning of a field makes a new version.
+VERSION = 3
+#: Versions in which a server answers.
+VERSIONS = (2, 3)
 REQUEST_MAGIC, REPLY_MAGIC = b"TSRQ", b"TSRP"
 FRAME = ("origin at the centre of the undeformed top face, z out of the tissue, right-handed; forces and torques are "
          "those on the tool, so pushing in gives a positive z force; depth = -z; orientation is a unit quaternion "
@@ -23,8 +27,14 @@ FRAME = ("origin at the centre of the undeformed top face, z out of the tissue, 
 #: magic, version, kind or status, sequence, time: the same in every version, so that any two can tell each other apart.
 _HEAD = struct.Struct("<4sHHQd")
 _REQUEST = struct.Struct("<4sHHQdQ3d4dII")
+#: Reply of version 2.
 _REPLY = struct.Struct("<4sHHQdQ3d3d36d36d4dII4Q")
-REQUEST_SIZE, REPLY_SIZE = _REQUEST.size, _REPLY.size
+#: End of a reply of version 3: stiffness_age, force_error, error_age, least_tool_mass.
+_AGES = struct.Struct("<4d")
+REQUEST_SIZE = _REQUEST.size
+#: Bytes of a reply, by version.
+REPLY_SIZES = {2: _REPLY.size, 3: _REPLY.size + _AGES.size}
+REPLY_SIZE = REPLY_SIZES[VERSION]
 
 Vector = tuple[float, float, float]
 Matrix = tuple[tuple[float, ...], ...]
@@ -48,11 +58,15 @@ class RequestFlags(IntFlag):
 
 class ReplyFlags(IntFlag):
     """INERTIAL (bit 0): the mass of the tissue was taken into account. LIMITED (bit 1): the force was cut to the
-    largest one that the server gives; the stiffness is zero then."""
+    largest one that the server gives; the stiffness is zero then. STALE_STIFFNESS (bit 2): the stiffness is older than
+    `haptics.safety.coupling.LONGEST_STIFFNESS_AGE`. OFF_AXIS (bit 3, version 3): the tool is away from or across the
+    axis of an axisymmetric scene, which the force does not take into account."""
 
     NONE = 0
     INERTIAL = 1
     LIMITED = 2
+    STALE_STIFFNESS = 4
+    OFF_AXIS = 8
 
 
 class Status(IntEnum):
@@ -95,7 +109,7 @@ class OtherVersionError(WireError):
     """
 
     def __init__(self, version: int, sequence: int, time: float):
-        super().__init__(f"a packet of version {version}; this is version {VERSION}")
+        super().__init__(f"version must be {' or '.join(map(str, VERSIONS))}; got {version}")
         self.version, self.sequence, self.time = version, sequence, time
 
 
@@ -110,6 +124,7 @@ class Request(NamedTuple):
         session: a random number that the client has chosen, by which the server knows it; 0: by its address only.
         kind: a step, or goodbye.
         flags: see `RequestFlags`.
+        version: of the packet, and of the reply to it.
     """
 
     sequence: int
@@ -119,6 +134,7 @@ class Request(NamedTuple):
     session: int = 0
     kind: int = Kind.STEP
     flags: int = RequestFlags.NONE
+    version: int = VERSION
 
 
 class Reply(NamedTuple):
@@ -139,6 +155,11 @@ class Reply(NamedTuple):
         flags: see `ReplyFlags`.
         malformed, stale, skipped, turned_away: packets since the server started that were no requests; that were not
             newer than the last; in whose place a newer one was answered; that came from a client without the tissue.
+        version: of the packet. In version 2 the fields below do not exist; they have these defaults.
+        stiffness_age: time since the stiffness was evaluated, s.
+        force_error: estimated error of the force, N; None if it is unknown (NaN in the packet).
+        error_age: time since this error was estimated, s.
+        least_tool_mass: smallest mass of a tool that an explicit coupling keeps stable at this time step, kg.
     """
 
     status: int
@@ -159,11 +180,21 @@ class Reply(NamedTuple):
     stale: int = 0
     skipped: int = 0
     turned_away: int = 0
+    version: int = VERSION
+    stiffness_age: float = 0.0
+    force_error: float | None = None
+    error_age: float = 0.0
+    least_tool_mass: float = 0.0
+
+    @property
+    def is_on_axis(self) -> bool:
+        """Whether the tool is on the axis of an axisymmetric scene, as the force assumes."""
+        return not self.flags & ReplyFlags.OFF_AXIS
 
 
 def encode_request(request: Request) -> bytes:
     """The packet of a request, `REQUEST_SIZE` bytes."""
-    return _REQUEST.pack(REQUEST_MAGIC, VERSION, request.kind, request.sequence, request.time, request.session,
+    return _REQUEST.pack(REQUEST_MAGIC, request.version, request.kind, request.sequence, request.time, request.session,
                          *request.position, *request.orientation, request.flags, 0)
 
 
@@ -174,20 +205,26 @@ def decode_request(packet: bytes | bytearray | memoryview) -> Request:
         OtherVersionError: of another version.
         WireError: not a request; or of this version with another size, kind, flag, or something in the reserved field.
     """
-    _check(packet, REQUEST_MAGIC, REQUEST_SIZE)
+    version = _checked_version(packet, REQUEST_MAGIC)
+    _check_size(packet, REQUEST_SIZE)
     (_, _, kind, sequence, time, session, x, y, z, qw, qx, qy, qz, flags, reserved) = _REQUEST.unpack(packet)
     if kind not in _KINDS or flags > _ALL_FLAGS or reserved:
         raise WireError(f"unknown kind {kind}, flags {flags:#x} or reserved {reserved:#x}")
-    return Request(sequence, time, (x, y, z), (qw, qx, qy, qz), session, kind, flags)
+    return Request(sequence, time, (x, y, z), (qw, qx, qy, qz), session, kind, flags, version)
 
 
 def encode_reply(reply: Reply) -> bytes:
-    """The packet of a reply, `REPLY_SIZE` bytes."""
+    """The packet of a reply, as long as `REPLY_SIZES` says for its version."""
     (status, sequence, time, session, force, torque, stiffness, step_stiffness, age, compute_time, residual, dt,
-     iterations, flags, malformed, stale, skipped, turned_away) = reply
-    return _REPLY.pack(REPLY_MAGIC, VERSION, status, sequence, time, session, *force, *torque,
-                       *chain.from_iterable(stiffness), *chain.from_iterable(step_stiffness), age, compute_time,
-                       residual, dt, iterations, flags, malformed, stale, skipped, turned_away)
+     iterations, flags, malformed, stale, skipped, turned_away, version, stiffness_age, force_error, error_age,
+     least_tool_mass) = reply
+    packet = _REPLY.pack(REPLY_MAGIC, version, status, sequence, time, session, *force, *torque,
+                         *chain.from_iterable(stiffness), *chain.from_iterable(step_stiffness), age, compute_time,
+                         residual, dt, iterations, flags, malformed, stale, skipped, turned_away)
+    if version == 2:
+        return packet
+    return packet + _AGES.pack(stiffness_age, math.nan if force_error is None else force_error, error_age,
+                               least_tool_mass)
 
 
 def decode_reply(packet: bytes | bytearray | memoryview) -> Reply:
@@ -197,24 +234,35 @@ def decode_reply(packet: bytes | bytearray | memoryview) -> Reply:
         OtherVersionError: of another version.
         WireError: not a reply, or of this version with another size.
     """
-    _check(packet, REPLY_MAGIC, REPLY_SIZE)
-    values = _REPLY.unpack(packet)
+    version = _checked_version(packet, REPLY_MAGIC)
+    _check_size(packet, REPLY_SIZES[version])
+    values = _REPLY.unpack_from(packet)
     stiffness, step_stiffness = (tuple(values[start:start + 6] for start in range(first, first + 36, 6))
                                  for first in (12, 48))
-    return Reply._make((*values[2:6], values[6:9], values[9:12], stiffness, step_stiffness, *values[84:]))
+    reply = Reply._make((*values[2:6], values[6:9], values[9:12], stiffness, step_stiffness, *values[84:], version,
+                         0.0, None, 0.0, 0.0))
+    if version == 2:
+        return reply
+    stiffness_age, force_error, error_age, least_tool_mass = _AGES.unpack_from(packet, _REPLY.size)
+    return reply._replace(stiffness_age=stiffness_age, force_error=None if math.isnan(force_error) else force_error,
+                          error_age=error_age, least_tool_mass=least_tool_mass)
 
 
 _KINDS = frozenset(map(int, Kind))
 _ALL_FLAGS = int(RequestFlags.RESET)
 
 
-def _check(packet: bytes | bytearray | memoryview, magic: bytes, size: int) -> None:
+def _checked_version(packet: bytes | bytearray | memoryview, magic: bytes) -> int:
     if len(packet) < _HEAD.size:
-        raise WireError(f"{len(packet)} bytes are no packet")
+        raise WireError(f"a packet must have at least {_HEAD.size} bytes; got {len(packet)}")
     found, version, _, sequence, time = _HEAD.unpack_from(packet)
     if found != magic:
-        raise WireError(f"begins with {found!r}, expected {magic!r}")
-    if version != VERSION:
+        raise WireError(f"a packet must begin with {magic!r}; got {found!r}")
+    if version not in VERSIONS:
         raise OtherVersionError(version, sequence, time)
+    return int(version)
+
+
+def _check_size(packet: bytes | bytearray | memoryview, size: int) -> None:
     if len(packet) != size:
-        raise WireError(f"{len(packet)} bytes, expected {size}")
+        raise WireError(f"a packet must have {size} bytes; got {len(packet)}")

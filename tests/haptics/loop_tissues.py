@@ -105,7 +105,8 @@ def record(n):
     matrix = tuple(tuple(n + 6.0 * row + column for column in range(6)) for row in range(6))
     within = tuple(tuple(100.0 * part for part in row) for row in matrix) if n % 2 else None
     answer = ToolForce(tissue, matrix, ForceStatus(n % 4), n % 97, n + 6.0, inertial=bool(n % 2), age=n + 9.0,
-                       step_stiffness_matrix=within)
+                       step_stiffness_matrix=within, stiffness_age=n + 0.5, force_error=n + 0.25, error_age=n + 0.125,
+                       is_on_axis=bool(n % 3), least_tool_mass=n + 0.75)
     return n, n * 0.5, device, tool, wrench, answer, n + 7.0, n + 8.0, n, n + 1, n % 61
 
 
@@ -115,7 +116,8 @@ def fields_of(n):
     return [n, time, device.depth, tool.depth, wrench[2], answer.force, answer.stiffness, answer.residual, compute_time,
             lateness, answer.age, late, missed, answer.status, answer.iterations, flags, answer.inertial,
             *device.position, *device.orientation, *tool.position, *tool.orientation, *wrench, *answer.wrench,
-            *(part for row in answer.stiffness_matrix for part in row), answer.step_stiffness]
+            *(part for row in answer.stiffness_matrix for part in row), answer.step_stiffness, answer.stiffness_age,
+            answer.force_error, answer.error_age, answer.least_tool_mass, answer.is_on_axis]
 
 
 def flat(record):

@@ -6,6 +6,7 @@ import socket
 import subprocess
 import threading
 from contextlib import contextmanager
+from dataclasses import replace
 
 import pytest
 
@@ -55,15 +56,19 @@ def serving(tissue):
             thread.join(300.0)
 
 
-@pytest.fixture(scope="module")
-def drive_needle(root, tmp_path_factory):
+def compiled(root, folder, *options):
     """The example, compiled as the strictest user would."""
-    program = tmp_path_factory.mktemp("c") / "drive_needle"
-    done = subprocess.run([COMPILER, "-std=c99", "-O2", *WARNINGS, "-o", str(program),
+    program = folder / "drive_needle"
+    done = subprocess.run([COMPILER, "-std=c99", "-O2", *WARNINGS, *options, "-o", str(program),
                            str(root / "docs" / "client" / "drive_needle.c")], capture_output=True, text=True,
                           encoding="utf-8")
     assert done.returncode == 0 and done.stderr == "", done.stderr
     return program
+
+
+@pytest.fixture(scope="module")
+def drive_needle(root, tmp_path_factory):
+    return compiled(root, tmp_path_factory.mktemp("c"))
 
 
 @pytest.fixture
@@ -139,7 +144,63 @@ def test_what_goes_wrong_is_one_sentence(drive_needle, path_file, tmp_path):
     assert done.stderr == "drive_needle: nothing listens on that port; start tissue-sim serve\n"
 
 
-@pytest.mark.parametrize("version", [2, 3])
+def test_a_client_of_version_2_gets_the_same_forces(root, tmp_path, path_file):
+    program = compiled(root, tmp_path, "-DTISSUE_SIM_VERSION=2")
+    expected = stepped(Gel())
+    with serving(Gel()) as port:
+        answered = forces(drive(program, port, path_file))
+    assert [status for _, _, status in answered] == [ForceStatus.CONVERGED] * len(PATH)
+    assert [force for _, force, _ in answered] == pytest.approx([one.force for one in expected], rel=1e-12)
+
+
+#: Prints the fields of one answer.
+FIELDS = """#define TISSUE_SIM_CLIENT_IMPLEMENTATION
+#include "tissue_sim_client.h"
+#include <stdio.h>
+#include <stdlib.h>
+int main(int argc, char **argv) {
+    tissue_sim_client client;
+    tissue_sim_pose pose = {{0.0, 0.0, -0.001}, {1.0, 0.0, 0.0, 0.0}};
+    tissue_sim_answer got;
+    if (argc != 2 || tissue_sim_open(&client, "127.0.0.1", (uint16_t)atoi(argv[1]), 60.0) != TISSUE_SIM_OK) return 1;
+    if (tissue_sim_step(&client, 0.0, &pose, 0, &got) != TISSUE_SIM_OK) return 2;
+    printf("%d %d %d %g %g %g %g\\n", got.stale_stiffness, got.is_on_axis, got.has_force_error, got.stiffness_age,
+           got.has_force_error ? got.force_error : -1.0, got.error_age, got.least_tool_mass);
+    tissue_sim_close(&client);
+    return 0;
+}
+"""
+
+
+class Aged(Gel):
+    """Answers with an old stiffness, away from its axis."""
+
+    error = 0.25
+
+    def step(self, pose, dt):
+        return replace(super().step(pose, dt), stiffness_age=0.5, force_error=self.error, error_age=0.125,
+                       least_tool_mass=0.0625, is_on_axis=False)
+
+
+class Unknown(Aged):
+    error = None
+
+
+@pytest.mark.parametrize(("version", "tissue", "expected"), [
+    (3, Aged, "1 0 1 0.5 0.25 0.125 0.0625"), (3, Unknown, "1 0 0 0.5 -1 0.125 0.0625"), (2, Aged, "1 1 0 0 -1 0 0")])
+def test_every_part_of_an_answer_has_its_age(root, tmp_path, version, tissue, expected):
+    """Version 2 has the flag of a stale stiffness only."""
+    source, program = tmp_path / "fields.c", tmp_path / "fields"
+    source.write_text(FIELDS, encoding="utf-8")
+    done = subprocess.run([COMPILER, "-std=c99", *WARNINGS, f"-DTISSUE_SIM_VERSION={version}",
+                           f"-I{root / 'docs' / 'client'}", "-o", str(program), str(source)], capture_output=True,
+                          text=True, encoding="utf-8")
+    assert done.returncode == 0, done.stderr
+    with serving(tissue()) as port:
+        assert drive(program, port).stdout.strip() == expected
+
+
+@pytest.mark.parametrize("version", [3, 4])
 def test_only_the_reply_of_this_version_to_this_request_counts(drive_needle, version):
     """A server that first sends noise, the reply to an older request, and one for another session."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
@@ -147,7 +208,7 @@ def test_only_the_reply_of_this_version_to_this_request_counts(drive_needle, ver
         server.settimeout(60.0)
 
         def answer():
-            for sequence in range(3 if version == 2 else 2):  # the last is the goodbye
+            for sequence in range(3 if version == 3 else 2):  # the last is the goodbye
                 packet, address = server.recvfrom(200)
                 request = decode_request(packet)
                 assert request.sequence == sequence and request.session != 0
@@ -164,7 +225,7 @@ def test_only_the_reply_of_this_version_to_this_request_counts(drive_needle, ver
         done = drive(drive_needle, server.getsockname()[1], 0.001, 1)
         thread.join(60.0)
         assert not thread.is_alive()
-    if version == 2:
+    if version == 3:
         assert [force for _, force, _ in forces(done)] == [7.0, 7.0]
     else:
         assert done.returncode == 1

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from haptics.safety.coupling import VirtualCoupling
+from haptics.safety.coupling import LONGEST_STIFFNESS_AGE, VirtualCoupling, is_stale
 from tissue_sim import InputError
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus, NextForce, ToolForce, axial_stiffness, axial_wrench
@@ -341,3 +341,42 @@ def test_condition_of_no_tick_is_refused():
     with pytest.raises(InputError, match="tick"):
         VirtualCoupling(100.0).least_device_damping(0.0)
     assert VirtualCoupling(1000.0, 2.0).least_device_damping(1e-3, delay_ticks=1) == pytest.approx(10.0)
+
+
+class Old(Load):
+    """A spring whose stiffness was found once, at the touch, and is said to be old from then on."""
+
+    def __init__(self, stiffness, first):
+        super().__init__(stiffness)
+        self.first, self.ticks = first, 0
+
+    def step(self, depth, dt):
+        self.ticks += 1
+        answer = super().step(depth, dt)
+        return replace(answer, stiffness_matrix=axial_stiffness(self.first), stiffness_age=1e-3 * self.ticks)
+
+
+@pytest.mark.parametrize("first", [0.0, 50.0, 1e4])
+@pytest.mark.parametrize("tissue", [200.0, 1500.0, 6000.0])
+def test_a_stiffness_that_is_too_old_does_not_make_the_proxy_oscillate(first, tissue):
+    """A tissue thirty times as stiff as the coupling: with the old stiffness the proxy would jump past its balance."""
+    coupling, load, answer = VirtualCoupling(200.0), Old(tissue, first), None
+    balance = 200.0 * 5e-3 / (200.0 + tissue)
+    for _ in range(150):  # until the stiffness is too old, at rest at the surface
+        answer = load.step(step(coupling, 0.0, answer), TICK)
+    depths = []
+    for _ in range(2000):
+        answer = load.step(step(coupling, 5e-3, answer), TICK)
+        depths.append(load.depths[0])
+    assert depths[-1] == pytest.approx(balance, rel=1e-3)
+    assert np.ptp(depths[-50:]) < 1e-6
+
+
+def test_a_stiffness_within_its_age_is_used():
+    young, old = (VirtualCoupling(500.0) for _ in range(2))
+    answer = ToolForce.axial(0.0, 1500.0, ForceStatus.CONVERGED)
+    for coupling, age in ((young, LONGEST_STIFFNESS_AGE), (old, 1.01 * LONGEST_STIFFNESS_AGE)):
+        step(coupling, 0.0, None)
+        step(coupling, 1e-3, replace(answer, stiffness_age=age))
+    assert young.pose.depth == pytest.approx(1e-3 * 500.0 / 2000.0) and is_stale(replace(answer, stiffness_age=1.0))
+    assert old.pose.depth == pytest.approx(1e-3)  # nothing is known of the stiffness yet

@@ -2,6 +2,7 @@
 
 import math
 import pickle
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -226,3 +227,34 @@ def test_solver_without_equilibrium_keeps_its_time_and_error():
     assert stopped.error == known.error
     assert solver.solve(2e-3, 0.05, 1.1) is None
     assert solver.solve(2e-3, 0.05, 1.15) is None
+
+
+def test_models_of_the_air_teach_no_error():
+    class Surface(Stiffening):
+        def force(self, depth):
+            return super().force(max(depth, 0.0))
+
+    solver, blend = SlowSolver(Surface()), LocalModelBlend()
+    for n in range(5):
+        model = solver.solve(-1e-3, 0.1, 0.1 * n)
+        assert model.error is None
+    blend.time = 0.4
+    assert blend.publish(model) and blend.error == math.inf
+    assert blend.step(-1e-3, DT).force_error is None
+    first = solver.solve(2e-3, 0.1, 0.5)
+    assert first.error == pytest.approx(abs(force_of(model, 2e-3) - Surface().force(2e-3)))
+    for n in range(6, 10):
+        assert solver.solve(-1e-3, 0.1, 0.1 * n).error >= 0.8 * first.error
+
+
+def test_an_answer_states_the_ages_of_its_parts():
+    class Aged(Stiffening):
+        def step(self, depth, dt):
+            return replace(super().step(depth, dt), stiffness_age=0.25, force_error=5.0)
+
+    solver, blend = SlowSolver(Aged()), LocalModelBlend(oldest=math.inf)
+    blend.time = 1.0
+    assert blend.publish(solver.solve(1e-3, 0.1, 1.0))
+    answer = blend.step(1e-3, 0.125)
+    assert (answer.age, answer.stiffness_age, answer.error_age) == pytest.approx((0.125, 0.375, 0.125))
+    assert answer.force_error == pytest.approx(5.0 + abs(blend.offset[2]))

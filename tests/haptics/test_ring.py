@@ -4,6 +4,7 @@ import importlib
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,15 +63,37 @@ def test_the_layout_is_the_promised_one(path, tissues):
     with RingWriter(path, 2) as ring:
         ring.append(*tissues.record(7))
         content = path.read_bytes()
-    size = 120 + 63 * 8
+    size = 120 + 63 * 8 + 5 * 8
     assert len(content) == 64 + 2 * (16 + size)
     head = np.array([1, 16 + size, 2, 0, os.getpid(), 0], "<u4").tobytes()
     assert content[:8] == b"tsTICKS\0" and content[8:32] == head
     assert content[32:48] == np.array([1, 0], "<u8").tobytes()  # one written, not ended
     assert content[64:76] == np.array([7 - 6, 0, size], "<u4").tobytes()
     assert content[80:88] == np.array([7], "<u8").tobytes() and content[88:96] == np.array([3.5], "<f8").tobytes()
-    # Behind the numbers along z: poses, wrenches, stiffness.
-    assert content[200:80 + size] == np.array(tissues.fields_of(7)[17:], "<f8").tobytes()
+    # Behind the numbers along z: poses, wrenches, stiffness, ages and errors.
+    assert content[200:72 + size] == np.array(tissues.fields_of(7)[17:-1], "<f8").tobytes()
+    assert content[72 + size:80 + size] == np.array([1], "<u8").tobytes()
+
+
+def test_ticks_of_a_loop_without_ages_are_read(path, tissues):
+    """The ring of a version before: the same fields, without the last five."""
+    with RingWriter(path, 4) as ring:
+        ring.append(*tissues.record(5))
+        record = path.read_bytes()[80:80 + 120 + 63 * 8]
+    path.unlink(missing_ok=True)
+    with SlotWriter(path, b"tsTICKS\0", 4, len(record)) as old, RingReader(path) as reader:
+        old.write(record)
+        tick, = reader.since().records
+        assert tick.dtype == TICK and reader.latest() is not None
+        assert tissues.flat(tick)[:-5] == tissues.fields_of(5)[:-5] and tick["on_axis"] == 1
+        assert all(np.isnan(tick[name]) for name in ("stiffness_age", "force_error", "error_age", "least_tool_mass"))
+
+
+def test_an_unknown_error_is_no_number_in_a_tick(path, tissues):
+    *before, answer, compute_time, lateness, late, missed, flags = tissues.record(5)
+    with RingWriter(path) as ring, RingReader(path) as reader:
+        ring.append(*before, replace(answer, force_error=None), compute_time, lateness, late, missed, flags)
+        assert np.isnan(reader.latest()["force_error"])
 
 
 @settings(max_examples=50, deadline=None)

@@ -183,11 +183,11 @@ def test_client_says_when_the_server_speaks_another_version():
 
         def answer():
             packet, address = future.recvfrom(200)
-            future.sendto(b"TSRP\x03\x00" + packet[6:24], address)
+            future.sendto(b"TSRP\x04\x00" + packet[6:24], address)
 
         thread = threading.Thread(target=answer)
         thread.start()
-        with pytest.raises(InputError, match="speaks version 3 of the protocol, and this client 2"):
+        with pytest.raises(InputError, match="speaks version 4 of the protocol, and this client 3"):
             client.step(0.001)
         thread.join()
         client._socket.close()

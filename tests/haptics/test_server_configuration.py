@@ -109,7 +109,7 @@ def client(server):
 
 def test_describe_says_what_is_served(line):
     answer = line.ask("describe")
-    assert answer["protocol"] == {"version": 2, "request_bytes": 96, "reply_bytes": 728}
+    assert answer["protocol"] == {"version": 3, "request_bytes": 96, "reply_bytes": 760}
     assert "z out of the tissue" in answer["frame"]
     assert answer["scene"] == "needle_indentation" and answer["mesh"] == {"elements": 80}
     assert answer["parameters"] == {"C10": 1e3} and "surface" in answer["commands"]

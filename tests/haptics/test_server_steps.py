@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from haptics.safety.force_release import ForceRelease
 from haptics.server.scene_limits import SceneLimits
 from haptics.server.steps import StepService
-from haptics.server.wire import Kind, Request, RequestFlags, Status, decode_reply, encode_request
+from haptics.server.wire import VERSION, Kind, Request, RequestFlags, Status, decode_reply, encode_request
 from tissue_sim.errors import InputError
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
@@ -193,10 +193,18 @@ def test_goodbye_frees_the_tissue_at_once(service):
 
 def test_other_version_is_answered_with_ours(service):
     strange = bytearray(packet(77, 1.5))
-    strange[4:6] = b"\x03\x00"
-    reply = ask(service, bytes(strange) + b"more of version 3")
+    strange[4:6] = b"\x04\x00"
+    reply = ask(service, bytes(strange) + b"more of version 4")
     assert (reply.status, reply.sequence, reply.time) == (Status.OTHER_VERSION, 77, 1.5)
-    assert service.owner is None and service.counters.other_version == 1
+    assert service.owner is None and service.counters.other_version == 1 and reply.version == VERSION
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_reply_has_the_version_of_its_request(service, version):
+    old = bytearray(packet(0))
+    old[4] = version
+    reply = ask(service, bytes(old))
+    assert (reply.status, reply.version) == (Status.CONVERGED, version)
 
 
 def test_statuses_are_counted(service):

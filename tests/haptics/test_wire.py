@@ -1,5 +1,6 @@
 """The wire protocol: bytes that stand in docs/wire_protocol.md, and every packet back from its bytes."""
 
+import math
 import re
 import struct
 
@@ -9,11 +10,14 @@ from hypothesis import strategies as st
 
 from haptics.server.wire import (
     REPLY_SIZE,
+    REPLY_SIZES,
     REQUEST_SIZE,
     VERSION,
+    VERSIONS,
     Kind,
     OtherVersionError,
     Reply,
+    ReplyFlags,
     Request,
     RequestFlags,
     Status,
@@ -29,25 +33,28 @@ U16, U32, U64 = (st.integers(0, 2**bits - 1) for bits in (16, 32, 64))
 REAL = st.floats(allow_nan=False)
 VECTOR = st.tuples(REAL, REAL, REAL)
 REQUESTS = st.builds(Request, U64, REAL, VECTOR, st.tuples(REAL, REAL, REAL, REAL), U64, st.sampled_from([1, 2]),
-                     st.sampled_from([0, 1]))
+                     st.sampled_from([0, 1]), st.sampled_from(VERSIONS))
 MATRIX = st.tuples(*[st.tuples(*[REAL] * 6)] * 6)
-REPLIES = st.builds(Reply, U16, U64, REAL, U64, VECTOR, VECTOR, MATRIX, MATRIX, REAL, REAL, REAL, REAL, U32, U32, U64,
-                    U64, U64, U64)
+OLD = (U16, U64, REAL, U64, VECTOR, VECTOR, MATRIX, MATRIX, REAL, REAL, REAL, REAL, U32, U32, U64, U64, U64, U64)
+REPLIES = (st.builds(Reply, *OLD, *map(st.just, (2, 0.0, None, 0.0, 0.0)))
+           | st.builds(Reply, *OLD, st.just(3), REAL, st.none() | REAL, REAL, REAL))
 
 #: Written by hand from the table of the page: IEEE 754 of 1, 2, 0.5, -0.25 ... with the low byte first.
 ZERO, ONE, TWO, HALF = bytes(8), bytes.fromhex("000000000000f03f"), bytes.fromhex("0000000000000040"), \
     bytes.fromhex("000000000000e03f")
 MINUS_QUARTER = bytes.fromhex("000000000000d0bf")
-GOLDEN_REQUEST = (b"TSRQ" + bytes.fromhex("0200" "0100" "0807060504030201") + HALF
-                  + bytes.fromhex("1122334455667788") + ONE + TWO + MINUS_QUARTER
-                  + ONE + ZERO + ZERO + ZERO + bytes.fromhex("01000000" "00000000"))
+GOLDEN_REQUESTS = {version: b"TSRQ" + bytes((version, 0)) + bytes.fromhex("0100" "0807060504030201") + HALF
+                   + bytes.fromhex("1122334455667788") + ONE + TWO + MINUS_QUARTER
+                   + ONE + ZERO + ZERO + ZERO + bytes.fromhex("01000000" "00000000") for version in (2, 3)}
+GOLDEN_REQUEST = GOLDEN_REQUESTS[3]
 
 
-def test_request_has_its_golden_bytes():
+@pytest.mark.parametrize("version", [2, 3])
+def test_request_has_its_golden_bytes(version):
     request = Request(0x0102030405060708, 0.5, (1.0, 2.0, -0.25), session=0x8877665544332211,
-                      flags=RequestFlags.RESET)
-    assert encode_request(request) == GOLDEN_REQUEST
-    assert decode_request(GOLDEN_REQUEST) == request
+                      flags=RequestFlags.RESET, version=version)
+    assert encode_request(request) == GOLDEN_REQUESTS[version]
+    assert decode_request(GOLDEN_REQUESTS[version]) == request
     assert len(GOLDEN_REQUEST) == REQUEST_SIZE == 96
 
 
@@ -55,15 +62,16 @@ def test_goodbye_is_a_kind():
     assert encode_request(Request(0, 0.0, kind=Kind.GOODBYE))[6:8] == b"\x02\x00"
 
 
-def test_reply_has_its_golden_bytes():
+@pytest.mark.parametrize("version", [2, 3])
+def test_reply_has_its_golden_bytes(version):
     stiffness = [[0.0] * 6 for _ in range(6)]
     stiffness[2][2], stiffness[5][0] = 2.0, 1.0
     within = [[0.0] * 6 for _ in range(6)]
     within[0][1] = 0.5
     reply = Reply(Status.LATE, 7, 1.0, 9, (0.0, 0.0, 2.0), (0.5, 0.0, 0.0), tuple(map(tuple, stiffness)),
                   tuple(map(tuple, within)), age=0.5, compute_time=1.0, residual=2.0, dt=-0.25, iterations=3, flags=1,
-                  malformed=4, stale=5, skipped=6, turned_away=258)
-    golden = (b"TSRP" + bytes.fromhex("0200" "0100" "0700000000000000") + ONE
+                  malformed=4, stale=5, skipped=6, turned_away=258, version=version)
+    golden = (b"TSRP" + bytes((version, 0)) + bytes.fromhex("0100" "0700000000000000") + ONE
               + bytes.fromhex("0900000000000000")                    # session, from byte 24
               + ZERO + ZERO + TWO                                    # force, from byte 32
               + HALF + ZERO + ZERO                                   # torque, from byte 56
@@ -72,9 +80,29 @@ def test_reply_has_its_golden_bytes():
               + HALF + ONE + TWO + MINUS_QUARTER                     # from byte 656
               + bytes.fromhex("03000000" "01000000")                 # from byte 688
               + bytes.fromhex("0400000000000000" "0500000000000000" "0600000000000000" "0201000000000000"))
+    if version == 3:
+        reply = reply._replace(stiffness_age=0.5, force_error=2.0, error_age=1.0, least_tool_mass=0.5)
+        golden += HALF + TWO + ONE + HALF                              # from byte 728
     assert encode_reply(reply) == golden
     assert decode_reply(golden) == reply
-    assert len(golden) == REPLY_SIZE == 728
+    assert len(golden) == REPLY_SIZES[version] == {2: 728, 3: 760}[version]
+
+
+def test_an_unknown_error_is_nan_on_the_wire_and_flags_say_what_is_off():
+    unknown = Reply(Status.CONVERGED, 1, 0.0, flags=ReplyFlags.STALE_STIFFNESS | ReplyFlags.OFF_AXIS)
+    packet = encode_reply(unknown)
+    assert math.isnan(struct.unpack_from("<d", packet, 736)[0]) and packet[692] == 0b1100
+    decoded = decode_reply(packet)
+    assert decoded.force_error is None and not decoded.is_on_axis
+    assert decode_reply(encode_reply(Reply(Status.CONVERGED, 1, 0.0, force_error=0.0))).force_error == 0.0
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_reply_of_the_size_of_the_other_version_is_refused(version):
+    packet = bytearray(encode_reply(Reply(Status.CONVERGED, 1, 0.0, version=version)))
+    packet[4] = 5 - version
+    with pytest.raises(WireError):
+        decode_reply(packet)
 
 
 @given(REQUESTS)
@@ -85,7 +113,7 @@ def test_every_request_comes_back(request):
 @given(REPLIES)
 def test_every_reply_comes_back(reply):
     packet = encode_reply(reply)
-    assert len(packet) == REPLY_SIZE and decode_reply(packet) == reply
+    assert len(packet) == REPLY_SIZES[reply.version] and decode_reply(packet) == reply
 
 
 def test_nan_passes_the_wire():
@@ -110,7 +138,8 @@ def test_noise_behind_a_good_head_is_a_request_of_that_size_or_none(noise):
             decode_request(packet)
 
 
-@pytest.mark.parametrize(("at", "value"), [(0, b"TSRP"), (6, b"\x03\x00"), (6, b"\x00\x00"), (88, b"\x02\x00\x00\x00"),
+@pytest.mark.parametrize(("at", "value"), [(0, b"TSRP"), (4, b"\x04\x00"), (6, b"\x03\x00"), (6, b"\x00\x00"),
+                                           (88, b"\x02\x00\x00\x00"),
                                            (92, b"\x01\x00\x00\x00")])
 def test_a_wrong_field_is_refused(at, value):
     packet = bytearray(GOLDEN_REQUEST)
@@ -119,7 +148,7 @@ def test_a_wrong_field_is_refused(at, value):
         decode_request(packet)
 
 
-@given(st.integers(0, 2**16 - 1).filter(lambda version: version != VERSION), U64, REAL, st.binary(max_size=200))
+@given(st.integers(0, 2**16 - 1).filter(lambda version: version not in VERSIONS), U64, REAL, st.binary(max_size=200))
 def test_head_of_another_version_is_read_whatever_follows(version, sequence, time, rest):
     for magic, decode in ((b"TSRQ", decode_request), (b"TSRP", decode_reply)):
         with pytest.raises(OtherVersionError) as caught:

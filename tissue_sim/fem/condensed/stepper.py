@@ -184,7 +184,7 @@ class CondensedStepper:
         self._bound[:] = FREE
 
     def bring_down(self, pose: Pose) -> None:
-        """Place the tool at a pose of first touch, from which the next step goes on.
+        """Place the tool at a pose of first touch; the next step continues from there.
 
         At the pose for which the surface was described, nodes are bound as there. At another one, nodes are bound
         where the tool meets them in the next steps.
