@@ -72,6 +72,13 @@ def check_motion(displacement: np.ndarray, height: float, test: Test, path: Path
                          if test.specimen is None else
                          f"{path.name} goes to {largest * 1e3:g} mm, deeper than the specimen {test.specimen.name!r} "
                          f"is high ({height * 1e3:g} mm)", field="recordings")
+    # The other end of a specimen that is gripped: in tension its length is the height plus the displacement.
+    if test.kind.gripped and not test.kind.both_ways and float(displacement.min()) <= -height:
+        number = int(np.argmin(displacement)) + 1
+        shortest = 1.0 + float(displacement.min()) / height
+        raise InputError(f"{path.name}: the stretch must be above zero; got {shortest:g} in sample {number} of the "
+                         "loading. Check that sample and the size of the specimen, or leave the sample out with "
+                         "leave_out", field="recordings")
     if largest <= 0:
         raise InputError(f"{path.name} holds no loading: its largest strain is {largest / height:g}; check the kind, "
                          "or turn the column with sign = -1", field="recordings")

@@ -9,6 +9,7 @@ from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign
 from calibration.fit.alternatives import find_alternatives, without_errors_of
+from calibration.fit.determination import Determination, determine
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.fit import Covariance, Fit, Profile
@@ -49,7 +50,7 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
     alternatives = find_alternatives(law, space.of_law(values), [(minimum, space.of_law(minimum.parameters))
                                                    for minimum in estimate.minima], stretches)
     clauses, status, unusable = judge(Evidence(estimate, stability, reached, mu0, specimens, alternatives,
-                                               space.symbols, units))
+                                               _determination(estimate, spread, mu0, campaign), space.symbols, units))
     loose = not_identifiable(space, spread)
     spread = without_errors_of(space, spread, theta, alternatives)
     errors: dict[str, float | None] = dict.fromkeys(space.fixed, 0.0)
@@ -82,6 +83,17 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
     found = Findings(estimate, spread, descents, values, loose, status, unusable, lost)
     fit = Fit(**shared | estimator.describe(found))
     return replace(fit, sag_mm=sags(fit, campaign))
+
+
+def _determination(estimate: Estimate, spread: Uncertainty, mu0: float, campaign: Campaign) -> Determination | None:
+    """Knowledge of the shear modulus; None where it is not positive, or where specimens have moduli of their own, which
+    the clause `population` judges."""
+    space = estimate.problem.space
+    if not mu0 > 0 or any(each.of_law and each.specimen is not None for each in space.unknowns):
+        return None
+    law = find_law(space.law)
+    stated = {each.name for each in space.varied if each.path in campaign.fit.bounds}
+    return determine(estimate, spread, lambda theta: law.mu0(space.of_law(space.values(theta))), stated)
 
 
 def _derivatives(estimate: Estimate, theta: np.ndarray) -> dict[str, str]:

@@ -14,6 +14,8 @@ import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.alternatives import describe_alternatives
+from calibration.fit.determination import SETTINGS as DETERMINATION
+from calibration.fit.determination import Determination
 from calibration.fit.estimate import Estimate
 from calibration.fit.lack_of_fit import lack_of_fit
 from calibration.fit.population import Specimens
@@ -54,6 +56,7 @@ class Evidence:
     Attributes:
         estimate: the minimum. stability, reached, mu0: of the law there; see `check_stability` and `Reached`.
         specimens: of the population. alternatives: other parameters that fit as well.
+        determination: of the shear modulus by the tests; None where there is no such modulus.
         symbols, units: of the parameters, for sentences.
     """
 
@@ -63,6 +66,7 @@ class Evidence:
     mu0: float
     specimens: Specimens
     alternatives: Sequence[Alternative]
+    determination: Determination | None
     symbols: Mapping[str, str]
     units: Mapping[str, str]
 
@@ -70,8 +74,8 @@ class Evidence:
 def judge(evidence: Evidence) -> tuple[list[Clause], str, str | None]:
     """Clauses in the order of their weight, status, and the reasons why the fit is not usable (None: it is)."""
     clauses = [_physical(evidence), _converged(evidence), _stable(evidence), _recorded(evidence), _replicates(evidence),
-               _residuals(evidence), _explained(evidence), _displacement(evidence), _unique(evidence),
-               _population(evidence)]
+               _residuals(evidence), _explained(evidence), _displacement(evidence), _bounds(evidence),
+               _determined(evidence), _unique(evidence), _population(evidence)]
     failed = [clause for clause in clauses if not clause.holds]
     if not failed:
         return clauses, USABLE, None
@@ -238,6 +242,32 @@ def displacement_R2(curve: MeasuredCurve, model: np.ndarray) -> float:
     if stiffness <= 0 or variance <= 0:
         return 0.0
     return 1.0 - float(np.mean(((model - curve.force) / stiffness)**2)) / variance
+
+
+def _bounds(evidence: Evidence) -> Clause:
+    """Bounds of the program, not of the campaign, on which the shear modulus depends."""
+    found = evidence.determination
+    if found is None or not found.held:
+        return _clause("bounds", "not_determined", "")
+    names = ", ".join(evidence.symbols[name] for name in found.held)
+    change = f"changes by about {abs(found.change):.0%}" if np.isfinite(found.change) else "is not determined"
+    return _clause("bounds", "not_determined",
+                   f"the shear modulus mu0 depends on the bounds of {names}, which the campaign does not state: without "
+                   f"these bounds it {change}",
+                   f"state fit.bounds or fit.fixed for {names} if their values are known, or fit a law without them")
+
+
+def _determined(evidence: Evidence) -> Clause:
+    """Standard error of the shear modulus, not of the single parameters."""
+    found = evidence.determination
+    if found is None or found.is_determined:
+        return _clause("determined", "not_determined", "")
+    error = f"its standard error is {found.relative_error:.0%} of its value" if np.isfinite(found.relative_error) else \
+        "the samples contain no information on it"
+    return _clause("determined", "not_determined",
+                   f"the tests do not determine the shear modulus mu0: {error}, and the limit is "
+                   f"{DETERMINATION.relative_error:.0%}",
+                   "add a test or a longer recording, fix a parameter in fit.fixed, or use a law with fewer")
 
 
 def _unique(evidence: Evidence) -> Clause:

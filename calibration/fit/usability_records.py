@@ -10,7 +10,7 @@ class Clause(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         name: ``"physical"``, ``"converged"``, ``"stable"``, ``"recordings"``, ``"replicates"``, ``"residuals"``,
-            ``"explained"``, ``"displacement"``, ``"unique"`` or ``"population"``.
+            ``"explained"``, ``"displacement"``, ``"bounds"``, ``"determined"``, ``"unique"`` or ``"population"``.
         holds: whether it holds. status: of the fit where it fails and no clause before it does.
         reason, remedy: in words; empty where it holds.
     """

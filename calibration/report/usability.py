@@ -19,6 +19,8 @@ QUESTIONS = {
     "residuals": "residuals within the limit",
     "explained": "variance of the force explained",
     "displacement": "displacement explained where the force is controlled",
+    "bounds": "shear modulus independent of bounds that are not stated",
+    "determined": "shear modulus determined",
     "unique": "no other optimum fits as well",
     "population": "enough specimens determined",
 }

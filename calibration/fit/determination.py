@@ -1,0 +1,115 @@
+"""Whether the tests determine the shear modulus of a fit, and whether it depends on bounds that were not stated.
+
+The modulus decides, since one parameter of a law may be undetermined where the modulus is known: C20 on the data of a
+neo-Hookean solid, or C10 and C01 in simple shear, where their sum acts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.fit.estimate import Estimate
+from calibration.statistics.uncertainty import SINGULAR_CONDITION, Uncertainty
+
+
+@dataclass(frozen=True)
+class DeterminationSettings:
+    """Limits of the clauses `determined` and `bounds`.
+
+    Attributes:
+        relative_error: largest standard error of the shear modulus, relative to it. Above 0.5 the 95 % interval of two
+            standard errors reaches zero.
+        change: largest relative change of the shear modulus by the release of a bound that was not stated.
+        significance: least decrease of the sum of squares by that release, in units of the variance of the residuals:
+            the 95 % quantile of chi-square with one degree of freedom.
+    """
+
+    relative_error: float = 0.5
+    change: float = 0.05
+    significance: float = 3.84
+
+
+SETTINGS = DeterminationSettings()
+#: Width of the differences of the shear modulus, relative to the size of a parameter.
+_DIFFERENCE = 1e-6
+#: A relative change of the modulus along a direction without information below this is rounding.
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class Determination:
+    """Knowledge of the shear modulus mu0 (at once, where the material has a memory).
+
+    Attributes:
+        relative_error: standard error of mu0 over mu0, of the parameters that are not held; inf where the samples
+            contain no information on it.
+        held: names of the parameters at bounds that were not stated, where mu0 depends on these bounds.
+        change: relative change of mu0 in the first Newton step without these bounds.
+    """
+
+    relative_error: float
+    held: tuple[str, ...] = ()
+    change: float = 0.0
+
+    @property
+    def is_determined(self) -> bool:
+        """Whether the standard error of mu0 is within the limit."""
+        return self.relative_error <= SETTINGS.relative_error
+
+
+def determine(estimate: Estimate, spread: Uncertainty, modulus: Callable[[np.ndarray], float],
+              stated: Collection[str]) -> Determination:
+    """Standard error of the shear modulus, and its dependence on bounds.
+
+    Args:
+        estimate: the minimum. spread: its uncertainty.
+        modulus: shear modulus, Pa, of the free parameters, shape (p,).
+        stated: names of the parameters whose bounds the campaign states: these bounds are knowledge.
+    """
+    space = estimate.problem.space
+    count = len(space.free)
+    theta = estimate.theta[:count]
+    sizes = space.sizes(space.values(theta))
+    slope = np.zeros(estimate.theta.size)
+    slope[:count] = _gradient(modulus, theta, sizes) / abs(modulus(theta))
+    residual, jacobian = estimate.evaluation.projected
+    slope = slope[: jacobian.shape[1]]
+    held = spread.on_bound[: jacobian.shape[1]]
+    _, flat = _solve(jacobian[:, ~held], np.zeros(residual.size), slope[~held])
+    variance = float(slope[:count] @ spread.covariance[:count, :count] @ slope[:count])
+    error = np.inf if flat > _ROUNDING else float(np.sqrt(max(variance, 0.0)))
+    suspects = [i for i in range(count) if held[i] and space.free[i] not in stated]
+    if not suspects:
+        return Determination(error)
+    released = ~held
+    released[suspects] = True
+    columns = jacobian[:, released]
+    step, flat = _solve(columns, residual, slope[released])
+    change = float("inf") if flat > _ROUNDING else float(slope[released] @ step)
+    decrease = float(residual @ residual - np.sum((residual + columns @ step)**2))
+    depends = abs(change) > SETTINGS.change and decrease > SETTINGS.significance * max(spread.ratio, 1.0)**2
+    return Determination(error, tuple(space.free[i] for i in suspects) if depends else (), change)
+
+
+def _gradient(modulus: Callable[[np.ndarray], float], theta: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """Central differences of the modulus with the parameters, shape (p,)."""
+    steps = np.diag(_DIFFERENCE * sizes)
+    return np.array([(modulus(theta + step) - modulus(theta - step)) / (2.0 * step.max()) for step in steps])
+
+
+def _solve(jacobian: np.ndarray, residual: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, float]:
+    """Newton step of the least-squares problem, shape (p,), and the largest relative change of the modulus along a
+    direction without information, for a change of each parameter in inverse proportion to its column."""
+    norms = np.linalg.norm(jacobian, axis=0)
+    scale = np.where(norms > 0, norms, 1.0)
+    if not jacobian.shape[1]:
+        return np.zeros(0), 0.0
+    _, values, rows = np.linalg.svd(jacobian / scale, full_matrices=False)
+    known = values**2 > values.max(initial=0.0)**2 / SINGULAR_CONDITION
+    root = rows[known] / values[known, None]
+    step = -(root.T @ (root @ ((jacobian / scale).T @ residual))) / scale
+    flat = np.abs(rows[~known] @ (slope / scale)) / max(np.linalg.norm(slope / scale), 1e-300)
+    return step, float(flat.max(initial=0.0))
