@@ -77,10 +77,13 @@ def with_preload(screening: Screening, motion: np.ndarray, load: np.ndarray, cam
     # A prior that is not stated is widened to the preload, see `calibration.campaign.measured.scale_offsets`.
     covers = fit.offset == "fit" and not stressed and (
         "offset_prior" in fit.offset_usual or fit.offset_prior >= _COVERS * found.shift)
-    return replace(screening, preload=Preload(*found, covers, _preload_words(found, stressed=stressed, covers=covers)))
+    # An inverse fit has a contact offset in each recording, unless its deviation is stated as zero.
+    fits_contact = fit.method != "analytical" and campaign.noise.contact_jitter != 0
+    return replace(screening, preload=Preload(*found, covers, _preload_words(
+        found, stressed=stressed, covers=covers, fits_contact=fits_contact)))
 
 
-def _preload_words(found: LoadAtZero, *, stressed: bool, covers: bool) -> str:
+def _preload_words(found: LoadAtZero, *, stressed: bool, covers: bool, fits_contact: bool) -> str:
     load, shift = (f"{1e-3 * found.load:.3g} kPa", f"a strain of {found.shift:.3g}") if stressed else \
         (f"{found.load:.3g} N", f"{1e3 * found.shift:.2g} mm")
     what = (f"the recording begins under {load}, {100 * found.fraction:.0f} % of its range: the displacement was "
@@ -90,7 +93,9 @@ def _preload_words(found: LoadAtZero, *, stressed: bool, covers: bool) -> str:
     remedy = "correct the strain and stress of the file" if stressed else (
         f"set offset = \"fit\" and offset_prior_mm = {1e3 * found.shift:.2g} in [fit] for a preload, or an offset of "
         "the force in columns for a load cell")
-    return f"{what}; the moduli are wrong; {remedy}"
+    effect = "the moduli are wrong unless the fitted contact offset covers that distance" if fits_contact else \
+        "the moduli are wrong"
+    return f"{what}; {effect}; {remedy}"
 
 
 def notes_of(screening: Screening, *, remembering: bool) -> dict[str, str]:

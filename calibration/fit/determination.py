@@ -20,14 +20,14 @@ class DeterminationSettings:
     """Limits of the clauses `determined` and `bounds`.
 
     Attributes:
-        relative_error: largest standard error of the shear modulus, relative to it. Above 0.5 the 95 % interval of two
-            standard errors reaches zero.
+        relative_error: largest standard error of the shear modulus, relative to it: the 95 % interval then reaches from
+            half the value to 1.5 times it.
         change: largest relative change of the shear modulus by the release of a bound that was not stated.
         significance: least decrease of the sum of squares by that release, in units of the variance of the residuals:
             the 95 % quantile of chi-square with one degree of freedom.
     """
 
-    relative_error: float = 0.5
+    relative_error: float = 0.25
     change: float = 0.05
     significance: float = 3.84
 

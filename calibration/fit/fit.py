@@ -289,7 +289,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
             None.
         misfits: fitted test -> root mean square residual, % of its largest force.
         status: ``"converged"``, or that of the first clause that fails: ``"misfit"`` (does not describe the data),
-            ``"ambiguous"`` (other parameters fit as well), ``"not_determined"`` (the shear modulus, by the tests alone),
+            ``"ambiguous"`` (other parameters fit as well), ``"not_determined"`` (the shear modulus by the tests),
             ``"unstable"`` (in the measured loading over the data),
             ``"not_physical"``, ``"not_converged"`` or ``"no_population"`` (specimens with numbers of their own, of
             which fewer than two are determined). Only the first is usable.

@@ -1,4 +1,4 @@
-"""Recordings of one test that disagree: two materials, a wrong unit or a wrong sign."""
+"""Recordings of one test, and tests of one kind, that disagree: two materials, a wrong unit or a wrong sign."""
 
 from __future__ import annotations
 
@@ -77,10 +77,18 @@ def find_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]) -> list[
 def _disagreement(test: str, curves: Sequence[MeasuredCurve]) -> Disagreement | None:
     if len(curves) < 2:
         return None
-    sizes = _stiffnesses(curves)
+    sizes = stiffnesses([(curve.displacement, curve.force) for curve in curves])
     if sizes is None:
         return None
-    names = [curve.name for curve in curves]
+    return split_stiffnesses(test, [curve.name for curve in curves], sizes)
+
+
+def split_stiffnesses(test: str, names: Sequence[str], sizes: np.ndarray, scatter: float = 0.0) -> Disagreement | None:
+    """Two groups of stiffnesses with a gap between them.
+
+    Args:
+        sizes: the stiffnesses, shape (n,). scatter: standard deviation of the logarithm of each by itself.
+    """
     negative = sizes <= 0
     if negative.any() and not negative.all():
         odd, others = (negative, ~negative) if negative.sum() <= (~negative).sum() else (~negative, negative)
@@ -93,7 +101,7 @@ def _disagreement(test: str, curves: Sequence[MeasuredCurve]) -> Disagreement | 
     cut = int(np.argmax(gaps)) + 1
     low, high = logs[order[:cut]], logs[order[cut:]]
     squares = float(np.sum((low - low.mean())**2) + np.sum((high - high.mean())**2))
-    within = np.sqrt(squares / max(logs.size - 2, 1))
+    within = max(float(np.sqrt(squares / max(logs.size - 2, 1))), scatter)
     if gaps[cut - 1] <= np.log(SETTINGS.ratio) or gaps[cut - 1] <= SETTINGS.scatter * within:
         return None
     below = np.isin(np.arange(logs.size), order[:cut])
@@ -102,19 +110,29 @@ def _disagreement(test: str, curves: Sequence[MeasuredCurve]) -> Disagreement | 
     return Disagreement(test, _of(names, odd), _of(names, ~odd), ratio)
 
 
-def _stiffnesses(curves: Sequence[MeasuredCurve]) -> np.ndarray | None:
+def stiffnesses(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray | None:
     """Mean force of each recording over displacements that all of them reach, N, shape (R,); None where there are
-    none."""
-    reach = min(float(curve.displacement.max()) for curve in curves)
-    low = max((1.0 - SETTINGS.compared) * reach, *(float(curve.displacement.min()) for curve in curves))
-    if not 0 < low < reach:
+    none.
+
+    Args:
+        curves: displacement and force of each recording, shapes (n,).
+    """
+    found = common_range([displacement for displacement, _ in curves])
+    if found is None:
         return None
-    grid, found = np.linspace(low, reach, _POINTS), []
-    for curve in curves:
-        end = int(np.argmax(curve.displacement)) + 1
-        order = np.argsort(curve.displacement[:end], kind="stable")
-        found.append(float(np.mean(np.interp(grid, curve.displacement[:end][order], curve.force[:end][order]))))
-    return np.array(found)
+    grid, means = np.linspace(*found, _POINTS), []
+    for displacement, force in curves:
+        end = int(np.argmax(displacement)) + 1
+        order = np.argsort(displacement[:end], kind="stable")
+        means.append(float(np.mean(np.interp(grid, displacement[:end][order], force[:end][order]))))
+    return np.array(means)
+
+
+def common_range(displacements: Sequence[np.ndarray]) -> tuple[float, float] | None:
+    """Upper part of the displacements that all recordings reach; None where there is none."""
+    reach = min(float(each.max()) for each in displacements)
+    low = max((1.0 - SETTINGS.compared) * reach, *(float(each.min()) for each in displacements))
+    return (low, reach) if 0 < low < reach else None
 
 
 def _of(names: Sequence[str], mask: np.ndarray) -> tuple[str, ...]:

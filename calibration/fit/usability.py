@@ -17,8 +17,10 @@ from calibration.fit.alternatives import describe_alternatives
 from calibration.fit.determination import SETTINGS as DETERMINATION
 from calibration.fit.determination import Determination
 from calibration.fit.estimate import Estimate
+from calibration.fit.kindred_tests import find_test_disagreements
 from calibration.fit.lack_of_fit import lack_of_fit
 from calibration.fit.population import Specimens
+from calibration.fit.preload_cover import covers_preload, fitted_contacts
 from calibration.fit.replicates import find_disagreements
 from calibration.fit.usability_records import Alternative, Clause
 from calibration.forward.contract import Reached
@@ -46,6 +48,13 @@ class UsabilitySettings:
 SETTINGS = UsabilitySettings()
 #: Status of a usable fit.
 USABLE = "converged"
+#: Samples whose mean is the force at the start of a recording.
+_START_SAMPLES = 3
+#: A force against the load at the start counts above this fraction of the range of the force ...
+_START_FRACTION = 0.02
+#: ... and above this many times the noise.
+_START_NOISE = 5.0
+#: Remedy of a misfit where neither the recordings nor their zero are at fault.
 _OTHER_LAW = "end the test before something else begins, such as failure (max_strain), or take another law"
 
 
@@ -146,8 +155,13 @@ def _recorded(evidence: Evidence) -> Clause:
     remembers = space.material(space.values(evidence.estimate.theta[: len(space.free)])).remembers \
         if evidence.mu0 > 0 else False
     found: dict[str, list[str]] = {}
+    contacts = fitted_contacts(evidence.estimate)
     for curve in problem.measured:
+        preload = curve.screening.preload
+        covered = preload.sentence if preload is not None and covers_preload(curve, contacts[curve.name]) else None
         for sentence in contradictions(curve, remembers):
+            if sentence == covered:
+                continue
             found.setdefault(sentence, []).append(curve.name)
     reasons = [f"{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: {sentence}"
                for sentence, names in found.items()]
@@ -171,8 +185,12 @@ def _replicates(evidence: Evidence) -> Clause:
     problem = evidence.estimate.problem
     if any(each.recording is not None for each in problem.space.unknowns):
         return _clause("replicates", "misfit", "")
-    found = find_disagreements({test.name: test.measured for test in problem.tests})
-    return _clause("replicates", "misfit", "; ".join(each.describe() for each in found))
+    measured = {test.name: test.measured for test in problem.tests}
+    found = [each.describe() for each in find_disagreements(measured)]
+    # A memory, a part of the material beside the law, or parameters of single tests explain different stiffnesses.
+    if all(each.of_law and each.tests is None for each in problem.space.unknowns if each.of_material):
+        found += [each.describe() for each in find_test_disagreements(measured)]
+    return _clause("replicates", "misfit", "; ".join(found))
 
 
 def test_misfits(estimate: Estimate) -> tuple[dict[str, float], dict[str, float]]:
@@ -199,7 +217,7 @@ def _residuals(evidence: Evidence) -> Clause:
               for test in problem.tests if shares[test.name] > 100 * SETTINGS.largest_residual
               and ratios[test.name] > SETTINGS.noise_ratio]
     return _clause("residuals", "misfit", f"does not describe the data: {' and '.join(missed)}" if missed else "",
-                   _OTHER_LAW)
+                   _misfit_remedy(problem.measured))
 
 
 def _explained(evidence: Evidence) -> Clause:
@@ -211,7 +229,22 @@ def _explained(evidence: Evidence) -> Clause:
         if R2 is not None and SETTINGS.smallest_R2 > R2 and ratios[test.name] > SETTINGS.noise_ratio:
             missed.append(f"R2 in {test.name} is {R2:.3f} over the part in which the displacement moves (noise and "
                           f"scatter taken out), and the limit is {SETTINGS.smallest_R2:g}")
-    return _clause("explained", "misfit", " and ".join(missed), _OTHER_LAW)
+    return _clause("explained", "misfit", " and ".join(missed), _misfit_remedy(problem.measured))
+
+
+def _misfit_remedy(measured: Sequence[MeasuredCurve]) -> str:
+    """The remedy of a misfit: the zero of the load cell where a recording begins under a force against the load."""
+    found = [f"{curve.name}: the force begins at {start:.3g} {'Pa' if curve.stressed else 'N'}, against the load, so "
+             "the load cell was not zeroed: set offset = \"start\" for the force in columns"
+             for curve in measured if (start := _start_against_load(curve)) < 0]
+    return "; ".join(found) or _OTHER_LAW
+
+
+def _start_against_load(curve: MeasuredCurve) -> float:
+    """Mean force of the first samples where it is significantly below zero, N; otherwise 0."""
+    start = float(np.mean(curve.force[:_START_SAMPLES]))
+    limit = max(_START_FRACTION * float(np.ptp(curve.force)), _START_NOISE * curve.noise.deviation)
+    return start if start < -limit else 0.0
 
 
 def _displacement(evidence: Evidence) -> Clause:
@@ -226,7 +259,9 @@ def _displacement(evidence: Evidence) -> Clause:
         if SETTINGS.smallest_R2 > R2:
             missed.append(f"{curve.name}: the force is controlled, and the law explains {max(R2, 0.0):.1%} of the "
                           f"variance of the displacement (R2 {R2:.3g}, limit {SETTINGS.smallest_R2:g})")
-    return _clause("displacement", "misfit", "; ".join(missed), _OTHER_LAW)
+    return _clause("displacement", "misfit", "; ".join(missed),
+                   "the displacement creeps under a held force: name viscoelastic.terms[0].g and .tau_s (a second "
+                   "term: terms[1]) in fit.start, or record the test at a controlled displacement")
 
 
 def displacement_R2(curve: MeasuredCurve, model: np.ndarray) -> float:
@@ -252,8 +287,8 @@ def _bounds(evidence: Evidence) -> Clause:
     names = ", ".join(evidence.symbols[name] for name in found.held)
     change = f"changes by about {abs(found.change):.0%}" if np.isfinite(found.change) else "is not determined"
     return _clause("bounds", "not_determined",
-                   f"the shear modulus mu0 depends on the bounds of {names}, which the campaign does not state: without "
-                   f"these bounds it {change}",
+                   f"the shear modulus mu0 depends on the bounds of {names}, which the campaign does not state: "
+                   f"without these bounds it {change}",
                    f"state fit.bounds or fit.fixed for {names} if their values are known, or fit a law without them")
 
 

@@ -1,0 +1,40 @@
+"""Whether the contact offset of a fit covers a preload at the zero of the displacement.
+
+The zero of the force does not count: a fit without a contact offset takes the preload for a zero of the force, and its
+modulus is then wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from calibration.campaign.measured import MeasuredCurve
+from calibration.fit.estimate import Estimate
+from calibration.fit.ordinary_problem import OrdinaryProblem
+
+#: The fitted contact offset covers a preload if it is this fraction of the distance from contact, or more ...
+_LEAST = 0.8
+#: ... and no more than this fraction.
+_MOST = 1.25
+
+
+def fitted_contacts(estimate: Estimate) -> Mapping[str, float]:
+    """Recording -> its fitted contact offset, m, negative where contact lies before the zero of the displacement."""
+    problem: Any = estimate.problem
+    if isinstance(problem, OrdinaryProblem):
+        values = problem.offsets(estimate.theta)[:, 0]
+    elif "contact" in problem.kinds:
+        first = [columns.start + problem.kinds.index("contact") for columns in problem.offset_columns]
+        values = problem.jitter.contact * estimate.evaluation.nuisances[first]
+    else:
+        values = np.zeros(len(problem.places))
+    return {curve.name: float(contact) for curve, contact in zip(problem.measured, values, strict=True)}
+
+
+def covers_preload(curve: MeasuredCurve, contact: float) -> bool:
+    """Whether a fitted contact offset, m, explains the load at the zero of the displacement."""
+    preload = curve.screening.preload
+    return preload is None or preload.is_settled or _LEAST <= -contact / preload.shift <= _MOST
