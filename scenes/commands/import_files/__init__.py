@@ -31,7 +31,7 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("-o", dest="output", type=Path, metavar="CAMPAIGN.toml",
                         help="campaign to write, with a picture of what was understood beside it; without it "
                              "nothing is written")
-    test = parser.add_argument_group("what the files do not state (the campaign has a line to fill in for each that is missing)")
+    test = parser.add_argument_group("what the files do not state (the campaign has a line to fill in for it)")
     test.add_argument("--kind", choices=tuple(KINDS), metavar="KIND", help=", ".join(KINDS))
     test.add_argument("--shape", choices=_shapes(),
                       help="shape of the specimen (default: cylinder, or its cross-section)")
