@@ -1,4 +1,4 @@
-"""Operations of a motion: moves of the tool, and what a program does with its simulator between two moves.
+"""Operations of a motion: moves of the tool, and calls of the simulator between two moves.
 
 `paths` lists the true paths of the tool that the operations imply. A path holds each pose at which the tool really was
 since the tissue was untouched; inputs that must be refused, and excursions that `Restore` undoes, are left out.

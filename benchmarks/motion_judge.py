@@ -57,7 +57,7 @@ class EndlessStepError(Exception):
 
 
 class Verdict(Enum):
-    """What an answer was worth."""
+    """Verdict on one answer."""
 
     RIGHT = "right"
     REFUSED = "refused rightly"
@@ -71,7 +71,7 @@ class Verdict(Enum):
 
 @dataclass
 class Judgement:
-    """What became of a motion.
+    """Verdicts on the answers of one motion.
 
     Attributes:
         counts: ticks by verdict.
@@ -207,7 +207,7 @@ def _judge(judgement: Judgement, motion: Motion, index: int, answer: Any, truth:
 
 
 def _is_unbounded(scene: Scene, answer: ts.ToolForce) -> bool:
-    """Whether a force is larger than the pose of its last equilibrium explains."""
+    """Whether a force is larger than that of the pose of its last equilibrium."""
     force = float(np.linalg.norm(answer.force_vector))
     if force <= STOPPED_BOUND * nominal_force(scene):
         return False

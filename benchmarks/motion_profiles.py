@@ -29,7 +29,7 @@ DT = 1e-3
 
 @dataclass(frozen=True)
 class Key:
-    """A place on the way of the tool.
+    """A pose on the path of the tool.
 
     Attributes:
         z: height of the tool's deepest point over the undeformed surface, m.
@@ -93,7 +93,7 @@ def tick_length(scene: Scene, chance: np.random.Generator) -> float:
 
 
 def _place(scene: Scene, chance: np.random.Generator, z: float, hold: int = 0) -> Key:
-    """A key at a height, aside and turned where the scene is spatial."""
+    """A key at a height; in spatial scenes also displaced sideways and turned."""
     if scene.solver == "axisymmetric":
         return Key(z, hold=hold)
     aside = chance.uniform(-0.8e-3, 0.8e-3, 2)

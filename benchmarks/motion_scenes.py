@@ -1,4 +1,4 @@
-"""Scenes of the generator of motions: what is simulated, by which solver, and how a simulator of a scene is made."""
+"""Scenes of the generator of motions: model, solver, and the construction of a simulator."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ def multirate(scene: Scene) -> MultiRateTissue:
 
 
 def tissue_of(scene: Scene) -> Any:
-    """What is tested: a `Simulator`, or a `MultiRateTissue`."""
+    """The tested simulator: a `Simulator` or a `MultiRateTissue`."""
     return multirate(scene) if scene.solver == "multirate" else simulator(scene)
 
 

@@ -55,7 +55,7 @@ def aside_in_the_air(chance: np.random.Generator, scene: Scene) -> Motion:
 
 
 def spin_in_the_air(chance: np.random.Generator, scene: Scene) -> Motion:
-    """The tool is spun about its axis in the air, and keeps this spin: nothing changes."""
+    """The tool is turned about its axis in the air, and stays turned: nothing changes."""
     dt = tick_length(scene, chance)
     limit = math.radians(4.5) if scene.solver == "reduced" and scene.is_bonded else math.pi
     angle = float(chance.uniform(-limit, limit))
@@ -68,7 +68,7 @@ def spin_in_the_air(chance: np.random.Generator, scene: Scene) -> Motion:
 
 
 def lean_in_the_air(chance: np.random.Generator, scene: Scene) -> Motion:
-    """A ball leans in the air and comes down so: the same as an upright ball with the same centre."""
+    """A ball leans in the air and touches in this orientation: the same as an upright ball with the same centre."""
     dt = tick_length(scene, chance)
     lean, direction = float(chance.uniform(0.02, 0.15)), float(chance.uniform(0.0, 2.0 * math.pi))
     turn = (lean * math.cos(direction), lean * math.sin(direction), 0.0)
@@ -223,7 +223,7 @@ def material_under_load(chance: np.random.Generator, scene: Scene) -> Motion:
 
 
 def press(chance: np.random.Generator, scene: Scene) -> Motion:
-    """A press; the trap is the late bulk."""
+    """A press; the models of the bulk come late."""
     return Motion("slow bulk", scene, tuple(moves(profile(scene, chance, 1e-3), 1e-3)))
 
 

@@ -37,7 +37,7 @@ CLEAR_HEIGHT = 0.0
 
 @dataclass(frozen=True)
 class Truth:
-    """What is right at a tick.
+    """True wrench at a tick.
 
     Attributes:
         force, torque: on the tool, N and N m.
@@ -67,7 +67,7 @@ def truths(scene: Scene, path: Sequence[PathTick]) -> dict[int, Truth]:
 
 
 def _sampled(path: Sequence[PathTick]) -> list[PathTick]:
-    """A path with short ticks in the tissue merged, for a reference that is slower than what is tested."""
+    """A path with short ticks in the tissue merged, for a reference that is slower than the tested simulator."""
     kept: list[PathTick] = []
     waiting = 0.0
     for tick, following in zip(path, [*path[1:], None], strict=True):
@@ -148,7 +148,7 @@ class _Reference:
         return self._truth(tick.factor)
 
     def _leaves_for_good(self, is_above: bool) -> bool:
-        """Whether the tissue is as new: elastic, without mass, and the tool has lifted off."""
+        """Whether the tissue is undeformed again: elastic, without mass, and the tool has lifted off."""
         scene = self._scene
         return is_above and not scene.is_bonded and scene.is_elastic and scene.inertia == "off"
 

@@ -54,7 +54,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Result:
-    """What became of a motion.
+    """Outcome of a motion.
 
     Attributes:
         trap, scene: names.

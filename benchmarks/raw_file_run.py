@@ -37,7 +37,7 @@ RIGHT, QUESTION, REASON, OTHER_QUESTION, OTHER_REFUSAL, CRASH, WRONG = OUTCOMES 
 
 @dataclass(frozen=True)
 class Result:
-    """What became of one file.
+    """Outcome of one file.
 
     Attributes:
         index, traps, layout, kind: of the file. wants_right: whether one reading is correct.
@@ -61,7 +61,7 @@ class Result:
 
 
 def draw_traps(rng: np.random.Generator, only: str | None = None, areas: Sequence[str] = AREAS) -> list[Trap]:
-    """One to three traps that may stand in one file; areas are drawn first, so that each has an equal share."""
+    """One to three traps that may be combined in one file; areas are drawn first, so that each has an equal share."""
     count = 1 + int(rng.choice(len(COUNTS), p=COUNTS))
     if only is not None:
         return [TRAPS[only]]
@@ -78,7 +78,7 @@ def draw_traps(rng: np.random.Generator, only: str | None = None, areas: Sequenc
 
 
 def _shared(traps: Sequence[Trap]) -> list[tuple[str, str]]:
-    """Kind and layout of files in which all of these traps may stand."""
+    """Kind and layout of files that may have all of these traps."""
     return [(kind, name) for kind in KINDS for name, layout in LAYOUTS.items() if kind in layout.names
             and all(kind in trap.kinds and name in trap.layouts for trap in traps)]
 

@@ -1,4 +1,4 @@
-"""What a trap is: a change of a raw file that misleads a reader, with the outcomes that are acceptable."""
+"""Traps: changes of a raw file that mislead a reader, with the outcomes that are acceptable."""
 
 from __future__ import annotations
 

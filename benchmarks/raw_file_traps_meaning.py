@@ -160,7 +160,7 @@ def _position(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _no_units(draft: Draft, rng: np.random.Generator) -> None:
-    """No unit anywhere; the user's own are not the usual ones in every second file."""
+    """No unit anywhere; in every second file the user states units that are not the usual ones."""
     units = [{"displacement": "mm", "force": "N", "time": "s"}, {"displacement": "um", "force": "mN", "time": "ms"}][
         int(rng.integers(2))]
     change_columns(draft, lambda column: in_unit(column, units.get(column.role, "")))

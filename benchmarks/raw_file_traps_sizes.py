@@ -1,4 +1,4 @@
-"""Traps in the sizes of the specimen: where they stand, how they are called, and contradictions."""
+"""Traps in the sizes of the specimen: their place in the file, their names, and contradictions."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ class Specimen:
 
 @dataclass(frozen=True)
 class Test:
-    """One test: what was done, and what an ideal machine measured.
+    """One test: its motion, and the readings of an ideal machine.
 
     Attributes:
         kind: of test. mu: shear modulus, Pa. specimen: its sizes.
@@ -134,7 +134,7 @@ def relaxing_force(time: np.ndarray, elastic: np.ndarray, fraction: float, tau: 
 
 
 def fitted_modulus(test: Test, first: int, last: int) -> float:
-    """Least-squares shear modulus, Pa, of samples `first` to `last`: what an elastic fit of them must give."""
+    """Least-squares shear modulus, Pa, of samples `first` to `last`: the correct result of an elastic fit."""
     unit = replace(test, mu=1.0).elastic_force(test.motion[first:last])
     return float(unit @ test.force[first:last] / (unit @ unit))
 

@@ -57,8 +57,8 @@ def warn_of_light_tool(least_mass: float) -> None:
         least_mass: `ToolForce.least_tool_mass` of the last step, kg.
     """
     warnings.warn(LightToolWarning(
-        f"the tool moves to and fro in every step, as a tool below {1e3 * least_mass:.2g} g does that is coupled by "
-        "pose and force. Use looks_ahead=True with an implicit coupling, inertia='off', or a heavier tool; see "
+        f"the tool reverses its motion in every step, as a tool lighter than {1e3 * least_mass:.2g} g does if coupled "
+        "by pose and force. Use looks_ahead=True with an implicit coupling, inertia='off', or a heavier tool; see "
         "docs/realtime.md."), stacklevel=2)
 
 
@@ -70,12 +70,12 @@ class MotionCheck:
     ``inertia="auto"`` the mass of the tissue does not count for such a motion.
     """
 
-    #: The tool moves to and fro if it turns in this many successive steps.
+    #: The tool oscillates if its motion reverses in this many successive steps.
     MOST_TURNS = 3
     __slots__ = ("_turns", "_x", "_y", "_z", "quiet")
 
     def __init__(self) -> None:
-        #: Time since the tool moved to and fro last, s.
+        #: Time since the last oscillation of the tool, s.
         self.quiet = float("inf")
         self._turns, self._x, self._y, self._z = 0, 0.0, 0.0, 0.0
 

@@ -147,7 +147,7 @@ class PathFollower:
         return math.hypot(x, y, z) + self._radius * math.hypot(a, b, c)
 
     def _follow(self, pose: Pose, tick: float, began: float) -> ToolForce:
-        """Step to a pose in as many parts as it takes; the next step is thought as long as this tick, s."""
+        """Step to a pose in as many parts as needed; the next step is assumed to be as long as `tick`, s."""
         solver, status, solves, residual, outside = self._solver, None, 0, self._answer.residual, False
         inertial = self._counts_mass
         allowance = Allowance(self._clock, self.max_solves, None if self.budget is None else began + self.budget)
@@ -200,10 +200,10 @@ class PathFollower:
                         self._begins = False
                     status = ForceStatus.CONVERGED
             elif creep is None and step.status is StepStatus.SLOW and allowed < most:
-                # The next step goes on with this iteration, and with what is left of the way then.
+                # The next step continues this iteration, and then the rest of the path.
                 self._attempt, status = attempt, ForceStatus.LATE
             elif step.status is StepStatus.OUTSIDE:
-                # No shorter part leads there; the tissue waits where it is, and what it would do is not guessed.
+                # No shorter part reaches this pose; the tissue keeps its state.
                 status, outside = ForceStatus.STOPPED, True
             elif creep is None and attempt.order:
                 if step.status is StepStatus.SLOW and step.residual <= _NEAR and attempt.limit < _MOST_IF_NEAR:
@@ -226,7 +226,7 @@ class PathFollower:
                 elif self._share < _SMALLEST_CUT:
                     self._share, self._anew, status = _SMALLEST_CUT, not self._bonded, ForceStatus.STOPPED
         if status is ForceStatus.LATE and not solver.takes(pose):
-            # It goes on to where the tool may be; what the force would be beyond is not guessed either.
+            # Extrapolate to the last pose that the tool may have; no force is estimated beyond it.
             status, outside = ForceStatus.STOPPED, True
         return self._answered(pose, tick, status, outside, solves, residual, began)
 
@@ -248,7 +248,7 @@ class PathFollower:
             if not is_known_well(wrench, self.error, self._error_floor):
                 status = ForceStatus.LATE
         elif not outside:
-            # Mass resists a motion within the step, not one that goes on.
+            # Mass resists the acceleration within a step, not a steady motion.
             wrench = self._carried_on(wrench, motion(at.pose, pose))
             if status is ForceStatus.STOPPED:
                 wrench = shortened(wrench, self._largest_force + force_of_increment(at.stiffness, self._largest_part))

@@ -292,8 +292,8 @@ class Simulator(PathFollower, KernelOwner):
 
     @exclusive
     def restore(self, state: SimulatorState) -> None:
-        """Go back to where `save` was called, in this simulator or in one of the same model and mesh; parameters may
-        differ.
+        """Restore a saved state, in this simulator or in one of the same solver, mesh, experiment and structure of the
+        material; the values of parameters may differ.
 
         Raises:
             InputError: not a saved state, or one of another solver, mesh, experiment or material structure; nothing is

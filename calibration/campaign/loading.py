@@ -47,8 +47,8 @@ def elastic_samples(places: np.ndarray, displacement: np.ndarray, screening: Scr
 
 
 def first_loading(displacement: np.ndarray, both_sides: bool) -> np.ndarray:
-    """Samples up to the largest displacement, and where it went to both sides those of the other loading: from rest to
-    its own extreme, without the return between them."""
+    """Samples up to the largest displacement; of a specimen loaded to both sides also those of the second loading, from
+    rest to the opposite extreme. The return between the two is left out."""
     last, other = int(np.argmax(displacement)), int(np.argmin(displacement))
     if not both_sides or -displacement[other] < OTHER_SIDE * displacement[last]:
         return np.arange(last + 1)
@@ -56,13 +56,13 @@ def first_loading(displacement: np.ndarray, both_sides: bool) -> np.ndarray:
     # The return ends where the displacement has changed its sign for the last time before the second extreme.
     turned = np.flatnonzero(displacement[first:second] * displacement[second] <= 0)
     if first + 1 < MIN_POINTS:
-        # It began at an extreme, so that all that leads to the other is one loading.
+        # The recording begins at one extreme: the whole path to the other one is one loading.
         return np.arange(first, second + 1)
     return np.append(np.arange(first + 1), np.arange(first + turned[-1] + 1, second + 1))
 
 
 def check_motion(displacement: np.ndarray, height: float, test: Test, path: Path) -> None:
-    """Refuse a motion that is none, or that no specimen follows."""
+    """Refuse a recording that does not move, that goes deeper than the specimen is high, or that has no loading."""
     if np.ptp(displacement) == 0:
         raise InputError(f"{path.name} does not move: its displacement has the same value in all {displacement.size} "
                          "samples of loading; check which column it is read from", field="recordings")

@@ -16,7 +16,7 @@ _MOST_FITS = 4
 _SETTLED = 0.2
 
 def settle_contacts(evidence: Evidence, steps: Steps) -> tuple[Evidence, list[str]]:
-    """The evidence counted from the contacts that it finds, and a sentence on each contact that is far out.
+    """The evidence with displacements from the contacts found, and a sentence on each contact far from its prior.
 
     A contact beyond the prior is biased by the prior and by the straight continuation of the simulated path, and both
     show as effects. Here displacements are counted from the contacts that were found, and the fit is repeated. Only

@@ -177,7 +177,7 @@ def run_mirrored(problem: Problem, number: int, theta: np.ndarray, limit: float,
 
 
 def _best_of(descents: Sequence[Descent], problem: Problem) -> Descent:
-    """The descent to settle: the best, and of equal ones that with positive exponents."""
+    """The descent whose minimum is reported: the best; of equal ones that with most positive exponents."""
     ordered = sorted(descents, key=lambda end: end.error)
     if not np.isfinite(ordered[0].error):
         return ordered[0]

@@ -60,7 +60,7 @@ _OTHER_LAW = "end the test before something else begins, such as failure (max_st
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the clauses are evaluated on.
+    """Data on which the clauses are evaluated.
 
     Attributes:
         estimate: the minimum. stability, reached, mu0: of the law there; see `check_stability` and `Reached`.
@@ -248,7 +248,7 @@ def _start_against_load(curve: MeasuredCurve) -> float:
 
 
 def _displacement(evidence: Evidence) -> Clause:
-    """Misfit of the displacement in recordings whose force is controlled: there the force itself never misses."""
+    """Misfit of the displacement in recordings whose force is controlled; the residuals of the force do not show it."""
     problem = evidence.estimate.problem
     model, missed = evidence.estimate.evaluation.force, []
     for rows, curve in zip(problem.rows, problem.measured, strict=True):

@@ -21,7 +21,7 @@ from tissue_sim.recording.segments import Segmentation, find_segments, loading_o
 
 #: Channels that say how far a test has come, the first of which is taken, and where they rest.
 MOTIONS = {"displacement": 0.0, "stretch": 1.0, "shear strain": 0.0}
-#: Air that ends within this fraction of the displacement is none.
+#: Air shorter than this fraction of the displacement is ignored.
 _AT_ONCE = 0.01
 
 

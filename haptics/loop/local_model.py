@@ -60,7 +60,7 @@ class SlowSolver:
     up to two periods, and the last but one tells what that costs if the motion goes on like this. At a reversal both
     happen to be right, so a fifth of the estimate at most is forgotten with each model. Models of a tool in the air are
     all equal: they change no estimate, and before the first force the error is unknown. An error that the tissue itself
-    estimates is a lower limit. The estimate is no bound: a motion as fast as the solver deceives it.
+    estimates is a lower limit. The estimate is not a bound: it is too small for a motion as fast as the solver.
 
     Args:
         tissue: steps at 2 to 60 Hz.

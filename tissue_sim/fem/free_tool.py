@@ -1,4 +1,4 @@
-"""What a solver does while the tool does not touch the tissue: before the first touch, and after lift-off.
+"""Contract of a solver for a tool in the air: before the first touch, and after lift-off.
 
 The defaults suit every solver: the tool first touches where its deepest point reaches z = 0, and after that every
 motion is stepped.

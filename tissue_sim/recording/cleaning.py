@@ -12,7 +12,7 @@ from tissue_sim.recording.recording import CHANNELS, MIN_POINTS, Recording
 from tissue_sim.recording.saturation import SaturatedRun, find_saturation
 from tissue_sim.recording.screening import LeftOut, Saturation, Screening
 
-#: Channels of the motion and of the load, the first of which that a recording has are examined.
+#: Channels of the motion and of the load; of each, the first one that a recording has is examined.
 MOTIONS = ("displacement", "stretch", "shear strain")
 LOADS = ("force", "nominal stress")
 #: Quantity -> unit and units in one of SI, for sentences.
@@ -38,7 +38,7 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
     try:
         found = left_out(find_outliers(channels[motion], channels[load]), channels, in_words)
     except InputError:
-        # Who lists the samples to leave out has seen the others.
+        # A list in the campaign states that all other samples are valid.
         if leave_out is None:
             raise
         found = ()
@@ -100,8 +100,8 @@ def _saturation(recording: Recording, kept: np.ndarray, run: SaturatedRun, name:
     samples = tuple((kept[run.first:run.last + 1] + 1).tolist())
     goes_on = "motion" if other in MOTIONS else "load"
     return Saturation(name, level, samples,
-                      f"the {name} stays at {in_words(name, level)} over {run.count} samples while the {goes_on} goes "
-                      f"on: a saturated sensor; samples {samples[0]} to {samples[-1]} are left out")
+                      f"the {name} stays at {in_words(name, level)} over {run.count} samples while the {goes_on} "
+                      f"continues: a saturated sensor; samples {samples[0]} to {samples[-1]} are left out")
 
 
 def _clock(recording: Recording) -> np.ndarray | None:

@@ -23,7 +23,7 @@ def with_constant_speed(recording: Recording, speed: float, path: Path) -> Recor
         InputError: not a positive speed; neither time nor displacement.
     """
     if isinstance(speed, bool) or not isinstance(speed, Real) or not 0 < speed <= sys.float_info.max:
-        raise InputError(f"{speed!r} is not a speed; give a positive number in m/s", field="speed")
+        raise InputError(f"must be a positive number in m/s; got {speed!r}", field="speed")
     if "displacement" in recording:
         if "time" in recording:
             return recording
@@ -31,5 +31,5 @@ def with_constant_speed(recording: Recording, speed: float, path: Path) -> Recor
         return recording.with_channels(time=path_length / speed)
     if "time" in recording and "force" in recording:
         return recording.with_channels(displacement=speed * (recording.time - recording.time[0]))
-    raise InputError("a speed makes the time from the displacement, or the displacement from the time of a recording "
-                     f"with force; this file has {', '.join(recording.channels)}", file=path, field="speed")
+    raise InputError("requires a displacement, from which it gives the time, or time and force, from which it gives "
+                     f"the displacement; this file has {', '.join(recording.channels)}", file=path, field="speed")

@@ -33,7 +33,7 @@ class Oscillation:
     Attributes:
         first, last: samples from 0, both included. frequency: Hz (1 / samples without time).
         mean, amplitude: of the motion. returns: whether each cycle comes back to rest.
-        loss_factor: tangent of the phase by which the load leads; None where the load does not follow.
+        loss_factor: tangent of the phase by which the load leads; None where the load has no phase.
     """
 
     first: int
@@ -86,7 +86,7 @@ def _alike(turns: np.ndarray, motion: np.ndarray, time: np.ndarray | None) -> tu
     """
     clock = np.arange(motion.size, dtype=float) if time is None else time
     heights, durations = np.abs(np.diff(motion[turns])), np.diff(clock[turns])
-    # The first and the last branch may be parts of one.
+    # The first and the last branch may be incomplete.
     if heights.size < _FEWEST + 2:
         return None
     heights, durations = heights[1:-1], durations[1:-1]

@@ -80,7 +80,7 @@ def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSetting
     """
     found: dict[tuple[str, tuple[int, ...]], float] = {}
     kept = np.arange(motion.size)
-    # A second search sees outliers that are close to other outliers.
+    # A second search finds outliers that are close to other outliers.
     for _ in range(2):
         if kept.size < settings.fewest:
             break
@@ -149,7 +149,7 @@ class _Channel:
         least = 1e-9 * float(np.abs(self.smooth).max() or 1.0)
         positive = steps[steps > least]
         if positive.size <= 2 * settings.longest:
-            # They may be those to outliers and back.
+            # The steps may be those to an outlier and back.
             positive = np.abs(np.diff(self.smooth))
             positive = positive[positive > least]
         self.resolution = float(positive.min()) if positive.size else 0.0
@@ -246,7 +246,7 @@ def _belongs_to_test(name: str, group: tuple[int, ...], channels: Mapping[str, _
 
 
 def _steps_together(sample: int, next_one: int, motion: _Channel, load: _Channel, settings: OutlierSettings) -> bool:
-    """Whether motion and load step together: out of rest, as under a dead weight, or in a last step.
+    """Whether motion and load step together: from rest, as under a dead weight, or in the last step.
 
     Args:
         sample: at an end of the recording. next_one: its neighbour inside.

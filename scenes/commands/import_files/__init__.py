@@ -31,40 +31,45 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("-o", dest="output", type=Path, metavar="CAMPAIGN.toml",
                         help="campaign to write, with a picture of what was understood beside it; without it "
                              "nothing is written")
-    test = parser.add_argument_group("what files do not say (where it is missing, the campaign has a line for it)")
+    test = parser.add_argument_group("what the files do not state (the campaign has a line to fill in for it)")
     test.add_argument("--kind", choices=tuple(KINDS), metavar="KIND", help=", ".join(KINDS))
-    test.add_argument("--shape", choices=_shapes(), help="of the specimen (default: cylinder, or its cross-section)")
-    test.add_argument("--radius-mm", type=positive, metavar="N", help="of a cylindrical specimen")
-    test.add_argument("--area-mm2", type=positive, metavar="N", help="cross-section of the specimen, in place of it")
-    test.add_argument("--height-mm", type=positive, metavar="N", help="height, gauge length, or thickness if sheared")
+    test.add_argument("--shape", choices=_shapes(),
+                      help="shape of the specimen (default: cylinder, or its cross-section)")
+    test.add_argument("--radius-mm", type=positive, metavar="N", help="radius of a cylindrical specimen")
+    test.add_argument("--area-mm2", type=positive, metavar="N",
+                      help="cross-section of the specimen, instead of the radius")
+    test.add_argument("--height-mm", type=positive, metavar="N",
+                      help="height of the specimen; gauge length in tension, thickness in shear")
     for key, size in specimen_sizes().items():
         if key not in _OWN_FLAGS:
             test.add_argument(f"--{key.replace('_', '-')}", type=positive, metavar="N",
                               help=f"{size.field.replace('_', ' ')} of a specimen: {', '.join(size.shapes)}")
-    test.add_argument("--tool", metavar="SHAPE", help="of an indentation: flat, round, cone, sphere")
-    test.add_argument("--tool-radius-mm", type=positive, metavar="N", help="of it")
-    test.add_argument("--friction", type=interface, metavar="HOW", help="of the plates: a coefficient, or stick")
+    test.add_argument("--tool", metavar="SHAPE", help="tool of an indentation: flat, round, cone, sphere")
+    test.add_argument("--tool-radius-mm", type=positive, metavar="N", help="radius of the tool")
+    test.add_argument("--friction", type=interface, metavar="HOW",
+                      help="interface of the plates: a coefficient of friction, or stick")
     test.add_argument("--speed-mm-s", type=positive, metavar="N",
-                      help="of a test without a clock, or without a column of the motion")
+                      help="constant speed, for files without a column of time or without one of the motion")
     test.add_argument("--max-strain", type=positive, metavar="N", help="largest strain that is fitted")
     test.add_argument("--zero", choices=("preload", "sensor"),
                       help="why the force is not zero at zero displacement: the displacement was zeroed at a preload, "
                            "or the load cell was not zeroed (default: decided by the curve)")
-    test.add_argument("--laws", metavar="LAW,...", help="to fit (default: a few of one or two parameters)")
+    test.add_argument("--laws", metavar="LAW,...", help="laws to fit (default: a few of one or two parameters)")
     columns = parser.add_argument_group(
-        "columns, over what is understood (CHANNEL: time, displacement, force, stretch, strain, shear_strain, stress)")
+        "columns, instead of those found (CHANNEL: time, displacement, force, stretch, strain, shear_strain, stress)")
     for flag, value, text in (
-            ("--column", "CHANNEL=COLUMN", "header, or place as a number or letter; then only what is named is read"),
+            ("--column", "CHANNEL=COLUMN", "header, number or letter of a column; then only named columns are read"),
             ("--unit", "CHANNEL=UNIT", "mm, um, in, N, mN, gf, lbf, kPa, psi, s, min, %%, ..."),
             ("--measure", "CHANNEL=MEASURE", "of a strain: engineering, logarithmic, green_lagrange, almansi; of a "
                                              "stress: engineering, true, second_piola_kirchhoff"),
-            ("--scale", "CHANNEL=N", "units in one of the file; SI units in 1 V or 1 count"),
+            ("--scale", "CHANNEL=N", "factor of the values; for V and counts the SI units in 1 V or 1 count"),
             ("--sign", "CHANNEL=1|-1", "-1 turns a column")):
         columns.add_argument(flag, action="append", default=[], metavar=value, help=f"{text}; once for each")
     columns.add_argument("--format", metavar="NAME", help="machine: mts, bluehill, zwick, exponent, mach1, mecmesin, "
                                                           "trios, afm (default: found)")
-    columns.add_argument("--sheet", action="append", metavar="NAME", help="of a spreadsheet; once for each replicate")
-    columns.add_argument("--delimiter", metavar="C", help="between columns of a text (default: found)")
+    columns.add_argument("--sheet", action="append", metavar="NAME",
+                         help="sheet of a spreadsheet; once for each replicate")
+    columns.add_argument("--delimiter", metavar="C", help="delimiter between the columns of a text (default: found)")
     columns.add_argument("--decimal", choices=(".", ","), metavar=".|,",
                          help="decimal mark of the numbers; the other one separates thousands (default: found)")
     columns.add_argument("--curve", action="append", type=at_least(1), metavar="N",

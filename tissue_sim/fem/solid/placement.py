@@ -70,7 +70,7 @@ class PlacedSolver(KernelOwner, Solver):
         return step if error is None else replace(step, force_error=error)
 
     def hand_over(self, other: Any) -> None:
-        """Let another solver of the same model have this one's material, mass and requests."""
+        """Copy material, mass and requests to another solver of the same model."""
         if self._asked:
             other.ask_for_stiffness()
         if self._mass is not None:

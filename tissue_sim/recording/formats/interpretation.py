@@ -79,7 +79,7 @@ def column_assumptions(read: Read, columns: Sequence[ColumnGuess], recordings: S
 
 
 def speed_assumption(speed: tuple[float, str], recordings: Sequence[Recording]) -> Assumption:
-    """The displacement of a table of time and force: the motion goes on at a constant speed to the last sample."""
+    """The displacement of a table of time and force, at a constant speed up to the last sample."""
     value, source = speed
     against = []
     for recording in recordings:
@@ -120,7 +120,7 @@ def settle_rivals(read: Read, columns: tuple[ColumnGuess, ...], recordings: tupl
         if own.size != its.size or np.ptp(its) == 0:
             continue
         if np.ptp(own) < _CONNECTED * np.ptp(its) and rival.rank > column.rank:
-            remarks.append(f"column {column.header!r} does not move and is not read; {rival.header!r} is")
+            remarks.append(f"column {column.header!r} does not move, so that {rival.header!r} is read in its place")
             columns, recordings = swapped, other
             continue
         if np.ptp(own) == 0 or abs(np.corrcoef(own, its)[0, 1]) < _CORRELATION:

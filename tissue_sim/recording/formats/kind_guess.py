@@ -16,8 +16,8 @@ from tissue_sim.recording.formats.orientation import largest_excursion
 from tissue_sim.recording.formats.vocabulary import Machine
 from tissue_sim.recording.recording import Recording
 
-_BETWEEN_PLATES = ("taken as homogeneous, between plates that slip; where they hold the specimen it is "
-                   "bonded_compression, and friction_compression between")
+_BETWEEN_PLATES = ("taken as homogeneous, between plates without friction; with glued plates it is "
+                   "bonded_compression, with friction friction_compression")
 #: Subject of the assumption about the kind of test.
 KIND_OF_TEST = "kind of test"
 

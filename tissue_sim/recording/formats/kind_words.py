@@ -99,7 +99,7 @@ def _in_line(line: str, hint: Hint) -> Iterator[NamedTest]:
         for match in pattern.finditer(text):
             matches.append((*match.span(), unknown is not None,
                             NamedTest(match[0], hint.where, kind, unknown, is_short)))
-    # The longest first, and of equal ones that of a registered kind: what lies inside a longer word says less.
+    # The longest first, and of equal ones that of a registered kind; a word inside a longer one is ignored.
     matches.sort(key=lambda each: (each[0] - each[1], each[2]))
     kept: list[tuple[int, int, bool, NamedTest]] = []
     for each in matches:

@@ -81,7 +81,7 @@ MEASURES: dict[str, Measure] = {
 _ENGINEERING = re.compile(r"\b(engineering|eng|nominal|nominale[rn]?|nominell\w*|technische[rn]?|technical|nenn\w*|"
                           r"ingenieur\w*|ingénieur|conventional|conventionnelle|first piola|pk ?1|1st piola|biot|"
                           r"cauchy strain)\b")
-#: What makes a column of stretches one of logarithmic strains.
+#: Words by which a column of stretches is one of logarithmic strains.
 _LOGARITHM = re.compile(r"\b(ln|log|logarithmi\w*|hencky|strain|dehnung)\b")
 _WORDS = {name: re.compile(rf"\b({measure.words})\b") for name, measure in MEASURES.items()}
 _CHANNEL_OF_ROLE = {"strain": "stretch", "stretch": "stretch", "shear strain": "stretch", "stress": "nominal stress",

@@ -16,7 +16,7 @@ _NUMBER, _LENGTH = r"(\d+(?:[.,]\d+)?)", r"(?:mm|cm|um|µm|μm|in|m)"
 _SPEED = re.compile(rf"(?<![\w.,]){_NUMBER}\W{{0,3}}({_LENGTH} ?/? ?(?:min|sec|s)(?:-1|\b))", re.IGNORECASE)
 #: ``Speed (mm/min): 30``.
 _UNIT_FIRST = re.compile(rf"[\[(]({_LENGTH}/(?:min|sec|s))[\])]\W{{0,3}}{_NUMBER}(?![\w.,])", re.IGNORECASE)
-#: Words for speeds of other parts of a test.
+#: Words for speeds of other parts of a test than the loading.
 _OTHER_SPEED = re.compile(r"\b(approach|return|retract\w*|unload\w*|pre\w*|jog|max\w*|data|rück\w*|"
                           r"vor(kraft|last|weg|spann)\w*|anfahr\w*|retour)\b", re.IGNORECASE)
 

@@ -225,7 +225,7 @@ def _settled(marked: Sequence[MarkedRecording], groups: Sequence[Group]) -> Numb
 
 
 def _hints(source: Source, first: Group, columns: Sequence[ColumnGuess], titles: Sequence[Hint]) -> list[Hint]:
-    """Texts in which words for a test count, the surest first; the name of the file says least."""
+    """Texts in which words for a test count, the surest first; the name of the file comes last."""
     above, sheet = title_hints(first.numbers)
     return [header_hint([each.header for each in columns], first.others), above, sheet,
             *(title for title in titles if title.text != above.text), *label_hints(first.numbers),
