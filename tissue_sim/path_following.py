@@ -117,22 +117,23 @@ class PathFollower:
         return (not self._pulls and abs(x) + abs(y) + abs(z) <= _FREE * self._largest_force
                 and self._attempt is None and self._creep is None and self._waiting == 0.0)
 
-    def _step_in_air(self, pose: Pose, target: Pose, dt: float, began: float) -> ToolForce | None:
-        """A step of a tool that has lifted off; None if it has to be followed, because it touches, or because the
-        tissue relaxes or swings: then the solver has the tool where the tissue meets it."""
+    def _step_in_air(self, pose: Pose, target: Pose, dt: float, began: float) -> ToolForce | float:
+        """A step of a tool that has lifted off. If the step has to be followed, because the tool touches, or because
+        the tissue relaxes or swings, the solver has the tool where the tissue meets it, and the answer is the time to
+        follow, s."""
         solver, tool = self._solver, self._tool
         clearance = solver.clearance(target)
         if clearance is None:
-            return None
+            return dt
         if clearance <= 0.0:
-            tool.contact_again(solver, pose)
+            spent = tool.contact_again(solver, pose, dt)
             assert tool.pose is not None
             self._pose = tool.seen_by(solver, tool.pose)
-            return None
+            return spent
         solver.move_in_air(target)
         self._pose = target
         if solver.relaxes or self._counts_mass:
-            return None
+            return dt
         self._lingers += dt
         solver.stand_still()
         self._reduced.go(target.depth, dt)

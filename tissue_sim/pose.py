@@ -52,8 +52,13 @@ class Pose:
         except TypeError:
             raise _not_numbers(self.orientation, 4, "orientation", "w, x, y, z") from None
         excess = length - 1.0
-        if -_ROUNDING < excess < _ROUNDING or not math.isfinite(length):
+        if -_ROUNDING < excess < _ROUNDING:
             return
+        if not math.isfinite(length):
+            if not math.isfinite(sum(self.orientation)):
+                return
+            length = math.hypot(w, x, y, z)  # the squares overflow; hypot scales them
+            excess = length - 1.0
         if abs(excess) > LENGTH_TOLERANCE:
             raise InputError(f"must be a unit quaternion (w, x, y, z), of length 1 within "
                              f"{LENGTH_TOLERANCE:g}; got length {_length_text(length)}. Divide it by its length.",

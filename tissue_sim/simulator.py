@@ -262,9 +262,10 @@ class Simulator(PathFollower, KernelOwner):
             self._begins, dt = first, spent
             self._pose, target = tool.seen_by(solver, tool.pose or pose), tool.seen_by(solver, pose)
         elif self._is_free:
-            answer = self._step_in_air(pose, target, dt, began)
-            if answer is not None:
-                return answer
+            in_air = self._step_in_air(pose, target, dt, began)
+            if isinstance(in_air, ToolForce):
+                return in_air
+            dt = in_air
             target = tool.seen_by(solver, pose)
         self._note_motion(target, tick)
         tool.pose, self._pose = pose, target

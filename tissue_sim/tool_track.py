@@ -81,8 +81,18 @@ class ToolTrack:
         self.touch = TouchState(False, height)
         return spent, False
 
-    def contact_again(self, solver: Solver, pose: Pose) -> None:
-        """Take a tool that has lifted off, in the air, to where it touches on its straight path to a pose."""
+    def contact_again(self, solver: Solver, pose: Pose, dt: float) -> float:
+        """Take a tool that has lifted off, in the air, to where it touches on its straight path to a pose.
+
+        Args:
+            solver: on tissue that the tool has left.
+            pose: end of the step, as it was given.
+            dt: s.
+
+        Returns:
+            Time of the step in which the tissue is stepped, s: the time in contact if the touch begins as a first
+            touch, otherwise the whole step, in which the tissue relaxes or swings.
+        """
         assert self.pose is not None
         before, low, high = self.pose, 0.0, 1.0
         for _ in range(_HALVINGS):
@@ -91,7 +101,7 @@ class ToolTrack:
             low, high = (middle, high) if clearance is not None and clearance > 0.0 else (low, middle)
         start = between(before, pose, low)
         self.twist = twist_about_axis(start.orientation) if solver.ignores_twist else None
-        solver.approach(self.seen_by(solver, start))
+        return (1.0 - low) * dt if solver.approach(self.seen_by(solver, start)) else dt
 
 
 def is_on_axis(pose: Pose, seen: Pose, radius: float) -> bool:

@@ -201,6 +201,21 @@ def test_lift_off_and_touch_again():
     assert force[-1] == pytest.approx(force[10], rel=2e-3)
 
 
+@pytest.mark.parametrize("friction", ["stick", 0.6])
+@pytest.mark.parametrize("heights, inertia", [([-2e-4, 0.0, 2e-4], "off"), ([-2e-4, 0.0, 2e-4], "on"),
+                                              ([-2e-3], "off")])
+def test_elastic_tissue_is_touched_again_as_at_first(friction, heights, inertia):
+    """A path that stops at the surface, and a jump across it."""
+    sim = simulator({"tool": ts.Tool("flat", 0.008, 1e-3), "friction": friction}, inertia=inertia)
+    path = [*heights, 1e-3]
+    first = [sim.step(depth, 1e-3).force for depth in path]
+    for depth in [5e-4, 0.0, -2e-3]:
+        sim.step(depth, 1.0)
+    again = [sim.step(depth, 1e-3).force for depth in path]
+    assert first[-1] > 0.0
+    assert again == pytest.approx(first, rel=1e-6)
+
+
 def test_air_before_the_first_touch():
     """A bonded face does not pull what it has not met, and time in the air is not time on the tissue."""
     sim = simulator(NEEDLE, RELAXING)

@@ -71,6 +71,11 @@ class TestInput:
         with pytest.raises(ts.InputError, match=rf"length 1 within 0\.001; got length {text}\. "):
             ts.Pose((0.0, 0.0, 0.0), (length, 0.0, 0.0, 0.0))
 
+    @pytest.mark.parametrize("part", [1e200, -1e160, 1e308])
+    def test_a_length_that_overflows_is_refused(self, part):
+        with pytest.raises(ts.InputError, match="length 1 within"):
+            ts.Pose((0.0, 0.0, -1e-3), (0.0, part, part, 0.0))
+
     def test_an_experiment_has_one_tool(self):
         with pytest.raises(ts.InputError, match=r"tool: .*one Tool; got list of 2"):
             ts.Experiment(ts.Specimen(0.040, 0.070), ts.Protocol.ramp(6e-3, 2), tool=[ts.Tool(), ts.Tool()])

@@ -13,6 +13,9 @@ import numpy as np
 
 from tissue_sim.pose import Pose
 
+#: Tissue that has moved by less than this fraction of the tolerance of the contact is at rest.
+AT_REST = 0.1
+
 
 class FreeTool:
     """The part of the contract of a `tissue_sim.fem.solver.Solver` that concerns a tool in the air."""
@@ -60,10 +63,18 @@ class FreeTool:
     def move_in_air(self, pose: Pose) -> None:
         """Take the tool to a pose without a step, from and to poses whose `clearance` is positive."""
 
-    def approach(self, pose: Pose) -> None:
-        """Take a tool that has lifted off, in the air, to the pose from which it touches again. A solver whose mesh is
-        made for one place may take another place here, if the tissue is as it was before the first touch."""
+    def approach(self, pose: Pose) -> bool:
+        """Take a tool that has lifted off, in the air, to the pose from which it touches again.
+
+        Elastic tissue that is at rest again is touched as at the first touch: the solver then goes back to the state in
+        which the tool just touches, so that the whole face sticks from the touch on. A solver whose mesh is made for
+        one place may take another place here.
+
+        Returns:
+            Whether the touch begins as a first touch, with the tool already at the surface.
+        """
         self.move_in_air(pose)
+        return False
 
     def stand_still(self) -> None:
         """Set the velocity of the tissue to zero."""

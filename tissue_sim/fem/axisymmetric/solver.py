@@ -18,6 +18,7 @@ from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, realtime_rungs
 from tissue_sim.fem.axisymmetric.state import SavedState
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface, deformed_surface
 from tissue_sim.fem.axisymmetric.touch import bring_down
+from tissue_sim.fem.free_tool import AT_REST
 from tissue_sim.fem.inertia import Motion
 from tissue_sim.fem.solver import Comparison, Neighbours, Rung, Solver, Step, StepStatus
 from tissue_sim.kernel_owner import KernelOwner
@@ -213,6 +214,16 @@ class AxisymmetricSolver(KernelOwner, Solver):
     def move_in_air(self, pose: Pose) -> None:
         """See `FreeTool.move_in_air`."""
         self.committed.move_tool(pose.depth)
+
+    def approach(self, pose: Pose) -> bool:
+        """See `FreeTool.approach`."""
+        tolerance = AT_REST * float(self.equations.settings[newton.CONTACT_TOLERANCE])
+        begins = not self.relaxes and self.committed.is_at_rest(2 * len(self.mesh.nodes), tolerance)
+        if begins:
+            self.committed.lift_off()
+        else:
+            self.move_in_air(pose)
+        return begins
 
     def stand_still(self) -> None:
         """See `FreeTool.stand_still`."""

@@ -92,6 +92,11 @@ class State:
         belong to other motions and are forgotten."""
         self.depths, self.times = [depth], [0.0]
 
+    def is_at_rest(self, nodal: int, tolerance: float) -> bool:
+        """Whether the first `nodal` entries, displacements in m, differ by at most a tolerance from those before the
+        first touch."""
+        return float(np.abs(self.latest[:nodal] - self._untouched[:nodal]).max()) <= tolerance
+
     def lift_off(self) -> None:
         """Back to the displacements before the touch; memory stays."""
         self.slots[:], self.depths, self.times, self.unchanged = np.arange(KEPT), [0.0], [0.0], 0

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tissue_sim.fem.free_tool import AT_REST
 from tissue_sim.fem.solid.chords import faceting_error
 from tissue_sim.fem.solid.contact import FREE, Body, ContactNodes, nearest
 from tissue_sim.fem.solid.frame import Frame
@@ -23,8 +24,6 @@ from tissue_sim.pose import Pose, motion, raised
 SAME_PLACE = 1e-6
 #: A flat tool may touch this fraction of its radius away from the place of a mesh that cannot be moved.
 FACE_WITHIN = 0.01
-#: Tissue that has moved by less than this fraction of the tolerance of the contact is at rest.
-_AT_REST = 0.1
 
 
 class PlacedSolver(KernelOwner, Solver):
@@ -106,16 +105,20 @@ class PlacedSolver(KernelOwner, Solver):
         """Of all nodes at the last committed state, m, shape (nodes, 3)."""
         return self._committed[0].reshape(-1, 3)
 
-    def approach(self, pose: Pose) -> None:
+    def approach(self, pose: Pose) -> bool:
         """See `FreeTool.approach`."""
-        if not self.relaxes and self._is_at_rest:
-            self.place_tool(raised(pose, -self.height_above(pose)))
-        self.move_in_air(pose)
+        begins = (self.placement is not None and not self.relaxes and self._is_at_rest
+                  and self.place_tool(raised(pose, -self.height_above(pose))))
+        if begins:
+            self.lift_off()
+        else:
+            self.move_in_air(pose)
+        return begins
 
     @property
     def _is_at_rest(self) -> bool:
         """Whether the tissue is back where it was before the first touch."""
-        return float(np.abs(self._committed[0] - self._rest[0]).max()) <= _AT_REST * self._tolerance
+        return float(np.abs(self._committed[0] - self._rest[0]).max()) <= AT_REST * self._tolerance
 
     def move_in_air(self, pose: Pose) -> None:
         """See `FreeTool.move_in_air`."""
