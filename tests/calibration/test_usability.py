@@ -10,6 +10,7 @@ import calibration
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
+from calibration.fit.determination import determine
 from calibration.fit.usability import SETTINGS, contradictions, displacement_R2
 from calibration.report.usability import QUESTIONS
 from scenes.cli import main
@@ -145,6 +146,8 @@ def test_a_report_is_written_where_every_law_fails(tmp_path, monkeypatch):
     monkeypatch.setattr("calibration.fit.ordinary.fit_law", fails)
     with pytest.raises(ts.ConvergenceError, match="alpha is out of range"):
         calibrate(tmp_path, [compression()], ["neo_hooke"])
+    path = write(tmp_path, [compression()], ["neo_hooke"])
+    assert main(["calibrate", str(path), "-o", str(tmp_path / "out"), "--overwrite"]) == 1
     assert "alpha is out of range" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
@@ -200,3 +203,74 @@ def test_creep_at_constant_force_is_a_misfit_of_the_displacement(curve):
     elastic = 0.3 * creeps.displacement / creeps.displacement.mean()
     assert displacement_R2(creeps, elastic) < 0.1
     assert displacement_R2(creeps, creeps.force) == pytest.approx(1.0)
+
+
+def test_a_preload_is_covered_by_the_contact_offset_of_an_inverse_fit(tmp_path):
+    displacement = np.linspace(0.0, 2.6e-3, 66)
+    stress = ts.find_law("neo_hooke").nominal_stress(1.0 - (displacement + 0.4e-3) / HEIGHT, {"C10": 10e3})
+    force = -stress * AREA + np.random.default_rng(3).normal(0.0, 0.01, displacement.size)
+    recording = ts.Recording({"time": displacement / 0.5e-3, "displacement": displacement, "force": force})
+    options = 'method = "inverse_fem"\nbulk_ratio = 1000.0'
+    covered = calibrate(tmp_path, [recording], ["neo_hooke"], fit=options).neo_hooke
+    assert covered.unusable is None and covered.parameters["C10"] == pytest.approx(10e3, rel=0.02)
+    folder = tmp_path / "fixed"
+    folder.mkdir()
+    # Without a contact offset the zero of the force takes the preload, and the modulus is wrong.
+    fixed = calibrate(folder, [recording], ["neo_hooke"], fit=options, noise="contact_jitter_mm = 0.0").neo_hooke
+    assert "recordings" in failing(fixed) and "the moduli are wrong" in fixed.unusable
+
+
+def test_tests_of_one_kind_that_disagree_are_named_with_their_moduli(tmp_path):
+    tests = ""
+    for name, modulus in (("liver", 6e3), ("kidney", 15e3)):
+        ts.write_recording(compression(modulus), tmp_path / f"{name}.csv")
+        tests += f'[[test]]\nname = "{name}"\nkind = "lubricated_compression"\nrecordings = ["{name}.csv"]\n'
+    path = tmp_path / "organs.toml"
+    path.write_text("[[specimen]]\nradius_mm = 12.5\nheight_mm = 12.5\n" + tests + '[fit]\nlaws = ["neo_hooke"]\n',
+                    encoding="utf-8")
+    result, = calibration.calibrate([path], tmp_path / "out", figures=False)
+    assert "replicates" in failing(result.best) and "another law" not in result.best.unusable
+    assert result.best.unusable.startswith("tests of lubricated_compression disagree: liver ")
+    assert "kidney" in result.message and "different materials?" in result.message
+
+
+def test_an_undetermined_modulus_is_not_usable_and_an_undetermined_c20_is(tmp_path):
+    free = calibrate(tmp_path, [compression()], ["reduced_polynomial_2"]).reduced_polynomial_2
+    assert free.not_identifiable == ["C20"] and free.unusable is None
+    loud = tmp_path / "loud"
+    loud.mkdir()
+    noisy = calibrate(loud, [compression(noise=20.0)], ["neo_hooke"], noise="force_N = 20.0").neo_hooke
+    assert failing(noisy) == ["determined"] and noisy.status == "not_determined"
+    assert "do not determine the shear modulus" in noisy.unusable and "limit is 25%" in noisy.unusable
+
+
+@pytest.mark.parametrize(("missing", "stated", "held"), [(0.5, (), ("b",)), (0.5, ("b",), ()), (0.0, (), ())])
+def test_a_modulus_that_depends_on_a_bound_that_is_not_stated(missing, stated, held):
+    """Data a x + missing x^2 with noise, fitted with a x + b x^2 and b held at 0; the modulus is a."""
+    x = np.linspace(0.0, 1.0, 50)
+    jacobian = np.column_stack([x, x**2]) / 0.01
+    data = (x + missing * x**2) / 0.01 + np.random.default_rng(0).normal(0.0, 1.0, x.size)
+    a = float(jacobian[:, 0] @ data / (jacobian[:, 0] @ jacobian[:, 0]))
+    residual = jacobian[:, 0] * a - data
+    space = SimpleNamespace(free=("a", "b"), values=lambda theta: theta, sizes=lambda values: np.ones(2))
+    estimate = SimpleNamespace(theta=np.array([a, 0.0]), problem=SimpleNamespace(space=space),
+                               evaluation=SimpleNamespace(projected=(residual, jacobian)))
+    spread = SimpleNamespace(on_bound=np.array([False, True]), covariance=np.diag([1e-4, 0.0]),
+                             ratio=float(np.sqrt(np.mean(residual**2))))
+    found = determine(estimate, spread, lambda theta: float(theta[0]), stated)
+    assert found.held == held and found.is_determined
+    if held:
+        assert found.change == pytest.approx(1.0 / a - 1.0, abs=0.02)
+
+
+def test_a_stretch_below_zero_is_an_error_of_the_recording(tmp_path):
+    elongation = np.linspace(0.0, 4e-3, 40)
+    stretch = 1.0 + elongation / HEIGHT
+    force = ts.find_law("neo_hooke").nominal_stress(stretch, {"C10": 10e3}) * AREA
+    elongation = elongation.copy()
+    elongation[20:22] = -30e-3
+    path = write(tmp_path, [ts.Recording({"displacement": elongation, "force": force})], ["neo_hooke"],
+                 "uniaxial_tension")
+    path.write_text(path.read_text().replace('kind = "uni', 'leave_out = []\nkind = "uni'), encoding="utf-8")
+    with pytest.raises(ts.InputError, match=r"the stretch must be above zero; got -1\.4"):
+        calibration.calibrate([path], tmp_path / "out", figures=False)
