@@ -235,7 +235,7 @@ class TestLightTool:
         """2 g on a servo of 500 N/m, coupled explicitly."""
         sim, mass, rate, dt, depth, speed = needle(inertia="auto"), 0.002, 500.0, 1e-3, -1e-3, 0.0
         damping, felt = 2.0 * math.sqrt(rate * mass), []
-        with pytest.warns(LightToolWarning, match=r"tool below [4-7]\.?\d* g") as warned:
+        with pytest.warns(LightToolWarning, match=r"tool lighter than [4-7]\.?\d* g") as warned:
             for tick in range(400):
                 felt.append(sim.step(depth, dt).force)
                 aim = min(-1e-3 + 0.05 * tick * dt, 3e-3)
