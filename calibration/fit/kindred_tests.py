@@ -34,7 +34,7 @@ class TestDisagreement:
             ("N/mm", "secant stiffness at displacements in mm of", (1e3 * self.low, 1e3 * self.high))
         values = ", ".join(f"{name} {1e-3 * value:.3g} {unit}" for name, value in self.secants.items())
         return (f"tests of {self.kind} disagree: {values} ({what} {ends[0]:.2g} to {ends[1]:.2g}); different "
-                "materials? Give each material a campaign of its own; for one material check unit, sign and size of "
+                "materials? Fit each material in a separate campaign; for one material check unit, sign and size of "
                 "the specimens")
 
 

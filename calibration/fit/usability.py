@@ -187,7 +187,7 @@ def _replicates(evidence: Evidence) -> Clause:
         return _clause("replicates", "misfit", "")
     measured = {test.name: test.measured for test in problem.tests}
     found = [each.describe() for each in find_disagreements(measured)]
-    # A memory, a part of the material beside the law, or parameters of single tests explain different stiffnesses.
+    # A memory, another effect of the material, or parameters of single tests explain different stiffnesses.
     if all(each.of_law and each.tests is None for each in problem.space.unknowns if each.of_material):
         found += [each.describe() for each in find_test_disagreements(measured)]
     return _clause("replicates", "misfit", "; ".join(found))
