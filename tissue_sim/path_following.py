@@ -7,7 +7,7 @@ import time
 from dataclasses import replace
 
 from tissue_sim.explicit_coupling import MotionCheck, least_tool_mass, warn_of_light_tool
-from tissue_sim.fem.solver import Solver, Step, StepStatus
+from tissue_sim.fem.solver import OwnStiffness, Solver, Step, StepStatus
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.pose import Pose, Screw, between, motion, raised
 from tissue_sim.simulator_state import AT_REST, Attempt, Creep, Equilibrium
@@ -41,6 +41,8 @@ _CREEPS = 0.5
 _MOST_OF_CREEP = 12
 #: Force over the largest force so far below which the tool may have lifted off.
 _FREE = 1e-6
+#: A stiffness that was due this many times without a linear solve left for it gets a reserved one.
+RESERVED_AFTER = 2
 #: Tool speed from which on the mass of the tissue counts, m/s.
 INERTIAL_SPEED = 0.005
 #: Time after the last fast motion for which the mass of the tissue counts, s.
@@ -167,13 +169,13 @@ class PathFollower:
                 order = min(solver.highest_order, max(solver.unchanged, weighs)) if self._extrapolates else 0
                 attempt = Attempt(target, dt, order, _MOST_SOLVES[order > 0])
             most = attempt.limit - attempt.spent
-            asks = self._equilibrium.stiffness_age + 1 >= self._stiffness_lasts and allowance.fitting(answers=2) > 0
             fitting = allowance.fitting()
             if fitting < 1:
                 status = ForceStatus.LATE
                 allowance.end()
                 break
             allowed = min(most, fitting)
+            asks = self._stiffness_request(allowance, allowed)
             if creep is None:
                 step = solver.step(target, dt, tolerance=self.tolerance, max_iterations=allowed, own_stiffness=asks,
                                    predictor_order=attempt.order, inertial=weighs, resumes=attempt is self._attempt)
@@ -182,8 +184,8 @@ class PathFollower:
             else:  # it has arrived, or will not
                 step, target, dt, self._creep = replace(creep.last, iterations=0), creep.pose, creep.dt, None
             solves, residual = solves + step.iterations, step.residual
-            # Its own stiffness, whether it was found or not.
-            allowance.take(step.iterations, 1 + (weighs and asks and step.iterations < allowed))
+            # Its own stiffness, whether it was found or not; a reserved solve is not part of the allowance.
+            allowance.take(step.iterations, 1 + (weighs and asks is OwnStiffness.IF_LEFT and step.iterations < allowed))
             if not step.found_own_stiffness:
                 self._clock.follow(time.perf_counter() - started, step.iterations)
             if self._creep is not None:
@@ -230,6 +232,15 @@ class PathFollower:
             # Extrapolate to the last pose that the tool may have; no force is estimated beyond it.
             status, outside = ForceStatus.STOPPED, True
         return self._answered(pose, tick, status, outside, solves, residual, began)
+
+    def _stiffness_request(self, allowance: Allowance, allowed: int) -> OwnStiffness:
+        """Whether a part that may take so many linear solves also finds the stiffness without mass."""
+        age = self._equilibrium.stiffness_age + 1
+        if age < self._stiffness_lasts:
+            return OwnStiffness.OMITTED
+        if age >= RESERVED_AFTER * self._stiffness_lasts and allowance.has_time(allowed, answers=2):
+            return OwnStiffness.RESERVED
+        return OwnStiffness.IF_LEFT if allowance.fitting(answers=2) > 0 else OwnStiffness.OMITTED
 
     @property
     def _counts_mass(self) -> bool:

@@ -55,7 +55,7 @@ class Pose:
         if -_ROUNDING < excess < _ROUNDING:
             return
         if not math.isfinite(length):
-            if not math.isfinite(sum(self.orientation)):
+            if not all(map(math.isfinite, self.orientation)):
                 return
             length = math.hypot(w, x, y, z)  # the squares overflow; hypot scales them
             excess = length - 1.0

@@ -63,8 +63,9 @@ class Simulator(PathFollower, KernelOwner):
         looks_ahead: whether answers in which the mass counts say what the next step would answer (`ToolForce.ahead`),
             for a virtual coupling; a tenth of the step's time.
         max_solves: linear solutions of a step, those of its stiffness included (of a reduced solid iterations, each
-            with a contact of its own), after which it answers what it knows (`ForceStatus.LATE`). None: with a budget
-            as many as `warm_up` finds to fit into it, else no bound.
+            with a contact of its own), after which it answers what it knows (`ForceStatus.LATE`). A stiffness of
+            inertial steps for which none was left gets one more in every tenth step. None: with a budget as many as
+            `warm_up` finds to fit into it, else no bound.
         strict_axis: whether an axisymmetric scene refuses a pose away from its axis or across it
             (`ForceStatus.REFUSED`), instead of marking the answer (`ToolForce.is_on_axis`). The tolerances are
             `tissue_sim.tool_track.AXIS_OFFSET` and `AXIS_ANGLE`.

@@ -109,6 +109,13 @@ class Allowance:
             fits = min(fits, self._clock.fitting(left, first=self._begins))
         return fits
 
+    def has_time(self, solves: int, answers: int) -> bool:
+        """Whether the time, without the bound on solves, is enough for so many solves and answers."""
+        if self._ends is None:
+            return True
+        left = self._ends - time.perf_counter() - (answers - 1) * self._clock.fixed
+        return self._clock.fitting(left) >= solves
+
     def take(self, solves: int, answers: int = 1) -> None:
         """Take note of a part."""
         self._left -= solves + answers

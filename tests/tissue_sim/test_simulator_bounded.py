@@ -57,7 +57,9 @@ def test_no_step_takes_more_and_the_next_equilibrium_is_the_right_one(work, iner
         solutions.append(work[0])
         work[0] = 0
         answers.append(bound.step(depth, TICK))
-        assert work[0] <= MOST and answers[-1].iterations < MOST
+        # The stiffness of an inertial step may take a reserved solution.
+        reserved = int(answers[-1].inertial and answers[-1].stiffness_age == 0.0)
+        assert work[0] <= MOST + reserved and answers[-1].iterations < MOST
     late = np.array([answer.status is LATE for answer in answers])
     assert max(solutions) > MOST and late.any(), "else nothing is tested"
     assert {answer.status for answer in expected} == {CONVERGED} and late.mean() < 0.1

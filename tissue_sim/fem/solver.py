@@ -45,6 +45,22 @@ class StepStatus(IntEnum):
         }[self]
 
 
+class OwnStiffness(IntEnum):
+    """Request for the stiffness of the tissue without its mass, after an inertial step; True is `IF_LEFT`."""
+
+    #: It is not computed.
+    OMITTED = 0
+    #: It is computed if the step converged with fewer linear solves than it may take.
+    IF_LEFT = 1
+    #: It is computed if the step converged; a linear solve is reserved for it.
+    RESERVED = 2
+
+    @staticmethod
+    def is_due(request: int, has_left: bool) -> bool:
+        """Whether a step that converged computes it, given whether the step has a linear solve left."""
+        return request == OwnStiffness.RESERVED or (bool(request) and has_left)
+
+
 @dataclass(frozen=True, slots=True)
 class Step:
     """One step of a solver.
@@ -244,7 +260,7 @@ class Solver(FreeTool, ABC):
     @abstractmethod
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
-             own_stiffness: bool = True) -> Step:
+             own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
         """Move the tool to a pose and find equilibrium; commits the state only when it converges.
 
         Args:
@@ -256,8 +272,8 @@ class Solver(FreeTool, ABC):
             inertial: whether the mass of the tissue counts; `follow_motion` must have been called, and dt be positive.
             resumes: go on from where the step before, which did not converge, ended; dt counts from the last one that
                 did.
-            own_stiffness: whether the stiffness of the tissue without its mass is asked for after an inertial step,
-                too, if it came through with less than `max_iterations`.
+            own_stiffness: whether an inertial step also answers the stiffness of the tissue without its mass; see
+                `OwnStiffness`.
         """
 
     def creep(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,

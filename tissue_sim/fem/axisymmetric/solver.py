@@ -20,7 +20,7 @@ from tissue_sim.fem.axisymmetric.surface import DeformedSurface, deformed_surfac
 from tissue_sim.fem.axisymmetric.touch import bring_down
 from tissue_sim.fem.free_tool import AT_REST
 from tissue_sim.fem.inertia import Motion
-from tissue_sim.fem.solver import Comparison, Neighbours, Rung, Solver, Step, StepStatus
+from tissue_sim.fem.solver import Comparison, Neighbours, OwnStiffness, Rung, Solver, Step, StepStatus
 from tissue_sim.kernel_owner import KernelOwner
 from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
@@ -100,7 +100,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
 
     def step(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
-             own_stiffness: bool = True) -> Step:
+             own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
         """Move the tool to a depth, m, or that of a pose, and find equilibrium; see `Solver.step`."""
         state, rate = self.committed, 0.0
         if state.motion is not None and inertial:
@@ -109,7 +109,8 @@ class AxisymmetricSolver(KernelOwner, Solver):
                              resumes=resumes, own_stiffness=own_stiffness)
 
     def try_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
-                 rate: float, *, inertial: bool = False, resumes: bool = False, own_stiffness: bool = True) -> Step:
+                 rate: float, *, inertial: bool = False, resumes: bool = False,
+                 own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
         """A step in which `rate` (1/s2, or N/m4 of a drag) times mass draws each freedom to where it rests."""
         equations, state = self.equations, self.committed
         if not resumes:
@@ -128,7 +129,8 @@ class AxisymmetricSolver(KernelOwner, Solver):
         result = Step.axial(_STATUSES[int(status)], int(iterations), residual, force, violation, int(slipping),
                             stiffness if asked else None)
         if result.status is StepStatus.CONVERGED and asked and inertial:
-            own = equations.stiffness_without_mass() if own_stiffness and iterations < max_iterations else None
+            is_due = OwnStiffness.is_due(own_stiffness, iterations < max_iterations)
+            own = equations.stiffness_without_mass() if is_due else None
             result = replace(result, step_stiffness_matrix=result.stiffness_matrix,
                              stiffness_matrix=None if own is None else axial_stiffness(own))
         if result.status is StepStatus.CONVERGED:

@@ -22,7 +22,7 @@ from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.state import SavedState
 from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solid.tissue import node_moduli
-from tissue_sim.fem.solver import Fields, Step, StepStatus
+from tissue_sim.fem.solver import Fields, OwnStiffness, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
@@ -122,7 +122,7 @@ class ReducedSolver(PlacedReduced):
 
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = TOLERANCE, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
-             own_stiffness: bool = True) -> Step:
+             own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
         """Move the tool to a pose and find equilibrium; see `Solver.step`. There is no mass."""
         elements, contact = self.elements, self.contact
         if not resumes:

@@ -23,7 +23,7 @@ from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solid.tangent import Tangent
 from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solid.tool_wrench import Grip, rows
-from tissue_sim.fem.solver import Neighbours, Step, StepStatus
+from tissue_sim.fem.solver import Neighbours, OwnStiffness, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose, Screw
@@ -134,9 +134,8 @@ class SolidSolver(PlacedSolver):
 
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
-             own_stiffness: bool = True) -> Step:
-        """Move the tool to a pose and find equilibrium; see `Solver.step`. There is no predictor but the linear
-        solution for the tool's way."""
+             own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
+        """Move the tool to a pose and find equilibrium; see `Solver.step`. The tool's motion is solved linearly."""
         self.tissue.prepare(dt)
         if self._mass is not None:
             self._mass.prepare(self._committed[0], dt, inertial)
@@ -146,7 +145,8 @@ class SolidSolver(PlacedSolver):
         outcome = self._iterate(frame, tolerance, max_iterations)
         if outcome.status is StepStatus.CONVERGED:
             if inertial and self._mass is not None and self._asked:
-                own = self._own_stiffness(frame) if own_stiffness and outcome.iterations < max_iterations else None
+                has_left = outcome.iterations < max_iterations
+                own = self._own_stiffness(frame) if OwnStiffness.is_due(own_stiffness, has_left) else None
                 outcome = replace(outcome, step_stiffness_matrix=outcome.stiffness_matrix, stiffness_matrix=own)
             if self._mass is not None:
                 self._mass.motion.commit(self._committed[0], self.x, dt, inertial)
