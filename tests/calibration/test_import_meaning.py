@@ -115,8 +115,8 @@ def test_a_displacement_over_the_gauge_length_confirms_a_large_strain(tmp_path):
     force = MU * AREA * (1 + strain - (1 + strain)**-2)
     header = "Crosshead (mm),Load (N),Video strain (mm/mm)"
     assert load(write(tmp_path, header, 1.02 * LENGTH * strain, force, strain, above=SHEET)).questions == ()
-    questions = load(write(tmp_path, header, 0.01 * LENGTH * strain, force, strain, above=SHEET, name="b.csv")).questions
-    assert any("--unit strain=%" in question for question in questions)
+    moved = write(tmp_path, header, 0.01 * LENGTH * strain, force, strain, above=SHEET, name="b.csv")
+    assert any("--unit strain=%" in question for question in load(moved).questions)
 
 
 @pytest.mark.parametrize(("columns", "words"), [
