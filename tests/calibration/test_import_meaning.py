@@ -94,6 +94,31 @@ def test_measures_and_units_that_fit_as_well_are_a_question(tmp_path, capsys, he
         assert load(small).questions == ()
 
 
+@pytest.mark.parametrize(("header", "strain", "stress", "above"), [
+    ("Strain (mm/mm),Stress (kPa)", STRETCH - 1, 1e-3 * STRESS, "Uniaxial tension\n"),
+    ("Strain [-],Stress [kPa]", STRETCH - 1, 1e-3 * STRESS, "Uniaxial tension\n"),
+    ("Strain,Stress\nin/in,kPa", STRETCH - 1, 1e-3 * STRESS, "Uniaxial tension\n"),
+    ("Strain (mm/mm),Load (N)", STRETCH - 1, STRESS * AREA, SHEET),
+    ("Strain,Load (N)", STRETCH - 1, STRESS * AREA, SHEET)])
+def test_large_strains_under_the_unit_of_a_ratio_are_a_question(tmp_path, header, strain, stress, above):
+    percent = write(tmp_path, header, 100 * strain, stress, above=above)
+    question, = load(percent).questions
+    assert "--unit strain=%" in question
+    assert shear_modulus(load(percent, units={"strain": "%"}), tmp_path) == pytest.approx(MU, rel=1e-4)
+    assert load(write(tmp_path, header, strain, stress, above=above, name="b.csv")).questions == ()
+    # A user may state that the unit of the file is true.
+    assert load(percent, units={"strain": "-"}).questions == ()
+
+
+def test_a_displacement_over_the_gauge_length_confirms_a_large_strain(tmp_path):
+    strain = np.linspace(0.0, 3.0, 61)
+    force = MU * AREA * (1 + strain - (1 + strain)**-2)
+    header = "Crosshead (mm),Load (N),Video strain (mm/mm)"
+    assert load(write(tmp_path, header, 1.02 * LENGTH * strain, force, strain, above=SHEET)).questions == ()
+    moved = write(tmp_path, header, 0.01 * LENGTH * strain, force, strain, above=SHEET, name="b.csv")
+    assert any("--unit strain=%" in question for question in load(moved).questions)
+
+
 @pytest.mark.parametrize(("columns", "words"), [
     ({"nominal stress": {"name": "P", "unit": "Pa", "measure": "true"}}, "needs the stretch"),
     ({"stretch": {"name": "l", "measure": "true"}}, "must be one of logarithmic, green_lagrange, almansi; got 'true'"),

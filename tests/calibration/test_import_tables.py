@@ -140,6 +140,29 @@ def test_sizes_that_contradict_each_other_are_a_question(tmp_path, text, words):
     assert calibration.import_files([path], wishes=calibration.Wishes(wishes.stated, flags)).complete
 
 
+#: Ten samples of a strip or block in tension or shear.
+STRIP = "Displacement (mm),Force (N)\n" + "".join(f"{0.5 * i:g},{0.1 * i:g}\n" for i in range(10))
+STRIP_SIZES = "Gauge length,50,mm\nLength,50,mm\nWidth,10,mm\nThickness,2,mm\n\n"
+
+
+@pytest.mark.parametrize(("below", "kind", "words"), [
+    ("Thickness,2.5,mm\n", "uniaxial_tension", "20 mm² (--area-mm2 20) or 25 mm²"),
+    ("Width (cm),0.8\n", "uniaxial_tension", "20 mm² (--area-mm2 20) or 16 mm²"),
+    ("The strip was 8 mm wide.\n", "uniaxial_tension", "or 16 mm²"),
+    ("Width,8,mm\nThickness,2.5,mm\nThickness,4,mm\n", "uniaxial_tension", "or 32 mm²"),
+    ("Gauge length,40,mm\n", "uniaxial_tension", "50 mm (--height-mm 50) or 40 mm"),
+    ("Width,12,mm\n", "simple_shear", "500 mm² (--area-mm2 500) or 600 mm²"),
+    ("Length,60,mm\n", "simple_shear", "500 mm² (--area-mm2 500) or 600 mm²"),
+    ("Thickness,3,mm\n", "simple_shear", "2 mm (--height-mm 2) or 3 mm")])
+def test_sizes_of_a_strip_or_block_that_contradict_each_other_are_a_question(tmp_path, below, kind, words):
+    wishes = calibration.Wishes(Stated(kind=kind))
+    questions = calibration.import_files([put(tmp_path, f"{STRIP_SIZES}{STRIP}\n{below}")], wishes=wishes).questions
+    assert any(words in question for question in questions)
+    # The same size again, in any unit, is no contradiction.
+    again = put(tmp_path, f"{STRIP_SIZES}{STRIP}\nWidth,1.0,cm\nThickness,0.2,cm\nThe strip was 10 mm wide.\n")
+    assert calibration.import_files([again], wishes=wishes).questions == ()
+
+
 def test_sizes_that_differ_by_their_rounding_do_not_contradict(tmp_path):
     path = put(tmp_path, LINES + "Area,314,mm2\nRadius,10.0,mm\n" + compression())
     assert calibration.import_files([path], wishes=calibration.Wishes(Stated(kind="lubricated_compression"))).complete

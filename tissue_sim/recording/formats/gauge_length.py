@@ -32,6 +32,7 @@ def displacement_of_strain(column: ColumnGuess, gauge: tuple[float, str]) -> Col
     length, source = gauge
     factor = (column.scale or 1.0) * to_si(column.unit or "-", "ratio")[0]
     return replace(column, channel="displacement", unit="mm", scale=round(1e3 * length * factor, 9), offset=None,
+                   strain_unit=column.unit or "-",
                    reason=f"{_first(column)}; displacement = strain x {1e3 * length:g} mm ({source})")
 
 

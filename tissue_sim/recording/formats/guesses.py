@@ -48,6 +48,7 @@ class ColumnGuess:
         role: what the header says: a strain is read as a stretch.
         rank: of `tissue_sim.recording.formats.vocabulary.role_of`; the lowest of a role is read.
         other_unit: unit in the row of units, where it contradicts that of the header.
+        strain_unit: unit in the file of a strain that the gauge length makes a displacement; None: no such column.
     """
 
     channel: str
@@ -63,6 +64,7 @@ class ColumnGuess:
     measure: str | None = None
     rank: int = 0
     other_unit: str | None = None
+    strain_unit: str | None = None
 
     def entry(self) -> dict[str, Any]:
         """As it stands in ``columns`` of a campaign."""

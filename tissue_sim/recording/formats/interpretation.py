@@ -19,12 +19,15 @@ from tissue_sim.units import UNITS, loose_header
 
 #: Columns -> recordings of the table.
 Read = Callable[[Sequence[ColumnGuess]], tuple[Recording, ...]]
-#: Strain above which numbers without a unit may be in %: specimens of soft tissue fail before.
+#: Strain above which numbers may be in %, without a unit or under that of a ratio, such as mm/mm: specimens of soft
+#: tissue fail before.
 _LARGEST_STRAIN = 2.0
 #: The same of a shear strain, of a stretch, and of a column that the user names: elastomers reach 10.
 _LARGEST_CERTAIN = 12.0
 #: Relative difference of two strains that counts as agreement.
 _AGREEMENT = 0.02
+#: The same of a strain and of a displacement over the gauge length, which includes the compliance of the frame.
+_SAME_UNIT = 0.5
 #: Relative difference above which two columns of the same quantity are reported.
 _NOTED_DIFFERENCE = 0.01
 #: Relative difference above which equally sure columns of the same quantity are a question.
@@ -158,13 +161,16 @@ def _unit(read: Read, column: ColumnGuess, recordings: Sequence[Recording], othe
           stated: Stated, flag: str) -> Assumption:
     channel, subject = column.channel, f"unit of {column.channel}"
     is_stated = not (stated.units.keys() | stated.scales.keys()).isdisjoint({channel, column.role})
+    alternatives = () if is_stated or not _is_ratio(column) else _percent(
+        read, column, recordings, others, flag, is_named=bool(stated.columns))
     if column.unit is None and CHANNELS[channel] == "ratio" and column.scale is None:
-        alternatives = () if is_stated else _percent(read, column, recordings, others, flag,
-                                                            is_named=bool(stated.columns))
         return Assumption(subject, "-", ("no unit in the file: a ratio",), alternatives=alternatives,
                           flag=f"--unit {flag}=-", is_stated=is_stated)
     value = column.unit or "not stated"
     if is_derived(column):
+        if alternatives:
+            return Assumption("unit of strain", column.strain_unit or "-", (column.reason.split("; ")[-1],), (),
+                              alternatives, f"--unit {flag}={column.strain_unit}")
         return Assumption(subject, value, (column.reason.split("; ")[-1],))
     if column.other_unit is not None and not is_stated and column.unit is not None:
         own, other = (UNITS[unit][1] for unit in (column.unit, column.other_unit))
@@ -179,27 +185,41 @@ def _unit(read: Read, column: ColumnGuess, recordings: Sequence[Recording], othe
         evidence = (f"in the header {column.header!r}",)
     else:
         evidence = (column.reason.split(";")[-1].strip() if "writes" in column.reason else "in the row of units",)
-    return Assumption(subject, value, evidence, flag=f"--unit {flag}={column.unit or '...'}", is_stated=is_stated)
+    return Assumption(subject, value, evidence, alternatives=alternatives,
+                      flag=f"--unit {flag}={column.unit or '...'}", is_stated=is_stated)
+
+
+def _is_ratio(column: ColumnGuess) -> bool:
+    """Whether the numbers of a column count as strains or stretches as they are, without a unit or under mm/mm."""
+    if column.strain_unit is not None:
+        return UNITS.get(column.strain_unit) == UNITS["-"]
+    return CHANNELS[column.channel] == "ratio" and column.scale is None and (
+        column.unit is None or UNITS.get(column.unit) == UNITS["-"])
 
 
 def _percent(read: Read, column: ColumnGuess, recordings: Sequence[Recording], others: Sequence[ColumnGuess],
              flag: str, *, is_named: bool) -> tuple[Alternative, ...]:
-    """Numbers without a unit that are large may be in %, unless another measure of strain agrees with them."""
+    """Large numbers may be in %, unless another measure of strain, or a displacement over the gauge length, agrees."""
     values = np.concatenate([each.channel(column.channel) for each in recordings])
-    largest = float(np.abs(values - (column.channel == "stretch" and column.role == "strain")).max())
+    # A derived displacement is the strain times the gauge length, which is its scale in mm.
+    length = 1e-3 * (column.scale or 1e3)
+    largest = float(np.abs(values - (column.channel == "stretch" and column.role == "strain")).max()) / length
     is_sure = column.role != "strain" or is_named
     if column.measure or largest <= (_LARGEST_CERTAIN if is_sure else _LARGEST_STRAIN):
         return ()
     for other in others:
-        if other.channel != column.channel or other.measure == column.measure:
+        same = other.measure == column.measure and is_derived(other) == is_derived(column)
+        if other.channel != column.channel or same or other.missing:
             continue
         try:
             its = np.concatenate([each.channel(column.channel) for each in read([other])])
         except InputError:
             continue
-        if its.size == values.size and np.abs(its - values).max() <= _AGREEMENT * largest:
+        if its.size == values.size and np.abs(its - values).max() <= (
+                _AGREEMENT if other.measure != column.measure else _SAME_UNIT) * largest * length:
             return ()
-    percent = replace(column, unit="%", offset=100.0 if column.offset == 1.0 else column.offset)
+    percent = replace(column, scale=0.01 * (column.scale or 1.0)) if is_derived(column) else replace(
+        column, unit="%", offset=100.0 if column.offset == 1.0 else column.offset)
     return (Alternative("%", _ratio(read, column, percent, recordings), f"--unit {flag}=%"),)
 
 

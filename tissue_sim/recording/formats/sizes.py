@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 from tissue_sim.recording.formats.number_text import any_number
 from tissue_sim.recording.formats.size_words import size_class
@@ -101,25 +102,34 @@ def stated_sizes(stated: Mapping[str, str], kind: str | None) -> dict[str, tuple
 def _rectangles(known: Mapping[str, Sequence[_Stated]], kind: str | None, height: str | None
                 ) -> list[_Candidate]:
     """Width times thickness, mm2; of a sheared or compressed block width times length."""
-    others = {"simple_shear": ("length",), "uniaxial_tension": ("thickness",)}.get(
+    second = {"simple_shear": ("length",), "uniaxial_tension": ("thickness",)}.get(
         kind or "", ("length", "depth", "thickness"))
-    other = next((name for name in others if name in known and name != height), None)
+    other = next((name for name in second if name in known and name != height), None)
     if other is None or "width" not in known or (kind is None and other == "thickness"):
         return []
-    return [(1e6 * width.value * each.value, width.rounding + each.rounding, (width.key, each.key))
-            for width, each in zip(known["width"], known[other], strict=False)]
+    widths, lengths = (_distinct([(1e3 * each.value, each.rounding, (each.key,)) for each in known[name]])
+                       for name in ("width", other))
+    # As many of both are the rows of a list of specimens; otherwise any two may belong together.
+    pairs = zip(widths, lengths, strict=True) if len(widths) == len(lengths) else product(widths, lengths)
+    return [(width * length, rounding + also, (*keys, *others))
+            for (width, rounding, keys), (length, also, others) in pairs]
 
 
 def _different(key: str, candidates: Sequence[_Candidate], stated: Mapping[str, str]
                ) -> tuple[Size, ...]:
     """The first candidate, and each that contradicts all before it."""
+    # To whole nanometres: 25 mm must not become 25.000000000000004 mm.
+    return tuple(Size(key, round(value, 6), "in the file: " + ", ".join(f"{name}: {stated[name]}" for name in keys))
+                 for value, _, keys in _distinct(candidates))
+
+
+def _distinct(candidates: Sequence[_Candidate]) -> list[_Candidate]:
+    """The candidates without those that equal an earlier one within rounding."""
     kept: list[_Candidate] = []
     for value, rounding, keys in candidates:
         if all(abs(value / other - 1.0) > max(CONTRADICTION, rounding + also) for other, also, _ in kept):
             kept.append((value, rounding, keys))
-    # To whole nanometres: 25 mm must not become 25.000000000000004 mm.
-    return tuple(Size(key, round(value, 6), "in the file: " + ", ".join(f"{name}: {stated[name]}" for name in keys))
-                 for value, _, keys in kept)
+    return kept
 
 
 def sizes_without_unit(stated: Mapping[str, str]) -> dict[str, str]:

@@ -166,7 +166,8 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
     if marks.thousands or (marks.example and not marks.is_certain):
         options["decimal"] = marks.decimal
     recordings = tuple(each.recording for each in marked)
-    kind = guess_kind(_cleaned(recordings), columns, _hints(source, first, columns, titles), machine, stated.kind)
+    cleaned, before = _cleaned(recordings), recordings
+    kind = guess_kind(cleaned, columns, _hints(source, first, columns, titles), machine, stated.kind)
     if kind.is_stated and kind.against:
         remarks = (*remarks, f"kind of test as stated ({kind.kind}), though {'; '.join(kind.against)}")
     elif not kind.is_stated and not stated.any_test:
@@ -178,7 +179,7 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
         recordings = reader.recordings(_checked_shear(columns))
     signed = {column.channel for column in columns if stated.signs.keys() & {column.channel, column.role}}
     columns, recordings, rivals, compared = settle_rivals(reader.recordings, columns, recordings, first.rivals)
-    turned = oriented(columns, _cleaned(recordings), kind.kind, signed)
+    turned = oriented(columns, cleaned if recordings is before else _cleaned(recordings), kind.kind, signed)
     recordings = reader.turned(recordings, columns, turned)
     columns, zeroed = turned, [column.channel for column in turned if column.offset == "start"]
     recordings = tuple(counted_from_kept(each, zeroed) for each in recordings)
