@@ -166,6 +166,12 @@ class TestPreload:
         assert found.load == pytest.approx(float(force(np.array([shift]))[0]), abs=0.02)
         assert found.shift == pytest.approx(shift, rel=0.15)
 
+    @pytest.mark.parametrize("offset", [-0.3, -1.0])
+    def test_a_load_against_the_direction_of_loading(self, offset):
+        found = load_at_zero(WAY, FORCE + offset + NOISE)
+        assert found.load == pytest.approx(offset, abs=0.02)
+        assert found.fraction < 0 and found.shift < 0
+
     def test_loads_that_start_from_zero_or_elsewhere_are_none(self):
         assert load_at_zero(WAY, FORCE) is None
         assert load_at_zero(WAY + 1e-3, force(WAY + 1e-3)) is None
