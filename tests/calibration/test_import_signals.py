@@ -190,3 +190,12 @@ def test_an_oscillation_out_of_phase_is_refused(tmp_path):
     imported = calibration.import_files([write(tmp_path, way, load, time)], tmp_path / "gel.toml", wishes())
     assert not imported.complete and "oscillation" in imported.problem
     assert "oscillation" in to_json(imported)["problem"]
+
+
+def test_a_wrong_first_displacement_before_a_sudden_load_leaves_the_zero_open(tmp_path):
+    time = np.arange(0.0, 160.0)
+    level = 1.0 + np.floor(time / 40)
+    way = np.where(time > 0, 0.6 * level * (1 + 0.2 * (1 - np.exp(-(time % 40) / 8))), -5.0)
+    load = np.where(time > 0, force(0.6 * level), 0.0) + noise(time.size, 0.001)
+    imported = calibration.import_files([write(tmp_path, way, load, time)], tmp_path / "gel.toml", wishes())
+    assert not imported.complete and "the zero of the displacement is not known" in imported.problem
