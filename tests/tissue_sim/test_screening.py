@@ -176,6 +176,7 @@ class TestPreload:
     def test_loads_that_start_from_zero_or_elsewhere_are_none(self):
         assert load_at_zero(WAY, FORCE) is None
         assert load_at_zero(WAY + 1e-3, force(WAY + 1e-3)) is None
+        assert load_at_zero(WAY, np.full(WAY.size, 2.0)) is None
 
 
 def test_the_loading_from_rest_before_creep_is_kept():

@@ -37,7 +37,7 @@ def load_at_zero(motion: np.ndarray, load: np.ndarray) -> LoadAtZero | None:
     """
     peak = int(np.argmax(motion)) + 1
     reach = float(np.ptp(motion))
-    if peak < _FEWEST or not reach > 0 or abs(motion[0]) > _ELSEWHERE * reach:
+    if peak < _FEWEST or not reach > 0 or not np.ptp(load) > 0 or abs(motion[0]) > _ELSEWHERE * reach:
         return None
     start = max(int(np.argmax(motion[:peak] > motion[0] + _START * (motion[peak - 1] - motion[0]))), _FEWEST)
     way, felt = motion[:start], load[:start]
