@@ -153,7 +153,7 @@ def scale_offsets(campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCu
     curves = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
     contact = usual_contact(curves)
     # Where the displacement was zeroed at a preload, contact was so far before it.
-    preloads = [curve.screening.preload.shift for curve in curves if curve.screening.preload is not None]
+    preloads = [abs(curve.screening.preload.shift) for curve in curves if curve.screening.preload is not None]
     contact = max([contact, *preloads])
     fit = campaign.fit
     if "offset_prior" in fit.offset_usual:
@@ -203,7 +203,8 @@ def _curve(recording: Recording, screening: Screening, name: str, path: Path, te
                               path=path)
     displacement, force, keep = whole.displacement, whole.force, whole.used
     if not whole.segmentation.has_air:
-        screening = with_preload(screening, displacement, force, campaign, stressed=stressed)
+        screening = with_preload(screening, displacement, force, campaign,
+                                 can_pull=test.kind.can_pull, stressed=stressed)
     if labels is not None:
         inside = keep & ~np.isin(labels, ("approach",) if remembering else NOT_LOADING)
         keep = inside if inside.any() else keep

@@ -64,23 +64,35 @@ def with_control(screening: Screening, motion: np.ndarray, load: np.ndarray, tim
 
 
 def with_preload(screening: Screening, motion: np.ndarray, load: np.ndarray, campaign: Campaign, *,
-                 stressed: bool) -> Screening:
+                 can_pull: bool, stressed: bool) -> Screening:
     """The findings with the load at the zero of the displacement, for a recording without air before contact.
 
     Args:
         motion, load: from contact, where the campaign finds it, positive under load, shape (n,).
+        can_pull: whether a force against the direction of loading reaches the specimen.
     """
     found = load_at_zero(motion, load)
     if found is None:
         return screening
     fit = campaign.fit
     # A prior that is not stated is widened to the preload, see `calibration.campaign.measured.scale_offsets`.
-    covers = fit.offset == "fit" and not stressed and (
-        "offset_prior" in fit.offset_usual or fit.offset_prior >= _COVERS * found.shift)
+    covers = fit.offset == "fit" and not stressed and (found.load > 0 or can_pull) and (
+        "offset_prior" in fit.offset_usual or fit.offset_prior >= _COVERS * abs(found.shift))
     # An inverse fit has a contact offset in each recording, unless its deviation is stated as zero.
     fits_contact = fit.method != "analytical" and campaign.noise.contact_jitter != 0
-    return replace(screening, preload=Preload(*found, covers, _preload_words(
-        found, stressed=stressed, covers=covers, fits_contact=fits_contact)))
+    sentence = _against_words(found, stressed=stressed, covers=covers) if found.load < 0 else \
+        _preload_words(found, stressed=stressed, covers=covers, fits_contact=fits_contact)
+    return replace(screening, preload=Preload(*found, covers, sentence))
+
+
+def _against_words(found: LoadAtZero, *, stressed: bool, covers: bool) -> str:
+    load = f"{1e-3 * found.load:.3g} kPa" if stressed else f"{found.load:.3g} N"
+    what = (f"the recording begins under {load}, {100 * found.fraction:.0f} % of its range, against the direction of "
+            "loading: the load cell was not zeroed")
+    if covers:
+        return f"{what}, or the specimen was strained against it; the contact offset is fitted"
+    remedy = "correct the stress of the file" if stressed else "set an offset of the force in columns"
+    return f"{what}; the moduli are wrong; {remedy}"
 
 
 def _preload_words(found: LoadAtZero, *, stressed: bool, covers: bool, fits_contact: bool) -> str:

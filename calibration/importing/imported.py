@@ -56,7 +56,8 @@ class Zero:
     """The meaning of a load at zero displacement.
 
     Attributes:
-        value: ``"preload"`` or ``"sensor"``. shift: of contact before the zero, m. load: at zero, N.
+        value: ``"preload"`` or ``"sensor"``. shift: of contact before the zero, m. load: at zero, N. Both are
+            negative where the load is against the direction of loading.
     """
 
     value: str

@@ -42,11 +42,12 @@ def offset_lines(tests: Sequence[ImportedTest], *, bounded: bool) -> list[Line]:
     preloads = [test for test in tests if test.zero is not None and test.zero.value == PRELOAD]
     if not preloads:
         return []
-    test = max(preloads, key=lambda each: each.zero.shift if each.zero is not None else 0.0)
+    test = max(preloads, key=lambda each: abs(each.zero.shift) if each.zero is not None else 0.0)
     assert test.zero is not None
-    shift = 1e3 * test.zero.shift
+    shift = 1e3 * abs(test.zero.shift)
+    side = "after contact" if test.zero.load > 0 else "before the force of the specimen is zero"
     why = (f"{test.name}: the displacement was zeroed at a preload of {test.zero.load:.3g} N, about {shift:.2g} mm "
-           "after contact")
+           f"{side}")
     lines = [Line("offset", "fit", why), Line("offset_prior_mm", float(f"{shift:.2g}"), "covers that distance")]
     if bounded:
         lines.append(Line("offset_bounds_mm", float(f"{_BOUNDS * shift:.2g}"), "three times that distance"))

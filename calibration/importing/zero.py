@@ -3,6 +3,7 @@
 Both explanations have one unknown: the distance between contact and the zero of the displacement, or the load of the
 unloaded cell. Laws that are linear in their parameters are fitted with each. The explanation with the smaller residuals
 is taken if the difference is beyond chance and the residuals are those of the noise; else the user decides.
+A force against the direction of loading is a preload only where the specimen is gripped or glued, and may be shortened.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 
 from calibration.importing.imported import Part, Zero
 from calibration.importing.motion import Motion
+from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import LAWS, find_law
@@ -35,6 +37,8 @@ PRELOAD = "preload"
 SENSOR = "sensor"
 _WORDS = {PRELOAD: "the displacement was zeroed at a preload, and contact was before it",
           SENSOR: "the load cell was not zeroed, and contact is at zero displacement"}
+#: Words of `PRELOAD` where the force at zero displacement is against the direction of loading.
+_AGAINST = "the specimen was strained against the direction of loading, and its force is zero after zero displacement"
 
 
 @dataclass(frozen=True)
@@ -65,10 +69,10 @@ def with_zero(parts: Sequence[Part], sizes: Mapping[str, float], laws: Sequence[
         return tuple(parts), None
     shift, load = (float(np.mean([getattr(start, name) for _, start in found])) for name in ("shift", "load"))
     explanations = [_explain(curve, start, kind, sizes, laws) for curve, start in found]
-    assumption, value, best = _decide([each for each in explanations if each], found[0][1], stated)
+    assumption, value, best = _decide([each for each in explanations if each], found[0][1], kind, stated)
     zero = Zero(value, best or shift, load)
     loads = [start.load for _, start in found]
-    same = np.ptp(loads) <= _ALIKE * load
+    same = np.ptp(loads) <= _ALIKE * abs(load)
     return tuple(_settled(part, assumption, zero, constant=bool(same)) for part in parts), zero
 
 
@@ -143,9 +147,12 @@ def linear_laws(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in names if name in LAWS and is_linear(name)) or ("neo_hooke",)
 
 
-def _decide(explanations: Sequence[tuple[dict[str, _Explanation], float]], start: LoadAtZero, stated: str | None
-            ) -> tuple[Assumption, str, float | None]:
+def _decide(explanations: Sequence[tuple[dict[str, _Explanation], float]], start: LoadAtZero,
+            kind: TestKind | None, stated: str | None) -> tuple[Assumption, str, float | None]:
     """The assumption, its value, and the shift of contact by the fit, m."""
+    if start.load < 0 and kind is not None and not kind.can_pull:
+        return _against_the_load(start, stated), SENSOR, None
+    words = {**_WORDS, PRELOAD: _AGAINST} if start.load < 0 else _WORDS
     evidence = [f"the force at zero displacement is {start.load:.3g} N, {100 * start.fraction:.0f} % of its range"]
     against: list[str] = []
     value, ratio, shift = stated or PRELOAD, None, None
@@ -163,10 +170,25 @@ def _decide(explanations: Sequence[tuple[dict[str, _Explanation], float]], start
         said = f"residuals of {residuals[value]:.2g} N, with the other explanation {residuals[other]:.2g} N"
         (evidence if criteria[value] <= criteria[other] else against).append(said)
     other = SENSOR if value == PRELOAD else PRELOAD
-    alternatives = () if decided else (Alternative(_WORDS[other], ratio, f"--zero {other}"),)
-    assumption = Assumption("zero of displacement and force", _WORDS[value], tuple(evidence), tuple(against),
+    alternatives = () if decided else (Alternative(words[other], ratio, f"--zero {other}"),)
+    assumption = Assumption("zero of displacement and force", words[value], tuple(evidence), tuple(against),
                             alternatives, f"--zero {value}", stated is not None)
     return assumption, value, shift
+
+
+def _against_the_load(start: LoadAtZero, stated: str | None) -> Assumption:
+    """The load cell was not zeroed, because a tool that does not adhere to the specimen cannot pull it.
+
+    Raises:
+        InputError: the user stated a preload.
+    """
+    if stated == PRELOAD:
+        raise InputError(f"--zero must be {SENSOR}; got {PRELOAD}. The force at zero displacement is {start.load:.3g} "
+                         "N, against the direction of loading, and a preload is along it.", field="zero")
+    evidence = (f"the force at zero displacement is {start.load:.3g} N, {100 * start.fraction:.0f} % of its range",
+                "a tool that does not adhere to the specimen cannot pull it")
+    return Assumption("zero of displacement and force", _WORDS[SENSOR], evidence, (), (), f"--zero {SENSOR}",
+                      stated is not None)
 
 
 def _settled(part: Part, assumption: Assumption, zero: Zero, *, constant: bool) -> Part:

@@ -1,5 +1,7 @@
 """From raw files to moduli where the signals hold outliers, saturation, preloads, creep, relaxation or oscillation."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -100,6 +102,25 @@ def test_a_displacement_zeroed_at_a_preload(tmp_path, shift):
     assert abs(fit.parameters["C10"] - 10e3) < 3 * fit.standard_errors["C10"]
 
 
+@pytest.mark.parametrize("offset", [-0.2, -0.65])
+def test_a_force_against_the_load_is_the_zero_of_the_load_cell(tmp_path, offset):
+    imported, fit = imported_and_fitted(tmp_path, write(tmp_path, WAY, force(WAY) + offset + noise(TIME.size)))
+    assert imported.complete and not imported.questions and "offset = 0." in imported.text
+    assert any(each.subject == "zero of displacement and force" for _, each in imported.assumptions)
+    assert fit.mu0 == pytest.approx(20e3, rel=0.01)
+
+
+@pytest.mark.parametrize("offset", [-0.65, 0.65])
+def test_a_campaign_by_hand_with_a_load_cell_that_was_not_zeroed_is_not_usable(tmp_path, offset):
+    path = write(tmp_path, WAY, force(WAY) + offset + noise(TIME.size))
+    imported = calibration.import_files([path], tmp_path / "gel.toml", wishes())
+    text = re.sub(r", offset = -?[0-9.]+", "", imported.text)
+    (tmp_path / "hand.toml").write_text(text)
+    result, = calibration.calibrate([tmp_path / "hand.toml"], tmp_path / "hand", figures=False)
+    assert "the load cell was not zeroed" in result.message
+    assert result.fits[0].unusable is not None
+
+
 def test_a_load_cell_that_was_not_zeroed(tmp_path):
     imported, fit = imported_and_fitted(tmp_path, write(tmp_path, WAY, force(WAY) + 0.65 + noise(TIME.size)))
     assert imported.complete and "offset = -0.6" in imported.text
@@ -169,3 +190,12 @@ def test_an_oscillation_out_of_phase_is_refused(tmp_path):
     imported = calibration.import_files([write(tmp_path, way, load, time)], tmp_path / "gel.toml", wishes())
     assert not imported.complete and "oscillation" in imported.problem
     assert "oscillation" in to_json(imported)["problem"]
+
+
+def test_a_wrong_first_displacement_before_a_sudden_load_leaves_the_zero_open(tmp_path):
+    time = np.arange(0.0, 160.0)
+    level = 1.0 + np.floor(time / 40)
+    way = np.where(time > 0, 0.6 * level * (1 + 0.2 * (1 - np.exp(-(time % 40) / 8))), -5.0)
+    load = np.where(time > 0, force(0.6 * level), 0.0) + noise(time.size, 0.001)
+    imported = calibration.import_files([write(tmp_path, way, load, time)], tmp_path / "gel.toml", wishes())
+    assert not imported.complete and "the zero of the displacement is not known" in imported.problem

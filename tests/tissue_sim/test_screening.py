@@ -8,6 +8,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.recording.cleaning import clean
 from tissue_sim.recording.control import find_control
 from tissue_sim.recording.oscillation import find_oscillation
+from tissue_sim.recording.outliers import find_outliers
 from tissue_sim.recording.preload import load_at_zero
 
 TIME = np.arange(126) * 0.2
@@ -166,6 +167,21 @@ class TestPreload:
         assert found.load == pytest.approx(float(force(np.array([shift]))[0]), abs=0.02)
         assert found.shift == pytest.approx(shift, rel=0.15)
 
+    @pytest.mark.parametrize("offset", [-0.3, -1.0])
+    def test_a_load_against_the_direction_of_loading(self, offset):
+        found = load_at_zero(WAY, FORCE + offset + NOISE)
+        assert found.load == pytest.approx(offset, abs=0.02)
+        assert found.fraction < 0 and found.shift < 0
+
     def test_loads_that_start_from_zero_or_elsewhere_are_none(self):
         assert load_at_zero(WAY, FORCE) is None
         assert load_at_zero(WAY + 1e-3, force(WAY + 1e-3)) is None
+        assert load_at_zero(WAY, np.full(WAY.size, 2.0)) is None
+
+
+def test_the_loading_from_rest_before_creep_is_kept():
+    time = np.arange(60.0)
+    way = np.where(time < 4, 10.0 * time, 35.0 + 18.0 * (1 - np.exp(-time / 30)))
+    load = np.minimum(0.17 * time, 0.53) + 0.002 * np.sin(7.0 * time)
+    load[0] = 0.0
+    assert find_outliers(way, load) == ()

@@ -10,11 +10,14 @@ from tissue_sim.errors import InputError
 from tissue_sim.recording.outliers import find_outliers, left_out
 from tissue_sim.recording.recording import CHANNELS, MIN_POINTS, Recording
 from tissue_sim.recording.saturation import SaturatedRun, find_saturation
-from tissue_sim.recording.screening import LeftOut, Saturation, Screening
+from tissue_sim.recording.screening import LeftOut, Saturation, Screening, numbered
 
 #: Channels of the motion and of the load; of each, the first one that a recording has is examined.
 MOTIONS = ("displacement", "stretch", "shear strain")
 LOADS = ("force", "nominal stress")
+#: Step of the load from the samples that are left out to the first one that is kept, as a fraction of its range, above
+#: which the motion was not at its start there.
+_LOADED = 0.1
 #: Quantity -> unit and units in one of SI, for sentences.
 _SHOWN = {"length": (" mm", 1e3), "force": (" N", 1.0), "stress": (" kPa", 1e-3), "ratio": ("", 1.0)}
 
@@ -62,9 +65,30 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
             kept = np.flatnonzero(is_kept)
             rest = recording.select(kept)
     if kept.size and kept[0] > 0 and zeroed:
+        _require_start(channels[load], kept, motion, zeroed, found)
         rest = rest.with_channels(**{name: rest.channel(name) - rest.channel(name)[0] for name in zeroed
                                      if name in rest})
     return rest, Screening(found, saturation, suspected=suspected)
+
+
+def _require_start(load: np.ndarray, kept: np.ndarray, motion: str, zeroed: Sequence[str], found: Sequence[LeftOut]
+                   ) -> None:
+    """Refuse to count a motion from the first sample that is kept if the specimen was loaded before that sample.
+
+    Args:
+        load: of all samples, shape (n,). kept: samples from 0 that are kept. found: samples left out, by channel.
+
+    Raises:
+        InputError: the load of the samples left out for their motion is another one.
+    """
+    step = float(load[kept[0]] - load[0])
+    is_motion = any(1 in each.samples and each.channel == motion for each in found)
+    is_load = any(1 in each.samples and each.channel != motion for each in found)
+    if motion in zeroed and is_motion and not is_load and abs(step) > _LOADED * float(np.ptp(load[kept])):
+        samples = numbered(tuple(range(1, int(kept[0]) + 1)))
+        raise InputError(f"the zero of the {motion} is not known: {samples} left out, and the load changes before "
+                         f"sample {kept[0] + 1}; give the column of the {motion} an offset, 0 if it is right as the "
+                         "file has it", field=f"columns.{motion}.offset")
 
 
 def counted_from_kept(recording: Recording, zeroed: Sequence[str]) -> Recording:

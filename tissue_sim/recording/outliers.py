@@ -238,6 +238,8 @@ def _belongs_to_test(name: str, group: tuple[int, ...], channels: Mapping[str, _
         step = abs(motion.jump(first, last))
         return name == "load" and step > max(settings.event * (last - first + 1) * motion.largest_step(first, last),
                                              0.02 * motion.range)
+    if first == 0 and last > 1 and all(_rises_from_rest(one.values[:last + 1], settings) for one in (motion, load)):
+        return True
     if name == "load" and first == 0 and _relaxes(load.values[:last], float(load.values[last])):
         return True
     if first == 0:
@@ -272,6 +274,12 @@ def _steps_together(sample: int, next_one: int, motion: _Channel, load: _Channel
         if sample > next_one:
             return together and is_plausible
     return together and any(rests) and is_plausible
+
+
+def _rises_from_rest(values: np.ndarray, settings: OutlierSettings) -> bool:
+    """Whether the first samples rise steadily, to one side, from rest, as in the loading before creep."""
+    steps = np.diff(values)
+    return bool(np.all(steps * steps[0] > 0) and abs(values[0]) <= settings.rest * np.abs(values).max())
 
 
 def _relaxes(values: np.ndarray, following: float) -> bool:

@@ -19,7 +19,10 @@ _SIGNIFICANT = 6.0
 
 
 class LoadAtZero(NamedTuple):
-    """Load at the zero of the displacement, its fraction of the range, and the shift of contact that explains it."""
+    """Load at the zero of the displacement, its fraction of the range, and the shift of contact that explains it.
+
+    All three are negative where the load is against the direction of loading.
+    """
 
     load: float
     fraction: float
@@ -27,14 +30,14 @@ class LoadAtZero(NamedTuple):
 
 
 def load_at_zero(motion: np.ndarray, load: np.ndarray) -> LoadAtZero | None:
-    """The load with which the first loading begins, from a parabola through its start; None where it begins at zero.
+    """Load at which the first loading begins, from a parabola through its start; None where it begins at zero.
 
     Args:
         motion, load: positive under load, the motion from its zero, in the order of time, shape (n,).
     """
     peak = int(np.argmax(motion)) + 1
     reach = float(np.ptp(motion))
-    if peak < _FEWEST or not reach > 0 or abs(motion[0]) > _ELSEWHERE * reach:
+    if peak < _FEWEST or not reach > 0 or not np.ptp(load) > 0 or abs(motion[0]) > _ELSEWHERE * reach:
         return None
     start = max(int(np.argmax(motion[:peak] > motion[0] + _START * (motion[peak - 1] - motion[0]))), _FEWEST)
     way, felt = motion[:start], load[:start]
@@ -47,6 +50,6 @@ def load_at_zero(motion: np.ndarray, load: np.ndarray) -> LoadAtZero | None:
     covariance = variance * np.linalg.pinv(design.T @ design)
     range_of_load = float(np.ptp(load))
     at_zero, slope = float(coefficients[0]), float(np.polyfit(way, felt, 1)[0])
-    if slope <= 0 or at_zero < max(_FRACTION * range_of_load, _SIGNIFICANT * float(np.sqrt(covariance[0, 0]))):
+    if slope <= 0 or abs(at_zero) < max(_FRACTION * range_of_load, _SIGNIFICANT * float(np.sqrt(covariance[0, 0]))):
         return None
     return LoadAtZero(at_zero, at_zero / range_of_load, at_zero / slope)

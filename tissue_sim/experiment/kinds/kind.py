@@ -92,6 +92,11 @@ class TestKind:
         return self.tool is None
 
     @property
+    def can_pull(self) -> bool:
+        """Whether a force against the direction of loading reaches the specimen: it is gripped, or the tool adheres."""
+        return self.gripped or self.face.usual == "bonded"
+
+    @property
     def settles(self) -> bool:
         """Whether it has a closed form too where the specimen weighs: that of `tissue_sim.closed_form.column`."""
         return self.closed_form is not None and self.tool is not None
