@@ -163,6 +163,15 @@ def test_sizes_of_a_strip_or_block_that_contradict_each_other_are_a_question(tmp
     assert calibration.import_files([again], wishes=wishes).questions == ()
 
 
+def test_a_contradiction_below_a_repeated_header_is_a_question(tmp_path):
+    header = "Time (s),Displacement (mm),Force (N)\n"
+    rows = [f"{i},{0.5 * i:g},{0.1 * i:g}\n" for i in range(10)]
+    text = f"{STRIP_SIZES}{header}{''.join(rows[:5])}{header}{''.join(rows[5:])}\nThickness,2.5,mm\n"
+    wishes = calibration.Wishes(Stated(kind="uniaxial_tension"))
+    imported = calibration.import_files([put(tmp_path, text)], wishes=wishes)
+    assert any("--area-mm2 25" in question for question in imported.questions)
+
+
 def test_sizes_that_differ_by_their_rounding_do_not_contradict(tmp_path):
     path = put(tmp_path, LINES + "Area,314,mm2\nRadius,10.0,mm\n" + compression())
     assert calibration.import_files([path], wishes=calibration.Wishes(Stated(kind="lubricated_compression"))).complete

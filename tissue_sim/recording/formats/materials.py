@@ -10,6 +10,7 @@ from tissue_sim.recording.formats.assumption import Alternative, Assumption
 from tissue_sim.recording.formats.guesses import Reading, Stated
 from tissue_sim.recording.formats.pairing import Group
 from tissue_sim.recording.formats.sizes import size_signature
+from tissue_sim.recording.formats.statements import Statements
 from tissue_sim.recording.formats.titles import block_title, materials_of
 
 
@@ -23,6 +24,10 @@ def by_material(reading: Reading, groups: Sequence[Group], places: Sequence[tupl
         stated: `Stated.one_material` keeps the tables together.
     """
     tables = _tables(groups, places)
+    together = {(group.numbers.table.name, group.line) for group in groups} - set(places)
+    if together:
+        # A repeated header continues a recording, whose sizes may be stated below any of its parts.
+        reading = replace(reading, stated=read_only(_all_statements(groups)))
     if tables is None:
         return [reading]
     titles = [title for _, title in tables]
@@ -44,6 +49,15 @@ def by_material(reading: Reading, groups: Sequence[Group], places: Sequence[tupl
             stated=read_only(dict(tables[chosen[0]][0].stated)),
             options=read_only({**reading.options, "curve": curves if len(curves) > 1 else curves[0]}),
             assumptions=(*reading.assumptions, *question)))
+    return found
+
+
+def _all_statements(groups: Sequence[Group]) -> dict[str, str]:
+    """Key -> value of what the file states about any of the tables."""
+    found = Statements(groups[0].stated)
+    for group in groups[1:]:
+        for key, value in group.stated.items():
+            found.add(key, value, f"line {group.line}")
     return found
 
 
