@@ -77,7 +77,7 @@ def _walk(one: Description, resolution: str, clock: Clock, max_solves: int | Non
         answers.append(answer)
         if free is not None and k < TICKS:
             unbounded.append(free.step(place, DT).force)
-        touches = answer.status is ts.ForceStatus.CONVERGED and simulator._touched
+        touches = answer.status is ts.ForceStatus.CONVERGED and simulator.has_touched
         if touches and (k % CHECKED == 0 or k > TICKS):
             with clock.off():
                 # On the way to where it jumped, too.

@@ -1,5 +1,7 @@
 """Import of tables: separators of thousands, sizes wherever a file states them, titles of different materials."""
 
+import re
+
 import numpy as np
 import openpyxl
 import pytest
@@ -217,6 +219,10 @@ def test_each_material_keeps_its_own_tables(tmp_path):
     path = put(tmp_path, blocks("gel 1", "liver 1", "gel 2", "liver 2"))
     imported = calibration.import_files([path], tmp_path / "c.toml", calibration.Wishes(
         Stated(kind="lubricated_compression"), laws=("neo_hooke",)))
+    # The user answers the question by deleting the key.
+    text = (tmp_path / "c.toml").read_text(encoding="utf-8")
+    assert "questions = " in text
+    (tmp_path / "c.toml").write_text(re.sub(r"questions = \[[^\]]*\]", "", text), encoding="utf-8")
     curves = calibration.read_measured(calibration.load_campaign(tmp_path / "c.toml"))
     peaks = [[float(curve.force.max()) for curve in several] for several in curves.values()]
     assert imported.problem is None and peaks[0][0] == peaks[0][1] and peaks[1][0] == pytest.approx(2 * peaks[0][0])

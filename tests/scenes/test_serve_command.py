@@ -101,7 +101,7 @@ def test_fast_tool_feels_the_mass(client):
 
 def test_describe_says_what_is_served(ask):
     answer = ask("describe")
-    assert answer["scene"] == "needle_indentation" and answer["protocol"]["version"] == 2
+    assert answer["scene"] == "needle_indentation" and answer["protocol"]["version"] == 3
     assert answer["tool"]["shape"] == "flat" and answer["tool"]["radius"] == 0.008
     assert answer["specimen"]["radius"] == 0.04 and answer["specimen"]["height"] == 0.07
     assert answer["interfaces"]["friction"] == "bonded"

@@ -173,9 +173,11 @@ class TestParameters:
         with pytest.raises(ts.InputError, match=words):
             ts.find_law("reduced_polynomial_2").as_array(values)
 
-    def test_zero_exponent_is_refused(self):
-        with pytest.raises(ts.InputError, match="alpha1"):
-            ts.find_law("ogden_1").as_array([1000.0, 0.0])
+    @pytest.mark.parametrize("exponent", [0.0, 1e-9, -1e-9])
+    def test_an_exponent_of_zero_is_the_logarithmic_limit(self, exponent):
+        """The energy of Hencky: P = 3 mu ln(s) / s."""
+        stress = ts.find_law("ogden_1").nominal_stress(STRETCHES, [1000.0, exponent])
+        np.testing.assert_allclose(stress, 3000.0 * np.log(STRETCHES) / STRETCHES, rtol=1e-4, atol=1e-9)
 
     def test_exponent_near_zero_reaches_the_logarithmic_limit(self):
         """2 mu / a (s^(a-1) - s^(-a/2-1)) tends to 3 mu ln(s) / s."""

@@ -135,7 +135,8 @@ class Law:
         return []
 
     def as_mapping(self, values) -> dict[str, float]:
-        return {name: float(value) for name, value in zip(self.parameters, self.as_array(values), strict=True)}
+        """Name -> value as given, also where `as_array` replaces a value at a limit of the formula."""
+        return {name: float(value) for name, value in zip(self.parameters, Law.as_array(self, values), strict=True)}
 
     def _evaluate(self, mode, stretch, values) -> list[np.ndarray]:
         stretch = np.asarray(stretch, dtype=float)
