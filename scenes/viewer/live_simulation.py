@@ -209,7 +209,7 @@ class LiveSimulation:
             float(np.median(compute_time[recent])), float(iterations[recent].mean()), rate,
             float((last["late"] + last["missed"]) / max(deadlines, 1)), _in_words(status, last),
             _mesh_in_words(self._loop.resolution, self._loop.force_error),
-            "" if status is ForceStatus.CONVERGED else status.message,
+            _message(status, last),
             int(np.count_nonzero(statuses != ForceStatus.CONVERGED)),
             (float(last["tissue_wrench"][0]), float(last["tissue_wrench"][1])))
 
@@ -223,4 +223,17 @@ def _in_words(status: ForceStatus, last: np.void) -> str:
     """How the newest force came about."""
     if status is ForceStatus.CONVERGED:
         return "paused" if last["flags"] & PAUSED else "in equilibrium"
-    return status.name.lower()
+    return "inaccurate" if _is_inaccurate(status, last) else status.name.lower()
+
+
+def _message(status: ForceStatus, last: np.void) -> str:
+    """Cause and remedy of a status; empty in equilibrium."""
+    if _is_inaccurate(status, last):
+        return (f"The force is in equilibrium, but its estimated error is {last['force_error']:.2g} N. Use a finer mesh, "
+                "or a deeper indentation.")
+    return "" if status is ForceStatus.CONVERGED else status.message
+
+
+def _is_inaccurate(status: ForceStatus, last: np.void) -> bool:
+    """Whether the newest force is one of an equilibrium that the mesh does not resolve."""
+    return status is ForceStatus.LATE and last["age"] == 0.0 and bool(np.isfinite(last["force_error"]))
