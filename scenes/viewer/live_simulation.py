@@ -229,8 +229,8 @@ def _in_words(status: ForceStatus, last: np.void) -> str:
 def _message(status: ForceStatus, last: np.void) -> str:
     """Cause and remedy of a status; empty in equilibrium."""
     if _is_inaccurate(status, last):
-        return (f"The force is in equilibrium, but its estimated error is {last['force_error']:.2g} N. Use a finer mesh, "
-                "or a deeper indentation.")
+        return (f"The force is in equilibrium, but its estimated error is {last['force_error']:.2g} N. "
+                "Use a finer mesh or a deeper indentation.")
     return "" if status is ForceStatus.CONVERGED else status.message
 
 
