@@ -59,7 +59,8 @@ class Pose:
                 return
             length = math.hypot(w, x, y, z)  # the squares overflow; hypot scales them
             excess = length - 1.0
-        if abs(excess) > LENGTH_TOLERANCE:
+        # NaN is refused, too: where denormal numbers are flushed to zero, hypot of huge components is NaN.
+        if not abs(excess) <= LENGTH_TOLERANCE:
             raise InputError(f"must be a unit quaternion (w, x, y, z), of length 1 within "
                              f"{LENGTH_TOLERANCE:g}; got length {_length_text(length)}. Divide it by its length.",
                              field="orientation")
