@@ -63,8 +63,7 @@ resolution_N = 0.001
 force_N = 60.0
 lowest_mm = -6.0
 highest_mm = 13.0
-# Readings come late on a busy machine, and then a stage of 8 mm/s seems to move faster: this limit is not tested here.
-speed_mm_s = 100.0
+speed_mm_s = 10.0
 duration_s = 600.0
 stiffness_N_per_mm = 5.0
 force_margin_N = 5e3
