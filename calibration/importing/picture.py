@@ -16,10 +16,16 @@ from tissue_sim.recording.screening import Screening
 
 #: Tests that are drawn, and recordings of a test that are named in its legend.
 _MOST_TESTS, _MOST_NAMES = 12, 8
-#: Height of the axes of a test, and of a line of the table below them, inches.
-_ROW_HEIGHT, _LINE_HEIGHT = 3.0, 0.13
-#: Points; characters in a line; lines.
-_FONT_SIZE, _TEXT_COLUMNS, _MOST_LINES = 6.5, 165, 40
+#: Height of the axes of a test, inches.
+_ROW_HEIGHT = 3.0
+#: Height of a line of the table below the axes, inches.
+_LINE_HEIGHT = 0.13
+#: Font size of the table, points.
+_FONT_SIZE = 6.5
+#: Largest number of characters in a line of the table.
+_TEXT_COLUMNS = 165
+#: Largest number of lines of the table.
+_MOST_LINES = 40
 _SHOWN = {"displacement": ("displacement, mm", 1e3), "stretch": ("stretch", 1.0), "shear strain": ("shear strain", 1.0),
           "force": ("force, N", 1.0), "nominal stress": ("nominal stress, kPa", 1e-3)}
 _SHADES = {"hold": "0.85", "unload": "#fde3d0", "reload": "#dcebf7", "approach": "#e8f4fb", "preload": "#f5e4ee",

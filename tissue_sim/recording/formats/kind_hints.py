@@ -8,8 +8,10 @@ from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.kind_words import Hint, named_tests
 from tissue_sim.recording.formats.sources import Numbers, Source
 
-#: Rows above a table, and of a sheet without numbers, that are searched.
-_TITLE_ROWS, _SHEET_ROWS = 40, 60
+#: Rows above a table that are searched.
+_TITLE_ROWS = 40
+#: Rows of a sheet without numbers that are searched.
+_SHEET_ROWS = 60
 #: Different labels of a column; one with more holds no names of tests.
 _MOST_LABELS = 20
 

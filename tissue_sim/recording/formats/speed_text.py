@@ -11,7 +11,10 @@ from tissue_sim.recording.formats.table import Row
 _SPEED_UNITS = {"mm/min": 1e-3 / 60.0, "mmmin-1": 1e-3 / 60.0, "mm/s": 1e-3, "mm/sec": 1e-3, "mms-1": 1e-3,
                 "um/s": 1e-6, "µm/s": 1e-6, "μm/s": 1e-6, "cm/min": 1e-2 / 60.0, "cm/s": 1e-2, "m/s": 1.0,
                 "in/min": 0.0254 / 60.0, "in/s": 0.0254}
-_NUMBER, _LENGTH = r"(\d+(?:[.,]\d+)?)", r"(?:mm|cm|um|µm|μm|in|m)"
+#: Pattern of a number with a decimal point or comma.
+_NUMBER = r"(\d+(?:[.,]\d+)?)"
+#: Pattern of a unit of length.
+_LENGTH = r"(?:mm|cm|um|µm|μm|in|m)"
 #: ``0.5 mm/s``, ``30 mm min-1``.
 _SPEED = re.compile(rf"(?<![\w.,]){_NUMBER}\W{{0,3}}({_LENGTH} ?/? ?(?:min|sec|s)(?:-1|\b))", re.IGNORECASE)
 #: ``Speed (mm/min): 30``.
