@@ -110,6 +110,8 @@ class StageSample:
         sequence: number of the sample since the start.
         status: bits of `SampleStatus`.
         received: when this program received it, s on the clock of `time.monotonic`.
+        requested: when this program requested it, s on the same clock; the position was read between `requested` and
+            `received`. None: the position was read at `received`.
     """
 
     counts: int
@@ -119,6 +121,12 @@ class StageSample:
     sequence: int
     status: int
     received: float
+    requested: float | None = None
+
+    @property
+    def earliest(self) -> float:
+        """The earliest time at which the position can have been read, s."""
+        return self.received if self.requested is None else min(self.requested, self.received)
 
 
 @dataclass(frozen=True)

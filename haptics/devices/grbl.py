@@ -191,7 +191,7 @@ class GrblStage(Stage):
             place = self._sign * (seen.place - zero)
             self._sequence += 1
             return StageSample(round(place * self._steps_per_mm), place * 1e-3, moving, self._zero is not None,
-                               self._sequence - 1, int(bits), seen.received)
+                               self._sequence - 1, int(bits), seen.received, seen.asked or None)
 
     def halt(self) -> None:
         self._halts += 1

@@ -181,6 +181,7 @@ class TicStage(Stage):
     def position(self) -> StageSample:
         self._require_start()
         status = self._status()
+        requested = time.monotonic()
         place = tic.parse_place(self._read(Command.GET_VARIABLE, Variable.CURRENT_POSITION, tic.PLACE_SIZE))
         now = time.monotonic()
         if place is None:
@@ -209,7 +210,7 @@ class TicStage(Stage):
         self._sequence += 1
         homed = not homing and not uncertain
         return StageSample(place.position, place.position / self._steps, homing or place.velocity != 0 or on_its_way,
-                           homed, self._sequence - 1, int(bits), now)
+                           homed, self._sequence - 1, int(bits), now, requested)
 
     def halt(self) -> None:
         self._halts += 1

@@ -119,7 +119,7 @@ class MotionGuard:
         self._silence = max(limits.sensor_silence, SILENT_PERIODS / sensor_rate)
         self._forces = [number for number, name in enumerate(channels) if name in ("Fx", "Fy", "Fz")]
         self._heard = began
-        self._places: deque[tuple[float, float]] = deque()
+        self._readings: deque[StageSample] = deque()
         self.knows_place = self.knows_zero = False
 
     def check(self, now: float, samples: Sequence[ForceSample], forces: Sequence[float], stage: StageSample,
@@ -168,25 +168,36 @@ class MotionGuard:
         return None
 
     def _check_motion(self, now: float, stage: StageSample, drive: Drive | None) -> Stop | None:
-        limits, places = self.limits, self._places
+        limits = self.limits
         if now - self._began > limits.duration:
             return Stop("duration", f"the run took longer than its limit of {limits.duration:g} s")
         if not self.knows_place or not stage.homed:
-            places.clear()
+            self._readings.clear()
             return None
         if not limits.lowest - _BEHIND <= stage.position <= limits.highest + _BEHIND:
             return Stop("travel", f"the stage is at {stage.position * 1e3:.4g} mm, outside of its limits of "
                                   f"{limits.lowest * 1e3:g} to {limits.highest * 1e3:g} mm")
-        places.append((stage.received, stage.position))
-        while places[-1][0] - places[0][0] > _SPEED_OVER:
-            places.popleft()
-        passed = places[-1][0] - places[0][0]
-        if passed > 0.5 * _SPEED_OVER:
-            speed = abs(places[-1][1] - places[0][1]) / passed
-            if speed > (1 + _SPEED_SLACK) * limits.speed + _BEHIND / passed:
-                return Stop("speed", f"the stage moves at {speed * 1e3:.3g} mm/s, above the limit of "
-                                     f"{limits.speed * 1e3:g} mm/s")
-        return None if drive is None else self._check_drive(stage, drive)
+        return self._check_speed(stage) or (None if drive is None else self._check_drive(stage, drive))
+
+    def _check_speed(self, stage: StageSample) -> Stop | None:
+        """Compare the lowest speed that the readings of the last `_SPEED_OVER` allow with the limit.
+
+        The reply to a request for the position can be late, on a slow line or a busy computer: the position was read
+        between request and reply. The time between two readings is therefore at most the time from the request of the
+        first to the reply of the second, and that time gives the lowest speed.
+        """
+        readings = self._readings
+        readings.append(stage)
+        while readings[-1].received - readings[0].received > _SPEED_OVER:
+            readings.popleft()
+        first, last = readings[0], readings[-1]
+        if last.received - first.received > 0.5 * _SPEED_OVER:
+            passed = last.received - first.earliest
+            speed = abs(last.position - first.position) / passed
+            if speed > (1 + _SPEED_SLACK) * self.limits.speed + _BEHIND / passed:
+                return Stop("speed", f"the stage moves at {speed * 1e3:.3g} mm/s or faster, above the limit of "
+                                     f"{self.limits.speed * 1e3:g} mm/s")
+        return None
 
     def _check_drive(self, stage: StageSample, drive: Drive) -> Stop | None:
         slack = max(_ASTRAY, _BEHIND_TIME * drive.speed)
@@ -194,8 +205,8 @@ class MotionGuard:
         if not low - slack <= stage.position <= high + slack:
             return Stop("stage astray", f"the stage is at {stage.position * 1e3:.4g} mm, where it was sent from "
                                         f"{drive.start * 1e3:.4g} to {drive.goal * 1e3:.4g} mm; home it again")
-        behind = drive.expected(stage.received) - abs(stage.position - drive.start)
-        if self._measured and drive.speed and stage.received - drive.began > _BEHIND_TIME and \
+        behind = drive.expected(stage.earliest) - abs(stage.position - drive.start)
+        if self._measured and drive.speed and stage.earliest - drive.began > _BEHIND_TIME and \
                 behind > max(_BEHIND, _BEHIND_TIME * drive.speed):
             return Stop("stage stalled", f"the stage is {behind * 1e3:.3g} mm behind where it was driven; look what "
                                          "holds it, and home it again")

@@ -1,6 +1,7 @@
 """The guard of a motor: each cause, what may retract, and that limits are limits."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -71,6 +72,25 @@ def test_speed_is_seen_over_a_tenth_of_a_second():
         assert check(made, stage=place(1.9e-3 * at, at=at), now=at) is None
     stops = [check(made, stage=place(0.57e-3 + 4e-3 * 0.01 * step, at=0.3 + 0.01 * step), now=0.3 + 0.01 * step)
              for step in range(30)]
+    assert [stop.cause for stop in stops if stop][:1] == ["speed"]
+
+
+def test_a_late_reply_is_not_taken_for_speed():
+    # 1.9 mm/s, below the limit of 2 mm/s; one reply takes 0.3 s, the next comes at once.
+    made = guard()
+    replies = [(0.01 * step, 0.01 * step) for step in range(10)] + [(0.1, 0.4), (0.4, 0.41), (0.45, 0.46)]
+    for requested, received in replies:
+        stage = replace(place(1.9e-3 * requested, at=received), requested=requested)
+        assert check(made, stage=stage, now=received) is None
+
+
+def test_speed_is_seen_on_a_slow_line():
+    # 4 mm/s, twice the limit; each reply takes 20 ms.
+    made, stops = guard(), []
+    for step in range(40):
+        requested = 0.02 * step
+        stage = replace(place(4e-3 * requested, at=requested + 0.02), requested=requested)
+        stops.append(check(made, stage=stage, now=requested + 0.02))
     assert [stop.cause for stop in stops if stop][:1] == ["speed"]
 
 
