@@ -7,9 +7,11 @@ import tissue_sim as ts
 from tissue_sim.errors import InputError
 from tissue_sim.recording.cleaning import clean
 from tissue_sim.recording.control import find_control
+from tissue_sim.recording.formats.measures import MEASURES, convert_measures
 from tissue_sim.recording.oscillation import find_oscillation
 from tissue_sim.recording.outliers import find_outliers
 from tissue_sim.recording.preload import load_at_zero
+from tissue_sim.recording.saturation import last_digit
 
 TIME = np.arange(126) * 0.2
 WAY = 1e-4 * TIME
@@ -109,6 +111,57 @@ class TestSaturation:
         air = np.clip(WAY - 1e-3, 0, None)
         for way, load in ((WAY, np.round(FORCE / 0.3) * 0.3), (hold, force(hold)), (WAY, force(air))):
             assert clean(recording(way, load))[1].saturation == ()
+
+
+STRETCH = 1 + 0.5 * TIME / TIME[-1]
+NOMINAL = 2e4 * (STRETCH - STRETCH**-2) + np.random.default_rng(5).normal(0.0, 20.0, TIME.size)
+
+
+def stress_recording(nominal, stress, strain=None, *, stretch=STRETCH, digits=4):
+    """A recording whose file holds a measure of stress, with `digits` significant digits, in place of the nominal one.
+    """
+    values = MEASURES[stress].invert(nominal, stretch)
+    motion = stretch if strain is None else MEASURES[strain].invert(stretch)
+    scale = 10.0 ** (digits - 1 - np.floor(np.log10(np.abs(values).max())))
+    printed = ts.Recording({"time": TIME, "stretch": np.round(motion, 5),
+                            "nominal stress": np.round(values * scale) / scale})
+    return convert_measures(printed, {"nominal stress": stress} | ({"stretch": strain} if strain else {}))
+
+
+class TestSaturationOfStress:
+    @pytest.mark.parametrize("stress", ["true", "second_piola_kirchhoff"])
+    @pytest.mark.parametrize("strain", [None, "logarithmic", "green_lagrange"])
+    @pytest.mark.parametrize("digits", [4, 6])
+    def test_a_force_at_its_limit_does_not_give_a_constant_stress_and_is_cut_off(self, stress, strain, digits):
+        limit = 1.4e4
+        rest, found = clean(stress_recording(np.minimum(NOMINAL, limit), stress, strain, digits=digits))
+        assert abs(found.samples[0] - (int(np.argmax(limit <= NOMINAL)) + 1)) <= 1 and found.samples[-1] == TIME.size
+        assert found.saturation[0].level == pytest.approx(limit, rel=2e-3)
+        assert "nominal stress that follows from the" in found.remarks[0]
+        assert rest.channel("nominal stress").max() < limit * 1.001
+
+    @pytest.mark.parametrize("stress", ["true", "second_piola_kirchhoff"])
+    def test_a_constant_column_of_stress_is_cut_off(self, stress):
+        limit = 0.7 * MEASURES[stress].invert(NOMINAL, STRETCH).max()
+        stated = np.minimum(MEASURES[stress].invert(NOMINAL, STRETCH), limit)
+        _, found = clean(stress_recording(MEASURES[stress].convert(stated, STRETCH), stress))
+        assert found.samples[0] == int(np.argmax(stated >= limit * (1 - 1e-3))) + 1
+        assert f"the {MEASURES[stress].title} stays at" in found.remarks[0]
+
+    @pytest.mark.parametrize("digits", [2, 3, 4, 6])
+    @pytest.mark.parametrize("noise", [0.0, 20.0])
+    def test_a_smooth_maximum_of_the_force_is_none(self, digits, noise):
+        peak = 1.2e4 * (1 - (STRETCH - 1.35) ** 2 / 0.35**2) + noise / 20.0 * (NOMINAL - 2e4 * (STRETCH - STRETCH**-2))
+        for nominal in (NOMINAL, peak):
+            for stress in ("true", "second_piola_kirchhoff"):
+                assert clean(stress_recording(nominal, stress, digits=digits))[1].saturation == ()
+
+    def test_the_last_digit_of_a_column_in_any_unit(self):
+        column = np.round(np.random.default_rng(6).normal(0.0, 30.0, 100), 3)
+        assert last_digit(column) == pytest.approx(1e-3)
+        assert last_digit(4.4482216152605 * column) == pytest.approx(4.4482216152605e-3, rel=1e-4)
+        assert last_digit(np.random.default_rng(6).normal(0.0, 30.0, 100)) == 0.0
+        assert last_digit(np.full(5, 3.0)) == 0.0
 
 
 class TestControl:

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.recording.formats.measures import Measure, stated_measures
 from tissue_sim.recording.outliers import find_outliers, left_out
 from tissue_sim.recording.recording import CHANNELS, MIN_POINTS, Recording
-from tissue_sim.recording.saturation import SaturatedRun, find_saturation
+from tissue_sim.recording.saturation import find_saturation, last_digit
 from tissue_sim.recording.screening import LeftOut, Saturation, Screening, numbered
 
 #: Channels of the motion and of the load; of each, the first one that a recording has is examined.
@@ -18,6 +19,8 @@ LOADS = ("force", "nominal stress")
 #: Step of the load from the samples that are left out to the first one that is kept, as a fraction of its range, above
 #: which the motion was not at its start there.
 _LOADED = 0.1
+#: Errors of a product in units of the floating-point spacing.
+_BITS = 4.0
 #: Quantity -> unit and units in one of SI, for sentences.
 _SHOWN = {"length": (" mm", 1e3), "force": (" N", 1.0), "stress": (" kPa", 1e-3), "ratio": ("", 1.0)}
 
@@ -55,9 +58,7 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
         raise InputError(f"only {kept.size} of {len(recording)} samples are kept; at least {MIN_POINTS} are needed",
                          field="leave_out")
     rest = recording if kept.size == len(recording) else recording.select(kept)
-    saturation = tuple(_saturation(rest, kept, run, name, other)
-                       for name, other in ((load, motion), (motion, load))
-                       for run in find_saturation(rest.channel(name), rest.channel(other), _clock(rest)))
+    saturation = (*_of_measured_load(rest, kept, load, motion), *_of_channel(rest, kept, motion, load))
     if saturation:
         cut = [number - 1 for each in saturation for number in each.samples]
         if len(recording) - len(cut) >= MIN_POINTS:
@@ -119,13 +120,64 @@ def _as_stated(recording: Recording, leave_out: Sequence[int], found: tuple[Left
     return (*confirmed, *stated), tuple(each for each in found if not listed.issuperset(each.samples))
 
 
-def _saturation(recording: Recording, kept: np.ndarray, run: SaturatedRun, name: str, other: str) -> Saturation:
-    level = float(recording.channel(name)[run.first])
-    samples = tuple((kept[run.first:run.last + 1] + 1).tolist())
+def _of_channel(recording: Recording, kept: np.ndarray, name: str, other: str, values: np.ndarray | None = None,
+                title: str = "", rounding: float = 0.0) -> tuple[Saturation, ...]:
+    """Saturation of a channel.
+
+    Args:
+        kept: places of the samples in the recording as the file has it, shape (n,). other: channel that continues.
+        values: another measure of the channel, with its title; None: those of the channel.
+        rounding: see `find_saturation`.
+    """
+    values = recording.channel(name) if values is None else values
     goes_on = "motion" if other in MOTIONS else "load"
-    return Saturation(name, level, samples,
-                      f"the {name} stays at {in_words(name, level)} over {run.count} samples while the {goes_on} "
-                      f"continues: a saturated sensor; samples {samples[0]} to {samples[-1]} are left out")
+    found = []
+    for run in find_saturation(values, recording.channel(other), _clock(recording), rounding=rounding):
+        level = float(values[run.first])
+        samples = tuple((kept[run.first:run.last + 1] + 1).tolist())
+        found.append(Saturation(name, level, samples,
+                                f"the {title or name} stays at {in_words(name, level)} over {run.count} samples while "
+                                f"the {goes_on} continues: a saturated sensor; samples {samples[0]} to {samples[-1]} "
+                                "are left out"))
+    return tuple(found)
+
+
+def _of_measured_load(recording: Recording, kept: np.ndarray, load: str, motion: str) -> tuple[Saturation, ...]:
+    """Saturation of the load in the measure that the file states, or of the force that this stress implies.
+
+    A load cell at its limit gives a constant force, which is the nominal stress times the undeformed area. The true
+    stress of such a test still follows the stretch, and the nominal stress is constant to the rounding of the columns.
+    """
+    measure = stated_measures(recording).get(load)
+    if measure is None or "stretch" not in recording:
+        return _of_channel(recording, kept, load, motion)
+    stretch = recording.channel("stretch")
+    stated = measure.invert(recording.channel(load), stretch)
+    # A product and its quotient differ in the last bits.
+    bits = _BITS * np.finfo(float).eps * float(np.abs(stated).max())
+    return (_of_channel(recording, kept, load, motion, stated, measure.title, bits)
+            or _of_channel(recording, kept, load, motion, None, f"nominal stress that follows from the {measure.title}",
+                           _rounding_of_nominal(recording, measure)))
+
+
+def _rounding_of_nominal(recording: Recording, measure: Measure) -> float:
+    """Width of the interval of nominal stresses, Pa, that give the same digits in the columns of the file.
+
+    The last digit of each column, times the derivative of the nominal stress where the stress is large.
+    """
+    stretch, nominal = recording.channel("stretch"), recording.channel("nominal stress")
+    large = np.abs(nominal) >= 0.5 * float(np.abs(nominal).max())
+    stretch, nominal = stretch[large], nominal[large]
+    strain_measure = stated_measures(recording).get("stretch")
+    strain = recording.channel("stretch") if strain_measure is None else strain_measure.invert(
+        recording.channel("stretch"))
+    step = last_digit(strain)
+    strain = strain[large]
+    moved = strain + step if strain_measure is None else strain_measure.convert(strain + step)
+    stress = measure.invert(nominal, stretch)
+    digit = last_digit(measure.invert(recording.channel("nominal stress"), recording.channel("stretch")))
+    return float((np.abs(measure.convert(stress + digit, stretch) - nominal)
+                  + np.abs(measure.convert(stress, moved) - nominal)).max())
 
 
 def _clock(recording: Recording) -> np.ndarray | None:

@@ -15,26 +15,32 @@ class SaturationSettings:
         fewest: samples at the extreme value.
         before: samples before the first one, from which the rates of both channels are taken.
         missing_range: change that the channel would have made without saturation, as a fraction of its range.
-        missing_digits: the same in last digits, so that a coarse sensor is not taken for a saturated one.
         missing_noise: the same in deviations of the noise.
         travel: progress of the other channel, as a fraction of its range.
         speed: rate of the other channel over its rate before; a creeping displacement is slower.
         at_rest: distance of the extreme value from the first ones, as a fraction of the range.
         gap: largest number of samples between two at the extreme value that are counted as saturated.
+        coarse: progress of the other channel, in its last digits.
     """
 
     fewest: int = 5
     before: int = 8
     missing_range: float = 0.02
-    missing_digits: float = 4.0
     missing_noise: float = 4.0
     travel: float = 0.02
     speed: float = 0.5
     gap: int = 3
     at_rest: float = 0.1
+    coarse: float = 4.0
 
 
 SETTINGS = SaturationSettings()
+#: Error of a difference in units of the floating-point spacing of the largest value.
+_EXACT = 4.0
+#: Step below which values have no last digit, as a fraction of the largest value.
+_FINEST = 1e-9
+#: A remainder in units of its error, above which it is not zero.
+_SURE = 4.0
 
 
 @dataclass(frozen=True)
@@ -46,7 +52,7 @@ class SaturatedRun:
     count: int
 
 
-def find_saturation(values: np.ndarray, other: np.ndarray, time: np.ndarray | None = None,
+def find_saturation(values: np.ndarray, other: np.ndarray, time: np.ndarray | None = None, *, rounding: float = 0.0,
                     settings: SaturationSettings = SETTINGS) -> tuple[SaturatedRun, ...]:
     """Find where a channel is cut off at its largest or smallest value.
 
@@ -58,16 +64,17 @@ def find_saturation(values: np.ndarray, other: np.ndarray, time: np.ndarray | No
         values: of the channel in the order of time, any unit and sign, shape (n,).
         other: the channel that continues: the motion of a load, the load of a motion, shape (n,).
         time: s, shape (n,); None: even steps.
+        rounding: width of the interval in which values count as equal, of values that are computed from rounded ones.
     """
     clock = np.arange(values.size, dtype=float) if time is None else time
     steps = np.abs(np.diff(values))
     steps = steps[steps > 1e-9 * float(np.abs(values).max() or 1.0)]
     if not steps.size or not np.ptp(other) > 0:
         return ()
-    missing = max(settings.missing_range * float(np.ptp(values)), settings.missing_digits * float(steps.min()),
-                  settings.missing_noise * _noise(values))
+    missing = max(settings.missing_range * float(np.ptp(values)), settings.missing_noise * _noise(values))
+    digit = max(float(steps.min()), rounding)
     steps = np.abs(np.diff(other))
-    travel = max(settings.travel * float(np.ptp(other)), settings.missing_digits * float(steps[steps > 0].min()),
+    travel = max(settings.travel * float(np.ptp(other)), settings.coarse * float(steps[steps > 0].min()),
                  settings.missing_noise * _noise(other))
     found = []
     for side in (1.0, -1.0):
@@ -75,10 +82,46 @@ def find_saturation(values: np.ndarray, other: np.ndarray, time: np.ndarray | No
         # The value at rest is no limit of a sensor.
         if abs(extreme - np.median(values[:3])) <= settings.at_rest * np.ptp(values):
             continue
-        for run in _runs(np.flatnonzero(values == extreme), settings):
-            if _is_saturated(run, side * values, other, clock, missing, travel, settings):
+        for run in _runs(np.flatnonzero(side * values >= side * extreme - rounding), settings):
+            least = max(missing, digit * _smooth_maximum(run.count, settings))
+            if _is_saturated(run, side * values, other, clock, least, travel, settings):
                 found.append(run)
     return tuple(sorted(found, key=lambda run: run.first))
+
+
+def _smooth_maximum(count: int, settings: SaturationSettings) -> float:
+    """Change that a channel with a smooth maximum seems to lack, in its last digits.
+
+    Around the maximum P - c x^2, with samples at the distance h, `count` samples within one digit d of P span
+    2 x0 = 2 sqrt(d / c) >= (count - 1) h. Along that span the mean rate of the `before` samples in front of it,
+    2 c (x0 + (before + 1) h / 2), gives 4 d + 2 d (before + 1) h / x0. A sensor that is cut off lacks more.
+    """
+    return 4.0 + 4.0 * (settings.before + 1) / (count - 1)
+
+
+def last_digit(values: np.ndarray) -> float:
+    """The largest step of which all differences of the values are whole multiples; 0 where there is none.
+
+    Euclid's algorithm for the greatest common divisor of the differences of neighbours. Values that were printed with a
+    fixed number of decimals have such a step in any unit.
+
+    Args:
+        values: shape (n,).
+    """
+    largest = float(np.abs(values).max())
+    differences = np.abs(np.diff(values))
+    exact = _EXACT * np.finfo(float).eps * largest
+    if not np.any(differences > exact):
+        return 0.0
+    step, error = float(differences[differences > exact].min()), exact
+    while step > max(_FINEST * largest, _SURE * error):
+        multiples = np.rint(differences / step)
+        left, errors = np.abs(differences - step * multiples), exact + error * multiples
+        if not np.any(left > _SURE * errors):
+            return step
+        place = int(np.argmin(np.where(left > _SURE * errors, left, np.inf)))
+        step, error = float(left[place]), float(errors[place])
+    return 0.0
 
 
 def _noise(values: np.ndarray) -> float:

@@ -31,6 +31,7 @@ class Measure:
         words: pattern of the words by which a header names it, lower case.
         convert: values, SI -> those of the channel; a stress takes the stretch as second argument.
         formula: of the conversion, for people.
+        invert: values of the channel -> those of the measure, SI; a stress takes the stretch as second argument.
     """
 
     channel: str
@@ -38,6 +39,7 @@ class Measure:
     words: str
     convert: Callable[..., np.ndarray]
     formula: str
+    invert: Callable[..., np.ndarray]
 
 
 def _from_logarithmic(strain: np.ndarray) -> np.ndarray:
@@ -66,17 +68,19 @@ def _from_almansi(strain: np.ndarray) -> np.ndarray:
 MEASURES: dict[str, Measure] = {
     "logarithmic": Measure("stretch", "logarithmic strain", r"true|log|ln|logarithmic|hencky|natural|wahre[rn]?|"
                            r"logarithmische[rn]?|vraie?s?|logarithmique|umformgrad", _from_logarithmic,
-                           "stretch = exp(strain)"),
+                           "stretch = exp(strain)", np.log),
     "green_lagrange": Measure("stretch", "Green-Lagrange strain", r"green|lagrange|lagrangian|lagrangesche",
-                              _from_green_lagrange, "stretch = sqrt(1 + 2 strain)"),
+                              _from_green_lagrange, "stretch = sqrt(1 + 2 strain)",
+                              lambda stretch: (stretch**2 - 1.0) / 2.0),
     "almansi": Measure("stretch", "Almansi strain", r"almansi|euler|eulerian", _from_almansi,
-                       "stretch = 1 / sqrt(1 - 2 strain)"),
+                       "stretch = 1 / sqrt(1 - 2 strain)", lambda stretch: (1.0 - stretch**-2) / 2.0),
     "true": Measure("nominal stress", "true (Cauchy) stress", r"true|cauchy|wahre[rn]?|vraie?s?|(?<!piola )kirchhoff",
-                    lambda stress, stretch: stress / stretch, "nominal stress = true stress / stretch"),
+                    lambda stress, stretch: stress / stretch, "nominal stress = true stress / stretch",
+                    lambda stress, stretch: stress * stretch),
     "second_piola_kirchhoff": Measure(
         "nominal stress", "second Piola-Kirchhoff stress", r"(second|2nd|zweite[rn]?|deuxième|2) (piola|pk)|pk ?2|"
         r"piola kirchhoff (2|ii)", lambda stress, stretch: stress * stretch,
-        "nominal stress = stretch * second Piola-Kirchhoff stress"),
+        "nominal stress = stretch * second Piola-Kirchhoff stress", lambda stress, stretch: stress / stretch),
 }
 _ENGINEERING = re.compile(r"\b(engineering|eng|nominal|nominale[rn]?|nominell\w*|technische[rn]?|technical|nenn\w*|"
                           r"ingenieur\w*|ingénieur|conventional|conventionnelle|first piola|pk ?1|1st piola|biot|"
@@ -134,7 +138,7 @@ def check_measure(measure: object, channel: str, channels: Mapping[str, object],
 
 
 def convert_measures(recording: Recording, measures: Mapping[str, str]) -> Recording:
-    """The recording with stretch and nominal stress in place of other measures.
+    """The recording with stretch and nominal stress in place of other measures, which its metadata name (``measures``).
 
     Args:
         recording: values of other measures stand in the channels that they become.
@@ -143,6 +147,7 @@ def convert_measures(recording: Recording, measures: Mapping[str, str]) -> Recor
     Raises:
         InputError: values that the measure cannot have; a measure of stress that has no conversion in simple shear.
     """
+    recording = recording.with_metadata(measures=dict(measures))
     if "stretch" in measures:
         recording = recording.with_channels(
             stretch=MEASURES[measures["stretch"]].convert(recording.channel("stretch")))
@@ -160,3 +165,10 @@ def convert_measures(recording: Recording, measures: Mapping[str, str]) -> Recor
         raise InputError(f"{MEASURES[stress].title} has no conversion to nominal stress in simple shear; give the "
                          "nominal or the true shear stress", field="nominal stress")
     return recording
+
+
+def stated_measures(recording: Recording) -> dict[str, Measure]:
+    """Channel -> measure from which `convert_measures` made it."""
+    stated = recording.metadata.get("measures")
+    return {channel: MEASURES[name] for channel, name in (stated.items() if isinstance(stated, Mapping) else ())
+            if channel in recording and name in MEASURES and MEASURES[name].channel == channel}
