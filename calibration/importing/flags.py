@@ -12,8 +12,8 @@ from tissue_sim.experiment.tools.tool import TOOLS, read_shape
 from tissue_sim.recording.formats.gauge_length import uses_gauge_length
 from tissue_sim.recording.formats.guesses import ColumnGuess, Understanding
 from tissue_sim.recording.formats.interpretation import flag_name
-from tissue_sim.recording.formats.measures import ENGINEERING, MEASURES
 from tissue_sim.recording.formats.vocabulary import MACHINES
+from tissue_sim.recording.measures import ENGINEERING, MEASURES
 
 _AFM = ("afm", "jpk", "bruker")
 

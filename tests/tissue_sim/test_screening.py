@@ -7,7 +7,7 @@ import tissue_sim as ts
 from tissue_sim.errors import InputError
 from tissue_sim.recording.cleaning import clean
 from tissue_sim.recording.control import find_control
-from tissue_sim.recording.formats.measures import MEASURES, convert_measures
+from tissue_sim.recording.measures import MEASURES, convert_measures
 from tissue_sim.recording.oscillation import find_oscillation
 from tissue_sim.recording.outliers import find_outliers
 from tissue_sim.recording.preload import load_at_zero
@@ -160,7 +160,7 @@ class TestSaturationOfStress:
         column = np.round(np.random.default_rng(6).normal(0.0, 30.0, 100), 3)
         assert last_digit(column) == pytest.approx(1e-3)
         assert last_digit(4.4482216152605 * column) == pytest.approx(4.4482216152605e-3, rel=1e-4)
-        assert last_digit(np.random.default_rng(6).normal(0.0, 30.0, 100)) == 0.0
+        assert last_digit(np.random.default_rng(6).normal(0.0, 30.0, 100)) < 1e-4
         assert last_digit(np.full(5, 3.0)) == 0.0
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.formats.measures import Measure, stated_measures
+from tissue_sim.recording.measures import Measure, stated_measures
 from tissue_sim.recording.outliers import find_outliers, left_out
 from tissue_sim.recording.recording import CHANNELS, MIN_POINTS, Recording
 from tissue_sim.recording.saturation import find_saturation, last_digit

@@ -100,10 +100,11 @@ def _smooth_maximum(count: int, settings: SaturationSettings) -> float:
 
 
 def last_digit(values: np.ndarray) -> float:
-    """The largest step of which all differences of the values are whole multiples; 0 where there is none.
+    """The largest step of which all differences of the values are whole multiples within the precision of doubles.
 
     Euclid's algorithm for the greatest common divisor of the differences of neighbours. Values that were printed with a
-    fixed number of decimals have such a step in any unit.
+    fixed number of decimals have such a step in any unit. Values without a last digit give a step far below their
+    range, or 0; equal values give 0.
 
     Args:
         values: shape (n,).

@@ -20,7 +20,6 @@ from tissue_sim.recording.formats.containers import is_container, read_container
 from tissue_sim.recording.formats.decimal_mark import NumberMarks, find_marks
 from tissue_sim.recording.formats.header import DELIMITERS, DELIMITERS_OF_NUMBERS, text_tables
 from tissue_sim.recording.formats.long_text import NotPlainError, PlainEnd, split_long
-from tissue_sim.recording.formats.measures import check_measure, convert_measures
 from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, is_number
 from tissue_sim.recording.formats.table import (
     Column,
@@ -32,6 +31,7 @@ from tissue_sim.recording.formats.table import (
     read_recording_table,
 )
 from tissue_sim.recording.formats.workbook import Sheet, is_workbook, read_sheet, read_sheets
+from tissue_sim.recording.measures import check_measure, convert_measures
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
 from tissue_sim.units import loose_header, split_header
 
@@ -92,7 +92,7 @@ def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int
             wanted, ``unit`` (in place of the one in the header's brackets or below it), ``sign`` (1 or -1), ``scale``
             (units in one of the file, SI where the unit is that of a signal) and ``offset`` (units, added last):
             the value is (sign * scale * cell + offset) units. An offset ``"start"`` counts from the first sample.
-            ``measure`` of a stretch or nominal stress, a name in `tissue_sim.recording.formats.measures.MEASURES`:
+            ``measure`` of a stretch or nominal stress, a name in `tissue_sim.recording.measures.MEASURES`:
             the value is of that measure and is converted for an incompressible specimen.
         skip_lines: lines (rows) at the top of the file that are not looked at.
         delimiter: one character; a blank stands for any number of blanks. None: found. Text only.

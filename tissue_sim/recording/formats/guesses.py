@@ -159,7 +159,7 @@ class Stated:
         kind: of test. format: of a machine. sheet, delimiter, skip_lines: where the table is.
         direct: whether stress and strain are read where a file has force and displacement, too.
         measures: channel (or ``strain``) -> measure of strain or stress, ``engineering`` or a name in
-            `tissue_sim.recording.formats.measures.MEASURES`.
+            `tissue_sim.recording.measures.MEASURES`.
         any_test: whether tables of tests without a kind are read too: only their numbers are wanted.
         height: of the specimen, m: the gauge length by which a strain becomes a displacement; None: not stated.
         speed: constant speed of the test, m/s, for a file without a clock or without a motion; None: not stated.

@@ -11,9 +11,9 @@ from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
 from tissue_sim.recording.formats.gauge_length import is_derived
 from tissue_sim.recording.formats.guesses import ColumnGuess, Stated
-from tissue_sim.recording.formats.measures import ENGINEERING, MEASURES, measure_of, other_measures
 from tissue_sim.recording.formats.pairing import with_measure
 from tissue_sim.recording.formats.vocabulary import Machine, plain, source_of
+from tissue_sim.recording.measures import ENGINEERING, MEASURES, measure_of, other_measures
 from tissue_sim.recording.recording import CHANNELS, Recording
 from tissue_sim.units import UNITS, loose_header
 

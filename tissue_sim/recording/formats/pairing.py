@@ -13,13 +13,13 @@ from tissue_sim.recording.formats.guesses import ColumnGuess, Stated
 from tissue_sim.recording.formats.header import matches
 from tissue_sim.recording.formats.kind_hints import title_hints
 from tissue_sim.recording.formats.kind_words import named_tests
-from tissue_sim.recording.formats.measures import ENGINEERING, MEASURES, measure_of
 from tissue_sim.recording.formats.number_text import is_number
 from tissue_sim.recording.formats.sizes import size_signature
 from tissue_sim.recording.formats.sources import Numbers
 from tissue_sim.recording.formats.speed_text import speeds_in
 from tissue_sim.recording.formats.statements import constant_columns
 from tissue_sim.recording.formats.vocabulary import Machine, plain, role_of, source_of
+from tissue_sim.recording.measures import ENGINEERING, MEASURES, measure_of
 from tissue_sim.recording.recording import CHANNELS
 from tissue_sim.units import UNITS, known_unit
 

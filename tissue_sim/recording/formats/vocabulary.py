@@ -13,7 +13,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from tissue_sim.recording.formats.measures import MEASURES, measure_of
+from tissue_sim.recording.measures import MEASURES, measure_of
 from tissue_sim.units import quantity_of
 
 #: Columns that are derived, commanded, amplitudes or of another direction: nothing that is fitted.
