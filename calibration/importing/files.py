@@ -21,6 +21,7 @@ from calibration.importing.picture import draw_imported
 from calibration.importing.sidecar import kind_said, read_sidecar, with_sidecar
 from calibration.importing.signal_lines import leave_out_lines, offset_lines, start_lines
 from calibration.importing.size_assumptions import unclear_statement, with_size_assumptions
+from calibration.importing.sizes_of_tables import with_sizes_compared
 from calibration.importing.zero import linear_laws, with_zero
 from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.bounded import bounded
@@ -65,7 +66,8 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     output = None if output is None else Path(output)
     _check(paths, output, overwrite)
     check_wishes(wishes)
-    understood = same_decimal_mark([with_size_assumptions(each, wishes) for each in _understand(paths, wishes)])
+    understood = same_decimal_mark([with_sizes_compared(with_size_assumptions(each, wishes), wishes)
+                                    for each in _understand(paths, wishes)])
     parts = [Part(each, reading, tuple(describe_motion(recording, reading.kind.kind)
                                        for recording in reading.recordings))
              for each in understood for reading in each.readings]

@@ -251,3 +251,31 @@ def test_a_machine_format_does_not_choose_between_two_decimal_marks(tmp_path):
     path = put(tmp_path, "Time (s)\tExtension (um)\tLoad (mN)\n" + rows, "gel.txt")
     with pytest.raises(ts.InputError, match="decimal mark: a decimal comma: '2,000' is 2 "):
         ts.read_recordings(path, format="table")
+
+
+def listed(loads, list_below=False):
+    """A list of the sizes of three specimens, and three tables with a number each."""
+    sizes = ["Specimen,Diameter (mm),Height (mm)", "1,50,30", "2,60,36", "3,42.5,25.5", ""]
+    tables = [f"Specimen {i}\nTime (s),Displacement (mm),Force (mN)\n" + "\n".join(
+        f"{k},{way:.4f},{load:.2f}" for k, (way, load) in enumerate(zip(WAY_MM, each, strict=True)))
+        for i, each in enumerate(loads, 1)]
+    return "Compression test\n" + "\n".join([*tables, "", *sizes] if list_below else [*sizes, *tables]) + "\n"
+
+
+LISTED = ((25.0, 30.0), (30.0, 36.0), (21.25, 25.5))
+
+
+@pytest.mark.parametrize("list_below", [False, True])
+def test_each_table_has_its_row_in_a_list_of_sizes(tmp_path, list_below):
+    path = put(tmp_path, listed([load_mN(*sizes) for sizes in LISTED], list_below))
+    assert fitted(tmp_path, path) == pytest.approx(MODULUS_PA, rel=2e-3)
+
+
+def test_tables_of_equal_forces_contradict_a_list_of_different_sizes(tmp_path):
+    noise = np.random.default_rng(2).normal(0.0, 200.0, (3, WAY_MM.size))
+    path = put(tmp_path, listed([load_mN() + each for each in noise]))
+    imported = calibration.import_files([path], tmp_path / "c.toml")
+    assert not imported.complete
+    assert "the file contradicts itself" in imported.questions[0] and "--curve" in imported.questions[0]
+    wishes = calibration.Wishes(specimen={"radius_mm": 25.0, "height_mm": 30.0})
+    assert calibration.import_files([path], None, wishes).questions == ()

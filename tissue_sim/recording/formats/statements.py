@@ -92,7 +92,7 @@ def row_statements(rows: Sequence[Row], found: Statements, decimal: str | None =
     used: set[int] = set()
     for i, names in enumerate(rows):
         if _names_sizes(names):
-            used |= _small_table(rows, i, found, decimal, table, tables)
+            used |= _add_sizes(rows, i, found, decimal, table, tables)
     for i, row in enumerate(rows):
         if i not in used:
             for key, value in _pairs(row, decimal):
@@ -102,6 +102,19 @@ def row_statements(rows: Sequence[Row], found: Statements, decimal: str | None =
             # A line "Diameter: 20 mm" is a sentence too.
             if not any(size_class(other) == size_class(key) and _same(found[other], value) for other in found):
                 found.add(key, value, f"line {row.line}")
+
+
+def listed_sizes(rows: Sequence[Row], decimal: str | None, table: int, tables: int) -> Statements:
+    """The sizes of recording `table` (from 0) in small tables that have one row for each of the recordings of a file.
+
+    Args:
+        rows: outside of the numbers. tables: number of recordings; one has no such list.
+    """
+    found = Statements()
+    for i, names in enumerate(rows):
+        if tables > 1 and _names_sizes(names) and len(_small_table(rows, i)[1]) == tables:
+            _add_sizes(rows, i, found, decimal, table, tables)
+    return found
 
 
 def constant_columns(numbers: Numbers) -> Iterator[tuple[int, str]]:
@@ -160,10 +173,9 @@ def _names_sizes(row: Row) -> bool:
         size_class(loose_header(cell)[0]) is not None for cell in cells)
 
 
-def _small_table(rows: Sequence[Row], header: int, found: Statements, decimal: str | None, table: int, tables: int
-                 ) -> set[int]:
-    """Add the sizes in the rows below a row of names; returns the rows that belong to the small table."""
-    names, places = rows[header], range(len(rows[header].cells))
+def _small_table(rows: Sequence[Row], header: int) -> tuple[Row | None, list[Row], int]:
+    """The row of units, the rows of values and the last row of the small table below a row of names."""
+    places = range(len(rows[header].cells))
     units: Row | None = None
     values: list[Row] = []
     last = header
@@ -177,10 +189,17 @@ def _small_table(rows: Sequence[Row], header: int, found: Statements, decimal: s
             break
         last = i
     values = [row for row in values if not _SUMMARY.match(next(cell for cell in row.cells if cell))] or values
+    return units, values, last
+
+
+def _add_sizes(rows: Sequence[Row], header: int, found: Statements, decimal: str | None, table: int, tables: int
+               ) -> set[int]:
+    """Add the sizes in the rows below a row of names; returns the rows that belong to the small table."""
+    units, values, last = _small_table(rows, header)
     if not values:
         return set()
     chosen = [values[table]] if len(values) == tables > 1 else values
-    for place, cell in enumerate(names.cells):
+    for place, cell in enumerate(rows[header].cells):
         name, unit = loose_header(cell)
         if size_class(name) is None:
             continue

@@ -31,7 +31,7 @@ from tissue_sim.recording.formats.materials import by_material
 from tissue_sim.recording.formats.orientation import oriented
 from tissue_sim.recording.formats.pairing import Group, alike, find_groups, no_pair
 from tissue_sim.recording.formats.sources import Numbers, Source, find_numbers, open_source
-from tissue_sim.recording.formats.statements import merged, table_statements
+from tissue_sim.recording.formats.statements import listed_sizes, merged, table_statements
 from tissue_sim.recording.formats.sweeps import is_sweep, sweep_sentence
 from tissue_sim.recording.formats.table_reader import TableReader
 from tissue_sim.recording.formats.vocabulary import MACHINES, Machine, find_machine
@@ -123,6 +123,10 @@ def _with_statements(source: Source, found: Sequence[Numbers], groups: Sequence[
         last = group.numbers is groups[-1].numbers
         statements = _statements(group.numbers, places, stated, used=places, table=i, tables=len(groups),
                                  elsewhere=elsewhere if last else [*trailing, *elsewhere])
+        if complete:
+            # A list above the first table has a row for each table.
+            decimal = stated.decimal or _probable_mark(group.numbers, places)
+            statements = merged(listed_sizes(groups[0].numbers.above, decimal, i, len(groups)), statements)
         complete.append(replace(group, stated=merged(complete[-1].stated if complete else {}, statements)))
     return complete
 
