@@ -21,6 +21,10 @@ PLACES = {"time": {"column": 1, "unit": "s"}, "displacement": {"column": 2, "uni
 READERS = {"native": read_native, "table": read_table,
            "columns": lambda path: read_blocks(path, COLUMNS), "places": lambda path: read_blocks(path, PLACES)}
 ROWS = [f"{0.5 * i},{0.25 * i:.3f},{0.1 * i**2:.5f}" for i in range(16)]
+ROWS_OF_DECIMALS = [row.replace(f"{0.5 * i},", f"{0.5 * i:.1f},", 1) for i, row in enumerate(ROWS)]
+#: The cells are separated by semicolons, the thousands by commas.
+OF_THOUSANDS = "\n".join(["Time [s];Displacement [mm];Load [N]", *(
+    f"{0.5 * i:.1f};{250 * i:,.3f};{1e5 * i**2 + 0.5:,.2f}" for i in range(16))]) + "\n"
 
 
 def foreign(rows, sign=",", header="Time [s],Displacement [mm],Load [N]"):
@@ -55,6 +59,10 @@ def both(reader, text, folder, beginning=8):
     foreign(["s,mm,N", *ROWS]),
     foreign([f"{row},7" for row in ROWS], header="Time [s],Displacement [mm],Load [N],Note"),
     "made by hand\n" + foreign(ROWS), foreign([row.upper() for row in ROWS]),
+    *(OF_THOUSANDS.replace(",", "M").replace(".", decimal).replace("M", separator)
+      for decimal, separator in ((".", ","), (",", "."), (",", " "), (",", "\u00a0"), (".", "'"), (".", "\u2019"))),
+    foreign([row.replace(",", "D+00,") + "D-01" for row in ROWS_OF_DECIMALS]),
+    foreign([row.replace(",", ",\u2212") for row in ROWS]),
 ])
 @pytest.mark.parametrize("reader", ["columns", "places", "table"])
 def test_a_plain_end_gives_the_same_recording(reader, text, tmp_path):
@@ -64,12 +72,20 @@ def test_a_plain_end_gives_the_same_recording(reader, text, tmp_path):
     assert at_once == cell_by_cell and read.called and len(at_once[0][0]["force"]) == len(ROWS)
 
 
+@pytest.mark.parametrize("cell", ["12,34.5", "0,123.5", "1,234,56.5", "1234,567.5", "1,234.5,678", "1,2345", ",123.5"])
+def test_separators_that_do_not_make_groups_of_three_are_refused_as_ever(cell, tmp_path):
+    lines = OF_THOUSANDS.splitlines()
+    lines[12] = f"5.5;{cell};1"
+    at_once, cell_by_cell = both("columns", "\n".join(lines), tmp_path)
+    assert at_once == cell_by_cell and at_once[0] == 13 and "expected a finite number" in at_once[2]
+
+
 def test_the_plain_end_is_what_is_read(tmp_path):
     text = "# made by hand\n" + foreign(ROWS, header="time [s],displacement [mm],force [N]")
     with mock.patch.object(long_text, "BEGINNING", 4):
         beginning, end = split_long(text)
-        assert beginning.count("\n") == 4 and (end.cells, end.delimiter, end.mark) == (3, ",", ".")
-        np.testing.assert_allclose(end.numbers([2, 0]), [[0.1 * i**2, 0.5 * i] for i in range(2, 16)], atol=1e-12)
+        assert beginning.count("\n") == 4 and (end.cells, end.delimiter, end.marks) == (3, ",", ".")
+        np.testing.assert_allclose(end.numbers([2, 0], "."), [[0.1 * i**2, 0.5 * i] for i in range(2, 16)], atol=1e-12)
     at_once, cell_by_cell = both("native", text, tmp_path)
     assert at_once == cell_by_cell
     np.testing.assert_allclose(cell_by_cell[0][0]["force"], [0.1 * i**2 for i in range(16)], atol=1e-12)

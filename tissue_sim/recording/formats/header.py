@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from tissue_sim.errors import InputError, nearest
+from tissue_sim.recording.formats.cell_units import without_cell_units
 from tissue_sim.recording.formats.number_text import is_number
 from tissue_sim.recording.formats.table import Row, Table, split_rows
 from tissue_sim.units import loose_header, split_header
@@ -25,7 +26,7 @@ def text_tables(text: str, *, file: Path, skip_lines: int = 0,
     content = list(io.StringIO(text, newline=None))
     kept = "\n" * min(skip_lines, len(content)) + "".join(content[skip_lines:])
     for delimiter in delimiters:
-        yield Table(split_rows(kept, delimiter, file=file), delimiter)
+        yield Table(without_cell_units(split_rows(kept, delimiter, file=file), kept), delimiter)
 
 
 def find_header(tables: Iterable[Table], names: Sequence[str], *, file: Path) -> tuple[Table, Row, list[Row]]:

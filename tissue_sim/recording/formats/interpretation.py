@@ -175,18 +175,25 @@ def _unit(read: Read, column: ColumnGuess, recordings: Sequence[Recording], othe
     if column.other_unit is not None and not is_stated and column.unit is not None:
         own, other = (UNITS[unit][1] for unit in (column.unit, column.other_unit))
         grows = CHANNELS[channel] in ("force", "stress")
-        return Assumption(subject, value, (f"in the header {column.header!r}",), (
-            f"the row of units has {column.other_unit}",), (Alternative(
+        rival = f"the {'cells have' if _has_cell_units(column) else 'row of units has'} {column.other_unit}"
+        return Assumption(subject, value, (f"in the header {column.header!r}",), (rival,), (Alternative(
                 column.other_unit, other / own if grows else None if channel == "time" else own / other,
                 f"--unit {flag}={column.other_unit}"),), f"--unit {flag}={column.unit}")
     if is_stated or column.missing:
         evidence: tuple[str, ...] = ()
     elif loose_header(column.header)[1] is not None:
         evidence = (f"in the header {column.header!r}",)
+    elif _has_cell_units(column):
+        evidence = ("behind each number of the column",)
     else:
         evidence = (column.reason.split(";")[-1].strip() if "writes" in column.reason else "in the row of units",)
     return Assumption(subject, value, evidence, alternatives=alternatives,
                       flag=f"--unit {flag}={column.unit or '...'}", is_stated=is_stated)
+
+
+def _has_cell_units(column: ColumnGuess) -> bool:
+    """Whether the cells of a column have units behind their numbers."""
+    return "unit behind each number" in column.reason
 
 
 def _is_ratio(column: ColumnGuess) -> bool:

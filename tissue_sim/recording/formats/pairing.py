@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from tissue_sim.errors import InputError
+from tissue_sim.recording.formats.cell_units import CellUnits, split_quantity
 from tissue_sim.recording.formats.columns import column_number
 from tissue_sim.recording.formats.gauge_length import displacement_of_strain, gauge_length, stretch_of_displacement
 from tissue_sim.recording.formats.guesses import ColumnGuess, Stated
@@ -254,7 +255,7 @@ def _column(numbers: Numbers, place: int, role: str, machine: Machine | None, st
     elif unit is None and machine is not None and role in machine.units:
         unit, reason = machine.units[role], f"{reason} without unit: {machine.title} writes {machine.units[role]}"
     elif numbers.units is not None:
-        reason += ", unit in the row below"
+        reason += ", unit behind each number" if isinstance(numbers.units, CellUnits) else ", unit in the row below"
     if unit is not None and said["unit"] is None and unit not in UNITS and _is_remark(unit, role):
         # "Strain (true)", "Load (corrected)", "ln(lambda)": the brackets hold no unit.
         unit = "-" if CHANNELS[channel] == "ratio" else None
@@ -368,8 +369,12 @@ def _unreadable(numbers: Numbers, place: int | None) -> str:
     row = next((row for row in numbers.rows if place < len(row.cells) and row.cells[place]
                 and not is_number(row.cells[place])), None)
     name = numbers.name(place)
-    return "" if row is None else (f"line {row.line}: {f'{name!r} holds ' if name else ''}{row.cells[place][:40]!r}, "
-                                   "which is not a number")
+    if row is None:
+        return ""
+    pair = split_quantity(row.cells[place])
+    fault = "which is not a number" if pair is None else \
+        f"and other cells have another unit than {pair[1]} or none; give all cells of the column one unit"
+    return f"line {row.line}: {f'{name!r} holds ' if name else ''}{row.cells[place][:40]!r}, {fault}"
 
 
 def alike(groups: Sequence[Group]) -> list[list[Group]]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from tissue_sim.errors import InputError
 from tissue_sim.files import decode_text, read_bytes
 from tissue_sim.recording.formats.blocks import begins_with_word, is_unit_row
+from tissue_sim.recording.formats.cell_units import without_cell_units
 from tissue_sim.recording.formats.columns import Sheets, check_delimiter
 from tissue_sim.recording.formats.containers import is_container, read_container
 from tissue_sim.recording.formats.long_text import split_long
@@ -126,7 +127,13 @@ def _text_table(text: str, delimiter: str | None, skip_lines: int, path: Path) -
     lines = text.splitlines()
     lines[:skip_lines] = [""] * min(skip_lines, len(lines))
     found = _find_delimiter(lines, path) if delimiter is None else delimiter
-    return Table(split_rows("\n".join(lines), found, file=path), found)
+    return _table(lines, found, path)
+
+
+def _table(lines: list[str], delimiter: str, path: Path) -> Table:
+    """The lines split at the delimiter, without units behind the numbers."""
+    text = "\n".join(lines)
+    return Table(without_cell_units(split_rows(text, delimiter, file=path), text), delimiter)
 
 
 def _find_delimiter(lines: list[str], path: Path) -> str:
@@ -139,7 +146,7 @@ def _find_delimiter(lines: list[str], path: Path) -> str:
         scores = {}
         for delimiter in _DELIMITERS:
             try:
-                table = Table(split_rows("\n".join(sample), delimiter, file=path), delimiter)
+                table = _table(sample, delimiter, path)
             except InputError:
                 continue
             scores[delimiter] = sum(max(score, 1) for _, _, score in _scored_runs(table))
@@ -156,7 +163,7 @@ def _find_delimiter(lines: list[str], path: Path) -> str:
 
 def _has_same_rows(lines: list[str], delimiter: str, blank: Table, path: Path) -> bool:
     """Whether a delimiter makes as many rows of numbers as blanks do, and cells with blanks are numbers in them."""
-    table = Table(split_rows("\n".join(lines), delimiter, file=path), delimiter)
+    table = _table(lines, delimiter, path)
     runs, of_blanks = [*_runs(table)], [*_runs(blank)]
     grouped = any(" " in cell and is_number(cell) for run, _ in runs for row in run for cell in row.cells)
     return grouped and sum(len(run) for run, _ in runs) >= sum(len(run) for run, _ in of_blanks)

@@ -17,7 +17,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.decimal_mark import DECIMAL_WORDS, NumberMarks, find_marks
 from tissue_sim.recording.formats.long_text import NotPlainError, PlainEnd
-from tissue_sim.recording.formats.number_text import parse_number
+from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, parse_number
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
 from tissue_sim.units import quantity_of, to_si
 
@@ -164,9 +164,10 @@ def _below(end: PlainEnd, columns: Sequence[Column], width: int, delimiter: str,
     if any(column.channel in LABELS for column in columns) or (end.delimiter, end.cells) != (delimiter, width):
         raise NotPlainError
     # Marks that the rows above do not explain may separate thousands: then all rows decide together.
-    if end.mark and (end.mark != marks.decimal or not (marks.is_certain or marks.is_stated)):
+    others, is_sure = set(end.marks) - {marks.decimal}, marks.is_certain or marks.is_stated
+    if others - set(marks.thousands) or (not is_sure and not set(end.marks).isdisjoint(DECIMAL_MARKS)):
         raise NotPlainError
-    values = end.numbers([column.index for column in columns])
+    values = end.numbers([column.index for column in columns], marks.decimal)
     if values is None:
         raise NotPlainError
     return values

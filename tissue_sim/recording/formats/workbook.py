@@ -16,6 +16,7 @@ import xlrd
 
 from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.files import ZIP_MAGIC, first_bytes, read_bytes
+from tissue_sim.recording.formats.cell_units import without_cell_units
 from tissue_sim.recording.formats.number_text import ExactNumber
 from tissue_sim.recording.formats.table import Row, Table
 
@@ -37,7 +38,7 @@ class Sheet:
 
     def table(self, skip_rows: int = 0) -> Table:
         """The rows below the first `skip_rows`."""
-        return Table([row for row in self.rows if row.line > skip_rows], name=self.name)
+        return Table(without_cell_units([row for row in self.rows if row.line > skip_rows]), name=self.name)
 
     def located(self) -> AbstractContextManager[None]:
         """Errors of the work inside name the sheet."""
