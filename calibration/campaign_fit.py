@@ -25,6 +25,7 @@ from calibration.fit.influence import add_influence
 from calibration.fit.levenberg_marquardt import Descent
 from calibration.fit.ordinary import Ordinary
 from calibration.fit.predictor import Predictor, predictor_of_held_out
+from calibration.fit.preload_cover import notes_after_fit
 from calibration.fit.profiles import ProfileSide, profile_side
 from calibration.fit.ranking import Fitted, rank, rank_message
 from calibration.fit.replicates import find_disagreements
@@ -110,7 +111,8 @@ class CampaignFit:
         # Relaxation and creep are what a material with a memory describes.
         left_out = {"control"} if self.campaign.fit.material.remembers else set()
         message += notes_in_short((curve.test.name, curve.name, {
-            subject: note for subject, note in curve.notes.items() if note not in said and subject not in left_out})
+            subject: note for subject, note in notes_after_fit(curve, fits[0]).items()
+            if note not in said and subject not in left_out})
             for curve in self.recordings)
         noises = {name: several[0].noise for name, several in self.measured.items()}
         noise = tuple(SensorStatement(test=name, deviation_N=one.deviation, correlation_time_s=one.correlation_time,

@@ -256,7 +256,7 @@ def _curve(recording: Recording, screening: Screening, name: str, path: Path, te
                           str(recording.metadata.get("sha256", "")), stressed, later,
                           whole=replace(whole, used=used),
                           notes=with_air_noted(whole, int(places.min()), stressed=stressed)
-                          | from_elsewhere(recording, test) | notes_of(screening, remembering=remembering),
+                          | from_elsewhere(recording, test) | notes_of(screening, recording, remembering=remembering),
                           screening=screening)
     if campaign.fit.method == "analytical":
         curve = with_noise(replace(curve, displacement=displacement[loading], force=force[loading]), campaign,

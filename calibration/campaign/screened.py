@@ -110,15 +110,19 @@ def _preload_words(found: LoadAtZero, *, stressed: bool, covers: bool, fits_cont
     return f"{what}; {effect}; {remedy}"
 
 
-def notes_of(screening: Screening, *, remembering: bool) -> dict[str, str]:
+def notes_of(screening: Screening, recording: Recording, *, remembering: bool) -> dict[str, str]:
     """Subject -> note of what a user has to know.
 
     Args:
+        recording: whose metadata name the columns that are not read.
         remembering: whether the material has a memory, which describes relaxation and creep.
     """
+    unread = recording.metadata.get("unread_columns")
+    names = ", ".join(map(repr, unread)) if isinstance(unread, list | tuple) else ""
     subjects = {"outliers": [*(each.sentence for each in screening.left_out), *screening.doubts],
                 "saturation": [each.sentence for each in screening.saturation],
                 "preload": [screening.preload.sentence] if screening.preload is not None else [],
-                "control": [screening.control.sentence] if screening.control is not None and not remembering else []}
+                "control": [screening.control.sentence] if screening.control is not None and not remembering else [],
+                "columns": [f"columns that are not used: {names}"] if names else []}
     return {subject: "; ".join(dict.fromkeys(filter(None, sentences)))
             for subject, sentences in subjects.items() if any(sentences)}

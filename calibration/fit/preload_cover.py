@@ -13,6 +13,7 @@ import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.estimate import Estimate
+from calibration.fit.fit import Fit
 from calibration.fit.ordinary_problem import OrdinaryProblem
 
 #: The fitted contact offset covers a preload if it is this fraction of the distance from contact, or more ...
@@ -32,6 +33,23 @@ def fitted_contacts(estimate: Estimate) -> Mapping[str, float]:
     else:
         values = np.zeros(len(problem.places))
     return {curve.name: float(contact) for curve, contact in zip(problem.measured, values, strict=True)}
+
+
+def notes_after_fit(curve: MeasuredCurve, fit: Fit) -> dict[str, str]:
+    """The notes of a recording; where the fitted contact offset covers its preload, the note says so.
+
+    Args:
+        fit: the best one.
+    """
+    notes, preload = dict(curve.notes), curve.screening.preload
+    contacts = {each.replicate: 1e-3 * each.contact_offset_mm for each in fit.nuisances}
+    if preload is None or curve.stressed or curve.name not in contacts:
+        return notes
+    contact = contacts[curve.name]
+    if _LEAST <= -contact / preload.shift <= _MOST:
+        notes["preload"] = (f"the displacement was zeroed at a preload of {preload.force:.3g} N; the fitted contact "
+                            f"offset of {1e3 * contact:.3g} mm covers it")
+    return notes
 
 
 def covers_preload(curve: MeasuredCurve, contact: float) -> bool:

@@ -19,6 +19,7 @@ from calibration.fit.determination import Determination
 from calibration.fit.estimate import Estimate
 from calibration.fit.kindred_tests import find_test_disagreements
 from calibration.fit.lack_of_fit import lack_of_fit
+from calibration.fit.own_stiffness import describe_own_stiffnesses
 from calibration.fit.population import Specimens
 from calibration.fit.preload_cover import covers_preload, fitted_contacts
 from calibration.fit.replicates import find_disagreements
@@ -217,7 +218,7 @@ def _residuals(evidence: Evidence) -> Clause:
               for test in problem.tests if shares[test.name] > 100 * SETTINGS.largest_residual
               and ratios[test.name] > SETTINGS.noise_ratio]
     return _clause("residuals", "misfit", f"does not describe the data: {' and '.join(missed)}" if missed else "",
-                   _misfit_remedy(problem.measured))
+                   _misfit_remedy(evidence) if missed else "")
 
 
 def _explained(evidence: Evidence) -> Clause:
@@ -229,15 +230,18 @@ def _explained(evidence: Evidence) -> Clause:
         if R2 is not None and SETTINGS.smallest_R2 > R2 and ratios[test.name] > SETTINGS.noise_ratio:
             missed.append(f"R2 in {test.name} is {R2:.3f} over the part in which the displacement moves (noise and "
                           f"scatter taken out), and the limit is {SETTINGS.smallest_R2:g}")
-    return _clause("explained", "misfit", " and ".join(missed), _misfit_remedy(problem.measured))
+    return _clause("explained", "misfit", " and ".join(missed), _misfit_remedy(evidence) if missed else "")
 
 
-def _misfit_remedy(measured: Sequence[MeasuredCurve]) -> str:
-    """The remedy of a misfit: the zero of the load cell where a recording begins under a force against the load."""
+def _misfit_remedy(evidence: Evidence) -> str:
+    """The remedy of a misfit: the zero of the load cell where a recording begins under a force against the load, or the
+    stiffnesses of tests that the law describes one by one."""
+    problem = evidence.estimate.problem
     found = [f"{curve.name}: the force begins at {start:.3g} {'Pa' if curve.stressed else 'N'}, against the load, so "
              "the load cell was not zeroed: set offset = \"start\" for the force in columns"
-             for curve in measured if (start := _start_against_load(curve)) < 0]
-    return "; ".join(found) or _OTHER_LAW
+             for curve in problem.measured if (start := _start_against_load(curve)) < 0]
+    return "; ".join(found) or describe_own_stiffnesses(problem, evidence.estimate.evaluation.force,
+                                                        SETTINGS.smallest_R2) or _OTHER_LAW
 
 
 def _start_against_load(curve: MeasuredCurve) -> float:

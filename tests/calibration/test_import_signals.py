@@ -199,3 +199,17 @@ def test_a_wrong_first_displacement_before_a_sudden_load_leaves_the_zero_open(tm
     load = np.where(time > 0, force(0.6 * level), 0.0) + noise(time.size, 0.001)
     imported = calibration.import_files([write(tmp_path, way, load, time)], tmp_path / "gel.toml", wishes())
     assert not imported.complete and "the zero of the displacement is not known" in imported.problem
+
+
+def test_the_verdict_names_columns_that_are_not_used_and_a_preload_that_the_contact_covers(tmp_path):
+    head = HEAD.replace("Force (N)", "Force (N),Room (degC),LVDT 3 (V)")
+    path = tmp_path / "gel.csv"
+    load = force(WAY + 0.1) + noise(WAY.size, 0.002)
+    path.write_text(head + "".join(f"{t:.3f},{w:.4f},{f:.4f},20.5,{0.3 * t:.3f}\n"
+                                   for t, w, f in zip(TIME, WAY, load, strict=True)))
+    calibration.import_files([path], tmp_path / "gel.toml", wishes())
+    result, = calibration.calibrate([tmp_path / "gel.toml"], tmp_path / "out", figures=False)
+    assert "columns that are not used: 'LVDT 3 (V)'" in result.message
+    assert re.search(r"zeroed at a preload of [\d.]+ N; the fitted contact offset of -0\.\d+ mm covers it",
+                     result.message)
+    assert "the moduli are wrong" not in result.message and "or the load cell was not zeroed" not in result.message

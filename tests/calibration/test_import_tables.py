@@ -279,3 +279,28 @@ def test_tables_of_equal_forces_contradict_a_list_of_different_sizes(tmp_path):
     assert "the file contradicts itself" in imported.questions[0] and "--curve" in imported.questions[0]
     wishes = calibration.Wishes(specimen={"radius_mm": 25.0, "height_mm": 30.0})
     assert calibration.import_files([path], None, wishes).questions == ()
+
+
+def test_titles_of_different_materials_are_a_question_also_where_the_units_differ(tmp_path):
+    tables = [f"{title}\nTime (s),Displacement (mm),Force ({unit})\n" + "\n".join(
+        f"{k},{way:.4f},{factor * load:.4f}" for k, (way, load) in enumerate(zip(WAY_MM, load_mN(), strict=True)))
+        for title, unit, factor in (("liver", "mN", 1.0), ("kidney", "N", 3e-3))]
+    path = put(tmp_path, "Compression test\nDiameter,50,mm\nHeight,30,mm\n\n" + "\n".join(tables) + "\n")
+    imported = calibration.import_files([path], None)
+    assert any("titles of the tables" in each and "--one-material" in each for each in imported.questions)
+    assert calibration.import_files([path], None, calibration.Wishes(Stated(one_material=True))).questions == ()
+
+
+def test_a_constant_column_of_a_size_is_no_motion(tmp_path):
+    rows = "\n".join(f"{k},{load:.2f},50.00,30.00" for k, load in enumerate(load_mN()))
+    path = put(tmp_path, f"Compression test\n\nTime (s),Force (mN),Diameter (mm),Height (mm)\n{rows}\n")
+    with pytest.raises(ts.InputError, match=r"no column with a motion .* the constant speed \(--speed-mm-s\)"):
+        calibration.import_files([path], None)
+
+
+def test_a_gauge_length_without_a_unit_is_named(tmp_path):
+    rows = "\n".join(f"{k},{way / 0.3:.4f},{load:.2f}"
+                     for k, (way, load) in enumerate(zip(WAY_MM, load_mN(), strict=True)))
+    path = put(tmp_path, f"Compression test\nHeight,30\n\nTime (s),Displacement (%),Force (mN)\n{rows}\n")
+    with pytest.raises(ts.InputError, match="the file states 'Height: 30' without a known unit"):
+        calibration.import_files([path], None)

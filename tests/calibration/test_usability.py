@@ -1,5 +1,6 @@
 """The rule of usable: several optima, laws at a limit or without a fit, recordings that disagree, misfits."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -220,15 +221,28 @@ def test_a_preload_is_covered_by_the_contact_offset_of_an_inverse_fit(tmp_path):
     assert "recordings" in failing(fixed) and "the moduli are wrong" in fixed.unusable
 
 
-def test_tests_of_one_kind_that_disagree_are_named_with_their_moduli(tmp_path):
+def organs(tmp_path, liver, kidney):
+    """The calibration of two tests of one kind with different moduli, Pa."""
     tests = ""
-    for name, modulus in (("liver", 6e3), ("kidney", 15e3)):
+    for name, modulus in (("liver", liver), ("kidney", kidney)):
         ts.write_recording(compression(modulus), tmp_path / f"{name}.csv")
         tests += f'[[test]]\nname = "{name}"\nkind = "lubricated_compression"\nrecordings = ["{name}.csv"]\n'
     path = tmp_path / "organs.toml"
     path.write_text("[[specimen]]\nradius_mm = 12.5\nheight_mm = 12.5\n" + tests + '[fit]\nlaws = ["neo_hooke"]\n',
                     encoding="utf-8")
     result, = calibration.calibrate([path], tmp_path / "out", figures=False)
+    return result
+
+
+def test_tests_that_differ_in_stiffness_only_are_named_where_a_common_law_misses_them(tmp_path):
+    result = organs(tmp_path, 6e3, 8.1e3)
+    assert failing(result.best) == ["explained"] and "another law" not in result.best.unusable
+    assert re.search(r"disagree in stiffness, not in shape \(.*: liver 0\.\d+, kidney 1\.\d+\); different materials\?",
+                     result.best.unusable)
+
+
+def test_tests_of_one_kind_that_disagree_are_named_with_their_moduli(tmp_path):
+    result = organs(tmp_path, 6e3, 15e3)
     assert "replicates" in failing(result.best) and "another law" not in result.best.unusable
     assert result.best.unusable.startswith("tests of lubricated_compression disagree: liver ")
     assert "kidney" in result.message and "different materials?" in result.message

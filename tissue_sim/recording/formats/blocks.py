@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from tissue_sim.recording.formats.header import find_header, find_numbers, matches, places_of
 from tissue_sim.recording.formats.number_text import any_number, is_number
+from tissue_sim.recording.formats.size_words import size_class
 from tissue_sim.recording.formats.table import Row, Table
-from tissue_sim.units import known_unit
+from tissue_sim.units import known_unit, loose_header
 
 #: A word: two letters or more.
 _WORD = re.compile(r"[^\W\d_]{2}")
+#: Rows by which columns of numbers are told from others.
+_EXAMINED = 50
 #: Steps of the first column between the rows above and below a row of text in one table.
 _LARGEST_GAP = 5.0
 
@@ -80,6 +83,24 @@ def placed_blocks(tables: Iterable[Table], places: Sequence[int], *, file: Path)
     runs = [run for run in _runs(rows, places) if any(_numbers(row, places) == len(places) for row in run)]
     return table, [Block(header if i == 0 else run[0], None, tuple(run), tuple(places), below=i > 0)
                    for i, run in enumerate(runs)]
+
+
+def unread_columns(blocks: Sequence[Block], used: Collection[int]) -> tuple[str, ...]:
+    """Names (numbers from 1, where there is none) of the columns of numbers that no recording of a table reads.
+
+    A column that repeats one value and is named after a size states that size.
+
+    Args:
+        blocks: of the table. used: places from 0 of the columns that are read.
+    """
+    header, rows = blocks[0].header, blocks[0].rows
+    found = []
+    for place, name in enumerate(header.cells):
+        cells = [row.cells[place] for row in rows[:_EXAMINED] if place < len(row.cells) and row.cells[place]]
+        is_size = size_class(loose_header(name)[0]) is not None and len(set(cells)) == 1
+        if place not in used and cells and 2 * sum(map(is_number, cells)) > len(cells) and not is_size:
+            found.append(str(place + 1) if not name or is_number(name) else name)
+    return tuple(found)
 
 
 def _below_header(rows: list[Row], places: Sequence[int]) -> tuple[Row | None, list[Row]]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.files import decode_text, read_bytes
-from tissue_sim.recording.formats.blocks import Block, named_blocks, placed_blocks
+from tissue_sim.recording.formats.blocks import Block, named_blocks, placed_blocks, unread_columns
 from tissue_sim.recording.formats.containers import is_container, read_container
 from tissue_sim.recording.formats.decimal_mark import NumberMarks, find_marks
 from tissue_sim.recording.formats.header import DELIMITERS, DELIMITERS_OF_NUMBERS, text_tables
@@ -100,7 +100,8 @@ def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int
             are replicates. None: the only one that holds anything.
         curve: number from 1 of the recording that is wanted, or a list of numbers. None: all.
         decimal: decimal mark of the numbers, ``"."`` or ``","``; the other one separates thousands. None: found.
-        metadata: goes into the recordings.
+        metadata: goes into the recordings, with the names of the columns of numbers that are not read
+            (``unread_columns``), where there are any.
 
     Raises:
         InputError: a bad map (by field), a column that the file lacks, a bad cell (by file and line), values that fit
@@ -208,6 +209,8 @@ def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, met
         chosen.append(_choose(wanted, {channel: next(order["column" in entry]) for channel, entry in wanted.items()},
                               block, bool(names), path))
     marks = _marks(blocks, chosen, table.delimiter, decimal)
+    unread = unread_columns(blocks, {column.index for columns in chosen for column in columns})
+    metadata = {**(metadata or {}), "unread_columns": list(unread)} if unread else metadata
     found: list[MarkedRecording] = []
     for block, columns in zip(blocks, chosen, strict=True):
         header, rows = block.header, list(block.rows)

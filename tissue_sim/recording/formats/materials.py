@@ -13,6 +13,9 @@ from tissue_sim.recording.formats.sizes import size_signature
 from tissue_sim.recording.formats.statements import Statements
 from tissue_sim.recording.formats.titles import block_title, materials_of
 
+#: Subject of the question on different titles.
+_SUBJECT = "titles of the tables"
+
 
 def by_material(reading: Reading, groups: Sequence[Group], places: Sequence[tuple[str, int]],
                 stated: Stated) -> list[Reading]:
@@ -52,6 +55,31 @@ def by_material(reading: Reading, groups: Sequence[Group], places: Sequence[tupl
     return found
 
 
+def with_different_titles(readings: Sequence[Reading], tables: Sequence[Sequence[Group]], stated: Stated
+                          ) -> tuple[Reading, ...]:
+    """The readings with a question where tables of one kind of test differ in columns or units, and their titles name
+    different materials.
+
+    Args:
+        readings: of all tables. tables: those with equal columns and units together.
+    """
+    alike = {(reading.kind.kind, *sorted(column.channel for column in reading.columns)) for reading in readings}
+    if len(tables) < 2 or len(alike) > 1 or stated.one_material:
+        return tuple(readings)
+    titles = [block_title(group.numbers, [column.place - 1 for column in group.columns], side_by_side=False)
+              for group, *_ in tables]
+    materials = materials_of(titles)
+    different = list(dict.fromkeys(materials))
+    if len(different) < 2 or any(each.subject == _SUBJECT for reading in readings for each in reading.assumptions):
+        return tuple(readings)
+    listed = ", ".join(repr(titles[materials.index(each)]) for each in different)
+    question = Assumption(
+        _SUBJECT, f"different materials, imported one by one: {listed}",
+        ("the titles differ by more than a running number",), (),
+        (Alternative("replicates of one material", None, "--one-material"),), "--column and --unit of one of them")
+    return tuple(replace(reading, assumptions=(*reading.assumptions, question)) for reading in readings)
+
+
 def _all_statements(groups: Sequence[Group]) -> dict[str, str]:
     """Key -> value of what the file states about any of the tables."""
     found = Statements(groups[0].stated)
@@ -68,7 +96,7 @@ def _question(different: Sequence[str], titles: Sequence[str], materials: Sequen
                             if material == each) for each in different}
     listed = ", ".join(f"{titles[materials.index(each)]!r} ({flags[each]})" for each in different)
     return (Assumption(
-        "titles of the tables", f"different materials, imported one by one: {listed}",
+        _SUBJECT, f"different materials, imported one by one: {listed}",
         ("the titles differ by more than a running number",), (),
         (Alternative("replicates of one material", None, "--one-material"),)),)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from tissue_sim.recording.formats.header import matches
 from tissue_sim.recording.formats.kind_hints import title_hints
 from tissue_sim.recording.formats.kind_words import named_tests
 from tissue_sim.recording.formats.number_text import is_number
-from tissue_sim.recording.formats.sizes import size_signature
+from tissue_sim.recording.formats.sizes import size_signature, sizes_without_unit
 from tissue_sim.recording.formats.sources import Numbers
 from tissue_sim.recording.formats.speed_text import speeds_in
 from tissue_sim.recording.formats.statements import constant_columns
@@ -320,8 +320,13 @@ def _place(numbers: Numbers, name: str | int) -> int | None:
     return place if place < numbers.width else None
 
 
-def no_pair(found: Sequence[Numbers], machine: Machine | None, stated: Stated) -> str:
-    """Why no table is a recording, everything that is missing in one sentence."""
+def no_pair(found: Sequence[Numbers], machine: Machine | None, stated: Stated,
+            statements: Callable[[Numbers], Mapping[str, str]]) -> str:
+    """Why no table is a recording, everything that is missing in one sentence.
+
+    Args:
+        statements: table -> key and value with unit, as the file states them about it.
+    """
     numbers = max(found, key=lambda each: len(each.rows))
     names = [numbers.name(place) for place in numbers.columns]
     has = (f"the columns are {', '.join(map(repr, names))}" if any(names)
@@ -337,14 +342,19 @@ def no_pair(found: Sequence[Numbers], machine: Machine | None, stated: Stated) -
     if any({f"{word}1", f"{word}2"} <= set(bare) for word in ("lambda", "stretch", "λ")):
         return (f"is a biaxial test ({has}), of which there is no kind here; of its rows, those with a free second "
                 "side are uniaxial_tension")
-    known = {role for place in numbers.columns
+    sizes = {place for place, _ in constant_columns(numbers)}
+    known = {role for place in numbers.columns if place not in sizes
              if (role := (role_of(numbers.bare_name(place), numbers.unit(place), machine) or [None])[0])}
     lacks = [what for what, roles in (("a motion (displacement, stretch, strain)",
                                        {"displacement", "stretch", "strain", "shear strain"}),
                                       ("a load (force, stress)", {"force", "stress"})) if not known & roles]
     if not lacks and not known & {"stretch"}:
-        return (f"needs the gauge length, which its columns and the text above them do not state: {has}; state it "
-                "(--height-mm), for a strain and a force, or a displacement and a stress, belong together by it")
+        seen = [text for size, text in sizes_without_unit(statements(numbers)).items()
+                if size in ("height", "length", "gauge length", "thickness", "gap")]
+        which = f"of which the file states {', '.join(map(repr, seen))} without a known unit" if seen else \
+            "which its columns and the text above them do not state"
+        return (f"needs the gauge length, {which}: {has}; state it (--height-mm), for a strain and a force, or a "
+                "displacement and a stress, belong together by it")
     true = [name for place in numbers.columns
             if measure_of(plain(name := numbers.name(place)), "stress") in MEASURES]
     if lacks and true and "stress" in known:

@@ -27,7 +27,7 @@ from tissue_sim.recording.formats.interpretation import (
 from tissue_sim.recording.formats.kind_guess import guess_kind, kind_assumption, require_one_test
 from tissue_sim.recording.formats.kind_hints import file_hints, header_hint, label_hints, title_hints
 from tissue_sim.recording.formats.kind_words import Hint
-from tissue_sim.recording.formats.materials import by_material
+from tissue_sim.recording.formats.materials import by_material, with_different_titles
 from tissue_sim.recording.formats.orientation import oriented
 from tissue_sim.recording.formats.pairing import Group, alike, find_groups, no_pair
 from tissue_sim.recording.formats.sources import Numbers, Source, find_numbers, open_source
@@ -63,12 +63,15 @@ def understand(path: str | Path, stated: Stated | None = None) -> Understanding:
         kind = guess_kind((), (), [*title_hints(found[0]), *titles], machine, stated.kind)
         if kind.refused is not None:
             raise kind.refused.refusal().located(file=path)
-        raise InputError(no_pair(found, machine, stated), file=path)
+        raise InputError(no_pair(found, machine, stated, lambda each: _statements(each, each.columns, stated)),
+                         file=path)
     tables = _with_statements(source, found, tables, stated)
     with located(file=path):
+        together = alike(tables)
         parts = [_reading(source, group, stated, machine, titles, _unused(group[0].numbers, tables))
-                 for group in alike(tables)]
+                 for group in together]
         readings, refused = _of_known_tests([reading for several, _ in parts for reading in several], stated)
+        readings = with_different_titles(readings, together, stated)
     every = [marks for _, marks in parts]
     marks = next((each for each in every if each.is_open), next((each for each in every if each.thousands), every[0]))
     if len(readings) > 1:
