@@ -1,4 +1,4 @@
-"""Tests that a law describes one by one, each with a stiffness of its own."""
+"""Tests of one kind that a law describes one by one, but not with common parameters."""
 
 from __future__ import annotations
 

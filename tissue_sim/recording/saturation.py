@@ -111,7 +111,7 @@ def last_digit(values: np.ndarray) -> float:
     """
     largest = float(np.abs(values).max())
     differences = np.abs(np.diff(values))
-    exact = _EXACT * np.finfo(float).eps * largest
+    exact = _EXACT * float(np.finfo(float).eps) * largest
     if not np.any(differences > exact):
         return 0.0
     step, error = float(differences[differences > exact].min()), exact
