@@ -18,7 +18,7 @@ CONTRADICTION = 0.005
 #: Largest relative rounding that excuses a contradiction.
 _LARGEST_ROUNDING = 0.02
 _QUANTITY = re.compile(
-    r"^(?P<number>[-+]?\d[\d.,'\u2019\u00a0\u202f]*(?:[eE][-+]?\d+)?)\s*(?P<unit>[^\d\s]\S*(?:\s*\^?2)?)?$")
+    r"^(?P<number>[-+]?\d[\d.,'\u2019\u00a0\u202f]*(?:[eEdD][-+]?\d+)?)\s*(?P<unit>[^\d\s]\S*(?:\s*\^?2)?)?$")
 _SQUARE = re.compile(r"^\(?\[?(?P<unit>m|cm|mm|in|um|µm)\s*(\^2|²|2)[\])]?$")
 _IN_KEY = re.compile(r"[\[(/,]?\s*\b(?P<unit>m|cm|mm|in|um|µm)\s*(\^2|²|2)[\])]?\s*(\(line \d+\))?$")
 #: Words of a speed, and of what is not the speed of the test.
