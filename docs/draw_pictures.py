@@ -53,13 +53,18 @@ SIMULATIONS = {
     "needle_J": ("needle_indentation", 10.0, "J", "punch_bonded_face_side_wall_RP.csv")}
 
 
+def study_material() -> ts.Material:
+    """The silicone of the reference study."""
+    return ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
+
+
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         answer = run_demo(Path(folder) / "demo")
         shutil.copyfile(answer["figure"], PICTURES / "demo.png")
         hidden = run_hidden_demo(Path(folder) / "hidden", seed=RELAXING)
         shutil.copyfile(hidden.figure, PICTURES / "demo_hidden.png")
-    material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
+    material = study_material()
     for name, (scene, depth, field, curve) in SIMULATIONS.items():
         protocol = ts.Protocol.ramp(depth * 1e-3, points=round(2 * depth) + 1)
         model = ts.Model(SCENES[scene].experiment(specimen=ts.Specimen(0.040, 0.070), protocol=protocol), material)
@@ -194,7 +199,7 @@ def draw_imports(data: Path) -> None:
 
 if __name__ == "__main__":
     if "needle" in sys.argv[1:]:
-        draw_needle_movie(ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4)))
+        draw_needle_movie(study_material())
     elif "imports" in sys.argv[1:]:
         draw_imports(Path(os.environ["TISSUE_SIM_DATA"]))
     else:
