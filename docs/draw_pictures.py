@@ -1,13 +1,15 @@
 """Draw every picture of README and docs again: python docs/draw_pictures.py
 
 ``python docs/draw_pictures.py imports`` draws those of measured sets from the folder that TISSUE_SIM_DATA names, and
-``python docs/draw_pictures.py needle`` the moving picture of README.
+``python docs/draw_pictures.py needle`` the moving picture of README, and ``python docs/draw_pictures.py examples``
+those of the gallery.
 """
 
 import base64
 import math
 import os
 import re
+import runpy
 import shutil
 import sys
 import tempfile
@@ -85,6 +87,13 @@ def draw_solid(material: ts.Material) -> None:
         tool=ts.Tool("round", radius=8e-3), approach=ts.Approach(12e-3, math.radians(15.0)))
     model = ts.Model(experiment, material)
     draw_simulation(ts.simulate(model, solver="solid", fields=True), model, PICTURES / "solid_figure.png")
+
+
+def draw_examples() -> None:
+    """The picture of each example, small, for the gallery of the site."""
+    for path in sorted((Path(__file__).parents[1] / "examples").glob("*.py")):
+        example = runpy.run_path(str(path))
+        example["run"]().savefig(PICTURES / "examples" / f"{path.stem}.png", dpi=90)
 
 
 def draw_needle_movie(material: ts.Material) -> None:
@@ -200,6 +209,8 @@ def draw_imports(data: Path) -> None:
 if __name__ == "__main__":
     if "needle" in sys.argv[1:]:
         draw_needle_movie(study_material())
+    elif "examples" in sys.argv[1:]:
+        draw_examples()
     elif "imports" in sys.argv[1:]:
         draw_imports(Path(os.environ["TISSUE_SIM_DATA"]))
     else:

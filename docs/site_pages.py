@@ -1,10 +1,11 @@
-"""Hooks of the documentation site: pages made from README.md, CONTRIBUTING.md, CHANGELOG.md and the public names.
+"""Hooks of the documentation site: pages made from files at the top of the repository, examples and public names.
 
 These files stay at the top of the repository. On the site their links are relative to `docs`.
 """
 
 from __future__ import annotations
 
+import ast
 import re
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ def on_files(files: Files, config: Any) -> Files:
     root = Path(config.config_file_path).parent
     for name, page in TOP_FILES.items():
         files.append(File.generated(config, page, content=_links_from_docs((root / name).read_text(encoding="utf-8"))))
+    files.append(File.generated(config, "gallery.md", content=_gallery(root)))
     for package in PACKAGES:
         files.append(File.generated(config, f"api/{package}.md", content=_reference(root, package)))
     return files
@@ -40,8 +42,20 @@ def _links_from_docs(text: str) -> str:
     """Make the links of a file at the top of the repository relative to `docs`."""
     for name, page in TOP_FILES.items():
         text = text.replace(f"]({name}", f"]({page}")
-    text = text.replace("[Apache-2.0](LICENSE)", "Apache-2.0")
+    text = text.replace("[Apache-2.0](LICENSE)", "Apache-2.0").replace("](examples)", "](gallery.md)")
     return re.sub(r"\]\(docs/", "](", text)
+
+
+def _gallery(root: Path) -> str:
+    """Write the gallery: title, mathematics, picture and source of each example."""
+    lines = ["# Examples", "", "Each script of `examples` checks one physical number and draws one picture.", ""]
+    for path in sorted((root / "examples").glob("*.py")):
+        source = path.read_text(encoding="utf-8")
+        title, _, text = (ast.get_docstring(ast.parse(source)) or path.stem).partition("\n")
+        code = [f"    {line}" for line in ("```python", *source.splitlines(), "```")]
+        lines += [f"## {title.rstrip('.')}", "", text.strip(), "", f"![{title}](pictures/examples/{path.stem}.png)",
+                  "", f'??? example "{path.name}"', "", *code, ""]
+    return "\n".join(lines)
 
 
 def _reference(root: Path, package: str) -> str:
