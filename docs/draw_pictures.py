@@ -1,12 +1,15 @@
 """Draw every picture of README and docs again: python docs/draw_pictures.py
 
-``imports`` as a word behind it draws those of measured sets; the variable TISSUE_SIM_DATA names their folder.
+``python docs/draw_pictures.py imports`` draws those of measured sets from the folder that TISSUE_SIM_DATA names, and
+``python docs/draw_pictures.py needle`` the moving picture of README, and ``python docs/draw_pictures.py examples``
+those of the gallery.
 """
 
 import base64
 import math
 import os
 import re
+import runpy
 import shutil
 import sys
 import tempfile
@@ -14,17 +17,27 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from PIL import Image
 
 import tissue_sim as ts
 from calibration import Stated, Wishes, calibrate, import_files
 from scenes import SCENES, draw_simulation, run_demo, run_hidden_demo
-from scenes.figures import save
+from scenes.colour_scale import colour_scale
+from scenes.figures import draw_section, save
 
 PICTURES = Path(__file__).parent / "pictures"
 CURVES = Path(__file__).parents[1] / "tests" / "reference"
 #: A seed of the demo with something hidden whose tissue relaxes.
 RELAXING = 23
+#: Time between two frames of the moving picture, s of the test; it plays at this speed.
+FRAME_TIME = 0.125
+#: Size of the moving picture, inches; at `FRAME_DPI`.
+FRAME_SIZE = (7.6, 3.6)
+FRAME_DPI = 84
+#: Colours of a frame: an indexed palette keeps the file small.
+FRAME_COLOURS = 200
 
 
 def reference(name: str) -> ts.Recording:
@@ -42,19 +55,25 @@ SIMULATIONS = {
     "needle_J": ("needle_indentation", 10.0, "J", "punch_bonded_face_side_wall_RP.csv")}
 
 
+def study_material() -> ts.Material:
+    """The silicone of the reference study."""
+    return ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
+
+
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         answer = run_demo(Path(folder) / "demo")
         shutil.copyfile(answer["figure"], PICTURES / "demo.png")
         hidden = run_hidden_demo(Path(folder) / "hidden", seed=RELAXING)
         shutil.copyfile(hidden.figure, PICTURES / "demo_hidden.png")
-    material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
+    material = study_material()
     for name, (scene, depth, field, curve) in SIMULATIONS.items():
         protocol = ts.Protocol.ramp(depth * 1e-3, points=round(2 * depth) + 1)
         model = ts.Model(SCENES[scene].experiment(specimen=ts.Specimen(0.040, 0.070), protocol=protocol), material)
         recording = ts.simulate(model, resolution="accurate", fields=True)
         draw_simulation(recording, model, PICTURES / f"{name}.png", field=field, reference=reference(curve))
     draw_solid(material)
+    draw_needle_movie(material)
     draw_cycles(material)
     draw_inverse_calibration(material)
     for path in sorted(PICTURES.glob("*.png")):
@@ -68,6 +87,48 @@ def draw_solid(material: ts.Material) -> None:
         tool=ts.Tool("round", radius=8e-3), approach=ts.Approach(12e-3, math.radians(15.0)))
     model = ts.Model(experiment, material)
     draw_simulation(ts.simulate(model, solver="solid", fields=True), model, PICTURES / "solid_figure.png")
+
+
+def draw_examples() -> None:
+    """The picture of each example, small, for the gallery of the site."""
+    for path in sorted((Path(__file__).parents[1] / "examples").glob("*.py")):
+        example = runpy.run_path(str(path))
+        example["run"]().savefig(PICTURES / "examples" / f"{path.stem}.png", dpi=90)
+
+
+def draw_needle_movie(material: ts.Material) -> None:
+    """A needle pressed into relaxing tissue, held and pulled out: the section and the force, as an animated GIF."""
+    protocol = ts.Protocol.parse("ramp 10mm @5mm/s; hold 2s; unload", points=41)
+    tissue = replace(material, viscoelastic=ts.Prony((ts.PronyTerm(0.35, 0.8),)))
+    experiment = SCENES["needle_indentation"].experiment(specimen=ts.Specimen(0.040, 0.070), protocol=protocol)
+    recording = ts.simulate(ts.Model(experiment, tissue), resolution="accurate", fields=True)
+    times = np.arange(0.0, recording.time[-1] + 0.5 * FRAME_TIME, FRAME_TIME)
+    samples = np.abs(recording.time[:, None] - times).argmin(axis=0)
+    largest = colour_scale(recording.fields, "von_mises", int(np.argmax(recording.force))).high
+    frames = [_needle_frame(recording, int(sample), largest, experiment.tool) for sample in samples]
+    frames[0].save(PICTURES / "needle.gif", save_all=True, append_images=frames[1:], duration=round(1e3 * FRAME_TIME),
+                   loop=0, optimize=True)
+
+
+def _needle_frame(recording: ts.Recording, sample: int, largest: float, tool: ts.Tool) -> Image.Image:
+    """One frame of the moving picture: section with a common colour scale in kPa, force up to the sample."""
+    figure = Figure(figsize=FRAME_SIZE, dpi=FRAME_DPI, layout="constrained")
+    section, curve = figure.subplots(1, 2, width_ratios=[1.15, 1.0])
+    draw_section(section, recording.fields, "von_mises", sample, tool=tool)
+    for drawn in (each for each in section.collections if each.get_array() is not None):
+        drawn.set_clim(0.0, largest)
+    section.set_ylim(-74.0, 14.0)
+    curve.plot(recording.time, recording.force, color="0.85", linewidth=1.2)
+    curve.plot(recording.time[:sample + 1], recording.force[:sample + 1], color="#0072B2", linewidth=1.8)
+    curve.plot(recording.time[sample], recording.force[sample], "o", color="#D55E00", markersize=5)
+    curve.set(xlabel="time [s]", ylabel="force [N]",
+              title=f"{recording.displacement[sample] * 1e3:4.1f} mm   {recording.force[sample]:4.2f} N")
+    curve.grid(alpha=0.3)
+    curve.spines[["top", "right"]].set_visible(False)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    return picture.quantize(FRAME_COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
 
 
 def draw_cycles(material: ts.Material) -> None:
@@ -146,7 +207,11 @@ def draw_imports(data: Path) -> None:
 
 
 if __name__ == "__main__":
-    if "imports" in sys.argv[1:]:
+    if "needle" in sys.argv[1:]:
+        draw_needle_movie(study_material())
+    elif "examples" in sys.argv[1:]:
+        draw_examples()
+    elif "imports" in sys.argv[1:]:
         draw_imports(Path(os.environ["TISSUE_SIM_DATA"]))
     else:
         main()
