@@ -78,7 +78,7 @@ stiffnesses, dampings = st.floats(50.0, 5000.0), st.floats(0.0, 5.0)
 def test_energy_does_not_grow_when_the_condition_holds(stiffness, damping, mass, margin, tissue):
     """The hand gets back at most what it put in, whatever the device's mass and the tissue."""
     coupling = VirtualCoupling(stiffness, damping)
-    needed = margin * coupling.least_device_damping(TICK)
+    needed = margin * coupling.required_device_damping(TICK)
     assert coupling.is_passive(needed * 1.0001, TICK)
     energy = free_flight(coupling, Load(tissue), mass, needed * 1.0001, 0.1, 400)
     assert energy.max() <= energy[0] * (1 + 1e-9)
@@ -89,7 +89,7 @@ def test_energy_grows_when_the_device_has_half_the_damping(stiffness):
     """A wall without damping: K T/2 is the limit of stability too, for a device much heavier than K T^2."""
     for part, grows in ((0.5, True), (2.0, False)):
         coupling = VirtualCoupling(stiffness)
-        damping = part * coupling.least_device_damping(TICK)
+        damping = part * coupling.required_device_damping(TICK)
         assert coupling.is_passive(damping, TICK) is not grows
         energy = free_flight(coupling, Load(RIGID), 0.2, damping, 0.1, 3000)
         late, early = energy[2000:].max(), energy[:1000].max()
@@ -115,7 +115,7 @@ def needed_damping(impedance, angle, delay=0):
 def test_condition_covers_every_passive_load_at_every_frequency(stiffness, damping, resistance, reactance, delay):
     """Loads Z with Re Z >= 0, coupled in series, by the general condition of Colgate and Schenkel."""
     coupling = VirtualCoupling(stiffness, damping)
-    least = coupling.least_device_damping(TICK, delay)
+    least = coupling.required_device_damping(TICK, delay)
     load = 10**resistance + 1j * math.sinh(3 * reactance)
     for angle in np.linspace(1e-3, math.pi, 200):
         rate = (1 - cmath.exp(-1j * angle)) / TICK
@@ -130,7 +130,7 @@ def test_condition_is_exact_for_a_proxy_that_stands(stiffness, damping):
     needed = [needed_damping(stiffness + damping * (1 - cmath.exp(-1j * angle)) / TICK, angle)
               for angle in np.linspace(1e-3, math.pi, 500)]
     assert max(needed) == pytest.approx(stiffness * TICK / 2 + damping)
-    assert VirtualCoupling(stiffness, damping).least_device_damping(TICK) == pytest.approx(max(needed))
+    assert VirtualCoupling(stiffness, damping).required_device_damping(TICK) == pytest.approx(max(needed))
 
 
 @pytest.mark.parametrize(("damping", "covered"), [(0.2, True), (1.0, True), (0.0, False)])
@@ -144,7 +144,7 @@ def test_condition_with_a_mass_by_second_order_differences(damping, covered):
             rate = sum(weight * z**-place for place, weight in enumerate(load.weights)) / TICK
             spring, tissues = 1000.0 + damping * (1 - 1 / z) / TICK, tissue + mass * rate**2
             needed.append(needed_damping(spring * tissues / (spring + tissues), angle))
-    assert bool(max(needed) <= coupling.least_device_damping(TICK) * (1 + 1e-9)) is covered
+    assert bool(max(needed) <= coupling.required_device_damping(TICK) * (1 + 1e-9)) is covered
 
 
 @pytest.mark.parametrize(("damping", "mass"), [(0.0, 0.0), (2.0, 0.0), (2.0, 0.005)])
@@ -333,14 +333,19 @@ def test_rotation_is_rigid():
 
 @pytest.mark.parametrize("values", [(0.0,), (math.nan,), (100.0, -1.0), (100.0, 1.0, math.inf)])
 def test_couplings_that_couple_nothing_are_refused(values):
-    with pytest.raises(InputError, match="give"):
+    with pytest.raises(InputError, match="must be"):
         VirtualCoupling(*values)
+
+
+def test_the_old_name_of_the_condition_warns():
+    with pytest.warns(DeprecationWarning, match="renamed to required_device_damping"):
+        assert VirtualCoupling(1000.0, 2.0).least_device_damping(1e-3) == 2.5
 
 
 def test_condition_of_no_tick_is_refused():
     with pytest.raises(InputError, match="tick"):
-        VirtualCoupling(100.0).least_device_damping(0.0)
-    assert VirtualCoupling(1000.0, 2.0).least_device_damping(1e-3, delay_ticks=1) == pytest.approx(10.0)
+        VirtualCoupling(100.0).required_device_damping(0.0)
+    assert VirtualCoupling(1000.0, 2.0).required_device_damping(1e-3, delay_ticks=1) == pytest.approx(10.0)
 
 
 class Old(Load):

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptics.safety.force_release import ENGAGES, PATIENCE, RAMP, ForceRelease
+from haptics.safety.force_release import LARGEST_FIRST_FORCE, PATIENCE, RAMP, ForceRelease
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus, NextForce, ToolForce, axial_stiffness, axial_wrench
@@ -78,7 +78,7 @@ def test_a_hand_that_begins_inside_begins_without_a_force():
     release.reset()
     assert release.step(answer(), 1.0).force == 0.0
     release.reset()
-    touch = answer(force=ENGAGES)
+    touch = answer(force=LARGEST_FIRST_FORCE)
     assert release.step(touch, 1.0) is touch
 
 
@@ -96,7 +96,7 @@ def test_local_models_are_given_for_as_long_as_they_like():
 
 @pytest.mark.parametrize("options", [{"patience": 0.0}, {"patience": math.nan}, {"ramp": -1.0}, {"ramp": math.inf}])
 def test_times_that_are_none_are_refused(options):
-    with pytest.raises(InputError, match="give a time above zero"):
+    with pytest.raises(InputError, match="must be positive"):
         ForceRelease(**options)
 
 

@@ -62,9 +62,9 @@ def test_torque_has_limits_of_its_own():
     limits = ForceLimits(3.0, 10.0, torque=0.5, torque_rate=0.4)
     assert limits.step((0.0, 0.0, 1.0, 0.6, 0.0, 0.8)) == pytest.approx((0.0, 0.0, 1.0, 0.24, 0.0, 0.32))
     assert (limits.limited, limits.rate_limited) == (True, True)
-    assert limits.message == "cut to 0.5 N m, changed by 0.4 N m only"
+    assert limits.message == "torque limited to 0.5 N m, change of the torque limited to 0.4 N m"
     assert limits.step((0.0, 0.0, 1.0, 0.6, 0.0, 0.8)) == pytest.approx((0.0, 0.0, 1.0, 0.3, 0.0, 0.4))
-    assert limits.message == "cut to 0.5 N m"
+    assert limits.message == "torque limited to 0.5 N m"
     limits.step((0.0, 0.0, 1.0, math.nan, 0.0, 0.0))
     assert limits.invalid and limits.last[2] == 0.0
 
@@ -80,7 +80,7 @@ def test_no_input_passes_the_limits(forces, largest, rate):
         assert limits.limited == (abs(force) > largest and math.isfinite(force))
         if not (limits.limited or limits.rate_limited or limits.invalid):
             assert given_ == force
-            assert limits.message == "as asked"
+            assert limits.message == "not limited"
         last = given_
 
 
@@ -102,11 +102,11 @@ def test_what_is_no_number_leads_to_zero(force, rate, bad):
 def test_it_says_which_limit_held():
     limits = ForceLimits(force=3.0, rate=2.0)
     assert (stepped(limits, 5.0), limits.limited, limits.rate_limited) == (2.0, True, True)
-    assert limits.message == "cut to 3 N, changed by 2 N only"
+    assert limits.message == "force limited to 3 N, change of the force limited to 2 N"
     assert (stepped(limits, 5.0), limits.limited, limits.rate_limited) == (3.0, True, False)
-    assert limits.message == "cut to 3 N"
+    assert limits.message == "force limited to 3 N"
     assert (stepped(limits, 0.0), limits.limited, limits.rate_limited) == (1.0, False, True)
-    assert limits.message == "changed by 2 N only"
+    assert limits.message == "change of the force limited to 2 N"
     limits.reset()
     assert (limits.last, limits.limited, limits.rate_limited) == (along(0.0), False, False)
 
@@ -114,7 +114,7 @@ def test_it_says_which_limit_held():
 @pytest.mark.parametrize("settings", [{"force": 0.0, "rate": 1.0}, {"force": math.inf, "rate": 1.0},
                                       {"force": 5.0, "rate": -1.0}, {"force": 5.0, "rate": math.nan}])
 def test_limits_that_limit_nothing_are_refused(settings):
-    with pytest.raises(InputError, match="is no limit"):
+    with pytest.raises(InputError, match="must be positive and finite"):
         ForceLimits(**settings)
-    with pytest.raises(InputError, match="torque_rate: 0 N m per tick is no limit"):
+    with pytest.raises(InputError, match="torque_rate: must be positive and finite; got 0 N m per tick"):
         ForceLimits(5.0, 1.0, 1.0, 0.0)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from haptics.devices.contracts import ForceSample, SampleStatus, StageSample
-from haptics.safety.motion_guard import Drive, MotionGuard, MotionLimits, Stop, require_stoppable
+from haptics.safety.motion_guard import CommandedMotion, MotionGuard, MotionLimits, StopReason, require_stoppable
 from tissue_sim.errors import InputError
 
 CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
@@ -24,7 +24,7 @@ def place(position=0.0, at=0.0, moving=False, status=0, homed=True):
 
 def guard(measures=True, knows=True):
     made = MotionGuard(LIMITS, 1000.0, CHANNELS, measures, 0.0)
-    made.knows_place = made.knows_zero = knows
+    made.is_stage_homed = made.is_sensor_zeroed = knows
     return made
 
 
@@ -33,7 +33,7 @@ def check(made, samples=None, stage=None, drive=None, now=0.0):
     return made.check(now, samples, [each.values[2] for each in samples], stage or place(at=now), drive)
 
 
-FORTH = Drive(0.0, 5e-3, 1e-3, 0.0)
+FORTH = CommandedMotion(0.0, 5e-3, 1e-3, 0.0)
 
 
 @pytest.mark.parametrize(("cause", "asked"), [
@@ -48,7 +48,7 @@ FORTH = Drive(0.0, 5e-3, 1e-3, 0.0)
     ("travel", {"stage": place(10.2e-3)}), ("travel", {"stage": place(-5.2e-3)}),
     ("stage astray", {"stage": place(-0.5e-3), "drive": FORTH}),
     ("stage astray", {"stage": place(5.5e-3), "drive": FORTH}),
-    ("stage astray", {"stage": place(0.2e-3), "drive": Drive(0.0, 0.0, 0.0, 0.0)}),
+    ("stage astray", {"stage": place(0.2e-3), "drive": CommandedMotion(0.0, 0.0, 0.0, 0.0)}),
     ("stage stalled", {"stage": place(0.5e-3, at=1.0), "drive": FORTH, "now": 0.01}),
 ])
 def test_what_passes_a_limit_ends_the_motion(cause, asked):
@@ -59,7 +59,7 @@ def test_what_passes_a_limit_ends_the_motion(cause, asked):
 @pytest.mark.parametrize("asked", [
     {}, {"samples": [sample(4.9), sample(-4.9)]}, {"samples": [sample(status=SampleStatus.GAP)]},
     {"samples": [], "now": 0.04}, {"stage": place(9.9e-3)}, {"stage": place(1e-3, at=1.0), "drive": FORTH},
-    {"stage": place(status=SampleStatus.LIMIT, moving=True)}, {"stage": place(0.05e-3), "drive": Drive(0, 0, 0, 0)},
+    {"stage": place(status=SampleStatus.LIMIT, moving=True)}, {"stage": place(0.05e-3), "drive": CommandedMotion(0, 0, 0, 0)},
 ])
 def test_what_passes_none_goes_on(asked):
     assert check(guard(), **asked) is None
@@ -111,12 +111,12 @@ def test_before_homing_and_tare_nothing_is_said_of_place_and_force():
     ("device", False), ("speed", False), ("travel", False),
 ])
 def test_only_a_stage_that_is_believed_goes_back(cause, may):
-    assert Stop(cause, "").may_retract is may
+    assert StopReason(cause, "").allows_retraction is may
 
 
 def test_a_motion_that_costs_more_than_the_margin_is_refused():
     require_stoppable(LIMITS, 1e-3, 0.9)
-    with pytest.raises(InputError, match=r"costs 1.1 N on a specimen of 1 N/mm.*no faster than 0.91 mm/s"):
+    with pytest.raises(InputError, match=r"got 1.1 N: .* on a specimen of 1 N/mm.*at most 0.91 mm/s"):
         require_stoppable(LIMITS, 1e-3, 1.1)
-    with pytest.raises(InputError, match="take a stage that stops when the program ends"):
+    with pytest.raises(InputError, match="Use a stage that stops when the program ends"):
         require_stoppable(LIMITS, 1e-3, math.inf)

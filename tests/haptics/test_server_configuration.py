@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from haptics.server.client import TissueClient
-from haptics.server.connections import IDLE, LONGEST_LINE, MOST_CONNECTIONS, STALLED, ConfigurationPort
+from haptics.server.connections import LIMITS, ConfigurationPort
 from haptics.server.server import TissueServer
 from tissue_sim.errors import InputError
 from tissue_sim.tool_force import ForceStatus, ToolForce
@@ -139,10 +139,10 @@ def test_states_come_back(line, client):
     assert line.ask("restore", name="deep")["parameters"] == {"C10": 1e3}
     reply = client.step(0.0, at=3.0)
     assert reply.force[2] == 3.0 and reply.dt == 0.0
-    assert line.ask("restore", name="dep")["error"] == "name: no state 'dep' was saved; did you mean 'deep'?"
+    assert line.ask("restore", name="dep")["error"] == "name: unknown state 'dep'; did you mean 'deep'?"
     for number in range(15):
         line.ask("save", name=str(number))
-    assert "16 states are kept already" in line.ask("save", name="one more")["error"]
+    assert "at most 16 states can be saved" in line.ask("save", name="one more")["error"]
     assert len(line.ask("save", name="deep")["states"]) == 16, "a name can be used again"
 
 
@@ -169,12 +169,12 @@ def test_statistics_count(line, client):
 
 
 @pytest.mark.parametrize(("content", "expected"), [
-    (b"hello", "not JSON"),
-    (b'{"command": "describe"', "not JSON"),
-    (b"\xff\xfe", "not JSON"),
-    (b"[" * 20000, "not JSON"),
-    (b"[]", "command: is missing; give one of describe, "),
-    (b'{"command": 3}', "command: is missing"),
+    (b"hello", "must be JSON"),
+    (b'{"command": "describe"', "must be JSON"),
+    (b"\xff\xfe", "must be JSON"),
+    (b"[" * 20000, "must be JSON"),
+    (b"[]", "command: must be one of describe, "),
+    (b'{"command": 3}', "; got none"),
     (b'{"command": "descibe"}', "command: unknown command 'descibe'; did you mean 'describe'?"),
     (b'{"command": "surface", "segment": 8}', "segment: unknown key; did you mean 'segments'?"),
     (b'{"command": "reset", "hard": true}', "hard: unknown key"),
@@ -186,9 +186,9 @@ def test_statistics_count(line, client):
     (b'{"command": "set_parameters", "parameters": {"C10": -1}}', "C10: -1 is not positive"),
     (b'{"command": "set_parameters", "parameters": {"C10": 1e999}}', ""),
     (b'{"command": "save", "name": ""}', "name"),
-    (b'{"command": "restore", "name": "x"}', "name: no state 'x' was saved; none was saved"),
-    (b"x" * (LONGEST_LINE + 1), f"a line of more than {LONGEST_LINE} bytes"),
-    (b"x" * 1_000_000, f"a line of more than {LONGEST_LINE} bytes"),
+    (b'{"command": "restore", "name": "x"}', "name: unknown state 'x'; no state was saved"),
+    (b"x" * (LIMITS.longest_line + 1), f"a line must have at most {LIMITS.longest_line} bytes"),
+    (b"x" * 1_000_000, f"a line must have at most {LIMITS.longest_line} bytes"),
 ], ids=lambda content: content[:40] if isinstance(content, bytes) else "")
 def test_bad_line_is_answered_and_the_connection_stays(line, content, expected):
     line.send(content + b"\n")
@@ -209,8 +209,8 @@ def test_tissue_that_cannot_is_one_sentence():
         thread = threading.Thread(target=server.run)
         thread.start()
         line = Line(server)
-        assert line.ask("surface")["error"].startswith("command: this tissue cannot surface")
-        assert "none to set" in line.ask("set_parameters", parameters={"C10": 1.0})["error"]
+        assert line.ask("surface")["error"].startswith("command: this tissue does not support 'surface'")
+        assert "no parameters to set" in line.ask("set_parameters", parameters={"C10": 1.0})["error"]
         line.close()
         server.stop()
         thread.join(300.0)
@@ -301,11 +301,11 @@ def test_dead_connections_are_closed(port):
     begun, quiet = port.connect(), port.connect()
     begun.sendall(b"half a li")
     port.turn()
-    port.port.close_stalled(STALLED)
+    port.port.close_stalled(LIMITS.stalled)
     assert not port.closed(begun) and not port.closed(quiet)
-    port.port.close_stalled(STALLED + 0.1)
+    port.port.close_stalled(LIMITS.stalled + 0.1)
     assert port.closed(begun) and not port.closed(quiet)
-    port.port.close_stalled(IDLE + 0.1)
+    port.port.close_stalled(LIMITS.idle + 0.1)
     assert port.closed(quiet)
     begun.close()
     quiet.close()
@@ -313,7 +313,7 @@ def test_dead_connections_are_closed(port):
 
 def test_longest_idle_connection_makes_room(port):
     peers = []
-    for number in range(MOST_CONNECTIONS):
+    for number in range(LIMITS.most_connections):
         port.now = float(number)
         peers.append(port.connect())
     port.now = 20.0
@@ -321,7 +321,7 @@ def test_longest_idle_connection_makes_room(port):
     port.turn()
     assert peers[0].recv(10) == b"ALIVE\n"
     peers.append(port.connect())
-    assert port.closed(peers[1]) and not any(port.closed(peers[k]) for k in (0, 2, MOST_CONNECTIONS))
+    assert port.closed(peers[1]) and not any(port.closed(peers[k]) for k in (0, 2, LIMITS.most_connections))
     for peer in peers:
         peer.close()
 
@@ -332,7 +332,7 @@ def test_a_command_that_fails_costs_no_server(server, line, client, capfd):
 
     server._service.tissue.set_parameters = fail
     answer = line.ask("set_parameters", parameters={"C10": 2e3})
-    assert answer == {"error": "the command failed (ZeroDivisionError); the server's log says why"}
+    assert answer == {"error": "the command failed (ZeroDivisionError); see the log of the server for the reason"}
     assert "a command failed (ZeroDivisionError: in the tissue)" in capfd.readouterr().err
     assert line.ask("describe")["parameters"] == {"C10": 1e3} and client.step(0.001).status == 0
 
@@ -340,5 +340,5 @@ def test_a_command_that_fails_costs_no_server(server, line, client, capfd):
 @pytest.mark.parametrize("noise", [b'{"command": "\xed\xa0\x80"}', b'"\xfe"', b'{"\xff": 1}', b"\xff\xfe", b"{" * 3000])
 def test_bytes_that_are_no_text_are_answered(line, client, noise):
     line.send(noise + b"\n")
-    assert "not JSON" in line.answer()["error"]
+    assert "must be JSON" in line.answer()["error"]
     assert line.ask("describe")["scene"] == "needle_indentation"

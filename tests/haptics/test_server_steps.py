@@ -46,12 +46,12 @@ def ask(service, *packets, address=A, now=0.0):
     """Reply to the last of these packets, all there before the step."""
     at_once = None
     for one in packets:
-        at_once = service.take(one, address, now)
+        at_once = service.receive(one, address, now)
     answer = service.step(now)
     if answer is None:
         return None if at_once is None else decode_reply(at_once)
     assert answer[1] == address
-    service.answered(now)
+    service.restart_silence(now)
     return decode_reply(answer[0])
 
 
@@ -142,9 +142,14 @@ def test_reset_holds_where_the_step_after_it_is_refused(service):
     assert ask(service, packet(3, 7.0)).dt == 0.0
 
 
+def test_the_old_name_take_warns(service):
+    with pytest.warns(DeprecationWarning, match="renamed to receive"):
+        assert service.take(packet(0), A, 0.0) is None
+
+
 def test_first_of_two_in_one_heap_owns_the_tissue(service):
-    assert service.take(packet(0), A, 0.0) is None
-    assert decode_reply(service.take(packet(0), B, 0.0)).status == Status.BUSY
+    assert service.receive(packet(0), A, 0.0) is None
+    assert decode_reply(service.receive(packet(0), B, 0.0)).status == Status.BUSY
 
 
 def test_first_to_speak_owns_the_tissue(service):
@@ -164,15 +169,15 @@ def test_silent_owner_loses_the_tissue_to_another(service):
 
 
 def test_silence_begins_with_the_reply_not_with_the_packet(service):
-    service.take(packet(0), A, 0.0)
+    service.receive(packet(0), A, 0.0)
     service.step(0.0)
-    service.answered(5.0)  # a long step
+    service.restart_silence(5.0)  # a long step
     assert ask(service, packet(0), address=B, now=5.9).status == Status.BUSY
 
 
 def test_stale_packets_do_not_hold_the_tissue(service):
     ask(service, packet(9), address=A, now=0.0)
-    service.take(packet(9), A, 0.9)
+    service.receive(packet(9), A, 0.9)
     assert ask(service, packet(0), address=B, now=1.1).status == Status.CONVERGED
 
 
@@ -296,7 +301,7 @@ class TestFailure:
             raise ZeroDivisionError
 
         service.tissue.step = fail
-        assert ask(service, packet(0, 0.0)).status == Status.FAILED and "cannot be built anew yet" in log[1]
+        assert ask(service, packet(0, 0.0)).status == Status.FAILED and "could not be rebuilt; the next step tries again" in log[1]
         assert ask(service, packet(1, 0.1)).status == Status.CONVERGED and service.tissue is made[1]
 
 
@@ -317,7 +322,7 @@ class TestRelease:
 
     def test_who_begins_inside_begins_without_a_force(self, service):
         for first in (0, 1000):  # the second time after a reset from elsewhere
-            service.begin_anew()
+            service.discard_last_step()
             replies = self.drive(service, [0.003] * 100, start=first)
             assert (replies[0].status, replies[0].force[2]) == (Status.RETURNING, 0.0)
             assert replies[-1].status == Status.CONVERGED and replies[-1].force[2] == 3.0
@@ -360,12 +365,12 @@ def test_every_packet_is_counted_once(events):
     for what, sequence in events:
         if what == "step":
             service.step(now)
-            service.answered(now)
+            service.restart_silence(now)
         elif what == "wait":
             now += sequence / 10
         else:
             one = {"noise": b"noise", "bye": packet(sequence, kind=Kind.GOODBYE)}.get(what, packet(sequence, 0.0))
-            at_once = service.take(one, B if what == "take B" else A, now)
+            at_once = service.receive(one, B if what == "take B" else A, now)
             taken += 1
             goodbyes += at_once is not None and decode_reply(at_once).status == Status.RELEASED
     service.step(now)

@@ -135,7 +135,7 @@ def test_files_of_one_name_are_kept_apart(tmp_path):
     content = {"defaults": {"tool": "a/tip.csv"}, "test": [{"tool": "b/tip.csv"}, {"tool": "flat"}, {}]}
     (tmp_path / "flat").write_text("no profile", encoding="utf-8")
     with RunFolder(tmp_path / "run", "digest") as folder:
-        copied = with_files_named(content, tmp_path, folder.copy_of)
+        copied = with_files_named(content, tmp_path, folder.copy_file)
     assert copied["defaults"]["tool"] == "files/tip.csv" and copied["test"][1:] == [{"tool": "flat"}, {}]
     assert (folder.folder / copied["defaults"]["tool"]).read_text() == "a"
     assert (folder.folder / copied["test"][0]["tool"]).read_text() == "b"

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptics.recorder.clock import SequenceLine
+from haptics.recorder.clock import SampleClock
 
 
 @given(st.integers(0, 2**32), st.floats(2e-3, 0.05), st.floats(0.999, 1.001))
@@ -14,8 +14,8 @@ def test_late_arrivals_do_not_move_the_line(seed, period, drift):
     numbers = np.arange(2000)
     taken = 5.0 + drift * period * numbers
     late = random.exponential(3e-3, numbers.size) * (random.uniform(size=numbers.size) < 0.9)
-    line = SequenceLine.of(numbers, np.maximum.accumulate(taken + late), period)
-    assert np.abs(line.time(numbers) - taken).max() < 3e-3
+    line = SampleClock.fit(numbers, np.maximum.accumulate(taken + late), period)
+    assert np.abs(line.sample_times(numbers) - taken).max() < 3e-3
     assert line.period == pytest.approx(drift * period, rel=3e-3 / (1000 * period))
 
 
@@ -24,32 +24,32 @@ def test_bursts_are_spread_out():
     numbers = np.arange(4000)
     taken = numbers / 7000.0
     received = taken[np.minimum((numbers // 40) * 40 + 39, 3999)]
-    line = SequenceLine.of(numbers, received, 1 / 7000.0)
-    np.testing.assert_allclose(line.time(numbers), taken, atol=1e-9)
+    line = SampleClock.fit(numbers, received, 1 / 7000.0)
+    np.testing.assert_allclose(line.sample_times(numbers), taken, atol=1e-9)
     assert line.jitter == pytest.approx(20 / 7000.0, rel=0.1)
 
 
 def test_lost_samples_leave_their_places():
     numbers = np.array([0, 1, 2, 50, 51, 99])
-    line = SequenceLine.of(numbers, 1.0 + 0.01 * numbers, 0.01)
-    np.testing.assert_allclose(line.time(numbers), 1.0 + 0.01 * numbers, atol=1e-12)
+    line = SampleClock.fit(numbers, 1.0 + 0.01 * numbers, 0.01)
+    np.testing.assert_allclose(line.sample_times(numbers), 1.0 + 0.01 * numbers, atol=1e-12)
 
 
 @pytest.mark.parametrize("numbers", [[], [7]])
 def test_few_samples_have_the_period_of_the_device(numbers):
-    line = SequenceLine.of(numbers, [3.0 for _ in numbers], 0.01)
+    line = SampleClock.fit(numbers, [3.0 for _ in numbers], 0.01)
     assert line.period == 0.01
-    np.testing.assert_allclose(line.time(numbers), [3.0 for _ in numbers])
+    np.testing.assert_allclose(line.sample_times(numbers), [3.0 for _ in numbers])
 
 
 def test_a_rate_that_does_not_fit_is_measured():
     """A controller that is slower than its line: 19 Hz where 21.3 are stated."""
     numbers = np.arange(300)
     late = np.random.default_rng(2).exponential(3e-3, numbers.size)
-    line = SequenceLine.of(numbers, 7.0 + numbers / 19.05 + late, 1 / 21.3)
+    line = SampleClock.fit(numbers, 7.0 + numbers / 19.05 + late, 1 / 21.3)
     assert not line.fits and line.period == pytest.approx(1 / 19.05, rel=1e-3)
-    np.testing.assert_allclose(line.time(numbers), 7.0 + numbers / 19.05, atol=3e-3)
-    assert SequenceLine.of(numbers, 7.0 + numbers / 21.3 + late, 1 / 21.3).fits
+    np.testing.assert_allclose(line.sample_times(numbers), 7.0 + numbers / 19.05, atol=3e-3)
+    assert SampleClock.fit(numbers, 7.0 + numbers / 21.3 + late, 1 / 21.3).fits
 
 
 def test_a_minute_at_7_kHz_is_a_matter_of_a_moment():
@@ -57,5 +57,5 @@ def test_a_minute_at_7_kHz_is_a_matter_of_a_moment():
     numbers = np.arange(420_000)
     taken = numbers * (1.0003 / 7000.0)
     received = np.maximum.accumulate(taken + np.random.default_rng(1).exponential(2e-4, numbers.size))
-    line = SequenceLine.of(numbers, received, 1 / 7000.0)
-    assert line.fits and np.abs(line.time(numbers) - taken).max() < 5e-5
+    line = SampleClock.fit(numbers, received, 1 / 7000.0)
+    assert line.fits and np.abs(line.sample_times(numbers) - taken).max() < 5e-5

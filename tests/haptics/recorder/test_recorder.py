@@ -8,7 +8,7 @@ from virtual_bench import STIFFNESS, SURFACE, Spring
 
 from haptics.devices.contracts import DeviceError
 from haptics.devices.virtual.faults import Faults
-from haptics.recorder.guarded_motion import StoppedError
+from haptics.recorder.stopped import StoppedError
 from tissue_sim import Rig, read_recording
 from tissue_sim.errors import InputError
 
@@ -97,7 +97,7 @@ STOPS = [
     ("sensor lost", {"faults": Faults(disconnect_after=12.0)}, "was silent for 0.0", None),
     # In the middle of a long way: the seconds before it depend on how long the contact is looked for.
     ("stage stalled", {"faults": Faults(stall_after=30.0), "plan": {"legs": "ramp 3mm @0.08mm/s; unload"}},
-     "behind where it was driven", "ramp"),
+     "behind its commanded position", "ramp"),
     ("zero", {"rig": Sticky}, "where it was zeroed", "check"),
     ("no contact", {"limits": {"highest": 1e-3}, "plan": {"legs": "ramp 1mm @1mm/s; unload"}}, "put the specimen "
                                                                                                "nearer",
@@ -116,7 +116,7 @@ def test_every_fault_stands_the_stage_and_keeps_the_reason(bench, cause, changes
         changes["rig"] = bench.rig(changes.pop("rig")())
     with pytest.raises(StoppedError, match=said) as caught:
         bench.run(limits=limits, plan=plan, **changes)
-    assert caught.value.stop.cause == cause
+    assert caught.value.reason.cause == cause
     stop, = state_of(bench)["stops"]
     assert stop["cause"] == cause and said in stop["message"] and phase in (None, stop["phase"])
     assert state_of(bench)["state"] == "stopped"
@@ -133,14 +133,14 @@ def test_a_tool_that_is_driven_and_stands_is_only_seen_by_an_encoder(bench):
     with pytest.raises(StoppedError) as caught:
         bench.run(faults=Faults(stall_after=4.0), encoder=False)
     # No force where there should be one: the way in ends at the limit.
-    assert caught.value.stop.cause == "no contact"
+    assert caught.value.reason.cause == "no contact"
     assert state_of(bench)["stall"].startswith("not detectable")
 
 
 def test_who_asks_is_heard_at_once(bench):
     wishes = iter([None] * 900 + ["stopped at the keyboard"] * 100)
     with pytest.raises(StoppedError, match="stopped at the keyboard"):
-        bench.run(asked=lambda: next(wishes))
+        bench.run(stop_request=lambda: next(wishes))
     assert stands_still(bench) and state_of(bench)["stops"][0]["cause"] == "asked"
 
 
@@ -161,8 +161,8 @@ def test_a_stage_that_is_not_believed_does_not_go_back(bench):
             rig.stage._stalls = min(rig.stage._stalls, bench.clock())
 
     with pytest.raises(StoppedError) as caught:
-        bench.run(rig=rig, limits=bench.limits(retracts=True), watch=stall)
-    assert caught.value.stop.cause == "stage stalled"
+        bench.run(rig=rig, limits=bench.limits(retracts=True), on_progress=stall)
+    assert caught.value.reason.cause == "stage stalled"
     assert goals[-1] == pytest.approx(SURFACE + 3e-3, abs=2e-5)
 
 
@@ -191,7 +191,7 @@ class Grows(Spring):
 
 
 def test_the_way_back_is_watched(bench):
-    with pytest.raises(StoppedError, match=r"the tool did not go back \(the force grew to"):
+    with pytest.raises(StoppedError, match=r"the tool was not retracted \(the force grew to"):
         bench.run(limits=bench.limits(force=0.9, retracts=True), rig=bench.rig(Grows()))
     assert stands_still(bench)
 
@@ -205,7 +205,7 @@ def test_who_presses_before_the_tare_is_noticed(bench):
     """The specimen stands so high that the tool touches it at the stage's zero already."""
     with pytest.raises(StoppedError, match="before it is zeroed") as caught:
         bench.run(surface=-1e-3)
-    assert caught.value.stop.cause == "zero"
+    assert caught.value.reason.cause == "zero"
 
 
 def test_lost_steps_make_no_recording(bench):
@@ -218,7 +218,7 @@ def test_lost_steps_make_no_recording(bench):
             bench.virtual.stage._stalls = bench.clock()
 
     with pytest.raises(StoppedError, match="above the specimen, where it was zeroed"):
-        bench.run(watch=watch, encoder=False)
+        bench.run(on_progress=watch, encoder=False)
     assert state_of(bench)["done"] == ["spring_1.csv"]
 
 
@@ -237,7 +237,7 @@ def test_a_touch_that_moves_is_noticed(bench):
         def force(self, time, depth):
             return super().force(time, depth - (8e-4 if bench.moments and bench.moments[-1].replicate == 2 else 0.0))
 
-    with pytest.raises(StoppedError, match="where it touched at"):
+    with pytest.raises(StoppedError, match="the first contact was at"):
         bench.run(rig=bench.rig(Sinks()))
 
 
@@ -245,7 +245,7 @@ def test_a_stage_that_does_not_take_the_halt_is_said(bench):
     rig = bench.rig()
     stage, halts = rig.stage, []
     rig.stage.halt = lambda: halts.append(1)
-    with pytest.raises(StoppedError, match=r"does not stand .*switch it off"):
+    with pytest.raises(StoppedError, match=r"does not stop .*switch it off"):
         bench.run(rig=rig, limits=bench.limits(force=0.8))
     assert halts and stage is rig.stage
 
@@ -275,7 +275,7 @@ def test_a_killed_run_is_told_in_what_comes_after(bench):
             raise Killed
 
     with pytest.raises(StoppedError):
-        bench.run(plan=bench.plan(replicates=1), watch=die)
+        bench.run(plan=bench.plan(replicates=1), on_progress=die)
     # As a power cut would have left it.
     state = {**state_of(bench), "state": "running", "stops": []}
     (bench.folder / "run.json").write_text(json.dumps(state), encoding="utf-8")
@@ -290,7 +290,7 @@ def test_an_error_of_the_program_stands_the_stage(bench):
             raise ZeroDivisionError("a bug")
 
     with pytest.raises(StoppedError, match="ZeroDivisionError: a bug"):
-        bench.run(watch=fail)
+        bench.run(on_progress=fail)
     assert stands_still(bench)
 
 
@@ -321,7 +321,7 @@ def test_a_late_program_is_noticed_by_another_thread(bench, monkeypatch):
     import threading
 
     halted = threading.Event()
-    monkeypatch.setattr("haptics.recorder.guarded_motion.DEAD", 0.01)
+    monkeypatch.setattr("haptics.recorder.guarded_motion.POLL_TIMEOUT", 0.01)
     rig = bench.rig()
     halt = rig.stage.halt
     rig.stage.halt = lambda: (halt(), halted.set())
@@ -332,9 +332,9 @@ def test_a_late_program_is_noticed_by_another_thread(bench, monkeypatch):
             bench.clock.now += 5.0
             assert halted.wait(60.0)
 
-    with pytest.raises(StoppedError, match="did not look at its devices for") as caught:
-        bench.run(rig=rig, watch=dawdle)
-    assert caught.value.stop.cause == "program late"
+    with pytest.raises(StoppedError, match="did not poll its devices for") as caught:
+        bench.run(rig=rig, on_progress=dawdle)
+    assert caught.value.reason.cause == "program late"
 
 
 def test_a_run_goes_on_where_it_was_stopped(bench):
@@ -343,7 +343,7 @@ def test_a_run_goes_on_where_it_was_stopped(bench):
             raise KeyboardInterrupt
 
     with pytest.raises(StoppedError, match="Ctrl-C"):
-        bench.run(plan=bench.plan(replicates=3), watch=stop_in_the_second)
+        bench.run(plan=bench.plan(replicates=3), on_progress=stop_in_the_second)
     assert state_of(bench)["done"] == ["spring_1.csv"]
     first = (bench.folder / "spring_1.csv").read_bytes()
     bench.run(plan=bench.plan(replicates=3))
@@ -365,7 +365,7 @@ def test_a_folder_holds_one_run(bench):
 def test_a_folder_with_other_files_is_left_alone(bench):
     bench.folder.mkdir()
     (bench.folder / "thesis.tex").write_text("x", encoding="utf-8")
-    with pytest.raises(InputError, match="choose an empty folder"):
+    with pytest.raises(InputError, match="Choose an empty folder"):
         bench.run()
     assert [path.name for path in bench.folder.iterdir()] == ["thesis.tex"]
 

@@ -25,7 +25,7 @@ class Clock:
     def __call__(self):
         return self.now
 
-    def pause(self, seconds):
+    def sleep(self, seconds):
         self.now += max(seconds, 1e-6)
 
 
@@ -68,7 +68,7 @@ class VirtualBench:
         rig.stage.move = lambda position, speed: (goals.append(position), move(position, speed))[1]
         return goals
 
-    def run(self, *, plan=None, limits=None, rig=None, faults=None, asked=lambda: None, digest="a", watch=None,
+    def run(self, *, plan=None, limits=None, rig=None, faults=None, stop_request=lambda: None, digest="a", on_progress=None,
             **options):
         plan, limits = plan or self.plan(), limits or self.limits()
         self.virtual = rig or self.rig(faults=faults or Faults(), **options)
@@ -78,7 +78,8 @@ class VirtualBench:
             stage.stop = lambda: (self.stops.append(next(self._order)), stop())[1]
         self.run_folder = RunFolder(self.folder, digest)
         with self.run_folder:
-            recorder = Recorder(self.virtual.bench, plan, limits, self.run_folder, asked=asked,
-                                watch=watch or self.moments.append, clock=self.clock, pause=self.clock.pause)
+            recorder = Recorder(self.virtual.bench, plan, limits, self.run_folder, stop_request=stop_request,
+                                on_progress=on_progress or self.moments.append, clock=self.clock,
+                                sleep=self.clock.sleep)
             recorder.run()
         return self.run_folder
