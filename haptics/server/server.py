@@ -34,7 +34,7 @@ class ReceiveSettings:
     Attributes:
         most_datagrams: largest number of datagrams of the owner that are read before a step.
         most_foreign_datagrams: largest number of datagrams of other clients that are read before a step if the owner
-            has a socket of its own. A small value keeps a flood from delaying the owner.
+            has a separate socket. A small value keeps a flood from delaying the owner.
         longest_sleep: longest wait for a packet, s; a stop that cannot wake the server takes this long.
         check_interval: time between two checks for stalled configuration connections, s.
     """

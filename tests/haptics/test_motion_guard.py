@@ -59,7 +59,8 @@ def test_what_passes_a_limit_ends_the_motion(cause, asked):
 @pytest.mark.parametrize("asked", [
     {}, {"samples": [sample(4.9), sample(-4.9)]}, {"samples": [sample(status=SampleStatus.GAP)]},
     {"samples": [], "now": 0.04}, {"stage": place(9.9e-3)}, {"stage": place(1e-3, at=1.0), "drive": FORTH},
-    {"stage": place(status=SampleStatus.LIMIT, moving=True)}, {"stage": place(0.05e-3), "drive": CommandedMotion(0, 0, 0, 0)},
+    {"stage": place(status=SampleStatus.LIMIT, moving=True)},
+    {"stage": place(0.05e-3), "drive": CommandedMotion(0, 0, 0, 0)},
 ])
 def test_what_passes_none_goes_on(asked):
     assert check(guard(), **asked) is None

@@ -301,7 +301,8 @@ class TestFailure:
             raise ZeroDivisionError
 
         service.tissue.step = fail
-        assert ask(service, packet(0, 0.0)).status == Status.FAILED and "could not be rebuilt; the next step tries again" in log[1]
+        assert ask(service, packet(0, 0.0)).status == Status.FAILED
+        assert "could not be rebuilt; the next step tries again" in log[1]
         assert ask(service, packet(1, 0.1)).status == Status.CONVERGED and service.tissue is made[1]
 
 

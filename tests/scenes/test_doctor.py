@@ -62,7 +62,7 @@ def test_lateness_is_measured_against_standing_deadlines(monkeypatch):
 @pytest.mark.parametrize(("lateness", "status"), [(1e-6, "ok"), (2e-3, "fail")])
 def test_clock_verdict(monkeypatch, lateness, status):
     monkeypatch.setattr(clock, "measure_lateness", lambda seconds: np.full(1000, lateness))
-    check = clock.ticks(1.0)
+    check = clock.check_clock(1.0)
     assert check.status == status and bool(check.remedy) == (status != "ok")
 
 
@@ -70,14 +70,14 @@ def test_clock_warns_of_rare_late_ticks(monkeypatch):
     lateness = np.full(1000, 1e-6)
     lateness[::100] = 3e-3
     monkeypatch.setattr(clock, "measure_lateness", lambda seconds: lateness)
-    check = clock.ticks(1.0)
+    check = clock.check_clock(1.0)
     assert check.status == "warn" and check.values["later_than_1_ms"] == pytest.approx(0.01)
 
 
 @pytest.mark.skipif(not hasattr(clock.os, "sched_getscheduler"), reason="this platform has one scheduler only")
 def test_scheduler_is_given_back():
     before = clock.os.sched_getscheduler(0)
-    clock.ticks(0.01)
+    clock.check_clock(0.01)
     assert clock.os.sched_getscheduler(0) == before
 
 
@@ -86,12 +86,12 @@ def test_missing_scheduler_is_a_warning_with_a_remedy(monkeypatch):
         raise PermissionError(1, "Operation not permitted")
 
     monkeypatch.setattr(clock.os, "sched_setscheduler", refuse, raising=False)
-    check = clock.real_time_priority()
+    check = clock.check_real_time_priority()
     assert check.status == "warn" and "rtprio" in check.remedy
 
 
 def test_packages_from_one_place():
-    assert installation.one_place().status == "ok"
+    assert installation.check_package_folders().status == "ok"
 
 
 def test_shadowed_package_is_noticed(tmp_path, monkeypatch):
@@ -100,7 +100,7 @@ def test_shadowed_package_is_noticed(tmp_path, monkeypatch):
     stray.write_text("", encoding="utf-8")
     monkeypatch.delitem(sys.modules, "calibration", raising=False)
     monkeypatch.syspath_prepend(str(tmp_path))
-    check = installation.one_place()
+    check = installation.check_package_folders()
     assert check.status == "fail" and str(stray) in check.finding and check.remedy
 
 
@@ -113,25 +113,25 @@ def test_missing_package_is_noticed(monkeypatch):
         return installed(name)
 
     monkeypatch.setattr(importlib.metadata, "version", version)
-    checks = {check.name: check for check in installation.packages()}
+    checks = {check.name: check for check in installation.check_packages()}
     assert checks["sympy"].status == "fail" and checks["sympy"].remedy == "python -m pip install sympy"
     assert checks["numpy"].status == "ok" and checks["numpy"].finding == installed("numpy")
 
 
 def test_old_python_is_noticed(monkeypatch):
     monkeypatch.setattr(installation.sys, "version_info", (3, 10, 4))
-    check = installation.python()
+    check = installation.check_python()
     assert check.status == "fail" and "3.11" in check.remedy
 
 
 def test_kernel_ran():
-    check = taichi_backend.kernel()
+    check = taichi_backend.check_kernel()
     if not installation.has_taichi_wheel():
         assert check.status == "warn"
     else:
         assert check.status == "ok", check
         assert check.values["offered"].split(", ")[0] == check.values["backend"]
-        assert "back-ends here: " in check.finding and "uses the CPU" in check.finding
+        assert "available back-ends: " in check.finding and "uses the CPU" in check.finding
 
 
 def test_a_probe_that_crashes_keeps_what_it_found(monkeypatch):
@@ -147,5 +147,5 @@ def test_taken_port_is_noticed(monkeypatch):
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         monkeypatch.setattr(platform_services, "VIEWER_PORT", taken.getsockname()[1])
-        assert platform_services.viewer_port().status == "warn"
-    assert platform_services.viewer_port().status == "ok"
+        assert platform_services.check_viewer_port().status == "warn"
+    assert platform_services.check_viewer_port().status == "ok"

@@ -1,6 +1,7 @@
 """`tissue-sim demo --hidden`: what is drawn, how the answer is judged, and one run to its end."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,8 +15,8 @@ from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
 from scenes.cli import main
 from scenes.commands.demo.found_scene import before_and_after_scene
-from scenes.demo.hidden_effect import HIDEABLE, PLATES, Hidden, draw_hidden, judge_answer
-from scenes.demo.hidden_test import plain_models
+from scenes.demo.hidden_effect import HIDEABLE_EFFECTS, PLATES, HiddenEffect, draw_hidden_effect, judge_diagnosis
+from scenes.demo.hidden_test import MEASUREMENT, plain_models
 from scenes.viewer.measurement import residual
 from scenes.viewer.session import Session
 
@@ -24,28 +25,29 @@ EFFECTS = {"viscoelasticity": Viscoelasticity, "machine_compliance": MachineComp
 
 
 def test_everything_is_drawn_and_the_same_seed_draws_the_same():
-    drawn = [draw_hidden(seed) for seed in range(200)]
-    assert {each.name for each in drawn} == {"", *(each.name for each in HIDEABLE)}
-    assert [draw_hidden(seed) for seed in range(200)] == drawn
-    bounds = {each.name: each.sizes for each in HIDEABLE}
+    drawn = [draw_hidden_effect(seed) for seed in range(200)]
+    assert {each.name for each in drawn} == {"", *(each.name for each in HIDEABLE_EFFECTS)}
+    assert [draw_hidden_effect(seed) for seed in range(200)] == drawn
+    bounds = {each.name: each.sizes for each in HIDEABLE_EFFECTS}
     for each in drawn:
         for path, value in each.values.items():
             low, high = bounds[each.name][path]
             assert low <= value <= high
 
 
-@pytest.mark.parametrize("hideable", HIDEABLE, ids=lambda each: each.name)
+@pytest.mark.parametrize("hideable", HIDEABLE_EFFECTS, ids=lambda each: each.name)
 def test_each_is_in_its_tests_and_has_words(hideable):
-    hidden = Hidden(hideable.name, {path: ends[1] for path, ends in hideable.sizes.items()}, hideable.tests)
+    hidden = HiddenEffect(hideable.name, {path: ends[1] for path, ends in hideable.sizes.items()}, hideable.tests)
     models = plain_models()
     for test, model in models.items():
-        assert (hidden.within(test, model) != model) == (test in hideable.tests)
-    assert " = " in hidden.in_words(models)
-    assert Hidden().in_words(models) == "nothing"
+        assert (hidden.apply_to(test, model) != model) == (test in hideable.tests)
+    assert " = " in hidden.describe(models)
+    assert HiddenEffect().describe(models) == "nothing"
 
 
 def test_friction_is_on_both_plates():
-    model = Hidden("plate_friction", {"experiment.friction": 0.05}, (PLATES,)).within(PLATES, plain_models()[PLATES])
+    friction = HiddenEffect("plate_friction", {"experiment.friction": 0.05}, (PLATES,))
+    model = friction.apply_to(PLATES, plain_models()[PLATES])
     assert model.experiment.base_interface == model.experiment.friction == 0.05
 
 
@@ -54,18 +56,19 @@ def test_friction_is_on_both_plates():
     ("backlash", "LOOKS_LIKE", ["backlash"], ["backlash"], True, "form unconfirmed"),
     ("backlash", "SET", ["sensor_drift"], ["sensor_drift", "backlash"], True, "one of 2 effects"),
     ("backlash", "SET", ["sensor_drift"], ["sensor_drift", "softening"], False, "Wrong"),
-    ("backlash", "NAMED", ["backlash", "softening"], ["backlash", "softening"], False, "another that was not there"),
+    ("backlash", "NAMED", ["backlash", "softening"], ["backlash", "softening"], False, "effect that was not hidden"),
     ("backlash", "NAMED", ["softening"], ["softening"], False, "Wrong"),
     ("backlash", "NONE", [], [], False, "Missed"),
-    ("backlash", "UNKNOWN", [], [], False, "does not know what"),
+    ("backlash", "UNKNOWN", [], [], False, "does not identify it"),
     ("", "NONE", [], [], True, "nothing was found"),
-    ("", "NAMED", ["softening"], ["softening"], False, "false alarm"),
-    ("", "UNKNOWN", [], [], False, "something is missing"),
+    ("", "NAMED", ["softening"], ["softening"], False, "False alarm"),
+    ("", "UNKNOWN", [], [], False, "an unknown effect"),
 ])
 def test_the_answer_is_judged(hidden, verdict, named, among, right, expected):
     effects = [FoundEffect(name=name, room="rig", title=name) for name in named]
-    judged = judge_answer(Hidden(hidden), SimpleNamespace(verdict=verdict, effects=effects, indistinguishable=among))
-    assert judged[0] is right and expected in judged[1]
+    diagnosis = SimpleNamespace(verdict=verdict, effects=effects, indistinguishable=among)
+    is_right, sentence = judge_diagnosis(HiddenEffect(hidden), diagnosis)
+    assert is_right is right and expected in sentence
 
 
 @pytest.fixture(scope="module")
@@ -77,8 +80,7 @@ def demo(tmp_path_factory):
     out, text = tmp_path_factory.mktemp("hidden") / "demo", io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(text):
         patch.setattr("calibration.diagnosis.proposals.CATALOGUE", EFFECTS)
-        patch.setattr("scenes.demo.hidden_test.SAMPLES", 60)
-        patch.setattr("scenes.demo.hidden_test.REPLICATES", 2)
+        patch.setattr("scenes.demo.hidden_test.MEASUREMENT", replace(MEASUREMENT, samples=60, replicates=2))
         patch.setattr("os.cpu_count", lambda: 1)
         assert main(["demo", "--hidden", "--seed", str(RELAXING), "-o", str(out)]) == 0
         yield out, text.getvalue()
@@ -86,7 +88,7 @@ def demo(tmp_path_factory):
 
 def test_it_finds_the_effect_and_tells_the_truth_last(demo):
     out, text = demo
-    hidden = draw_hidden(RELAXING)
+    hidden = draw_hidden_effect(RELAXING)
     assert hidden.name == "viscoelasticity"
     found = json.loads((out / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
     assert [each["name"] for each in found["effects"]] == [hidden.name]
@@ -118,8 +120,6 @@ def test_a_rig_effect_is_in_the_curve_and_the_session_begins_with_both(demo, mon
     scene = before_and_after_scene(result, out / "measured")
     asked = []
     monkeypatch.setattr("scenes.viewer.model_curve.ModelCurve.ask", lambda self, model: asked.append(model))
-    from dataclasses import replace
-
     session = Session(replace(scene, rig=ts.Rig(backlash=1e-4)))
     try:
         assert asked[0].rig.backlash == 1e-4

@@ -127,7 +127,8 @@ def _record(arguments, protocol: ProtocolFile, tests: list[Any], console: Consol
             except (StoppedError, DeviceError) as error:
                 stopped = str(error)
                 break
-        if not stopped and not any(folder.missing_replicates(plan.name, plan.replicates) for plan in protocol.plans.values()):
+        if not stopped and not any(folder.missing_replicates(plan.name, plan.replicates)
+                                   for plan in protocol.plans.values()):
             folder.update(state="complete")
         _write_campaign(protocol, folder)
     if arguments.json:

@@ -68,8 +68,8 @@ class VirtualBench:
         rig.stage.move = lambda position, speed: (goals.append(position), move(position, speed))[1]
         return goals
 
-    def run(self, *, plan=None, limits=None, rig=None, faults=None, stop_request=lambda: None, digest="a", on_progress=None,
-            **options):
+    def run(self, *, plan=None, limits=None, rig=None, faults=None, stop_request=lambda: None, digest="a",
+            on_progress=None, **options):
         plan, limits = plan or self.plan(), limits or self.limits()
         self.virtual = rig or self.rig(faults=faults or Faults(), **options)
         if rig is None:
