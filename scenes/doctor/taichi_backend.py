@@ -33,7 +33,8 @@ def check_kernel() -> Check:
     try:
         ti = runtime.initialise()
     except MissingBackendError as error:
-        return Check("Taichi", "warn", str(error), "use Linux x86-64, Windows or a Mac with Apple silicon for finite elements")
+        return Check("Taichi", "warn", str(error),
+                     "use Linux x86-64, Windows or a Mac with Apple silicon for finite elements")
     except OSError as error:
         return Check("Taichi", "fail", f"cannot start ({error})",
                      "set TISSUE_SIM_CACHE to a writable folder")
