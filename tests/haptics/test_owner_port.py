@@ -1,4 +1,4 @@
-"""How often strangers are answered."""
+"""`ReplyLimiter`: rate limit of the replies to clients that do not own the tissue."""
 
 import pytest
 from hypothesis import given
@@ -9,14 +9,14 @@ from haptics.server.owner_port import RATE_LIMIT, ReplyLimiter
 A, B = ("127.0.0.1", 5001), ("127.0.0.1", 5002)
 
 
-def test_a_burst_then_an_even_rate():
+def test_a_burst_then_a_constant_rate():
     limiter = ReplyLimiter()
     assert sum(limiter.allows(A, 0.0) for _ in range(1000)) == RATE_LIMIT.burst
-    assert limiter.allows(B, 0.0), "each has its own"
+    assert limiter.allows(B, 0.0), "each address has a separate bucket"
     assert sum(limiter.allows(A, 1e-4 * k) for k in range(10001)) == pytest.approx(RATE_LIMIT.replies_per_second, abs=1)
 
 
-def test_no_more_strangers_are_remembered_than_fit_until_some_are_quiet():
+def test_new_addresses_are_refused_until_an_old_one_is_silent():
     limiter = ReplyLimiter()
     assert all(limiter.allows(("127.0.0.1", port), 0.0) for port in range(RATE_LIMIT.most_addresses))
     assert not limiter.allows(A, 0.0) and limiter.allows(("127.0.0.1", 3), 0.0)
@@ -24,7 +24,7 @@ def test_no_more_strangers_are_remembered_than_fit_until_some_are_quiet():
 
 
 @given(st.lists(st.tuples(st.integers(0, 100), st.floats(0.0, 0.1)), max_size=200))
-def test_never_more_than_the_rate(packets):
+def test_the_rate_is_never_exceeded(packets):
     limiter, now, taken = ReplyLimiter(), 0.0, {}
     for port, passed in packets:
         now += passed

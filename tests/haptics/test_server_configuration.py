@@ -1,4 +1,4 @@
-"""The configuration of a tissue server: lines of JSON over TCP, on real sockets, beside the poses."""
+"""Configuration port of a tissue server: lines of JSON over TCP on real sockets."""
 
 import json
 import selectors
@@ -20,7 +20,7 @@ DESCRIPTION = {"scene": "needle_indentation", "mesh": {"elements": np.int64(80)}
 
 @dataclass
 class Cap:
-    """A flat top of four points."""
+    """Outline of a surface with four points."""
 
     outline: np.ndarray
 
@@ -31,7 +31,7 @@ class Cap:
 
 
 class SettableTissue:
-    """A spring with a set stiffness and a memory of its deepest depth."""
+    """Spring with a settable stiffness, whose force depends on the largest depth so far."""
 
     def __init__(self):
         self.stiffness, self.deepest, self.threads = 1e3, 0.0, set()
@@ -61,7 +61,7 @@ class SettableTissue:
 
 
 class Line:
-    """One connection of the configuration."""
+    """One connection to the configuration port."""
 
     def __init__(self, server):
         self.socket = socket.create_connection(server.configuration_address, timeout=60.0)
@@ -107,7 +107,7 @@ def client(server):
         yield client
 
 
-def test_describe_says_what_is_served(line):
+def test_describe_returns_the_scene(line):
     answer = line.ask("describe")
     assert answer["protocol"] == {"version": 3, "request_bytes": 96, "reply_bytes": 760}
     assert "z out of the tissue" in answer["frame"]
@@ -123,7 +123,7 @@ def test_parameters_are_set_between_steps(line, client):
     assert line.ask("describe")["parameters"] == {"C10": 3000.0}
 
 
-def test_reset_begins_anew(line, client):
+def test_reset_restarts_the_time_step(line, client):
     client.step(0.004, at=5.0)
     assert client.step(0.001, at=6.0).force[2] == 4.0
     assert line.ask("reset") == {"command": "reset"}
@@ -131,7 +131,7 @@ def test_reset_begins_anew(line, client):
     assert reply.force[2] == 1.0 and reply.dt == 0.0
 
 
-def test_states_come_back(line, client):
+def test_saved_states_are_restored(line, client):
     client.step(0.003, at=1.0)
     assert line.ask("save", name="deep")["states"] == ["deep"]
     line.ask("set_parameters", parameters={"C10": 10.0})
@@ -143,10 +143,10 @@ def test_states_come_back(line, client):
     for number in range(15):
         line.ask("save", name=str(number))
     assert "at most 16 states can be saved" in line.ask("save", name="one more")["error"]
-    assert len(line.ask("save", name="deep")["states"]) == 16, "a name can be used again"
+    assert len(line.ask("save", name="deep")["states"]) == 16, "an existing name may be used again"
 
 
-def test_surface_is_the_outline_and_on_demand_a_mesh(line, client):
+def test_surface_returns_the_outline_and_on_request_a_mesh(line, client):
     client.step(0.005)
     answer = line.ask("surface")
     assert answer == {"command": "surface", "outline": [[0.0, -0.005], [0.01, -0.001], [0.04, 0.0], [0.04, -0.07]]}
@@ -159,7 +159,7 @@ def test_surface_is_the_outline_and_on_demand_a_mesh(line, client):
     assert "segments" in line.ask("surface", segments=10**9)["error"]
 
 
-def test_statistics_count(line, client):
+def test_statistics_returns_the_counters(line, client):
     client.step(0.001)
     answer = line.ask("statistics")
     assert answer["steps"] == answer["converged"] == answer["clients"] == 1 and answer["malformed"] == 0
@@ -190,14 +190,14 @@ def test_statistics_count(line, client):
     (b"x" * (LIMITS.longest_line + 1), f"a line must have at most {LIMITS.longest_line} bytes"),
     (b"x" * 1_000_000, f"a line must have at most {LIMITS.longest_line} bytes"),
 ], ids=lambda content: content[:40] if isinstance(content, bytes) else "")
-def test_bad_line_is_answered_and_the_connection_stays(line, content, expected):
+def test_an_invalid_line_is_answered_and_the_connection_stays_open(line, content, expected):
     line.send(content + b"\n")
     answer = line.answer()
     assert list(answer) == ["error"] and expected in answer["error"] and len(answer["error"]) < 500
     assert line.ask("describe")["parameters"] == {"C10": 1e3}
 
 
-def test_tissue_that_cannot_is_one_sentence():
+def test_a_tissue_without_a_method_gives_an_error():
     class Plain:
         def step(self, pose, dt):
             return ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
@@ -216,7 +216,7 @@ def test_tissue_that_cannot_is_one_sentence():
         thread.join(300.0)
 
 
-def test_lines_may_come_in_pieces_and_in_heaps(line):
+def test_lines_may_arrive_in_pieces_or_together(line):
     for piece in (b'{"comm', b'and": "statis', b'tics"}\r\n\n  \n{"command": "reset"}\n{"command": "describe"}\n{"com'):
         line.send(piece)
     assert [line.answer()["command"] for _ in range(3)] == ["statistics", "reset", "describe"]
@@ -232,10 +232,10 @@ def test_web_page_is_shown_the_door_before_its_body(server, line, client):
 
 
 def test_client_that_does_not_read_stops_nobody(server, line, client):
-    """Hundreds of answers that nobody takes, and steps go on."""
+    """200 unread answers do not delay the steps."""
     line.socket.setblocking(False)
-    asked = b'{"command": "surface", "segments": 256}\n' * 200
-    line.socket.send(asked)
+    request = b'{"command": "surface", "segments": 256}\n' * 200
+    line.socket.send(request)
     for _ in range(200):
         assert client.step(0.001).status == 0
     other = Line(server)
@@ -243,17 +243,17 @@ def test_client_that_does_not_read_stops_nobody(server, line, client):
     other.close()
 
 
-def test_client_that_leaves_in_the_middle_of_an_answer_harms_nobody(server, client):
+def test_a_client_that_disconnects_during_an_answer_does_not_disturb_others(server, client):
     for _ in range(20):
-        one = Line(server)
-        one.send(b'{"command": "surface", "segments": 256}\n' * 3)
-        one.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
-        one.close()
+        connection = Line(server)
+        connection.send(b'{"command": "surface", "segments": 256}\n' * 3)
+        connection.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+        connection.close()
     for _ in range(50):
         assert client.step(0.001).status == 0
 
 
-def test_one_thread_touches_the_tissue(server, line, client):
+def test_only_the_thread_of_the_server_uses_the_tissue(server, line, client):
     for _ in range(5):
         client.step(0.001)
         line.ask("reset")
@@ -261,7 +261,7 @@ def test_one_thread_touches_the_tissue(server, line, client):
 
 
 class Port:
-    """A `ConfigurationPort` that the test drives by hand, on a clock of its own."""
+    """`ConfigurationPort` that the test works by hand, with a simulated clock."""
 
     def __init__(self):
         self.selector, self.now = selectors.DefaultSelector(), 0.0
@@ -297,21 +297,21 @@ def port():
     port.selector.close()
 
 
-def test_dead_connections_are_closed(port):
-    begun, quiet = port.connect(), port.connect()
-    begun.sendall(b"half a li")
+def test_stalled_and_idle_connections_are_closed(port):
+    unfinished, idle = port.connect(), port.connect()
+    unfinished.sendall(b"half a li")
     port.turn()
     port.port.close_stalled(LIMITS.stalled)
-    assert not port.closed(begun) and not port.closed(quiet)
+    assert not port.closed(unfinished) and not port.closed(idle)
     port.port.close_stalled(LIMITS.stalled + 0.1)
-    assert port.closed(begun) and not port.closed(quiet)
+    assert port.closed(unfinished) and not port.closed(idle)
     port.port.close_stalled(LIMITS.idle + 0.1)
-    assert port.closed(quiet)
-    begun.close()
-    quiet.close()
+    assert port.closed(idle)
+    unfinished.close()
+    idle.close()
 
 
-def test_longest_idle_connection_makes_room(port):
+def test_a_new_connection_replaces_the_one_idle_for_longest(port):
     peers = []
     for number in range(LIMITS.most_connections):
         port.now = float(number)

@@ -192,9 +192,9 @@ def test_ctrl_c_stands_the_stage_and_keeps_what_there_is(protocol, tmp_path):
 
 @pytest.mark.parametrize(("change", "said"), [
     ({"[limits]": "[limitz]"}, "limits: a motor needs limits"),
-    ({"force_N = 20.0": "force_N = 0.0"}, "limits.force: 0 limits nothing"),
+    ({"force_N = 20.0": "force_N = 0.0"}, "limits.force: must be positive and finite; got 0"),
     ({"lubricant = ": "lubrication = "}, "unknown key"),
-    ({"force_margin_N = 1e3": "force_margin_N = 0.1"}, "go no faster than"),
+    ({"force_margin_N = 1e3": "force_margin_N = 0.1"}, "Use a speed of at most"),
     ({'protocol = "ramp 4mm @8mm/s; unload"': ""}, "there is no motion to record"),
     ({'protocol = "ramp 4mm @8mm/s; unload"': 'recordings = ["a.csv"]'}, "is what will be recorded"),
     ({"[limits]": '[devices]\nstage = "tic:/dev/null"\n[limits]'}, "make both virtual, or give the sensor"),
