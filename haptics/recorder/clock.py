@@ -71,7 +71,7 @@ class SampleClock:
         if number.size == 0:
             return cls(0.0, period, 0.0, True)
         hull: list[int] = []
-        for index in _hull_candidates(arrival - period * number):
+        for index in _find_hull_candidates(arrival - period * number):
             while len(hull) > 1 and _is_above_chord(number, arrival, hull[-2], hull[-1], index):
                 hull.pop()
             hull.append(index)
@@ -88,7 +88,7 @@ class SampleClock:
         first = float((arrival - period * number).min())
         return cls(first, period, float(np.median(arrival - first - period * number)), fits)
 
-    def sample_times(self, numbers: Sequence[int] | np.ndarray) -> np.ndarray:
+    def compute_times(self, numbers: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return the sampling times of samples, s, shape (n,).
 
         Args:
@@ -97,7 +97,7 @@ class SampleClock:
         return self.first + self.period * np.asarray(numbers, dtype=float)
 
 
-def _hull_candidates(delay: np.ndarray) -> list[int]:
+def _find_hull_candidates(delay: np.ndarray) -> list[int]:
     """Return the indices of samples that can lie on the lower convex hull.
 
     Args:

@@ -16,7 +16,7 @@ import numpy as np
 from haptics.devices.contracts import Bench, DeviceError, ForceSample, StageSample
 from haptics.recorder.motion_settings import GuardedMotionSettings
 from haptics.recorder.plan import POLL_PERIOD, POLL_TIMEOUT
-from haptics.recorder.stopped import StoppedError, reason_of
+from haptics.recorder.stopped import StoppedError, get_stop_reason
 from haptics.safety.motion_guard import CommandedMotion, MotionGuard, MotionLimits, StopReason
 from tissue_sim.errors import InputError
 
@@ -74,7 +74,7 @@ class GuardedMotion:
         self._late_by: float | None = None
 
     @contextmanager
-    def running(self, retraction: Callable[[], tuple[float, float]]) -> Iterator[None]:
+    def run_devices(self, retraction: Callable[[], tuple[float, float]]) -> Iterator[None]:
         """Start both devices for a ``with`` block, and stop them at its end.
 
         After an error in the block the stage is halted first. Each device is stopped even if the other one fails.
@@ -92,11 +92,11 @@ class GuardedMotion:
             self.started = self._polled = self.now()
             self._guard = MotionGuard(self.limits, self.sensor.rate, self.sensor.channels,
                                       self.stage.measures_position, self.started)
-            with self._watching_polls():
+            with self._watch_polls():
                 try:
                     yield
                 except BaseException as error:
-                    reason = self._handle_stop(reason_of(error), retraction)
+                    reason = self._handle_stop(get_stop_reason(error), retraction)
                     raise StoppedError(reason) from error
         finally:
             try:
@@ -107,7 +107,7 @@ class GuardedMotion:
                     self.sensor.stop()
 
     @contextmanager
-    def _watching_polls(self) -> Iterator[None]:
+    def _watch_polls(self) -> Iterator[None]:
         """Halt the stage from a second thread if the polls of this thread are late (dead-man's switch)."""
         ending = threading.Event()
 
@@ -132,7 +132,7 @@ class GuardedMotion:
 
         Args:
             reason: reason of the stop.
-            retraction: as for `running`.
+            retraction: as for `run_devices`.
 
         Returns:
             The reason; its message also states a failed halt or retraction.

@@ -41,7 +41,7 @@ class LiveFile:
         self._progress = progress
 
     @contextmanager
-    def publishing(self) -> Iterator[None]:
+    def publish(self) -> Iterator[None]:
         """Run the writing thread inside a ``with`` block; delete the file at the end of the block."""
         thread = threading.Thread(target=self._write, name="live file", daemon=True)
         thread.start()

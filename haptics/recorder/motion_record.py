@@ -16,8 +16,8 @@ from tissue_sim.recording.contact import find_contact
 
 
 @dataclass(frozen=True)
-class TouchSettings:
-    """Settings of the contact point estimate `estimate_touch`.
+class ContactPointSettings:
+    """Settings of the contact point estimate `estimate_contact_point`.
 
     Attributes:
         loaded: fraction of the contact force above which a sample belongs to the straight line, 1.
@@ -34,7 +34,7 @@ class TouchSettings:
 
 
 #: Settings of every estimate.
-_SETTINGS = TouchSettings()
+_SETTINGS = ContactPointSettings()
 
 
 @dataclass
@@ -91,14 +91,14 @@ class MotionRecord:
         return SampleClock.fit(self.numbers, self.received, period)
 
 
-def build_recording(record: MotionRecord, plan: Plan, touch: float, zero: float, channels: Sequence[str],
+def build_recording(record: MotionRecord, plan: Plan, contact_point: float, zero: float, channels: Sequence[str],
                     period: float) -> Recording:
     """Build the recording of a motion: force at its sampling times, stage position interpolated to the same times.
 
     Args:
         record: samples of the legs of the plan.
         plan: plan of the test.
-        touch: position of the stage at the contact point, m.
+        contact_point: position of the stage at the contact point, m.
         zero: reading of the sensor after its tare, N; this reading is subtracted from the force.
         channels: names of the channels of the sensor.
         period: sampling period that the sensor states, s.
@@ -108,12 +108,12 @@ def build_recording(record: MotionRecord, plan: Plan, touch: float, zero: float,
         reconstruction of the times. All channels except the force are the unchanged readings of the sensor.
     """
     clock = record.fit_clock(period)
-    sampled_at = clock.sample_times(record.numbers)
+    sampled_at = clock.compute_times(record.numbers)
     stage_times, stage_positions = np.array(record.positions).T
     inside = (sampled_at >= max(record.legs[0][0], stage_times[0])) & (sampled_at <= stage_times[-1])
     time, wrench = sampled_at[inside], np.array(record.wrenches)[inside]
     leg = np.clip(np.searchsorted([leg[0] for leg in record.legs], time, side="right") - 1, 0, None)
-    values = {"time": time - time[0], "displacement": np.interp(time, stage_times, stage_positions) - touch,
+    values = {"time": time - time[0], "displacement": np.interp(time, stage_times, stage_positions) - contact_point,
               "force": plan.sign * wrench[:, list(channels).index(plan.axis)] - zero}
     if len(channels) > 1:
         values |= {name: wrench[:, number] for number, name in enumerate(channels)
@@ -126,7 +126,7 @@ def build_recording(record: MotionRecord, plan: Plan, touch: float, zero: float,
         "stage": "interpolated", "lag": plan.lag or "unknown"}})
 
 
-def estimate_touch(record: MotionRecord, plan: Plan, halted: float, channels: Sequence[str],
+def estimate_contact_point(record: MotionRecord, plan: Plan, halted: float, channels: Sequence[str],
                    period: float) -> tuple[float, dict[str, Any]]:
     """Estimate the contact point from the slow approach, which passes the contact point before the contact force.
 
@@ -144,7 +144,7 @@ def estimate_touch(record: MotionRecord, plan: Plan, halted: float, channels: Se
         Position of the stage at the contact point, m, and metadata that names the method and its interval.
     """
     metadata: dict[str, Any] = {"contact_force_N": plan.contact_force, "touch_by": "force"}
-    sampled_at = record.fit_clock(period).sample_times(record.numbers)
+    sampled_at = record.fit_clock(period).compute_times(record.numbers)
     stage_times, stage_positions = np.array(record.positions).T
     inside = np.flatnonzero((sampled_at >= stage_times[0]) & (sampled_at <= stage_times[-1]))
     thinned = inside[:: max(1, inside.size // _SETTINGS.most_samples)]
@@ -160,9 +160,9 @@ def estimate_touch(record: MotionRecord, plan: Plan, halted: float, channels: Se
         if np.count_nonzero(loaded) < _SETTINGS.fewest_samples or noise_limit > plan.contact_force:
             return halted, metadata
         slope, intercept = np.polyfit(position[loaded], force[loaded], 1)
-        touch = float(-intercept / slope) if slope > 0 else np.nan
-        if position[0] < touch < halted:
-            return touch, {**metadata, "touch_by": "straight line"}
+        zero_crossing = float(-intercept / slope) if slope > 0 else np.nan
+        if position[0] < zero_crossing < halted:
+            return zero_crossing, {**metadata, "touch_by": "straight line"}
         return halted, metadata
     low, high = (1e3 * float(np.clip(bound, position[0], halted)) for bound in found.interval)
     return found.displacement, {**metadata, "touch_by": f"change point, {found.status}",

@@ -12,7 +12,7 @@ import numpy as np
 
 from haptics.devices.contracts import Bench, DeviceError, ForceSample, StageSample
 from haptics.recorder.guarded_motion import GuardedMotion
-from haptics.recorder.motion_record import MotionRecord, build_recording, estimate_touch
+from haptics.recorder.motion_record import MotionRecord, build_recording, estimate_contact_point
 from haptics.recorder.plan import POLL_PERIOD, Plan, check_plans
 from haptics.recorder.run_folder import PartialRecording, RunFolder
 from haptics.recorder.stopped import StoppedError
@@ -82,11 +82,11 @@ class Recorder:
         self._partial: PartialRecording | None = None
         self._phase, self._replicate = "start", 0
         #: Position of the stage at the contact point, m; None: unknown.
-        self._touch: float | None = None
+        self._contact_point: float | None = None
         #: Largest depth below the contact point in the present motion, m.
         self._deepest = 0.0
-        self._first_touch: float | None = None
-        self._touch_metadata: dict[str, Any] = {}
+        self._first_contact_point: float | None = None
+        self._contact_metadata: dict[str, Any] = {}
 
     def run(self) -> None:
         """Record all replicates that the folder does not contain yet.
@@ -98,7 +98,7 @@ class Recorder:
         folder, plan, motion = self._folder, self._plan, self._motion
         folder.update(state="running", limits=_limits_as_json(self._limits), about=self._about)
         try:
-            with motion.running(self._retraction):
+            with motion.run_devices(self._plan_retraction):
                 stage = motion.stage
                 # Some devices state their rate and their run-on time only after the start.
                 check_plans([plan], self._limits, stage, 1.0 / motion.sensor.rate)
@@ -121,10 +121,10 @@ class Recorder:
                 self._partial = None
         folder.update(state="waiting")
 
-    def _retraction(self) -> tuple[float, float]:
+    def _plan_retraction(self) -> tuple[float, float]:
         """Return the position, m, and the speed, m/s, of a retraction after a stop."""
-        plan, touch = self._plan, self._touch
-        position = 0.0 if touch is None else touch - (plan.retract if plan.contact == "force" else 0.0)
+        plan, contact_point = self._plan, self._contact_point
+        position = 0.0 if contact_point is None else contact_point - (plan.retract if plan.contact == "force" else 0.0)
         return position, plan.approach_speed
 
     def _store_samples(self, samples: Sequence[ForceSample], forces: Sequence[float], stage: StageSample) -> None:
@@ -142,13 +142,13 @@ class Recorder:
         if self._record is not None:
             positions = self._record.add(samples, stage)
             if self._partial is not None:
-                started, touch = self._record.positions[0][0], self._touch or 0.0
-                self._partial.add([(sample.received - started, 1e3 * (position - touch), force, self._phase)
+                started, contact_point = self._record.positions[0][0], self._contact_point or 0.0
+                self._partial.add([(sample.received - started, 1e3 * (position - contact_point), force, self._phase)
                                    for sample, position, force in zip(samples, positions, forces, strict=True)])
                 if self._partial.failure is not None:
                     raise StoppedError(StopReason("disk", self._partial.failure))
-        depth = stage.position - self._touch if self._touch is not None else np.nan
-        self._deepest = max(self._deepest, depth if self._touch is not None else 0.0)
+        depth = stage.position - self._contact_point if self._contact_point is not None else np.nan
+        self._deepest = max(self._deepest, depth if self._contact_point is not None else 0.0)
         elapsed = motion.now() - motion.started
         fraction = min(elapsed / self.seconds, 1.0) if self.seconds else 1.0
         self._on_progress(RunProgress(self._plan.name, self._phase, self._replicate, stage.position, depth,
@@ -163,18 +163,18 @@ class Recorder:
             motion.move_to(min(0.0, self._limits.highest), plan.approach_speed)
         self._tare()
         if plan.contact == "force":
-            self._find_touch()
+            self._find_contact()
             if plan.preconditioning or plan.touch == "once":
-                self._refine_touch()
+                self._refine_contact_point()
         else:
-            self._touch = self._position
+            self._contact_point = self._position
         for cycle in range(plan.preconditioning):
             self._move_along_legs(f"preconditioning {cycle + 1} of {plan.preconditioning}")
         for number in missing:
             self._replicate = number
             self._record_replicate(number)
         self._replicate = 0
-        self._move_above_touch()
+        self._move_above_contact()
 
     @property
     def _position(self) -> float:
@@ -186,34 +186,35 @@ class Recorder:
         self._phase = "tare"
         self._motion.tare(self._limits.tare, self._plan.contact_force)
 
-    def _find_touch(self) -> None:
+    def _find_contact(self) -> None:
         """Approach until contact, withdraw, and tare the sensor again in the withdrawn position."""
-        self._touch = self._approach(self._plan.approach_speed)
-        self._move_above_touch(2.0)
+        self._contact_point = self._approach(self._plan.approach_speed)
+        self._move_above_contact(2.0)
         self._tare()
 
-    def _refine_touch(self) -> None:
+    def _refine_contact_point(self) -> None:
         """Approach slowly, and estimate the contact point from the samples of the approach.
 
         Raises:
             StoppedError: the contact point moved by more than half of the retraction height.
         """
         plan, motion = self._plan, self._motion
-        self._move_above_touch(2.0)
+        self._move_above_contact(2.0)
         record = self._record = MotionRecord()
         try:
             halted = self._approach(_SLOW_APPROACH * plan.approach_speed)
         finally:
             self._record = None
-        self._touch, self._touch_metadata = motion.run_while_polling(
-            lambda: estimate_touch(record, plan, halted, motion.sensor.channels, 1.0 / motion.sensor.rate))
-        if self._first_touch is None:
-            self._first_touch = self._touch
-        if abs(self._touch - self._first_touch) > 0.5 * plan.retract:
+        self._contact_point, self._contact_metadata = motion.run_while_polling(
+            lambda: estimate_contact_point(record, plan, halted, motion.sensor.channels, 1.0 / motion.sensor.rate))
+        if self._first_contact_point is None:
+            self._first_contact_point = self._contact_point
+        if abs(self._contact_point - self._first_contact_point) > 0.5 * plan.retract:
             raise StoppedError(StopReason(
-                "zero", f"the tool touches the specimen at {self._touch * 1e3:.4g} mm; the first contact was at "
-                        f"{self._first_touch * 1e3:.4g} mm: the stage has lost steps, or the specimen has moved"))
-        self._move_above_touch()
+                "zero", f"the tool touches the specimen at {self._contact_point * 1e3:.4g} mm; the first contact was "
+                        f"at {self._first_contact_point * 1e3:.4g} mm: the stage has lost steps, or the specimen has "
+                        "moved"))
+        self._move_above_contact()
 
     def _approach(self, speed: float) -> float:
         """Move down at a speed, m/s, until the contact force is reached; return the position of the halt, m."""
@@ -227,16 +228,16 @@ class Recorder:
         motion.clear_forces()
         return self._position
 
-    def _move_above_touch(self, factor: float = 1.0) -> None:
+    def _move_above_contact(self, factor: float = 1.0) -> None:
         """Move to the waiting position: above the contact point, or at it for contact ``"here"``.
 
         Args:
             factor: height above the contact point divided by the retraction height of the plan, 1.
         """
-        assert self._touch is not None
+        assert self._contact_point is not None
         # The tool must be free of the specimen here, because the sensor is zeroed in this position.
         above = factor * self._plan.retract if self._plan.contact == "force" else 0.0
-        self._motion.move_to(self._touch - above, self._plan.approach_speed)
+        self._motion.move_to(self._contact_point - above, self._plan.approach_speed)
 
     def _move_along_legs(self, description: str) -> None:
         """Execute the motion of the plan once, and write the loading and its largest depth into the run file.
@@ -244,19 +245,19 @@ class Recorder:
         Args:
             description: text of the entry, such as ``"recording 1 of 3"``.
         """
-        assert self._touch is not None
-        plan, motion, touch = self._plan, self._motion, self._touch
+        assert self._contact_point is not None
+        plan, motion, contact_point = self._plan, self._motion, self._contact_point
         self._deepest = 0.0
         # Written before the motion: a program that dies during the motion has loaded the specimen.
         entry = self._folder.record_loading(plan.name, description, plan.depth)
         try:
-            motion.move_to(touch + plan.legs[0].start, plan.approach_speed)
+            motion.move_to(contact_point + plan.legs[0].start, plan.approach_speed)
             for leg in plan.legs:
                 self._phase = leg.segment.kind
                 if self._record is not None:
                     self._record.legs.append((motion.now(), leg.segment.kind, leg.cycle))
                 if leg.speed:
-                    motion.move_to(touch + leg.end, leg.speed)
+                    motion.move_to(contact_point + leg.end, leg.speed)
                 else:
                     motion.poll_for(leg.duration)
         finally:
@@ -271,14 +272,14 @@ class Recorder:
         """
         plan, motion, folder = self._plan, self._motion, self._folder
         self._phase = "rest"
-        self._move_above_touch()
+        self._move_above_contact()
         motion.poll_for(plan.rest)
         self._check_zero()
         if plan.contact == "force" and plan.touch == "each":
-            self._refine_touch()
+            self._refine_contact_point()
             self._phase = "rest"
         name, started = f"{plan.name}_{number}", _local_time()
-        loadings, stops = folder.test_history(plan.name)
+        loadings, stops = folder.get_test_history(plan.name)
         partial = self._partial = folder.open_partial(name, ["time [s]", "displacement [mm]", "force [N]", "segment"])
         record = self._record = MotionRecord()
         try:
@@ -288,12 +289,13 @@ class Recorder:
             self._record = None
         # Lost steps of the motor and a sensor without signal show here; the samples are then not saved as a recording.
         self._phase = "check"
-        self._move_above_touch()
+        self._move_above_contact()
         self._check_zero()
-        touch, zero, touch_metadata = self._touch or 0.0, motion.zero, self._touch_metadata
+        contact_point, zero, contact_metadata = self._contact_point or 0.0, motion.zero, self._contact_metadata
 
         def save() -> None:
-            recording = build_recording(record, plan, touch, zero, motion.sensor.channels, 1.0 / motion.sensor.rate)
+            recording = build_recording(record, plan, contact_point, zero, motion.sensor.channels,
+                                        1.0 / motion.sensor.rate)
             if not recording.force.max() >= plan.contact_force:
                 raise StoppedError(StopReason(
                     "no contact", f"the force stayed below {plan.contact_force:g} N in a motion to "
@@ -305,7 +307,7 @@ class Recorder:
                 "sensor": motion.sensor.describe(), "stage": motion.stage.describe(), "axis": plan.axis,
                 "sign": plan.sign, "zeroed": "above the specimen, before and after this recording"
                 if plan.contact == "force" else "with the specimen on the tool, after homing",
-                "tares_N": motion.tares, "zero_after_tare_N": zero, "touch_mm": touch * 1e3, **touch_metadata,
+                "tares_N": motion.tares, "zero_after_tare_N": zero, "touch_mm": contact_point * 1e3, **contact_metadata,
                 "loadings_before": loadings, "stops_before": stops, **recording.metadata}))
 
         # Saving a long test takes seconds; the devices must be polled during this time.

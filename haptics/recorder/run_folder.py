@@ -145,7 +145,7 @@ class RunFolder:
         self.update(history=history)
         return len(history) - 1 if entry is None else entry
 
-    def test_history(self, test: str) -> tuple[int, list[dict[str, Any]]]:
+    def get_test_history(self, test: str) -> tuple[int, list[dict[str, Any]]]:
         """Return the number of loadings of the specimen of a test, and the stops of the test."""
         return (sum(entry["test"] == test for entry in self.state["history"]),
                 [stop for stop in self.state["stops"] if stop["test"] in (test, "")])

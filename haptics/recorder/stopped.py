@@ -19,8 +19,8 @@ class StoppedError(RuntimeError):
         self.reason = reason
 
 
-def reason_of(error: BaseException) -> StopReason:
-    """Return the stop reason of an exception."""
+def get_stop_reason(error: BaseException) -> StopReason:
+    """Return the reason to stop a motion for an exception that was raised during the motion."""
     match error:
         case StoppedError():
             return error.reason

@@ -148,7 +148,8 @@ class VirtualCoupling:
         self._device = position
         velocity = vx, vy, vz = (x - last_x) / dt, (y - last_y) / dt, (z - last_z) / dt
         px, py, pz = self.pose.position
-        moved = (0.0, 0.0, 0.0) if answer is None else self._balance((x - px, y - py, z - pz), velocity, answer, dt)
+        offset = (x - px, y - py, z - pz)
+        moved = (0.0, 0.0, 0.0) if answer is None else self._solve_motion(offset, velocity, answer, dt)
         self._motion = mx, my, mz = moved
         px, py, pz = px + mx, py + my, pz + mz
         self.pose = Pose((px, py, pz), device.orientation)
@@ -159,7 +160,7 @@ class VirtualCoupling:
         self.dissipated += (damping * vx * vx + damping * vy * vy + damping * vz * vz) * dt
         return self.pose
 
-    def _balance(self, offset: Vector, velocity: Vector, answer: ToolForce, dt: float) -> Vector:
+    def _solve_motion(self, offset: Vector, velocity: Vector, answer: ToolForce, dt: float) -> Vector:
         """Solve the implicit step for the motion of the proxy.
 
         Args:

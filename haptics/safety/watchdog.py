@@ -56,7 +56,7 @@ class Watchdog:
         self.state, self.gain, self._progress = WatchdogState.LOST, 0.0, 0.0
 
     def step(self, seen: bool, dt: float) -> float:
-        """Advance by one tick.
+        """Advance by one tick, and return the gain of the force.
 
         Args:
             seen: whether a pose arrived in this tick.
@@ -75,10 +75,11 @@ class Watchdog:
             change = dt / self.ramp if seen else -dt / self.ramp
             self._progress = min(max(self._progress + change, 0.0), 1.0)
         self.gain = self._progress * self._progress * (3 - 2 * self._progress)
-        self.state = self._state(seen, lost)
+        self.state = self._find_state(seen, lost)
         return self.gain
 
-    def _state(self, seen: bool, lost: bool) -> WatchdogState:
+    def _find_state(self, seen: bool, lost: bool) -> WatchdogState:
+        """Return the state of this tick; `lost`: the pose is missing for longer than the timeout."""
         if seen:
             return WatchdogState.TRACKING if self.gain == 1.0 else WatchdogState.RETURNING
         if not lost:

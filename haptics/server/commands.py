@@ -24,18 +24,26 @@ Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 
 
 class _Command(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Command without arguments."""
+
     command: str
 
 
 class _SetParameters(_Command, frozen=True):
+    """Arguments of ``set_parameters``: name -> value, SI units."""
+
     parameters: dict[str, float]
 
 
 class _Surface(_Command, frozen=True):
+    """Arguments of ``surface``: circumferential segments of the triangles; None: no triangles."""
+
     segments: Annotated[int, msgspec.Meta(ge=3, le=MAX_SEGMENTS)] | None = None
 
 
 class _State(_Command, frozen=True):
+    """Arguments of ``save`` and ``restore``: name of the state."""
+
     name: Name
 
 
@@ -72,7 +80,7 @@ class Commands:
         }
 
     def execute(self, line: bytes) -> Iterator[bytes]:
-        """Execute one command.
+        """Execute one command, and return its answer as a line of JSON.
 
         Args:
             line: JSON object, without the line end.
@@ -100,6 +108,7 @@ class Commands:
         return answer
 
     def _execute(self, line: bytes) -> Iterator[bytes] | dict[str, Any]:
+        """Decode a line, and call the function of its command."""
         try:
             request = msgspec.json.decode(line)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -118,22 +127,26 @@ class Commands:
         return {"command": name, **answer} if isinstance(answer, dict) else answer
 
     def _describe(self, _: _Command) -> dict[str, Any]:
+        """Return protocol, frame, scene, parameters, commands and saved states."""
         description = as_json_types(self._description()) if callable(self._description) else self._description
         return {"protocol": {"version": VERSION, "request_bytes": REQUEST_SIZE, "reply_bytes": REPLY_SIZE},
                 "frame": FRAME, **description, "parameters": self._parameters,
                 "commands": list(self._commands), "states": list(self._states)}
 
     def _statistics(self, _: _Command) -> dict[str, Any]:
+        """Return the counters and the address of the owner."""
         owner = self._service.owner
         return {**msgspec.to_builtins(self._service.counters),
                 "owner": None if owner is None else "{}:{}".format(*owner[:2])}
 
     def _reset(self, _: _Command) -> dict[str, Any]:
+        """Restore the undeformed state of the tissue."""
         self._service.tissue.reset()
         self._service.discard_last_step()
         return {}
 
     def _set_parameters(self, request: _SetParameters) -> dict[str, Any]:
+        """Change parameters of the tissue, and return all parameters."""
         for name in request.parameters:
             if name not in self._parameters:
                 hint = nearest(name[:64], self._parameters) if self._parameters else \
@@ -144,6 +157,7 @@ class Commands:
         return {"parameters": self._parameters}
 
     def _surface(self, request: _Surface) -> Iterator[bytes]:
+        """Yield the deformed surface as an outline and, on request, as triangles."""
         surface = self._require_method("surface")()
         arrays = {} if surface.outline is None else {"outline": surface.outline}
         if request.segments is not None:
@@ -151,6 +165,7 @@ class Commands:
         return _encode_arrays("surface", arrays)
 
     def _save(self, request: _State) -> dict[str, Any]:
+        """Save state and parameters of the tissue under a name."""
         if request.name not in self._states and len(self._states) == MAX_STATES:
             raise InputError(f"at most {MAX_STATES} states can be saved; save under an existing name: "
                              f"{', '.join(self._states)}", field="name")
@@ -158,6 +173,7 @@ class Commands:
         return {"states": list(self._states)}
 
     def _restore(self, request: _State) -> dict[str, Any]:
+        """Restore state and parameters that were saved under a name."""
         if request.name not in self._states:
             hint = nearest(request.name, self._states) if self._states else "; no state was saved"
             raise InputError(f"unknown state {request.name!r}{hint}", field="name")

@@ -24,7 +24,7 @@ class SceneLimits(MotionLimits):
 
     force: float = 100.0
 
-    def limited(self, answer: ToolForce) -> tuple[ToolForce, bool]:
+    def limit_force(self, answer: ToolForce) -> tuple[ToolForce, bool]:
         """Scale an answer so that its force does not exceed the limit.
 
         Force and torque are scaled by the same factor. The stiffness of a scaled answer is zero, because a client that

@@ -222,6 +222,7 @@ class TissueServer:
             self._selector.register(self._owner_socket, selectors.EVENT_READ)
 
     def _send(self, reply: bytes, address: Any) -> None:
+        """Send a reply; count it as unsent if the operating system refuses it."""
         try:
             self._poses.sendto(reply, address)
         except OSError:  # The send buffer is full, or the client cannot be reached: the next reply may succeed.

@@ -162,7 +162,7 @@ class StepService:
                  session: int | None = None, log: Callable[[str], None] | None = None):
         self.tissue, self.silence = tissue, silence
         self.limits, self._release, self._session = limits or SceneLimits(), release, session
-        self._rebuild, self.log = rebuild, log or _to_standard_error
+        self._rebuild, self.log = rebuild, log or _print_to_standard_error
         self.counters = Counters()
         self._owner: _Owner | None = None
         self._newest: Request | None = None
@@ -240,10 +240,10 @@ class StepService:
         if self._newest is None or self._owner is None:
             return None
         request, self._newest, owner = self._newest, None, self._owner
-        answer, dt = self._answer(request, owner)
+        answer, dt = self._check_and_step(request, owner)
         if self._release is not None:
             answer = self._release.step(answer, now)
-        answer, limited = self.limits.limited(answer)
+        answer, limited = self.limits.limit_force(answer)
         counters = self.counters
         counters.count(answer.status)
         counters.limited += limited
@@ -272,7 +272,7 @@ class StepService:
         if self._owner is not None:
             self._owner.time = self._owner.pose = None
 
-    def _answer(self, request: Request, owner: _Owner) -> tuple[ToolForce, float]:
+    def _check_and_step(self, request: Request, owner: _Owner) -> tuple[ToolForce, float]:
         """Check a request, and step the tissue to its pose.
 
         Args:
@@ -290,7 +290,7 @@ class StepService:
             pose = Pose(request.position, request.orientation)
             self.limits.require(pose, None if reset else owner.pose, dt)
         except InputError:
-            return self._refused(), 0.0
+            return self._repeat_as_refused(), 0.0
         try:
             if self._is_broken:
                 self._rebuild_tissue()
@@ -302,18 +302,18 @@ class StepService:
                 raise ArithmeticError("the force is not finite")
         except Exception as error:
             if isinstance(error, InputError) and not self._is_broken:
-                return self._refused(), 0.0
-            return self._failed(error), 0.0
+                return self._repeat_as_refused(), 0.0
+            return self._rebuild_after(error), 0.0
         if answer.status == ForceStatus.REFUSED:
             return answer, 0.0
         owner.time, owner.pose, self._last = request.time, pose, answer
         return answer, dt
 
-    def _refused(self) -> ToolForce:
+    def _repeat_as_refused(self) -> ToolForce:
         """Return the last answer with the status REFUSED."""
         return replace(self._last, status=ForceStatus.REFUSED, iterations=0, compute_time=0.0)
 
-    def _failed(self, error: Exception) -> ToolForce:
+    def _rebuild_after(self, error: Exception) -> ToolForce:
         """Rebuild the tissue after an error, and return a zero force with the status FAILED."""
         self.log(f"a step failed ({type(error).__name__}: {str(error)[:200]}); the tissue is rebuilt, undeformed")
         self._is_broken = True
@@ -353,5 +353,6 @@ class StepService:
                                   version=request.version))
 
 
-def _to_standard_error(line: str) -> None:
+def _print_to_standard_error(line: str) -> None:
+    """Print a log line to standard error."""
     print(f"tissue-sim: {line}", file=sys.stderr, flush=True)

@@ -105,7 +105,7 @@ class HiddenDemoResult:
             "campaign": str(self.campaign), "seed": self.seed, "wall_s": self.wall_s}
 
 
-def plain_models() -> dict[str, ts.Model]:
+def build_plain_models() -> dict[str, ts.Model]:
     """Return the model of each test without a hidden effect; the protocol has points at its corners."""
     material = ts.Material("reduced_polynomial_2", PHANTOM, ts.Bulk("bulk_ratio", BULK_RATIO), name="virtual phantom")
     protocol = ts.Protocol.parse(PROTOCOL, points=41)
@@ -138,7 +138,7 @@ def run_hidden_demo(output: Path, *, seed: int, overwrite: bool = False, console
     if output.exists() and (not output.is_dir() or any(output.iterdir())) and not overwrite:
         raise ts.InputError("the folder must be empty; choose another folder or add --overwrite", file=output)
     say = console.print if console else lambda *_, **__: None
-    hidden, models = draw_hidden_effect(seed), plain_models()
+    hidden, models = draw_hidden_effect(seed), build_plain_models()
     say("1 measuring a virtual specimen with a possible hidden effect ...")
     random = np.random.default_rng([seed, 1])
     for test, model in models.items():

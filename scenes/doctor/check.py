@@ -33,12 +33,12 @@ class Check:
         return asdict(self)
 
 
-def folder_size(folder: Path) -> int:
+def get_folder_size(folder: Path) -> int:
     """Return the size of all files below a folder, bytes; 0 if the folder does not exist."""
     return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) if folder.is_dir() else 0
 
 
-def readable_size(size: int) -> str:
+def format_size(size: int) -> str:
     """Return a size in bytes as a text with a decimal unit, such as ``1.5 MB``."""
     value = float(size)
     for unit in ("B", "kB", "MB"):

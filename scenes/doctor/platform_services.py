@@ -6,7 +6,7 @@ import os
 import socket
 from pathlib import Path
 
-from scenes.doctor.check import Check, folder_size, readable_size
+from scenes.doctor.check import Check, format_size, get_folder_size
 
 #: Default TCP port of the viewer.
 VIEWER_PORT = 8080
@@ -19,12 +19,12 @@ def check_matplotlib_cache() -> Check:
     except ImportError:
         return Check("matplotlib cache", "fail", "matplotlib cannot be imported", "python -m pip install matplotlib")
     folder = Path(matplotlib.get_cachedir())
-    size = folder_size(folder)
+    size = get_folder_size(folder)
     values = {"folder": str(folder), "bytes": size}
     if not os.access(folder, os.W_OK):
         return Check("matplotlib cache", "warn", f"{folder} cannot be written",
                      "set the environment variable MPLCONFIGDIR to a writable folder", values)
-    return Check("matplotlib cache", "ok", f"{folder}, {readable_size(size)}", values=values)
+    return Check("matplotlib cache", "ok", f"{folder}, {format_size(size)}", values=values)
 
 
 def check_viewer_port() -> Check:

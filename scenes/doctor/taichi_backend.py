@@ -5,12 +5,12 @@ import subprocess
 import sys
 import time
 
-from scenes.doctor.check import Check, folder_size, readable_size
+from scenes.doctor.check import Check, format_size, get_folder_size
 from tissue_sim.errors import MissingBackendError
 
 #: Number of terms of the sum that the test kernel computes.
 _TERMS = 1000
-#: Back-ends of Taichi except the CPU; the OpenGL ones last, see `other_backends`.
+#: Back-ends of Taichi except the CPU; the OpenGL ones last, see `find_other_backends`.
 _OTHER_BACKENDS = ("cuda", "amdgpu", "metal", "vulkan", "dx11", "opengl", "gles")
 #: Program that prints each of its arguments that names an available back-end.
 _PROBE = """
@@ -54,7 +54,7 @@ def check_kernel() -> Check:
     seconds = time.perf_counter() - start
     version = ".".join(str(part) for part in ti.__version__)
     backend = str(ti.lang.impl.current_cfg().arch).removeprefix("Arch.")
-    offered = [backend, *other_backends()]
+    offered = [backend, *find_other_backends()]
     values = {"version": version, "backend": backend, "offered": ", ".join(offered), "start_s": seconds}
     expected = sum(i * i for i in range(_TERMS))
     if answer != expected:
@@ -66,7 +66,7 @@ def check_kernel() -> Check:
                  f"double precision; a kernel was compiled and run in {seconds:.1f} s", values=values)
 
 
-def other_backends() -> list[str]:
+def find_other_backends() -> list[str]:
     """Return the names of the back-ends, except the CPU, that Taichi can start on this computer.
 
     A separate process tests the back-ends, because a test of OpenGL without a display ends the process. The names that
@@ -85,9 +85,9 @@ def check_kernel_cache() -> Check:
     from tissue_sim.fem.taichi import runtime
 
     folder = runtime.cache_folder()
-    size = folder_size(folder)
+    size = get_folder_size(folder)
     values = {"folder": str(folder), "bytes": size}
     if size == 0:
         return Check("compiled kernels", "ok",
                      f"{folder} is empty: the first simulation compiles kernels for several seconds", values=values)
-    return Check("compiled kernels", "ok", f"{folder}, {readable_size(size)} (safe to delete)", values=values)
+    return Check("compiled kernels", "ok", f"{folder}, {format_size(size)} (safe to delete)", values=values)

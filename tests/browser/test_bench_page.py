@@ -30,7 +30,7 @@ def test_a_run_is_shown_as_it_goes(watched, open_page):
     page.get_by_text("no run in").wait_for()
     folder = RunFolder(path, "digest")
     live = LiveFile(path)
-    with folder, live.publishing():
+    with folder, live.publish():
         folder.update(state="running")
         live.show(RunProgress("needle", "ramp", 1, 5e-3, 3e-3, 0.437, 0.25))
         partial = folder.open_partial("needle_1", ["time [s]", "displacement [mm]", "force [N]", "segment"])

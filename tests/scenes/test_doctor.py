@@ -137,9 +137,9 @@ def test_the_kernel_runs():
 def test_a_crashing_probe_keeps_its_results(monkeypatch):
     probe = "import os, sys; print(sys.argv[1], flush=True); print('noise', flush=True); os.abort()"
     monkeypatch.setattr(taichi_backend, "_PROBE", probe)
-    assert taichi_backend.other_backends() == ["cuda"]
+    assert taichi_backend.find_other_backends() == ["cuda"]
     monkeypatch.setattr(taichi_backend.sys, "executable", "/no/such/python")
-    assert taichi_backend.other_backends() == []
+    assert taichi_backend.find_other_backends() == []
 
 
 def test_a_used_port_is_detected(monkeypatch):

@@ -16,7 +16,7 @@ from calibration.effects.viscoelasticity import Viscoelasticity
 from scenes.cli import main
 from scenes.commands.demo.found_scene import before_and_after_scene
 from scenes.demo.hidden_effect import HIDEABLE_EFFECTS, PLATES, HiddenEffect, draw_hidden_effect, judge_diagnosis
-from scenes.demo.hidden_test import MEASUREMENT, plain_models
+from scenes.demo.hidden_test import MEASUREMENT, build_plain_models
 from scenes.viewer.measurement import residual
 from scenes.viewer.session import Session
 
@@ -38,7 +38,7 @@ def test_each_effect_is_drawn_and_equal_seeds_draw_equal_effects():
 @pytest.mark.parametrize("hideable", HIDEABLE_EFFECTS, ids=lambda each: each.name)
 def test_each_effect_changes_its_tests_and_has_a_description(hideable):
     hidden = HiddenEffect(hideable.name, {path: ends[1] for path, ends in hideable.sizes.items()}, hideable.tests)
-    models = plain_models()
+    models = build_plain_models()
     for test, model in models.items():
         assert (hidden.apply_to(test, model) != model) == (test in hideable.tests)
     assert " = " in hidden.describe(models)
@@ -47,7 +47,7 @@ def test_each_effect_changes_its_tests_and_has_a_description(hideable):
 
 def test_friction_is_applied_to_both_plates():
     friction = HiddenEffect("plate_friction", {"experiment.friction": 0.05}, (PLATES,))
-    model = friction.apply_to(PLATES, plain_models()[PLATES])
+    model = friction.apply_to(PLATES, build_plain_models()[PLATES])
     assert model.experiment.base_interface == model.experiment.friction == 0.05
 
 

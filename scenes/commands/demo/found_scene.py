@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import tissue_sim as ts
 from scenes.demo.hidden_effect import HIDEABLE_EFFECTS, NEEDLE, add_effect
-from scenes.demo.hidden_test import KINDS, plain_models
+from scenes.demo.hidden_test import KINDS, build_plain_models
 from scenes.viewer.measurement import motion
 from scenes.viewer.scene import Scene, read_measurements
 
@@ -27,7 +27,7 @@ def before_and_after_scene(result: DiagnosisResult, measured: Path) -> Scene:
     test = _shown(diagnosis)
     kind = ts.KINDS[KINDS[test]]
     measurements = read_measurements(sorted(measured.glob("*.csv")), kind.name)
-    plain = plain_models()[test]
+    plain = build_plain_models()[test]
     fitted = {name: diagnosis.fit_before.parameters[name] for name in plain.material.parameters}
     found = plain = replace(plain, material=replace(plain.material, parameters=fitted, name="plain model"))
     if diagnosis.fit_after is not None:

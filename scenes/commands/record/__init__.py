@@ -107,7 +107,7 @@ def _record(arguments, protocol: ProtocolFile, tests: list[Any], console: Consol
                                                              "stage": protocol.devices.stage}}
     stopped: str | None = None
     live = LiveFile(arguments.output)
-    with folder, _wishes_to_stop(arguments.json) as asked, _shown(arguments.json) as show_here, live.publishing():
+    with folder, _wishes_to_stop(arguments.json) as asked, _shown(arguments.json) as show_here, live.publish():
 
         def watch(progress: RunProgress) -> None:
             live.show(progress)

@@ -44,7 +44,7 @@ def test_a_run_that_goes_is_read_row_by_row(tmp_path):
 def test_what_a_run_shows_is_written_by_another_thread_and_gone_afterwards(tmp_path):
     live = LiveFile(tmp_path)
     file = tmp_path / LIVE_FILE
-    with live.publishing():
+    with live.publish():
         live.show(RunProgress("a", "approach", 0, 1e-3, float("nan"), float("nan"), 0.0))
         while not file.exists():
             pass
