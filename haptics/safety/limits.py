@@ -100,7 +100,7 @@ def _limit_vector(requested: Vector, last: Vector, largest: float, rate: float) 
     limited = not hypot(x, y, z) <= largest
     if limited:
         # Division by the largest component first: a vector along an axis then meets the limit to the last digit. Above
-        # 4e307, hypot gives NaN in processes whose libraries flush denormal numbers to zero.
+        # 4e307, hypot is not finite in processes whose libraries flush denormal numbers to zero.
         scale = max(abs(x), abs(y), abs(z))
         x, y, z = x / scale, y / scale, z / scale
         size = hypot(x, y, z)

@@ -326,7 +326,7 @@ class StepService:
         return replace(_NO_FORCE, status=ForceStatus.FAILED)
 
     def _rebuild_tissue(self) -> None:
-        """Replace the tissue by a new one, or reset it if it cannot be rebuilt."""
+        """Replace the tissue by the result of `rebuild`, or reset it if no such function was given."""
         if self._rebuild is None:
             self.tissue.reset()
         else:

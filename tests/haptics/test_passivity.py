@@ -238,7 +238,7 @@ class TestEnergyLimit:
         energies = np.linspace(0.0, -1.5, 151)
         given = [limit.step(energy, TICK) for energy in energies]
         assert given == [bool(energy > -1.0 - TICK) for energy in energies]
-        assert not limit.step(5.0, TICK), "until somebody says that it may"
+        assert not limit.step(5.0, TICK), "the force stays off until a reset"
         limit.reset()
         assert limit.step(0.0, TICK) and not limit.exceeded
 
