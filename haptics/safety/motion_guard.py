@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -285,3 +286,11 @@ def require_stoppable(limits: MotionLimits, speed: float, seconds: float) -> Non
             f"{limits.stiffness * 1e-3:.3g} N/mm. "
             + (f"Use a speed of at most {allowed * 1e3:.2g} mm/s" if allowed > 0 else
                "Use a stage that stops when the program ends"), field="limits.force_margin")
+
+
+def __getattr__(name: str) -> type[StopReason]:
+    """Return `StopReason` for its old name `Stop`, with a warning; the old name is kept for one release."""
+    if name == "Stop":
+        warnings.warn("haptics.safety.motion_guard.Stop is renamed to StopReason", DeprecationWarning, stacklevel=2)
+        return StopReason
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

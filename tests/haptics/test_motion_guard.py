@@ -121,3 +121,10 @@ def test_a_motion_with_a_force_increase_above_the_margin_is_refused():
         require_stoppable(LIMITS, 1e-3, 1.1)
     with pytest.raises(InputError, match="Use a stage that stops when the program ends"):
         require_stoppable(LIMITS, 1e-3, math.inf)
+
+
+def test_the_old_name_stop_warns():
+    from haptics.safety import motion_guard
+
+    with pytest.warns(DeprecationWarning, match="renamed to StopReason"):
+        assert motion_guard.Stop is StopReason
