@@ -116,7 +116,7 @@ class _Service:
     def __init__(self) -> None:
         self.tissue, self.owner, self.counters = _Tissue(), None, {}
 
-    def begin_anew(self) -> None:
+    def discard_last_step(self) -> None:
         pass
 
     def log(self, sentence: str) -> None:

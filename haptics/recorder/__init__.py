@@ -1,1 +1,1 @@
-"""Recording an experiment: a plan, the stage and the sensor that carry it out, and files that survive the program."""
+"""Record an experiment: run a test plan on a stage and a force sensor, and keep the files after a crash."""

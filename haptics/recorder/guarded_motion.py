@@ -1,4 +1,4 @@
-"""Motions that somebody watches: every look at sensor and stage passes the guard, and nothing moves unlooked at."""
+"""Move a stage under supervision: each poll of sensor and stage passes the motion guard before the motion continues."""
 
 from __future__ import annotations
 
@@ -14,102 +14,90 @@ from typing import TypeVar
 import numpy as np
 
 from haptics.devices.contracts import Bench, DeviceError, ForceSample, StageSample
-from haptics.recorder.plan import DEAD, PERIOD
-from haptics.safety.motion_guard import Drive, MotionGuard, MotionLimits, Stop
+from haptics.recorder.motion_settings import GuardedMotionSettings
+from haptics.recorder.plan import POLL_PERIOD, POLL_TIMEOUT
+from haptics.recorder.stopped import StoppedError, get_stop_reason
+from haptics.safety.motion_guard import CommandedMotion, MotionGuard, MotionLimits, StopReason
 from tissue_sim.errors import InputError
 
 T = TypeVar("T")
-#: Forces that are kept to take a mean of, s.
-_RECENT = 0.1
-#: The tool is where it was sent when it rests within this of it, m; and a stage that was told to move may take so long
-#: to say that it does, s.
-_PLACED, _SETTLES = 20e-6, 0.5
-#: A stage that is halted may take so long, beside `Stage.runs_on`, to stand, s; and no longer than this is waited.
-_STANDS, _LONGEST_STAND = 0.5, 5.0
-#: While the tool goes back after a stop, the force may grow by this share of the limit before that is given up, too.
-_GROWS = 0.1
-#: A stage has so long to find its zero, s, beside twice the way at its largest speed.
-_HOMING = 60.0
 
 
-class StoppedError(RuntimeError):
-    """A run that was ended before its end.
-
-    Attributes:
-        stop: why.
-    """
-
-    def __init__(self, stop: Stop):
-        super().__init__(stop.message)
-        self.stop = stop
+#: Settings of every run.
+_SETTINGS = GuardedMotionSettings()
 
 
 class GuardedMotion:
-    """A bench that moves within limits.
+    """Move the stage of a bench within limits, and stop the stage when the guard reports a fault.
 
     Args:
-        bench: neither of its devices is started.
-        limits: of all motions.
-        axis, sign: channel of the sensor along the tool, and 1, or -1 where it reads less when the tool is pushed.
-        looked: told of every look: new samples, their forces on the tool, N, where the stage is.
-        asked: a sentence when somebody wants it to end; None while nobody does.
-        clock, pause: s, that of the devices; and what lets it go on by so many s.
+        bench: force sensor and stage; neither is started.
+        limits: limits of all motions.
+        axis: channel of the sensor along the tool.
+        sign: 1, or -1 if the reading of the sensor decreases when the tool is pushed into the specimen.
+        on_poll: function called at each poll with the new force samples, their forces on the tool, N, and the stage
+            sample.
+        stop_request: function that returns a sentence when the user wants to stop, and None otherwise.
+        clock: time on the clock of the devices, s.
+        sleep: function that waits for a number of seconds on that clock.
 
     Attributes:
-        place: of the stage at the last look; None before the first.
-        zero: what is left of the sensor's zero after its tare, N; forces are less it.
-        began: when the devices were started, s.
+        stage_sample: stage sample of the last poll; None before the first poll.
+        zero: reading of the sensor that remains after its tare, N; this reading is subtracted from all forces.
+        started: time at which the devices were started, s.
+        tares: mean force before each tare, N: the first before the first tare of the run, the others show the drift.
 
     Raises:
-        InputError: the sensor has no such channel.
+        InputError: the sensor has no channel `axis`.
     """
 
     def __init__(self, bench: Bench, limits: MotionLimits, axis: str, sign: int, *,
-                 looked: Callable[[Sequence[ForceSample], Sequence[float], StageSample], None],
-                 asked: Callable[[], str | None], clock: Callable[[], float] = time.monotonic,
-                 pause: Callable[[float], None] = time.sleep):
+                 on_poll: Callable[[Sequence[ForceSample], Sequence[float], StageSample], None],
+                 stop_request: Callable[[], str | None], clock: Callable[[], float] = time.monotonic,
+                 sleep: Callable[[float], None] = time.sleep):
         self.sensor, self.stage, self.limits = bench.sensor, bench.stage, limits
         if axis not in bench.sensor.channels:
-            raise InputError(f"the sensor has no channel {axis!r}; it has {', '.join(bench.sensor.channels)}",
+            raise InputError(f"must be a channel of the sensor: {', '.join(bench.sensor.channels)}; got {axis!r}",
                              field="record.axis")
         self._axis, self._sign = bench.sensor.channels.index(axis), sign
-        self._looked, self._asked, self.now, self._pause = looked, asked, clock, pause
-        self.place: StageSample | None = None
-        self.zero = self.began = self._ticked = 0.0
+        self._on_poll, self._stop_request, self.now, self._sleep = on_poll, stop_request, clock, sleep
+        self.stage_sample: StageSample | None = None
+        self.zero = self.started = self._polled = 0.0
         self._guard: MotionGuard | None = None
-        self._drive: Drive | None = None
-        #: Whether the stage was sent off and has not been seen to stand.
-        self._moves = False
-        #: What the sensor read before the first tare of this run, N, and by how much later ones changed that.
+        self._command: CommandedMotion | None = None
+        #: Whether a motion was commanded and the stage was not seen at rest since then.
+        self._is_moving = False
         self.tares: list[float] = []
+        #: Arrival times, s, and forces, N, of the last samples.
         self._recent: deque[tuple[float, float]] = deque()
-        #: By how much a look came late, s, where that halted the stage.
-        self._late: float | None = None
+        #: Delay of the poll after which the watching thread halted the stage, s; None: no poll was late.
+        self._late_by: float | None = None
 
     @contextmanager
-    def running(self, away: Callable[[], tuple[float, float]]) -> Iterator[None]:
-        """Both devices, started. Whatever happens, the stage stands first, and both are stopped, each whatever becomes
-        of the other.
+    def run_devices(self, retraction: Callable[[], tuple[float, float]]) -> Iterator[None]:
+        """Start both devices for a ``with`` block, and stop them at its end.
+
+        After an error in the block the stage is halted first. Each device is stopped even if the other one fails.
 
         Args:
-            away: where the tool goes after a stop, where it goes back, m, and at what speed, m/s.
+            retraction: function that returns the position, m, and the speed, m/s, of a retraction after a stop.
 
         Raises:
-            StoppedError: something ended the motion.
+            StoppedError: an error or a fault stopped the motion.
             DeviceError: a device does not start.
         """
         try:
             self.sensor.start()
             self.stage.start()
-            self.began = self._ticked = self.now()
+            self.started = self._polled = self.now()
             self._guard = MotionGuard(self.limits, self.sensor.rate, self.sensor.channels,
-                                      self.stage.measures_position, self.began)
-            with self._dead_man():
+                                      self.stage.measures_position, self.started)
+            with self._watch_polls():
                 try:
                     yield
                 except BaseException as error:
-                    stop = self._end(_stop_of(error), away)
-                    raise StoppedError(stop) from error
+                    reason = self._handle_stop(get_stop_reason(error), retraction)
+                    raise StoppedError(reason) from error
         finally:
             try:
                 with contextlib.suppress(Exception):
@@ -119,17 +107,17 @@ class GuardedMotion:
                     self.sensor.stop()
 
     @contextmanager
-    def _dead_man(self) -> Iterator[None]:
-        """Halts the stage from another thread when this one no longer looks."""
+    def _watch_polls(self) -> Iterator[None]:
+        """Halt the stage from a second thread if the polls of this thread are late (dead-man's switch)."""
         ending = threading.Event()
 
         def watch() -> None:
-            while not ending.wait(0.2 * DEAD):
-                late = self.now() - self._ticked
-                if self._moves and late > max(DEAD, self.limits.sensor_silence):
+            while not ending.wait(0.2 * POLL_TIMEOUT):
+                delay = self.now() - self._polled
+                if self._is_moving and delay > max(POLL_TIMEOUT, self.limits.sensor_silence):
                     with contextlib.suppress(Exception):
                         self.stage.halt()
-                    self._late = late
+                    self._late_by = delay
 
         thread = threading.Thread(target=watch, name="dead man", daemon=True)
         thread.start()
@@ -139,93 +127,120 @@ class GuardedMotion:
             ending.set()
             thread.join()
 
-    def _end(self, stop: Stop, away: Callable[[], tuple[float, float]]) -> Stop:
-        """Stand still, and see that it does; then go back, where that is wanted and the stage is to be believed."""
-        self._moves, self._drive = False, None
-        if (trouble := self._stand()) is not None:
-            return Stop(stop.cause, f"{stop.message}; and the stage does not stand ({trouble}): switch it off")
-        if self.limits.retracts and stop.may_retract and self.place is not None and self.place.homed:
+    def _handle_stop(self, reason: StopReason, retraction: Callable[[], tuple[float, float]]) -> StopReason:
+        """Halt the stage, and retract the tool if the limits ask for it and the stage still works.
+
+        Args:
+            reason: reason of the stop.
+            retraction: as for `run_devices`.
+
+        Returns:
+            The reason; its message also states a failed halt or retraction.
+        """
+        self._is_moving, self._command = False, None
+        if (trouble := self._halt_and_wait()) is not None:
+            return StopReason(reason.cause, f"{reason.message}; and the stage does not stop ({trouble}): switch it off")
+        if (self.limits.retracts and reason.allows_retraction and self.stage_sample is not None
+                and self.stage_sample.homed):
             try:
-                trouble = self._go_back(*away())
+                trouble = self._retract(*retraction())
             except BaseException as error:
                 trouble = str(error) or type(error).__name__
             if trouble is not None:
-                self._stand()
-                return Stop(stop.cause, f"{stop.message}; and the tool did not go back ({trouble})")
-        return stop
+                self._halt_and_wait()
+                return StopReason(reason.cause, f"{reason.message}; and the tool was not retracted ({trouble})")
+        return reason
 
-    def _stand(self) -> str | None:
-        """Halt, and wait until the stage says that it stands; what is wrong where it does not."""
+    def _halt_and_wait(self) -> str | None:
+        """Halt the stage and wait until it reports that it is at rest.
+
+        Returns:
+            None, or a description of the problem if the stage fails or keeps moving.
+        """
         try:
             self.stage.halt()
-            until = self.now() + min(self.stage.runs_on + _STANDS, _LONGEST_STAND)
+            until = self.now() + min(self.stage.runs_on + _SETTINGS.halt_margin, _SETTINGS.longest_halt)
             while True:
-                self.place = self.stage.position()
-                if not self.place.moving:
+                self.stage_sample = self.stage.position()
+                if not self.stage_sample.moving:
                     return None
                 if self.now() > until:
-                    return f"it still says that it moves, at {self.place.position * 1e3:.4g} mm"
-                self._pause(PERIOD)
+                    return f"it still reports a motion, at {self.stage_sample.position * 1e3:.4g} mm"
+                self._sleep(POLL_PERIOD)
         except BaseException as error:
             return str(error) or type(error).__name__
 
-    def _go_back(self, goal: float, speed: float) -> str | None:
-        """The way out after a stop, as long as the force does not grow on it; why it was given up.
+    def _retract(self, goal: float, speed: float) -> str | None:
+        """Move the tool out after a stop, as long as the force does not grow.
 
-        A sensor that is silent, or at the end of its range, says nothing against the way out.
+        A silent or saturated sensor does not prevent the retraction.
+
+        Args:
+            goal: position, m; a goal that is deeper than the present position is replaced by the present position.
+            speed: m/s.
+
+        Returns:
+            None, or the reason why the retraction was abandoned.
         """
-        assert self.place is not None
-        goal = max(min(goal, self.place.position), self.limits.lowest)
-        until = self.now() + 2 * abs(goal - self.place.position) / speed + _SETTLES
-        allowed = max(abs(self.force) if self._recent else 0.0, self.limits.force) + _GROWS * self.limits.force
+        assert self.stage_sample is not None
+        goal = max(min(goal, self.stage_sample.position), self.limits.lowest)
+        until = self.now() + 2 * abs(goal - self.stage_sample.position) / speed + _SETTINGS.start_delay
+        allowed = (max(abs(self.force) if self._recent else 0.0, self.limits.force)
+                   + _SETTINGS.force_growth * self.limits.force)
         self.stage.move(goal, speed)
         while self.now() < until:
-            self._pause(PERIOD)
+            self._sleep(POLL_PERIOD)
             with contextlib.suppress(DeviceError):
                 forces = [self._sign * sample.values[self._axis] - self.zero for sample in self.sensor.read()]
                 if any(abs(force) > allowed for force in forces):
                     return f"the force grew to {max(map(abs, forces)):.3g} N"
-            self.place = self.stage.position()
-            if not self.place.moving and abs(self.place.position - goal) <= _PLACED:
+            self.stage_sample = self.stage.position()
+            at_goal = abs(self.stage_sample.position - goal) <= _SETTINGS.position_tolerance
+            if not self.stage_sample.moving and at_goal:
                 return None
-        return f"it is at {self.place.position * 1e3:.4g} mm"
+        return f"it is at {self.stage_sample.position * 1e3:.4g} mm"
 
-    def tick(self) -> None:
-        """Look at both devices once, and let the guard judge.
+    def poll(self) -> None:
+        """Wait for the next poll, read both devices, and let the guard check the samples.
 
         Raises:
-            StoppedError: the motion has to end; the stage was halted.
+            StoppedError: the guard or the user ended the motion; the stage was halted.
         """
-        self._pause(max(0.0, self._ticked + PERIOD - self.now()))
+        self._sleep(max(0.0, self._polled + POLL_PERIOD - self.now()))
         self._require_on_time()
-        if (words := self._asked()) is not None:
+        if (message := self._stop_request()) is not None:
             with contextlib.suppress(Exception):
                 self.stage.halt()
-            raise StoppedError(Stop("asked", words))
+            raise StoppedError(StopReason("asked", message))
         samples = self.sensor.read()
-        place = self.place = self.stage.position()
-        now = self._ticked = self.now()
+        stage = self.stage_sample = self.stage.position()
+        now = self._polled = self.now()
         forces = [self._sign * sample.values[self._axis] - self.zero for sample in samples]
         self._recent.extend((sample.received, force) for sample, force in zip(samples, forces, strict=True))
-        while self._recent and self._recent[-1][0] - self._recent[0][0] > _RECENT:
+        while self._recent and self._recent[-1][0] - self._recent[0][0] > _SETTINGS.force_window:
             self._recent.popleft()
-        # Kept first: what ends a motion is in its recording.
-        self._looked(samples, forces, place)
+        # Store the samples before the check, so that the recording contains the samples that end the motion.
+        self._on_poll(samples, forces, stage)
         assert self._guard is not None
-        if (stop := self._guard.check(now, samples, forces, place, self._drive)) is not None:
-            # Here, before anybody writes down why.
+        if (reason := self._guard.check(now, samples, forces, stage, self._command)) is not None:
+            # Halt here, before the slower handling of the error.
             with contextlib.suppress(Exception):
                 self.stage.halt()
-            raise StoppedError(stop)
+            raise StoppedError(reason)
 
     def _require_on_time(self) -> None:
-        if self._late is not None:
-            raise StoppedError(Stop(
-                "program late", f"the program did not look at its devices for {self._late:.2g} s while the stage could "
-                                "move, and the stage was halted; close what else runs on this computer"))
+        """Raise StoppedError if the watching thread halted the stage because a poll was late."""
+        if self._late_by is not None:
+            raise StoppedError(StopReason(
+                "program late", f"the program did not poll its devices for {self._late_by:.2g} s while the stage could "
+                                "move, and the stage was halted; close other programs on this computer"))
 
-    def mean(self, seconds: float = _RECENT) -> float:
-        """Of the last forces, N, of 0.1 s at most; NaN where there is none."""
+    def mean_force(self, seconds: float = _SETTINGS.force_window) -> float:
+        """Return the mean of the last forces, N; NaN if there are none.
+
+        Args:
+            seconds: length of the window, s, at most `GuardedMotionSettings.force_window`.
+        """
         if not self._recent:
             return np.nan
         since = self._recent[-1][0] - seconds
@@ -233,132 +248,144 @@ class GuardedMotion:
 
     @property
     def force(self) -> float:
-        """The last one, N; NaN where there is none."""
+        """The last force, N; NaN if there is none."""
         return self._recent[-1][1] if self._recent else np.nan
 
-    def go(self, position: float, speed: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Move, and look until the tool is there; True: `until` ended it, and the tool stands.
+    def move_to(self, position: float, speed: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Move the tool to a position, and poll the devices until the tool arrives or a condition is met.
 
         Args:
-            position: m. speed: m/s.
+            position: goal, m.
+            speed: m/s.
+            until: condition that is checked after each poll; if it returns True, the stage is halted.
+
+        Returns:
+            Whether `until` ended the motion.
 
         Raises:
-            StoppedError: something ended it, or the tool did not get there.
+            StoppedError: the goal is outside of the limits, the guard or the user ended the motion, or the tool did not
+                reach the goal.
         """
         if not self.limits.lowest <= position <= self.limits.highest:
-            raise StoppedError(Stop(
+            raise StoppedError(StopReason(
                 "travel", f"the motion would go to {position * 1e3:.4g} mm, outside of its limits of "
                           f"{self.limits.lowest * 1e3:g} to {self.limits.highest * 1e3:g} mm; put the specimen nearer"))
         self._require_on_time()
-        start = self.place.position if self.place is not None else position
-        near = max(_PLACED, 1e-3 * abs(position - start))
-        # What was computed since the last look is no reason to halt what has not been sent off yet.
-        self._ticked = self.now()
-        self._moves = True
+        start = self.stage_sample.position if self.stage_sample is not None else position
+        tolerance = max(_SETTINGS.position_tolerance, 1e-3 * abs(position - start))
+        # The stage is at rest: time since the last poll, such as a computation, does not count as a late poll.
+        self._polled = self.now()
+        self._is_moving = True
         self.stage.move(position, speed)
-        drive, ended = Drive(start, position, speed, self.now()), False
-        self._drive = drive
+        command, ended = CommandedMotion(start, position, speed, self.now()), False
+        self._command = command
         while not ended:
-            self.tick()
+            self.poll()
             if ended := until():
-                if (trouble := self._stand()) is not None:
-                    raise StoppedError(Stop("stage fault", f"the stage does not stand ({trouble}): switch it off"))
+                if (trouble := self._halt_and_wait()) is not None:
+                    raise StoppedError(StopReason("stage fault",
+                                                  f"the stage does not stop ({trouble}): switch it off"))
                 break
-            assert self.place is not None
-            there = abs(self.place.position - position) <= near
-            if not self.place.moving and (there or self.now() - drive.began > _SETTLES):
+            assert self.stage_sample is not None
+            at_goal = abs(self.stage_sample.position - position) <= tolerance
+            if not self.stage_sample.moving and (at_goal or self.now() - command.started > _SETTINGS.start_delay):
                 break
-        self._moves = False
-        assert self.place is not None
-        self._drive = Drive(self.place.position, self.place.position, 0.0, self.now())
-        if not ended and abs(self.place.position - position) > near:
-            raise StoppedError(Stop(
-                "stage stalled", f"the stage stands at {self.place.position * 1e3:.4g} mm, where "
-                                 f"{position * 1e3:.4g} mm were asked for; home it again"))
+        self._is_moving = False
+        assert self.stage_sample is not None
+        self._command = CommandedMotion(self.stage_sample.position, self.stage_sample.position, 0.0, self.now())
+        if not ended and abs(self.stage_sample.position - position) > tolerance:
+            raise StoppedError(StopReason(
+                "stage stalled", f"the stage stands at {self.stage_sample.position * 1e3:.4g} mm instead of "
+                                 f"{position * 1e3:.4g} mm; home it again"))
         return ended
 
-    def do_meanwhile(self, task: Callable[[], T]) -> T:
-        """Do something that takes its time, in another thread, and look at the devices until it is done."""
+    def run_while_polling(self, task: Callable[[], T]) -> T:
+        """Execute a slow function in another thread, poll the devices until it ends, and return its result."""
         with ThreadPoolExecutor(1) as pool:
-            done = pool.submit(task)
-            # The wait leaves the processor to the task, also where the clock of the looks is not that of the computer.
-            while not wait([done], timeout=0.5 * PERIOD).done:
-                self.tick()
-            return done.result()
+            future = pool.submit(task)
+            # The real wait gives the processor to the task, also if the clock of the polls is simulated.
+            while not wait([future], timeout=0.5 * POLL_PERIOD).done:
+                self.poll()
+            return future.result()
 
-    def rest(self, seconds: float) -> None:
-        """Look for so long, s."""
+    def poll_for(self, seconds: float) -> None:
+        """Poll the devices without a new command for a time, s."""
         until = self.now() + seconds
         while self.now() < until:
-            self.tick()
+            self.poll()
 
     def home(self) -> None:
-        """Find the zero of the stage, and wait until it is there; from now on its place is judged."""
-        self.tick()
-        self._ticked = self.now()
-        self._moves = True
-        self.stage.home()
-        until = self.now() + _HOMING + 2 * (self.limits.highest - self.limits.lowest) / self.limits.speed
-        while True:
-            self.tick()
-            assert self.place is not None
-            if self.place.homed and not self.place.moving:
-                break
-            if self.now() > until:
-                raise StoppedError(Stop("stage stalled", "the stage does not find its zero; look at its limit switch"))
-        self._moves = False
-        assert self._guard is not None
-        self._guard.knows_place = True
-
-    def tare(self, first: float, change: float) -> None:
-        """Zero the sensor where it touches nothing; what its own tare leaves is taken off here.
-
-        Args:
-            first: that it may read before the first tare of a run, N. change: by which later ones may differ, N.
+        """Move the stage to its reference point and wait for the end of homing; the guard then checks the position.
 
         Raises:
-            StoppedError: it read more than that: something presses, or its zero moves.
+            StoppedError: the guard or the user ended the motion, or homing took too long.
+        """
+        self.poll()
+        self._polled = self.now()
+        self._is_moving = True
+        self.stage.home()
+        until = self.now() + _SETTINGS.homing_time + 2 * (self.limits.highest - self.limits.lowest) / self.limits.speed
+        while True:
+            self.poll()
+            assert self.stage_sample is not None
+            if self.stage_sample.homed and not self.stage_sample.moving:
+                break
+            if self.now() > until:
+                raise StoppedError(StopReason("stage stalled",
+                                              "the stage does not find its zero; check its limit switch"))
+        self._is_moving = False
+        assert self._guard is not None
+        self._guard.is_stage_homed = True
+
+    def tare(self, first: float, change: float) -> None:
+        """Set the zero of the unloaded sensor; the reading that remains after the tare of the sensor becomes `zero`.
+
+        Args:
+            first: largest magnitude of the force before the first tare of a run, N.
+            change: largest magnitude of the force before each later tare, and of the reading after each tare, N.
+
+        Raises:
+            StoppedError: the force is larger: the tool is loaded, or the zero of the sensor drifts.
         """
         self.zero = 0.0
-        self.forget()
-        self.rest(_RECENT)
-        before, allowed = self.mean(), change if self.tares else first
+        self.clear_forces()
+        self.poll_for(_SETTINGS.force_window)
+        before, allowed = self.mean_force(), change if self.tares else first
         if not abs(before) <= allowed:
-            raise StoppedError(Stop(
-                "zero", f"the sensor reads {before:.3g} N before it is zeroed, where {allowed:.3g} N are allowed; see "
-                        "that nothing presses on the tool, let it warm up, or give a larger "
+            raise StoppedError(StopReason(
+                "zero", f"the sensor reads {before:.3g} N before it is zeroed, more than the allowed {allowed:.3g} N; "
+                        "check that nothing presses on the tool, let the sensor warm up, or increase "
                         f"{'contact_force_N' if self.tares else 'tare_N'}"))
         self.tares.append(before)
         self.sensor.tare()
         assert self._guard is not None
-        self._guard.knows_zero = True
-        self.forget()
-        self.rest(_RECENT)
-        self.zero = self.mean()
+        self._guard.is_sensor_zeroed = True
+        self.clear_forces()
+        self.poll_for(_SETTINGS.force_window)
+        self.zero = self.mean_force()
         if not abs(self.zero) <= change:
-            raise StoppedError(Stop("zero", f"the sensor reads {self.zero:.3g} N after its tare; let it warm up"))
+            raise StoppedError(StopReason(
+                "zero", f"the sensor reads {self.zero:.3g} N after its tare; let the sensor warm up"))
 
     def check_zero(self, allowed: float) -> None:
-        """See that the sensor still reads zero where it was zeroed: a zero that has moved, or lost steps, show here."""
-        self.forget()
-        self.rest(_RECENT)
-        left = self.mean()
-        if not abs(left) <= allowed:
-            raise StoppedError(Stop(
-                "zero", f"the sensor reads {left:.3g} N above the specimen, where it was zeroed; its zero has moved, "
-                        "something sticks to the tool, or the stage has lost steps"))
+        """Check that the sensor still reads zero at the position at which it was zeroed.
 
-    def forget(self) -> None:
-        """The last forces: those to come are of another place."""
+        The check detects a drift of the sensor, lost steps of the motor, and material that sticks to the tool.
+
+        Args:
+            allowed: largest magnitude of the mean force, N.
+
+        Raises:
+            StoppedError: the force is larger.
+        """
+        self.clear_forces()
+        self.poll_for(_SETTINGS.force_window)
+        offset = self.mean_force()
+        if not abs(offset) <= allowed:
+            raise StoppedError(StopReason(
+                "zero", f"the sensor reads {offset:.3g} N above the specimen, where it was zeroed; its zero has moved, "
+                        "material sticks to the tool, or the stage has lost steps"))
+
+    def clear_forces(self) -> None:
+        """Discard the stored forces, because the next mean belongs to another position."""
         self._recent.clear()
-
-
-def _stop_of(error: BaseException) -> Stop:
-    match error:
-        case StoppedError():
-            return error.stop
-        case KeyboardInterrupt():
-            return Stop("asked", "stopped by Ctrl-C")
-        case DeviceError() | InputError():
-            return Stop("device", str(error))
-    return Stop("device", f"{type(error).__name__}: {error}")

@@ -1,4 +1,4 @@
-"""What a run shows of itself to other programs, in a file beside its recordings."""
+"""Publish the progress of a run in ``live.json``, so that other programs can show it."""
 
 from __future__ import annotations
 
@@ -11,35 +11,38 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from haptics.recorder.recorder import Moment
+from haptics.recorder.recorder import RunProgress
 from tissue_sim.atomic_write import write_text
 from tissue_sim.errors import InputError
 
+#: Name of the file in the folder of the run.
 LIVE_FILE = "live.json"
-#: s between two writings.
-_EVERY = 0.2
+#: Time between two writes, s.
+_WRITE_INTERVAL = 0.2
 
 
 class LiveFile:
-    """Keeps ``live.json`` at the newest moment of a run. A thread writes: who moves a motor must not wait for a disk.
+    """Write the newest progress of a run to ``live.json``, and delete the file at the end.
+
+    A separate thread writes the file: the thread that controls the motor must not wait for a disk.
 
     Args:
-        folder: of the run.
+        folder: folder of the run.
     """
 
     def __init__(self, folder: Path):
-        self._path, self._moment = folder / LIVE_FILE, None
+        self._path, self._progress = folder / LIVE_FILE, None
         self._ending = threading.Event()
 
-    _moment: Moment | None
+    _progress: RunProgress | None
 
-    def show(self, moment: Moment) -> None:
-        """Take the newest moment; returns at once."""
-        self._moment = moment
+    def show(self, progress: RunProgress) -> None:
+        """Replace the progress that the thread writes next; return without waiting for the disk."""
+        self._progress = progress
 
     @contextmanager
-    def shown(self) -> Iterator[None]:
-        """While the run goes; afterwards the file is gone."""
+    def publish(self) -> Iterator[None]:
+        """Run the writing thread inside a ``with`` block; delete the file at the end of the block."""
         thread = threading.Thread(target=self._write, name="live file", daemon=True)
         thread.start()
         try:
@@ -51,17 +54,18 @@ class LiveFile:
 
     def _write(self) -> None:
         written = None
-        while not self._ending.wait(_EVERY):
-            moment = self._moment
-            if moment is not None and moment is not written:
-                with contextlib.suppress(InputError):  # who watches is less than what is recorded
-                    write_text(self._path, json.dumps(as_json(moment)))
-                written = moment
+        while not self._ending.wait(_WRITE_INTERVAL):
+            progress = self._progress
+            if progress is not None and progress is not written:
+                # A failed display must not end a recording.
+                with contextlib.suppress(InputError):
+                    write_text(self._path, json.dumps(as_json(progress)))
+                written = progress
 
 
-def as_json(moment: Moment) -> dict[str, Any]:
-    """Units in the keys; what is not known is left out."""
-    numbers = {"position_mm": 1e3 * moment.position, "depth_mm": 1e3 * moment.depth, "force_N": moment.force,
-               "share": moment.share}
-    return {"test": moment.test, "phase": moment.phase, "replicate": moment.replicate,
+def as_json(progress: RunProgress) -> dict[str, Any]:
+    """Return the JSON object of a progress: keys carry units, and unknown (NaN) numbers are omitted."""
+    numbers = {"position_mm": 1e3 * progress.position, "depth_mm": 1e3 * progress.depth, "force_N": progress.force,
+               "share": progress.fraction}
+    return {"test": progress.test, "phase": progress.phase, "replicate": progress.replicate,
             **{key: value for key, value in numbers.items() if math.isfinite(value)}}

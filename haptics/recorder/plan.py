@@ -1,4 +1,4 @@
-"""What is done with a specimen: how contact is found, what comes before, and the motion that is recorded."""
+"""Describe one test on the bench (contact, preconditioning, recorded motion), and check it against the limits."""
 
 from __future__ import annotations
 
@@ -12,33 +12,36 @@ from haptics.safety.motion_guard import MotionLimits, require_stoppable
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.segments import Leg
 
-#: Between two looks at the devices, s; and a look that stays away so long while the tool moves ends the motion.
-PERIOD, DEAD = 5e-3, 0.25
+#: Time between two polls of sensor and stage, s.
+POLL_PERIOD = 5e-3
+#: Longest time without a poll while the tool moves, s; after this time another thread halts the stage.
+POLL_TIMEOUT = 0.25
 
 
 @dataclass(frozen=True)
 class Plan:
-    """One test on the bench.
+    """One test on the bench: how contact is found, preconditioning, and the recorded motion.
 
     Attributes:
-        name: of the test; its recordings are NAME_1.csv and so on.
-        legs: the motion that is recorded, m below the touch.
-        replicates: how often.
-        contact: ``"force"``: the stage goes in from its zero until the force says so; ``"here"``: where it stands after
-            homing, as with a plate that is glued on.
-        touch: ``"each"``: where it touches is found before each recording, so that the recordings show how well that is
-            known; ``"once"``: before the first.
-        contact_force: from which on the tool touches, N.
-        approach_speed: m/s.
-        retract: how far above the touch the tool waits, m.
-        preconditioning: how often the motion is done before it is recorded.
-        rest: between two motions, s.
-        sign: 1, or -1 where the sensor reads less when it is pushed. axis: its channel along the tool.
-        lag: of the sensor behind the stage, as a sidecar says it; None: unknown.
-        about: what the sidecar says of specimen, tool, lubricant, temperature, ...
+        name: name of the test; its recordings are NAME_1.csv, NAME_2.csv and so on.
+        legs: segments of the recorded motion; positions in m, positive below the contact point.
+        replicates: number of recordings.
+        contact: ``"force"``: the tool moves down from the zero of the stage until the contact force is reached;
+            ``"here"``: contact is the position after homing, for example of a plate that is glued to the specimen.
+        touch: ``"each"``: the contact point is found before each recording, so that the recordings show the scatter of
+            the contact point; ``"once"``: before the first recording only.
+        contact_force: force at which contact is detected, N.
+        approach_speed: speed of every motion outside of the recording, m/s.
+        retract: height above the contact point at which the tool waits, m.
+        preconditioning: number of unrecorded cycles of the motion before the first recording.
+        rest: pause between two motions, s.
+        sign: 1, or -1 if the reading of the sensor decreases when the tool is pushed into the specimen.
+        axis: channel of the sensor along the tool, such as ``"Fz"``.
+        lag: measured lag of the sensor behind the stage, for the metadata; None: unknown.
+        about: metadata of the test: specimen, tool, lubricant, temperature, ...
 
     Raises:
-        InputError: a number out of its range, or no motion.
+        InputError: a number is out of range, or the plan has no motion.
     """
 
     name: str
@@ -58,80 +61,83 @@ class Plan:
 
     def __post_init__(self) -> None:
         if not self.legs:
-            raise InputError("there is no motion to record; give a protocol, such as 'ramp 10mm @0.248mm/s; hold 60s; "
-                             "unload'", field=f"{self.name}.protocol")
+            raise InputError("protocol must contain a motion; got none. Give a protocol such as "
+                             "'ramp 10mm @0.248mm/s; hold 60s; unload'", field=f"{self.name}.protocol")
         for name in ("contact_force", "approach_speed", "retract"):
             if not 0 < getattr(self, name) < math.inf:
-                raise InputError(f"{getattr(self, name):g}; give a number above zero", field=f"record.{name}")
+                raise InputError(f"must be positive and finite; got {getattr(self, name):g}", field=f"record.{name}")
         for name, least in (("replicates", 1), ("preconditioning", 0)):
             if getattr(self, name) < least:
-                raise InputError(f"{getattr(self, name)}; give {least} or more", field=f"record.{name}")
+                raise InputError(f"must be at least {least}; got {getattr(self, name)}", field=f"record.{name}")
         if self.sign not in (1, -1):
-            raise InputError(f"{self.sign}; give 1, or -1 where the sensor reads less when it is pushed",
-                             field="record.sign")
+            raise InputError(f"must be 1 or -1; got {self.sign}. Give -1 if the reading decreases when the tool is "
+                             "pushed", field="record.sign")
         if not 0 <= self.rest < math.inf:
-            raise InputError(f"{self.rest:g} s; give zero or more", field="record.rest")
+            raise InputError(f"must be zero or more and finite; got {self.rest:g} s", field="record.rest")
 
     @property
     def depth(self) -> float:
-        """Deepest, m."""
+        """Largest depth of the motion below the contact point, m."""
         return max(max(leg.start, leg.end) for leg in self.legs)
 
     @property
     def highest(self) -> float:
-        """How far above the touch it goes, m."""
+        """Largest height of the tool above the contact point during the test, m."""
         above = -min(min(leg.start, leg.end) for leg in self.legs)
         return max(above, 2 * self.retract if self.contact == "force" else 0.0)
 
     @property
     def speed(self) -> float:
-        """Fastest in contact, m/s."""
+        """Largest speed of the recorded motion, m/s."""
         return max((leg.speed for leg in self.legs), default=0.0)
 
     @property
     def duration(self) -> float:
-        """Of the motion, s."""
+        """Duration of the recorded motion, s."""
         return sum(leg.duration for leg in self.legs)
 
     @property
     def title(self) -> str:
-        """The motion in one line: ``"ramp to 10 mm at 0.248 mm/s, hold 60 s"``."""
+        """The motion in one line, such as ``"ramp to 10 mm at 0.248 mm/s, hold 60 s"``."""
         return ", ".join(f"hold {leg.duration:g} s" if not leg.speed else
                          f"{leg.segment.kind} to {leg.end * 1e3:g} mm at {leg.speed * 1e3:g} mm/s" for leg in self.legs)
 
 
 def check_plans(plans: Sequence[Plan], limits: MotionLimits, stage: Stage, period: float) -> float:
-    """Refuse what would pass the limits, before anything moves.
+    """Check the plans of a run against its limits before anything moves.
 
     Args:
-        plans: of one run. limits: of it. stage: that is to move. period: of the sensor, s.
+        plans: plans of the run.
+        limits: limits of the run.
+        stage: stage that executes the plans.
+        period: sampling period of the sensor, s.
 
     Returns:
-        How long the plans take at least, s.
+        Shortest possible duration of all plans, s; the search for contact is not included.
 
     Raises:
-        InputError: a motion outside of the limits or of the stage's, or one that cannot be stopped in time.
+        InputError: a motion exceeds the limits of the run or of the stage, or cannot be stopped in time.
     """
-    # A silent sensor, or a program that no longer looks, which another thread sees a fifth later.
-    seconds = max(limits.sensor_silence, 3 * period, 1.2 * DEAD) + 2 * PERIOD + stage.runs_on
+    # Time from a fault until the stage is halted. The watching thread detects a late program within 1.2 timeouts.
+    reaction = max(limits.sensor_silence, 3 * period, 1.2 * POLL_TIMEOUT) + 2 * POLL_PERIOD + stage.runs_on
     total = 0.0
     if limits.lowest < stage.limits.lowest or limits.highest > stage.limits.highest:
-        raise InputError(f"the limits go from {limits.lowest * 1e3:g} to {limits.highest * 1e3:g} mm, the stage only "
-                         f"from {stage.limits.lowest * 1e3:g} to {stage.limits.highest * 1e3:g} mm; give less",
-                         field="limits")
+        raise InputError(f"must lie within the range of the stage, {stage.limits.lowest * 1e3:g} to "
+                         f"{stage.limits.highest * 1e3:g} mm; got {limits.lowest * 1e3:g} to "
+                         f"{limits.highest * 1e3:g} mm. Reduce lowest_mm or highest_mm", field="limits")
     for plan in plans:
-        way = plan.depth + plan.highest
-        if way > limits.highest - limits.lowest:
-            raise InputError(f"the motion takes {way * 1e3:.4g} mm, the limits leave "
-                             f"{(limits.highest - limits.lowest) * 1e3:.4g} mm", field=f"{plan.name}.protocol")
+        travel, allowed_travel = plan.depth + plan.highest, limits.highest - limits.lowest
+        if travel > allowed_travel:
+            raise InputError(f"must need at most {allowed_travel * 1e3:.4g} mm of travel, the range of [limits]; got "
+                             f"{travel * 1e3:.4g} mm", field=f"{plan.name}.protocol")
         for speed, name in ((plan.speed, f"{plan.name}.protocol"), (plan.approach_speed, "record.approach_speed")):
-            if speed > min(limits.speed, stage.limits.speed):
-                raise InputError(f"{speed * 1e3:g} mm/s is above the limit of "
-                                 f"{min(limits.speed, stage.limits.speed) * 1e3:g} mm/s", field=name)
-            require_stoppable(limits, speed, seconds)
+            fastest = min(limits.speed, stage.limits.speed)
+            if speed > fastest:
+                raise InputError(f"speed must be at most {fastest * 1e3:g} mm/s; got {speed * 1e3:g} mm/s", field=name)
+            require_stoppable(limits, speed, reaction)
         motions = plan.replicates + plan.preconditioning
         total += motions * (plan.duration + plan.rest + 2 * plan.retract / plan.approach_speed)
     if total > limits.duration:
-        raise InputError(f"the run takes at least {total:.4g} s, its limit is {limits.duration:g} s",
+        raise InputError(f"must be at least {total:.4g} s, the duration of the plan; got {limits.duration:g} s",
                          field="limits.duration")
     return total

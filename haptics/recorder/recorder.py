@@ -1,4 +1,4 @@
-"""Carrying out plans: contact, preconditioning, replicates, and their recordings."""
+"""Execute the plan of a test: find contact, precondition, record the replicates, and write the recordings."""
 
 from __future__ import annotations
 
@@ -11,28 +11,32 @@ from typing import Any
 import numpy as np
 
 from haptics.devices.contracts import Bench, DeviceError, ForceSample, StageSample
-from haptics.recorder.guarded_motion import GuardedMotion, StoppedError
-from haptics.recorder.plan import PERIOD, Plan, check_plans
+from haptics.recorder.guarded_motion import GuardedMotion
+from haptics.recorder.motion_record import MotionRecord, build_recording, estimate_contact_point
+from haptics.recorder.plan import POLL_PERIOD, Plan, check_plans
 from haptics.recorder.run_folder import PartialRecording, RunFolder
-from haptics.recorder.taken import Taken, as_recording, refined_touch
-from haptics.safety.motion_guard import MotionLimits, Stop
+from haptics.recorder.stopped import StoppedError
+from haptics.safety.motion_guard import MotionLimits, StopReason
 from tissue_sim.errors import InputError
 
-#: Contact counts when the mean over so long has reached the contact force, s.
-_TOUCH_OVER = 0.02
-#: The second way in is so much slower than the first.
-_SLOWER = 0.2
+#: Time over which the force is averaged for the detection of contact, s.
+_CONTACT_WINDOW = 0.02
+#: Speed of the second approach as a fraction of the approach speed of the plan, 1.
+_SLOW_APPROACH = 0.2
 
 
 @dataclass(frozen=True)
-class Moment:
-    """What a run shows of itself.
+class RunProgress:
+    """Progress of a run at one poll, for displays.
 
     Attributes:
-        test, phase: what is done; ``"ramp"``, ``"hold"``, ``"approach"``, ...
-        replicate: number of it, 0 outside of one.
-        position: of the stage, m. depth: below the touch, m, NaN before it is known. force: N.
-        share: of the run, 0 to 1, by time.
+        test: name of the test.
+        phase: activity, such as ``"home"``, ``"approach"``, ``"ramp"`` or ``"hold"``.
+        replicate: number of the replicate, from 1; 0 outside of a replicate.
+        position: position of the stage, m.
+        depth: depth below the contact point, m; NaN if the contact point is unknown.
+        force: force on the tool, N.
+        fraction: elapsed time divided by the planned duration, 0 to 1.
     """
 
     test: str
@@ -41,234 +45,273 @@ class Moment:
     position: float
     depth: float
     force: float
-    share: float
+    fraction: float
 
 
 class Recorder:
-    """Moves a stage by the plan of a test, within limits, and writes what its sensor measures.
+    """Execute the plan of a test within limits, and write the samples of its sensor.
 
     Args:
-        bench: neither is started.
-        plan: of the test.
-        limits: of the motion.
-        folder: of the run, entered.
-        about: of the run, for each sidecar: who, where, what.
-        asked: a sentence when somebody wants it to end; None while nobody does.
-        watch: told of every look at the devices.
-        clock, pause: s, that of the devices; and what lets it go on by so many s.
+        bench: force sensor and stage; neither is started.
+        plan: plan of the test.
+        limits: limits of all motions.
+        folder: folder of the run, already entered with ``with``.
+        about: metadata of the run for every recording: operator, place, program.
+        stop_request: function that returns a sentence when the user wants to stop, and None otherwise.
+        on_progress: function called at each poll of the devices.
+        clock: time on the clock of the devices, s.
+        sleep: function that waits for a number of seconds on that clock.
+
+    Attributes:
+        seconds: shortest possible duration of the plan, s.
 
     Raises:
-        InputError: a plan that passes the limits, before anything is started.
+        InputError: the plan exceeds the limits; no device is started.
     """
 
     def __init__(self, bench: Bench, plan: Plan, limits: MotionLimits, folder: RunFolder, *,
-                 about: dict[str, Any] | None = None, asked: Callable[[], str | None] = lambda: None,
-                 watch: Callable[[Moment], None] = lambda moment: None,
-                 clock: Callable[[], float] = time.monotonic, pause: Callable[[float], None] = time.sleep):
+                 about: dict[str, Any] | None = None, stop_request: Callable[[], str | None] = lambda: None,
+                 on_progress: Callable[[RunProgress], None] = lambda progress: None,
+                 clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], None] = time.sleep):
         self.seconds = check_plans([plan], limits, bench.stage, 1.0 / bench.sensor.rate)
-        self._motion = GuardedMotion(bench, limits, plan.axis, plan.sign, looked=self._look, asked=asked, clock=clock,
-                                     pause=pause)
-        self._plan, self._limits, self._folder, self._about, self._watch = plan, limits, folder, about or {}, watch
-        self._taken: Taken | None = None
+        self._motion = GuardedMotion(bench, limits, plan.axis, plan.sign, on_poll=self._store_samples,
+                                     stop_request=stop_request, clock=clock, sleep=sleep)
+        self._plan, self._limits, self._folder, self._about = plan, limits, folder, about or {}
+        self._on_progress = on_progress
+        self._record: MotionRecord | None = None
         self._partial: PartialRecording | None = None
         self._phase, self._replicate = "start", 0
-        self._touch: float | None = None
-        #: Below the touch in the motion that goes on, m.
+        #: Position of the stage at the contact point, m; None: unknown.
+        self._contact_point: float | None = None
+        #: Largest depth below the contact point in the present motion, m.
         self._deepest = 0.0
-        self._first_touch: float | None = None
-        self._touch_found: dict[str, Any] = {}
+        self._first_contact_point: float | None = None
+        self._contact_metadata: dict[str, Any] = {}
 
     def run(self) -> None:
-        """All recordings that the folder does not have yet.
+        """Record all replicates that the folder does not contain yet.
 
         Raises:
-            StoppedError: the run was ended; the stage stands, or was taken back, and what was recorded is kept.
+            StoppedError: the run was stopped. The stage is at rest or retracted, and the recorded samples are kept.
             DeviceError: a device does not start.
         """
         folder, plan, motion = self._folder, self._plan, self._motion
-        folder.note(state="running", limits=_described(self._limits), about=self._about)
+        folder.update(state="running", limits=_limits_as_json(self._limits), about=self._about)
         try:
-            with motion.running(self._way_back):
+            with motion.run_devices(self._plan_retraction):
                 stage = motion.stage
-                # Some devices say only now how fast they sample, and how long they move on.
+                # Some devices state their rate and their run-on time only after the start.
                 check_plans([plan], self._limits, stage, 1.0 / motion.sensor.rate)
-                folder.note(sensor=motion.sensor.describe(), stage=stage.describe(),
-                            stall="seen by the encoder" if stage.measures_position else
-                            "not detectable: the stage knows only where it was driven to")
+                folder.update(sensor=motion.sensor.describe(), stage=stage.describe(),
+                              stall="detected by the encoder" if stage.measures_position else
+                              "not detectable: the stage reports only the commanded position")
                 self._tare()
                 self._phase = "home"
                 motion.home()
-                self._carry_out(folder.missing(plan.name, plan.replicates))
+                self._execute_plan(folder.missing_replicates(plan.name, plan.replicates))
         except (StoppedError, DeviceError) as error:
-            stop = error.stop if isinstance(error, StoppedError) else Stop("device", str(error))
-            # A disk that is full must not hide why the tool stands.
+            reason = error.reason if isinstance(error, StoppedError) else StopReason("device", str(error))
+            # A full disk must not replace the error that stopped the tool.
             with contextlib.suppress(OSError, InputError):
-                folder.note_stop(stop.cause, stop.message, plan.name, self._phase, self._replicate)
+                folder.record_stop(reason.cause, reason.message, plan.name, self._phase, self._replicate)
             raise
         finally:
             if self._partial is not None:
                 self._partial.close()
                 self._partial = None
-        folder.note(state="waiting")
+        folder.update(state="waiting")
 
-    def _way_back(self) -> tuple[float, float]:
-        """Where the tool goes after a stop, m, and at what speed, m/s."""
-        plan, touch = self._plan, self._touch
-        away = 0.0 if touch is None else touch - (plan.retract if plan.contact == "force" else 0.0)
-        return away, plan.approach_speed
+    def _plan_retraction(self) -> tuple[float, float]:
+        """Return the position, m, and the speed, m/s, of a retraction after a stop."""
+        plan, contact_point = self._plan, self._contact_point
+        position = 0.0 if contact_point is None else contact_point - (plan.retract if plan.contact == "force" else 0.0)
+        return position, plan.approach_speed
 
-    def _look(self, samples: Sequence[ForceSample], forces: Sequence[float], place: StageSample) -> None:
-        """Keep and show what came."""
+    def _store_samples(self, samples: Sequence[ForceSample], forces: Sequence[float], stage: StageSample) -> None:
+        """Store the samples of a poll in memory and in the partial file, and report the progress.
+
+        Args:
+            samples: new force samples.
+            forces: their forces on the tool, N.
+            stage: new stage sample.
+
+        Raises:
+            StoppedError: the disk refused the samples.
+        """
         motion = self._motion
-        if self._taken is not None:
-            places = self._taken.add(samples, place)
+        if self._record is not None:
+            positions = self._record.add(samples, stage)
             if self._partial is not None:
-                began, touch = self._taken.places[0][0], self._touch or 0.0
-                self._partial.add([(sample.received - began, 1e3 * (at - touch), force, self._phase)
-                                   for sample, at, force in zip(samples, places, forces, strict=True)])
+                started, contact_point = self._record.positions[0][0], self._contact_point or 0.0
+                self._partial.add([(sample.received - started, 1e3 * (position - contact_point), force, self._phase)
+                                   for sample, position, force in zip(samples, positions, forces, strict=True)])
                 if self._partial.failure is not None:
-                    raise StoppedError(Stop("disk", self._partial.failure))
-        depth = place.position - self._touch if self._touch is not None else np.nan
-        self._deepest = max(self._deepest, depth if self._touch is not None else 0.0)
-        share = min((motion.now() - motion.began) / self.seconds, 1.0) if self.seconds else 1.0
-        self._watch(Moment(self._plan.name, self._phase, self._replicate, place.position, depth, motion.force, share))
+                    raise StoppedError(StopReason("disk", self._partial.failure))
+        depth = stage.position - self._contact_point if self._contact_point is not None else np.nan
+        self._deepest = max(self._deepest, depth if self._contact_point is not None else 0.0)
+        elapsed = motion.now() - motion.started
+        fraction = min(elapsed / self.seconds, 1.0) if self.seconds else 1.0
+        self._on_progress(RunProgress(self._plan.name, self._phase, self._replicate, stage.position, depth,
+                                      motion.force, fraction))
 
-    def _carry_out(self, missing: Sequence[int]) -> None:
+    def _execute_plan(self, missing: Sequence[int]) -> None:
+        """Find contact, precondition, and record the missing replicates."""
         plan, motion = self._plan, self._motion
         if not missing:
             return
         if plan.contact == "force":
-            motion.go(min(0.0, self._limits.highest), plan.approach_speed)
+            motion.move_to(min(0.0, self._limits.highest), plan.approach_speed)
         self._tare()
         if plan.contact == "force":
-            self._find_touch()
+            self._find_contact()
             if plan.preconditioning or plan.touch == "once":
-                self._refine_touch()
+                self._refine_contact_point()
         else:
-            self._touch = self._position
+            self._contact_point = self._position
         for cycle in range(plan.preconditioning):
-            self._follow(f"preconditioning {cycle + 1} of {plan.preconditioning}")
+            self._move_along_legs(f"preconditioning {cycle + 1} of {plan.preconditioning}")
         for number in missing:
             self._replicate = number
-            self._record(number)
+            self._record_replicate(number)
         self._replicate = 0
-        self._wait_above()
+        self._move_above_contact()
 
     @property
     def _position(self) -> float:
-        """Of the stage at the last look, m."""
-        assert self._motion.place is not None
-        return self._motion.place.position
+        """Position of the stage at the last poll, m."""
+        assert self._motion.stage_sample is not None
+        return self._motion.stage_sample.position
 
     def _tare(self) -> None:
         self._phase = "tare"
         self._motion.tare(self._limits.tare, self._plan.contact_force)
 
-    def _find_touch(self) -> None:
-        """Go in until the force says so, and back to where the sensor is zeroed once more."""
-        self._touch = self._go_in(self._plan.approach_speed)
-        self._wait_above(2.0)
+    def _find_contact(self) -> None:
+        """Approach until contact, withdraw, and tare the sensor again in the withdrawn position."""
+        self._contact_point = self._approach(self._plan.approach_speed)
+        self._move_above_contact(2.0)
         self._tare()
 
-    def _refine_touch(self) -> None:
-        """Go in slowly: that way in shows where it touches."""
-        plan, motion = self._plan, self._motion
-        self._wait_above(2.0)
-        taken = self._taken = Taken()
-        try:
-            halted = self._go_in(_SLOWER * plan.approach_speed)
-        finally:
-            self._taken = None
-        self._touch, self._touch_found = motion.do_meanwhile(
-            lambda: refined_touch(taken, plan, halted, motion.sensor.channels, 1.0 / motion.sensor.rate))
-        if self._first_touch is None:
-            self._first_touch = self._touch
-        if abs(self._touch - self._first_touch) > 0.5 * plan.retract:
-            raise StoppedError(Stop(
-                "zero", f"the tool touches at {self._touch * 1e3:.4g} mm, where it touched at "
-                        f"{self._first_touch * 1e3:.4g} mm before: the stage has lost steps, or the specimen moved"))
-        self._wait_above()
+    def _refine_contact_point(self) -> None:
+        """Approach slowly, and estimate the contact point from the samples of the approach.
 
-    def _go_in(self, speed: float) -> float:
-        """Until the force says that the tool touches, at a speed, m/s; returns where the stage was halted, m."""
+        Raises:
+            StoppedError: the contact point moved by more than half of the retraction height.
+        """
+        plan, motion = self._plan, self._motion
+        self._move_above_contact(2.0)
+        record = self._record = MotionRecord()
+        try:
+            halted = self._approach(_SLOW_APPROACH * plan.approach_speed)
+        finally:
+            self._record = None
+        self._contact_point, self._contact_metadata = motion.run_while_polling(
+            lambda: estimate_contact_point(record, plan, halted, motion.sensor.channels, 1.0 / motion.sensor.rate))
+        if self._first_contact_point is None:
+            self._first_contact_point = self._contact_point
+        if abs(self._contact_point - self._first_contact_point) > 0.5 * plan.retract:
+            raise StoppedError(StopReason(
+                "zero", f"the tool touches the specimen at {self._contact_point * 1e3:.4g} mm; the first contact was "
+                        f"at {self._first_contact_point * 1e3:.4g} mm: the stage has lost steps, or the specimen has "
+                        "moved"))
+        self._move_above_contact()
+
+    def _approach(self, speed: float) -> float:
+        """Move down at a speed, m/s, until the contact force is reached; return the position of the halt, m."""
         plan, motion = self._plan, self._motion
         self._phase = "approach"
-        if not motion.go(self._limits.highest, speed, lambda: motion.mean(_TOUCH_OVER) >= plan.contact_force):
-            raise StoppedError(Stop(
-                "no contact", f"no force of {plan.contact_force:g} N was felt on the whole way; put the specimen "
-                              "nearer, or look at the sign and the axis of the sensor"))
-        motion.forget()
+        if not motion.move_to(self._limits.highest, speed,
+                              lambda: motion.mean_force(_CONTACT_WINDOW) >= plan.contact_force):
+            raise StoppedError(StopReason(
+                "no contact", f"the force did not reach {plan.contact_force:g} N within the limits of the motion; put "
+                              "the specimen nearer, or check the sign and the axis of the sensor"))
+        motion.clear_forces()
         return self._position
 
-    def _wait_above(self, times: float = 1.0) -> None:
-        """Above the touch, by so many times the plan's height, where the plan finds it by force; elsewhere at it."""
-        assert self._touch is not None
-        above = times * self._plan.retract if self._plan.contact == "force" else 0.0
-        # No nearer than that: what is zeroed there must not touch.
-        self._motion.go(self._touch - above, self._plan.approach_speed)
+    def _move_above_contact(self, factor: float = 1.0) -> None:
+        """Move to the waiting position: above the contact point, or at it for contact ``"here"``.
 
-    def _follow(self, words: str) -> None:
-        """The motion of the plan, once; how deep it went is noted however it ends."""
-        assert self._touch is not None
-        plan, motion, touch = self._plan, self._motion, self._touch
+        Args:
+            factor: height above the contact point divided by the retraction height of the plan, 1.
+        """
+        assert self._contact_point is not None
+        # The tool must be free of the specimen here, because the sensor is zeroed in this position.
+        above = factor * self._plan.retract if self._plan.contact == "force" else 0.0
+        self._motion.move_to(self._contact_point - above, self._plan.approach_speed)
+
+    def _move_along_legs(self, description: str) -> None:
+        """Execute the motion of the plan once, and write the loading and its largest depth into the run file.
+
+        Args:
+            description: text of the entry, such as ``"recording 1 of 3"``.
+        """
+        assert self._contact_point is not None
+        plan, motion, contact_point = self._plan, self._motion, self._contact_point
         self._deepest = 0.0
-        # Noted before: a program that dies has loaded the specimen all the same.
-        entry = self._folder.note_loading(plan.name, words, plan.depth)
+        # Written before the motion: a program that dies during the motion has loaded the specimen.
+        entry = self._folder.record_loading(plan.name, description, plan.depth)
         try:
-            motion.go(touch + plan.legs[0].start, plan.approach_speed)
+            motion.move_to(contact_point + plan.legs[0].start, plan.approach_speed)
             for leg in plan.legs:
                 self._phase = leg.segment.kind
-                if self._taken is not None:
-                    self._taken.legs.append((motion.now(), leg.segment.kind, leg.cycle))
+                if self._record is not None:
+                    self._record.legs.append((motion.now(), leg.segment.kind, leg.cycle))
                 if leg.speed:
-                    motion.go(touch + leg.end, leg.speed)
+                    motion.move_to(contact_point + leg.end, leg.speed)
                 else:
-                    motion.rest(leg.duration)
+                    motion.poll_for(leg.duration)
         finally:
             with contextlib.suppress(OSError, InputError):
-                self._folder.note_loading(plan.name, words, self._deepest, entry)
+                self._folder.record_loading(plan.name, description, self._deepest, entry)
 
-    def _record(self, number: int) -> None:
+    def _record_replicate(self, number: int) -> None:
+        """Record one replicate, check the zero of the sensor, and save the recording.
+
+        Args:
+            number: number of the replicate, from 1.
+        """
         plan, motion, folder = self._plan, self._motion, self._folder
         self._phase = "rest"
-        self._wait_above()
-        motion.rest(plan.rest)
+        self._move_above_contact()
+        motion.poll_for(plan.rest)
         self._check_zero()
         if plan.contact == "force" and plan.touch == "each":
-            self._refine_touch()
+            self._refine_contact_point()
             self._phase = "rest"
-        name, started = f"{plan.name}_{number}", _clock_time()
-        before, stops = folder.of_test(plan.name)
-        partial = self._partial = folder.partial(name, ["time [s]", "displacement [mm]", "force [N]", "segment"])
-        taken = self._taken = Taken()
+        name, started = f"{plan.name}_{number}", _local_time()
+        loadings, stops = folder.get_test_history(plan.name)
+        partial = self._partial = folder.open_partial(name, ["time [s]", "displacement [mm]", "force [N]", "segment"])
+        record = self._record = MotionRecord()
         try:
-            self._follow(f"recording {number} of {plan.replicates}")
-            motion.rest(2 * PERIOD)
+            self._move_along_legs(f"recording {number} of {plan.replicates}")
+            motion.poll_for(2 * POLL_PERIOD)
         finally:
-            self._taken = None
-        # A motor that lost steps, or a sensor that fell asleep, shows here; what was recorded is no recording then.
+            self._record = None
+        # Lost steps of the motor and a sensor without signal show here; the samples are then not saved as a recording.
         self._phase = "check"
-        self._wait_above()
+        self._move_above_contact()
         self._check_zero()
-        touch, zero, found = self._touch or 0.0, motion.zero, self._touch_found
+        contact_point, zero, contact_metadata = self._contact_point or 0.0, motion.zero, self._contact_metadata
 
-        def keep() -> None:
-            recording = as_recording(taken, plan, touch, zero, motion.sensor.channels, 1.0 / motion.sensor.rate)
+        def save() -> None:
+            recording = build_recording(record, plan, contact_point, zero, motion.sensor.channels,
+                                        1.0 / motion.sensor.rate)
             if not recording.force.max() >= plan.contact_force:
-                raise StoppedError(Stop(
-                    "no contact", f"the force stayed below {plan.contact_force:g} N on a way to {plan.depth * 1e3:g} "
-                                  "mm: the motor has lost steps, or the sensor does not feel the tool"))
+                raise StoppedError(StopReason(
+                    "no contact", f"the force stayed below {plan.contact_force:g} N in a motion to "
+                                  f"{plan.depth * 1e3:g} mm: the motor has lost steps, or the sensor does not feel the "
+                                  "tool"))
             partial.close()
-            folder.keep(name, recording.with_metadata(**plan.about, **self._about, **{
-                "name": name, "test": plan.name, "replicate": number, "started": started, "ended": _clock_time(),
+            folder.save(name, recording.with_metadata(**plan.about, **self._about, **{
+                "name": name, "test": plan.name, "replicate": number, "started": started, "ended": _local_time(),
                 "sensor": motion.sensor.describe(), "stage": motion.stage.describe(), "axis": plan.axis,
-                "sign": plan.sign, "zeroed": "above the specimen, where it was before and after this recording"
+                "sign": plan.sign, "zeroed": "above the specimen, before and after this recording"
                 if plan.contact == "force" else "with the specimen on the tool, after homing",
-                "tares_N": motion.tares, "zero_after_tare_N": zero, "touch_mm": touch * 1e3, **found,
-                "loadings_before": before, "stops_before": stops, **recording.metadata}))
+                "tares_N": motion.tares, "zero_after_tare_N": zero, "touch_mm": contact_point * 1e3, **contact_metadata,
+                "loadings_before": loadings, "stops_before": stops, **recording.metadata}))
 
-        # It takes seconds after a long test, and the devices want to be looked at.
-        motion.do_meanwhile(keep)
+        # Saving a long test takes seconds; the devices must be polled during this time.
+        motion.run_while_polling(save)
         self._partial = None
 
     def _check_zero(self) -> None:
@@ -276,7 +319,8 @@ class Recorder:
             self._motion.check_zero(self._plan.contact_force)
 
 
-def _described(limits: MotionLimits) -> dict[str, Any]:
+def _limits_as_json(limits: MotionLimits) -> dict[str, Any]:
+    """Return the limits as a JSON object with units in the keys."""
     return {"force_N": limits.force, "lowest_mm": limits.lowest * 1e3, "highest_mm": limits.highest * 1e3,
             "speed_mm_s": limits.speed * 1e3, "duration_s": limits.duration,
             "stiffness_N_per_mm": limits.stiffness * 1e-3, "force_margin_N": limits.force_margin,
@@ -284,5 +328,6 @@ def _described(limits: MotionLimits) -> dict[str, Any]:
             "on_stop": "retract" if limits.retracts else "stand"}
 
 
-def _clock_time() -> str:
+def _local_time() -> str:
+    """Return the local date and time with time zone (ISO 8601)."""
     return time.strftime("%Y-%m-%dT%H:%M:%S%z")

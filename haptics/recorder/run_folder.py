@@ -1,4 +1,4 @@
-"""The folder of a run: what was planned, what was recorded, who stopped it; readable at every moment."""
+"""Keep the files of a run: its state, its recordings and their partial files, complete at every moment."""
 
 from __future__ import annotations
 
@@ -17,22 +17,33 @@ from tissue_sim.decode import read_json
 from tissue_sim.errors import InputError
 from tissue_sim.files import read_bytes
 
-RUN_FILE, LOCK_FILE, PARTIAL = "run.json", "run.lock", ".partial.csv"
-#: Folder, in that of the run, of copies of files that the tests depend on.
-FILES = "files"
-#: Rows are on the disk after so long at the latest, s.
-KEPT_EVERY = 0.5
+#: Name of the file with the state of a run.
+RUN_FILE = "run.json"
+#: Name of the file whose lock prevents a second program from recording into the folder.
+LOCK_FILE = "run.lock"
+#: End of the name of an unfinished recording.
+PARTIAL_SUFFIX = ".partial.csv"
+#: Folder, inside the folder of a run, with copies of the input files of the tests.
+COPIES_FOLDER = "files"
+#: Longest time until a row is on the disk, s.
+SYNC_INTERVAL = 0.5
 
 
 class RunFolder:
-    """Where a run writes. What was recorded stays whatever happens to the program.
+    """Folder of one run: state, history of loadings and stops, and recordings. The files survive a crash.
+
+    Use the object in a ``with`` block to record: the block holds the lock of the folder.
 
     Args:
-        folder: of the run.
-        digest: of the protocol: a folder belongs to one.
+        folder: path of the folder; it is created when the ``with`` block begins.
+        digest: SHA-256 of the protocol; a folder belongs to one protocol.
+
+    Attributes:
+        folder: path of the folder.
+        state: content of ``run.json``.
 
     Raises:
-        InputError: the folder belongs to another protocol, or holds something else, or another program writes to it.
+        InputError: the folder belongs to another protocol or contains other files, or another program records into it.
     """
 
     def __init__(self, folder: Path, digest: str):
@@ -41,44 +52,52 @@ class RunFolder:
         self._copies: dict[Path, str] = {}
         self.state: dict[str, Any] = {"schema": "tissue_sim.run/1", "protocol_sha256": digest, "state": "new",
                                       "done": [], "history": [], "stops": []}
-        self._take_state()
+        self._load_state()
 
-    def _take_state(self) -> None:
+    def _load_state(self) -> None:
+        """Read ``run.json`` if the folder has files; add a stop to the state if a previous program died."""
         if self.folder.exists() and any(each.name != LOCK_FILE for each in self.folder.iterdir()):
             self.state = self._read_state()
             if self.state["state"] == "running" and self._lock is not None:
-                # Nobody else has the lock: who ran has died.
-                self.note_stop("died", "the program ended without a word: killed, or a power cut", "", "", 0)
+                # This program holds the lock: the program that wrote "running" has ended.
+                self.record_stop("died", "the program ended without a message: it was killed, or the power failed", "",
+                                 "", 0)
 
     def _read_state(self) -> dict[str, Any]:
+        """Return the content of ``run.json``.
+
+        Raises:
+            InputError: the file is missing, unreadable, or of another protocol.
+        """
         file = self.folder / RUN_FILE
         if not file.exists():
-            raise InputError("holds other files and no run; choose an empty folder", file=self.folder)
+            raise InputError("the folder must be empty or contain a run; it contains other files. Choose an empty "
+                             "folder", file=self.folder)
         try:
             state = read_json(file, "the file of a run")
         except (OSError, ValueError):
             state = None
         if not isinstance(state, dict) or "protocol_sha256" not in state:
-            raise InputError("is no file of a run; choose an empty folder", file=file)
+            raise InputError("the file is not the state of a run; choose an empty folder", file=file)
         if state["protocol_sha256"] != self._digest:
-            raise InputError("belongs to a run with another protocol; choose another folder, so that no folder holds "
-                             "halves of two runs", file=self.folder)
+            raise InputError("the folder belongs to a run with another protocol; choose another folder, because a "
+                             "folder holds one run", file=self.folder)
         return state
 
     @property
     def is_begun(self) -> bool:
-        """Whether something was recorded, or tried, here."""
+        """Whether a run was started in this folder."""
         return self.state["state"] != "new"
 
     def __enter__(self) -> RunFolder:
         self.folder.mkdir(parents=True, exist_ok=True)
         self._lock = os.open(self.folder / LOCK_FILE, os.O_RDWR | os.O_CREAT, 0o644)
-        if not _lock_file(self._lock):
+        if not _try_lock(self._lock):
             os.close(self._lock)
             self._lock = None
-            raise InputError("another program records into this folder; wait for it, or choose another folder",
+            raise InputError("another program records into this folder; wait for its end, or choose another folder",
                              file=self.folder)
-        self._take_state()
+        self._load_state()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -86,80 +105,127 @@ class RunFolder:
             os.close(self._lock)
             self._lock = None
 
-    def note(self, **entries: Any) -> None:
-        """Put entries into ``run.json``."""
+    def update(self, **entries: Any) -> None:
+        """Replace entries of the state, and write ``run.json``."""
         self.state |= entries
         write_text(self.folder / RUN_FILE, json.dumps(self.state, indent=2, ensure_ascii=False) + "\n")
 
-    def note_stop(self, cause: str, message: str, test: str, phase: str, replicate: int) -> None:
-        """Why and where a run was ended."""
-        self.note(state="stopped", stops=[*self.state["stops"], {
-            "cause": cause, "message": message, "test": test, "phase": phase, "replicate": replicate, "at": _now()}])
+    def record_stop(self, cause: str, message: str, test: str, phase: str, replicate: int) -> None:
+        """Set the state to "stopped", and append the stop to the list of stops.
 
-    def note_loading(self, test: str, words: str, depth: float, entry: int | None = None) -> int:
-        """That a specimen is loaded, to a depth, m; again, with the number that this returned, when it was."""
+        Args:
+            cause: cause of the stop, see `haptics.safety.motion_guard.StopReason`.
+            message: sentence with the remedy.
+            test: name of the test.
+            phase: activity that was stopped.
+            replicate: number of the replicate; 0 outside of a replicate.
+        """
+        self.update(state="stopped", stops=[*self.state["stops"], {
+            "cause": cause, "message": message, "test": test, "phase": phase, "replicate": replicate,
+            "at": _local_time()}])
+
+    def record_loading(self, test: str, description: str, depth: float, entry: int | None = None) -> int:
+        """Write a loading of the specimen into the history.
+
+        Args:
+            test: name of the test.
+            description: text of the entry.
+            depth: planned depth of a new entry, or the reached depth of an existing entry, m.
+            entry: number of the entry to replace after the motion; None: append an entry that is marked as planned.
+
+        Returns:
+            Number of the entry.
+        """
         history = list(self.state["history"])
-        row = {"test": test, "what": words, "depth_mm": depth * 1e3, "at": _now()}
+        row = {"test": test, "what": description, "depth_mm": depth * 1e3, "at": _local_time()}
         if entry is None:
             history.append({**row, "planned": True})
         else:
             history[entry] = row
-        self.note(history=history)
+        self.update(history=history)
         return len(history) - 1 if entry is None else entry
 
-    def of_test(self, test: str) -> tuple[int, list[dict[str, Any]]]:
-        """How often the specimen of a test was loaded, and what stopped its runs."""
+    def get_test_history(self, test: str) -> tuple[int, list[dict[str, Any]]]:
+        """Return the number of loadings of the specimen of a test, and the stops of the test."""
         return (sum(entry["test"] == test for entry in self.state["history"]),
                 [stop for stop in self.state["stops"] if stop["test"] in (test, "")])
 
-    def missing(self, name: str, replicates: int) -> list[int]:
-        """Numbers of the recordings of a test that are not there yet."""
+    def missing_replicates(self, name: str, replicates: int) -> list[int]:
+        """Return the numbers of the replicates of a test that have no recording yet.
+
+        Args:
+            name: name of the test.
+            replicates: planned number of recordings.
+        """
         return [number for number in range(1, replicates + 1) if f"{name}_{number}.csv" not in self.state["done"]]
 
-    def copy_of(self, path: Path) -> str:
-        """Name, from the folder of the run, of a copy of a file that its tests depend on; it is copied once a program.
+    def copy_file(self, path: Path) -> str:
+        """Copy an input file of the tests into the folder; a later call with the same path makes no second copy.
+
+        Args:
+            path: file to copy.
+
+        Returns:
+            Path of the copy, relative to the folder of the run.
 
         Raises:
-            InputError: the file cannot be read, or the copy not be written.
+            InputError: the file cannot be read, or the copy cannot be written.
         """
         path = path.resolve()
         if path not in self._copies:
-            self.note()  # a folder with other files and no run would be refused
-            taken, number, name = set(self._copies.values()), 1, f"{FILES}/{path.name}"
-            while name in taken:
+            self.update()  # A folder with copies and without run.json would be refused later.
+            used, number, name = set(self._copies.values()), 1, f"{COPIES_FOLDER}/{path.name}"
+            while name in used:
                 number += 1
-                name = f"{FILES}/{path.stem}_{number}{path.suffix}"
+                name = f"{COPIES_FOLDER}/{path.stem}_{number}{path.suffix}"
             write_bytes(self.folder / name, read_bytes(path, "a file that the tests depend on"))
             self._copies[path] = name
         return self._copies[path]
 
-    def partial(self, name: str, header: Sequence[str]) -> PartialRecording:
-        """A file that is written as samples come."""
-        return PartialRecording(self.folder / f"{name}{PARTIAL}", header)
+    def open_partial(self, name: str, header: Sequence[str]) -> PartialRecording:
+        """Create the file of an unfinished recording.
 
-    def keep(self, name: str, recording: Recording) -> Path:
-        """A whole recording, in the place of the partial one."""
+        Args:
+            name: name of the recording, without ending.
+            header: titles of the columns.
+        """
+        return PartialRecording(self.folder / f"{name}{PARTIAL_SUFFIX}", header)
+
+    def save(self, name: str, recording: Recording) -> Path:
+        """Write a complete recording, delete its partial file, and add the recording to the state.
+
+        Args:
+            name: name of the recording, without ending.
+            recording: samples and metadata.
+
+        Returns:
+            Path of the recording.
+        """
         path = self.folder / f"{name}.csv"
         write_recording(recording, path)
-        (self.folder / f"{name}{PARTIAL}").unlink(missing_ok=True)
-        self.note(done=[*self.state["done"], path.name])
+        (self.folder / f"{name}{PARTIAL_SUFFIX}").unlink(missing_ok=True)
+        self.update(done=[*self.state["done"], path.name])
         return path
 
 
 class PartialRecording:
-    """A recording under way: each row is written whole, and on the disk within half a second.
+    """File of an unfinished recording: rows are written whole, and are on the disk within `SYNC_INTERVAL`.
 
-    A thread writes: a disk that is busy must not keep anybody from looking at a motor.
+    A separate thread writes the file: a busy disk must not delay the supervision of the motor.
 
     Args:
-        path: of it; an older one of this name is kept beside it, with a number.
-        header: of the columns.
+        path: path of the file; an existing file is renamed to NAME.stopped_N.csv.
+        header: titles of the columns.
+
+    Attributes:
+        path: path of the file.
+        failure: message of a failed write; None: all writes succeeded.
     """
 
     def __init__(self, path: Path, header: Sequence[str]):
         number = 1
         while path.exists():
-            older = path.with_name(path.name.replace(PARTIAL, f".stopped_{number}.csv"))
+            older = path.with_name(path.name.replace(PARTIAL_SUFFIX, f".stopped_{number}.csv"))
             number += 1
             if not older.exists():
                 path.rename(older)
@@ -167,13 +233,16 @@ class PartialRecording:
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
         self._waiting: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self._waiting.put(",".join(header) + "\n")
-        #: What the disk said when it refused.
         self.failure: str | None = None
         self._thread = threading.Thread(target=self._write, name="partial recording", daemon=True)
         self._thread.start()
 
     def add(self, rows: Sequence[Sequence[Any]]) -> None:
-        """Rows, as many cells each as the header."""
+        """Queue rows for writing.
+
+        Args:
+            rows: one sequence of cells per row, texts or numbers, in the order of the header.
+        """
         if rows:
             self._waiting.put("".join(",".join(cell if isinstance(cell, str) else f"{cell:.9g}" for cell in row) + "\n"
                                       for row in rows))
@@ -183,11 +252,11 @@ class PartialRecording:
         try:
             while not ending:
                 parts = [self._waiting.get()]
-                until = time.monotonic() + 0.5 * KEPT_EVERY
-                # Together, so that the disk is not asked more often than the half second needs.
-                while parts[-1] is not None and (left := until - time.monotonic()) > 0:
+                until = time.monotonic() + 0.5 * SYNC_INTERVAL
+                # Collect rows, so that the disk is synchronised only as often as the interval requires.
+                while parts[-1] is not None and (remaining := until - time.monotonic()) > 0:
                     try:
-                        parts.append(self._waiting.get(timeout=left))
+                        parts.append(self._waiting.get(timeout=remaining))
                     except queue.Empty:
                         break
                 ending = parts[-1] is None
@@ -196,24 +265,28 @@ class PartialRecording:
                     data = data[os.write(self._file, data):]
                 os.fsync(self._file)
         except OSError as error:
-            self.failure = f"{self.path} cannot be written ({error.strerror or error}); free the disk"
+            self.failure = f"{self.path} cannot be written ({error.strerror or error}); free space on the disk"
 
     def close(self) -> None:
-        """All that was added is on the disk then."""
+        """Write all queued rows to the disk, and close the file."""
         self._waiting.put(None)
         self._thread.join()
         os.close(self._file)
 
 
-def _now() -> str:
+def _local_time() -> str:
+    """Return the local date and time with time zone (ISO 8601)."""
     return time.strftime("%Y-%m-%dT%H:%M:%S%z")
 
 
-def _lock_file(descriptor: int) -> bool:
-    """Whether the lock was free; the system frees it when the program ends, however it ends."""
+def _try_lock(descriptor: int) -> bool:
+    """Lock a file without waiting; return whether the lock was free.
+
+    The operating system releases the lock when the program ends, also after a crash.
+    """
     try:
         import fcntl
-    except ImportError:  # Windows: opening it for writing is all that can be asked
+    except ImportError:  # Windows has no fcntl: opening the file for writing is the only check.
         return True
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

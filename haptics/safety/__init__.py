@@ -1,1 +1,1 @@
-"""What is between the tissue's force and the hand."""
+"""Safety between tissue and hand or motor: virtual coupling, force limits, watchdog, passivity, motion guard."""

@@ -3,131 +3,153 @@
 from __future__ import annotations
 
 import math
+import warnings
 
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Vector
 from tissue_sim.tool_force import ToolForce
 
 _NO_VECTOR: Vector = (0.0, 0.0, 0.0)
-#: Age up to which a coupling uses the stiffness of an answer, s. The tangents of a multirate bulk are 20 to 100 ms old.
+#: Largest age of a stiffness that the coupling uses, s. The tangents of a multirate bulk are 20 to 100 ms old.
 LONGEST_STIFFNESS_AGE = 0.1
-#: Motion of the proxy in a tick below which two forces give no secant stiffness, m.
-_LEAST_MOTION = 1e-7
+#: Smallest motion of the proxy in a tick for which a secant stiffness is computed, m.
+_SMALLEST_MOTION = 1e-7
 
 
 def is_stale(answer: ToolForce) -> bool:
-    """Whether the stiffness of an answer is older than `LONGEST_STIFFNESS_AGE`."""
+    """Return whether the stiffness of an answer is older than `LONGEST_STIFFNESS_AGE`."""
     return answer.stiffness_age > LONGEST_STIFFNESS_AGE
 
 
 class VirtualCoupling:
     """Spring-damper between device and proxy (Colgate, Stanley and Brown 1995; Adams and Hannaford 1999).
 
-    The device says where it is, x, and is given the force of the coupling, f; the proxy, at p, touches the tissue,
-    which pushes it by F(p):
+    The device is at x and receives the force f of the coupling. The proxy is at p and touches the tissue, which pushes
+    the proxy by F(p):
 
         f = K (p - x) + B (dp/dt - dx/dt),    mass d2p/dt2 = F(p) - f
 
-    The coupling is the same in all three directions. The proxy is turned as the device is: rotation is coupled rigidly,
-    and the torque of the tissue goes to the hand as it is.
+    The coupling is isotropic. The orientation of the proxy is that of the device: rotation is coupled rigidly, and the
+    torque of the tissue is given to the hand unchanged.
 
-    Every tick the proxy moves by one implicit (backward Euler) step, with the tissue's force taken as linear in the
-    proxy's way: F - S (p - p_before), F being that of a step in which the tool stays, S the stiffness within the step.
-    Of a tissue without mass that is its last answer. With mass it is not: the answer holds S = k + c m/T^2 times the
-    last acceleration, and the next force is
+    Time step. In each tick the proxy moves by one implicit (backward Euler) step. The force of the tissue is linearised
+    in the motion of the proxy, F - S (p - p_before): F is the force of a step in which the tool rests, S the stiffness
+    within the step. For a tissue without mass, F is the last answer. For a tissue with mass, the answer contains
+    S = k + c m/T^2 times the last acceleration, and the next force is
 
-        F_next(p) = F_next(p_before) - S (p - p_before),    F_next(p_before) = k p_before + m a(p_before, and the past)
+        F_next(p) = F_next(p_before) - S (p - p_before),    F_next(p_before) = k p_before + m a(p_before, history)
 
-    which only the tissue knows: `ToolForce.ahead`. So coupling, proxy and tissue make one system that is stepped
-    implicitly: a linear tissue answers what the step took it for, f is F(p) - mass d2p/dt2 to rounding, and each of
-    them is stable by itself under backward differences (first and second order damp every oscillation), whatever k, m
-    and K. A guess from the motion alone will not do: with F - S (step - step_before) a mass by first-order differences
-    gives a root at -1, by second-order ones (c = 9/4) at -1.5: the force changes sides and grows. An inertial answer
-    that does not look ahead is taken as it is; the proxy is then stable only while the mass of the tissue that it moves
-    is below 2 mass + B tick + (K + k) tick^2/2 (first order).
+    Only the tissue can compute F_next(p_before): `ToolForce.ahead`. Coupling, proxy and tissue are then one system with
+    an implicit step. For a linear tissue the linearisation is exact, f equals F(p) - mass d2p/dt2 to rounding, and the
+    step is stable for all k, m and K, because backward differences of first and second order damp every oscillation.
 
-    A stiffness that is older than `LONGEST_STIFFNESS_AGE` is not used. In its place S is the same in every direction:
-    the largest entry on the diagonal of all that were not too old, or the largest secant |change of the force| /
-    |motion of the proxy| between two ticks since then. With S above the stiffness k of the tissue the distance of the
-    proxy to its equilibrium changes by the factor 1 - (K + k)/(K + S) in a tick, between 0 and 1, so the step is
-    stable; the proxy lags behind by about (K + S)/(K + k) ticks. The stiffness within the step, of a tissue with mass,
-    belongs to its step and is never too old.
+    Extrapolation of the force from the motion alone is unstable: with F - S (step - step_before) a mass by first-order
+    differences has a root at -1, by second-order differences (c = 9/4) a root at -1.5, and the force oscillates with
+    growing amplitude. An inertial answer without `ahead` is used unchanged; the proxy is then stable only if the mass
+    of tissue that it moves is below 2 mass + B tick + (K + k) tick^2/2 (first order).
+
+    Old stiffness. A stiffness that is older than `LONGEST_STIFFNESS_AGE` is not used. S is then isotropic: the larger
+    of the largest diagonal entry of all earlier stiffnesses that were not too old, and the largest secant
+    |change of the force| / |motion of the proxy| between two ticks since then. If S exceeds the stiffness k of the
+    tissue, the distance of the proxy to its equilibrium changes in each tick by the factor 1 - (K + k)/(K + S), which
+    is between 0 and 1: the step is stable, and the proxy lags behind by about (K + S)/(K + k) ticks. The stiffness
+    within the step of a tissue with mass belongs to that step and is never too old.
 
     Passivity. With a zero-order hold of length T, a sampled wall K + B (z - 1)/(T z) on a device of physical damping b
-    is passive if and only if b > K T/2 + |B| (Colgate and Schenkel 1997). A coupling to a proxy needs the same: for
-    B >= 0 and any load that is passive in discrete time (a spring, a damper, a mass, by first-order differences) the
-    worst case over all loads and frequencies is that of a proxy that does not move. A mass by second-order differences
-    is no such load; it asks for no more if B >= K T/5 (computed, masses of 1 mg to 100 kg). A force that leaves n ticks
-    later asks for (1 + n)^2 times as much, which then is sufficient but not necessary.
+    is passive if and only if b > K T/2 + |B| (Colgate and Schenkel 1997). The same condition holds for a coupling to a
+    proxy: for B >= 0 and any load that is passive in discrete time (a spring, a damper, a mass by first-order
+    differences) the worst case over all loads and frequencies is a proxy at rest. A mass by second-order differences is
+    not passive in discrete time; it requires no more damping if B >= K T/5 (computed, masses of 1 mg to 100 kg). A
+    force that leaves n ticks later requires (1 + n)^2 times the damping; this condition is sufficient but not
+    necessary.
 
     Args:
-        stiffness: K, N/m.
-        damping: B, N s/m.
-        mass: of the proxy, kg; 0: it is where coupling and tissue balance.
+        stiffness: stiffness K of the spring, N/m.
+        damping: damping B of the damper, N s/m.
+        mass: mass of the proxy, kg; 0: the proxy is in static equilibrium between coupling and tissue.
 
     Attributes:
-        pose: of the proxy; None before the first step.
-        force: on the device, N.
-        dissipated: energy taken out by the damper since the last reset, J.
+        pose: pose of the proxy; None before the first step.
+        force: force of the coupling on the device, N.
+        dissipated: energy that the damper has dissipated since the last reset, J.
 
     Raises:
-        InputError: a stiffness that is not above zero, a negative damping or mass, or one that is not finite.
+        InputError: the stiffness is not positive, damping or mass is negative, or a value is not finite.
     """
 
     def __init__(self, stiffness: float, damping: float = 0.0, mass: float = 0.0):
         if not 0 < stiffness < math.inf:
-            raise InputError(f"{stiffness:g} N/m couples nothing; give a stiffness above zero", field="stiffness")
+            raise InputError(f"must be positive and finite; got {stiffness:g} N/m", field="stiffness")
         for value, unit, field in ((damping, "N s/m", "damping"), (mass, "kg", "mass")):
             if not 0 <= value < math.inf:
-                raise InputError(f"{value:g} {unit} is out of range; give zero or more", field=field)
+                raise InputError(f"must be zero or more and finite; got {value:g} {unit}", field=field)
         self.stiffness, self.damping, self.mass = stiffness, damping, mass
         self.reset()
 
     def reset(self):
-        """Forget the proxy; it is put at the device in the next step."""
+        """Discard the state of the proxy; the next step places the proxy at the device."""
         self.pose: Pose | None = None
         self.force, self.dissipated = _NO_VECTOR, 0.0
         self._device, self._motion = _NO_VECTOR, _NO_VECTOR
-        #: Largest stiffness of the tissue so far, and largest secant since it is too old, N/m.
-        self._stiffest = self._secant = 0.0
+        #: Largest stiffness of the tissue so far, N/m.
+        self._largest_stiffness = 0.0
+        #: Largest secant stiffness since the stiffness of the answers is too old, N/m.
+        self._secant = 0.0
         #: Force of the tissue in the last tick, N.
         self._load: Vector | None = None
 
-    def least_device_damping(self, tick: float, delay_ticks: int = 0) -> float:
-        """Physical damping, N s/m, that the device must have more of: (1 + delay)^2 (K tick/2 + B).
+    def required_device_damping(self, tick: float, delay_ticks: int = 0) -> float:
+        """Return the physical damping that the device must exceed for passivity: (1 + delay)^2 (K tick/2 + B), N s/m.
 
         Args:
             tick: period of the loop, s.
             delay_ticks: whole ticks between the sample of the pose and the force that it causes.
+
+        Raises:
+            InputError: the tick is not positive and finite, or the delay is negative.
         """
         if not (0 < tick < math.inf and delay_ticks >= 0):
-            raise InputError("give a tick above zero, s, and a delay of 0 or more ticks", field="tick, delay_ticks")
+            raise InputError(f"tick must be positive and finite, and delay_ticks zero or more; got {tick:g} s and "
+                             f"{delay_ticks}", field="tick, delay_ticks")
         return (1 + delay_ticks) ** 2 * (self.stiffness * tick / 2 + self.damping)
 
-    def is_passive(self, device_damping: float, tick: float, delay_ticks: int = 0) -> bool:
-        """Whether a device with this physical damping, N s/m, stays passive with any passive tissue."""
-        return device_damping > self.least_device_damping(tick, delay_ticks)
+    def least_device_damping(self, tick: float, delay_ticks: int = 0) -> float:
+        """Return `required_device_damping`, N s/m. Deprecated name, kept for one release."""
+        warnings.warn("VirtualCoupling.least_device_damping is renamed to required_device_damping", DeprecationWarning,
+                      stacklevel=2)
+        return self.required_device_damping(tick, delay_ticks)
 
-    def step(self, device: Pose, answer: ToolForce | None, dt: float) -> Pose:
-        """Move the proxy by one tick; `force` is then that of the coupling.
+    def is_passive(self, device_damping: float, tick: float, delay_ticks: int = 0) -> bool:
+        """Return whether the coupled device is passive with any passive tissue.
 
         Args:
-            device: where the device is.
-            answer: of the tissue, to the proxy's present pose; None where there is none to believe: the proxy stays.
-            dt: s.
+            device_damping: physical damping of the device, N s/m.
+            tick: period of the loop, s.
+            delay_ticks: whole ticks between the sample of the pose and the force that it causes.
+        """
+        return device_damping > self.required_device_damping(tick, delay_ticks)
+
+    def step(self, device: Pose, answer: ToolForce | None, dt: float) -> Pose:
+        """Move the proxy by one tick, and update `force`.
+
+        Args:
+            device: pose of the device.
+            answer: answer of the tissue to the present pose of the proxy; None: no valid answer, the proxy stays.
+            dt: length of the tick, s.
 
         Returns:
-            Where the tissue is to be asked next.
+            New pose of the proxy, which is the next pose for the tissue.
         """
         x, y, z = position = device.position
         if self.pose is None:
             self.pose, self._device = device, position
-            answer = None  # what there is answers to another pose
+            answer = None  # the answer belongs to another pose
         last_x, last_y, last_z = self._device
         self._device = position
         velocity = vx, vy, vz = (x - last_x) / dt, (y - last_y) / dt, (z - last_z) / dt
         px, py, pz = self.pose.position
-        moved = (0.0, 0.0, 0.0) if answer is None else self._balance((x - px, y - py, z - pz), velocity, answer, dt)
+        offset = (x - px, y - py, z - pz)
+        moved = (0.0, 0.0, 0.0) if answer is None else self._solve_motion(offset, velocity, answer, dt)
         self._motion = mx, my, mz = moved
         px, py, pz = px + mx, py + my, pz + mz
         self.pose = Pose((px, py, pz), device.orientation)
@@ -138,9 +160,19 @@ class VirtualCoupling:
         self.dissipated += (damping * vx * vx + damping * vy * vy + damping * vz * vz) * dt
         return self.pose
 
-    def _balance(self, away: Vector, velocity: Vector, answer: ToolForce, dt: float) -> Vector:
-        """Motion of the proxy in this tick, m, from how far the device is away from it, m, and its velocity, m/s."""
-        # A negative stiffness would push the implicit step the wrong way; the next tick mends what is left out.
+    def _solve_motion(self, offset: Vector, velocity: Vector, answer: ToolForce, dt: float) -> Vector:
+        """Solve the implicit step for the motion of the proxy.
+
+        Args:
+            offset: position of the device less position of the proxy, m.
+            velocity: velocity of the device, m/s.
+            answer: answer of the tissue to the present pose of the proxy.
+            dt: length of the tick, s.
+
+        Returns:
+            Motion of the proxy in this tick, m.
+        """
+        # A negative stiffness would reverse the implicit step, so it is set to zero; the next tick corrects the rest.
         ahead = answer if answer.ahead is None else answer.ahead
         matrix = answer.within_step if answer.ahead is None else answer.ahead.stiffness_matrix
         a, b, c = matrix[0][:3]
@@ -148,17 +180,17 @@ class VirtualCoupling:
         g, h, i = matrix[2][:3]
         a, e, i = max(a, 0.0), max(e, 0.0), max(i, 0.0)
         if matrix is answer.stiffness_matrix:
-            self._note_stiffness(answer, max(a, e, i))
+            self._update_stiffness(answer, max(a, e, i))
             if is_stale(answer):
-                a = e = i = max(self._stiffest, self._secant)
+                a = e = i = max(self._largest_stiffness, self._secant)
                 b = c = d = f = g = h = 0.0
         before_x, before_y, before_z = self._motion
         load_x, load_y, load_z = ahead.wrench[:3]
         inertia, damping, stiffness = self.mass / dt**2, self.damping, self.stiffness
-        x = inertia * before_x + damping * velocity[0] + stiffness * away[0] + load_x
-        y = inertia * before_y + damping * velocity[1] + stiffness * away[1] + load_y
-        z = inertia * before_z + damping * velocity[2] + stiffness * away[2] + load_z
-        # Elimination. A tissue that resists in every direction makes no pivot smaller than that of the coupling alone.
+        x = inertia * before_x + damping * velocity[0] + stiffness * offset[0] + load_x
+        y = inertia * before_y + damping * velocity[1] + stiffness * offset[1] + load_y
+        z = inertia * before_z + damping * velocity[2] + stiffness * offset[2] + load_z
+        # Gaussian elimination. With a tissue of positive stiffness no pivot is below that of the coupling alone.
         least = inertia + damping / dt + stiffness
         first = max(least + a, least)
         d, g = d / first, g / first
@@ -171,11 +203,16 @@ class VirtualCoupling:
         y = (y - f * z) / second
         return ((x - b * y - c * z) / first, y, z)
 
-    def _note_stiffness(self, answer: ToolForce, largest: float) -> None:
-        """Note the largest stiffness, N/m, of an answer that is not too old, or else the secant of two forces."""
+    def _update_stiffness(self, answer: ToolForce, largest: float) -> None:
+        """Update the largest stiffness, or the secant stiffness if the stiffness of the answer is too old.
+
+        Args:
+            answer: answer of the tissue.
+            largest: largest diagonal entry of its stiffness, N/m.
+        """
         load, before, motion = answer.wrench[:3], self._load, math.hypot(*self._motion)
         self._load = load
         if not is_stale(answer):
-            self._stiffest, self._secant = max(self._stiffest, largest), 0.0
-        elif before is not None and motion > _LEAST_MOTION:
+            self._largest_stiffness, self._secant = max(self._largest_stiffness, largest), 0.0
+        elif before is not None and motion > _SMALLEST_MOTION:
             self._secant = max(self._secant, math.dist(load, before) / motion)

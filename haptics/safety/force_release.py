@@ -1,4 +1,4 @@
-"""A force that is no longer one of an equilibrium is let go."""
+"""Fade out the force of a tissue that has not reached equilibrium for some time."""
 
 from __future__ import annotations
 
@@ -8,63 +8,68 @@ from haptics.safety.watchdog import Watchdog, WatchdogState
 from tissue_sim.errors import InputError
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
-#: Time without an equilibrium, s, after which force and stiffness fade, and how long that takes; they return as long.
-PATIENCE, RAMP = 0.050, 0.050
-#: A first force up to this, N, is given as it is; one above it means that a tool was put into the tissue.
-ENGAGES = 0.1
-#: Longer than anything runs, s.
-_NEVER = 1e300
+#: Longest time without equilibrium at full force, s.
+PATIENCE = 0.050
+#: Duration of the fade to zero, and of the return to full force, s.
+RAMP = 0.050
+#: Largest magnitude of a first force that is given in full, N. A larger first force means that the tool starts inside
+#: the tissue; it is faded in.
+LARGEST_FIRST_FORCE = 0.1
+#: Finite replacement of an infinite patience, longer than any run, s.
+_LONGEST_PATIENCE = 1e300
 
 
 class ForceRelease:
-    """Between a tissue and whatever gives its force to a hand, a page or a client.
+    """Fade the force of a tissue without equilibrium, before the force reaches a hand, a page or a client.
 
-    An answer that is not CONVERGED carries on the last equilibrium. After `patience` without one force and stiffness
-    go to zero together within `ramp` (FADING), so that a client which extrapolates does not go past the force that it
-    was given; with the next equilibrium they come back as they went (RETURNING). A hand that begins inside the tissue
-    (the first force is above `ENGAGES`) begins without a force in the same way. A pose that was refused stays REFUSED,
-    with what the last force has faded to.
+    An answer whose status is not CONVERGED extrapolates the last equilibrium. After `patience` without equilibrium,
+    force and stiffness fade to zero together within `ramp` (status FADING): a client that extrapolates with the
+    stiffness then stays below the force of the answer. With the next equilibrium they return within the same time
+    (status RETURNING). If the first force exceeds `LARGEST_FIRST_FORCE`, the hand starts inside the tissue, and the
+    force returns from zero in the same way. The answer to a refused pose keeps the status REFUSED and is scaled by the
+    same gain.
 
     Args:
-        patience: s; infinite for local models of a solver that is slow by design and has an age of its own.
-        ramp: s; see `Watchdog`.
+        patience: longest time without equilibrium at full force, s; infinite for local models of a slow solver, which
+            have their own age limit.
+        ramp: duration of the fade, s; see `Watchdog`.
 
     Raises:
-        InputError: times that are not above zero; a ramp without end.
+        InputError: a time is not positive, or the ramp is infinite.
     """
 
     def __init__(self, patience: float = PATIENCE, ramp: float = RAMP):
         if not patience > 0.0:
-            raise InputError(f"{patience:g} s is too short; give a time above zero", field="patience")
-        self._watchdog = Watchdog(min(patience, _NEVER), ramp)
+            raise InputError(f"must be positive; got {patience:g} s", field="patience")
+        self._watchdog = Watchdog(min(patience, _LONGEST_PATIENCE), ramp)
         self.reset()
 
     @property
     def gain(self) -> float:
-        """Share of the force that was given in the last step, 0 to 1."""
+        """Factor of the force in the last step, 0 to 1."""
         return self._watchdog.gain
 
     def reset(self) -> None:
-        """The next answer is the first one."""
+        """Restore full force, and treat the next answer as the first one."""
         self._watchdog.reset()
-        self._last: float | None = None
+        self._last_step: float | None = None
 
     def step(self, answer: ToolForce, now: float) -> ToolForce:
-        """What to give of an answer.
+        """Return the answer with force and stiffness scaled by the gain of this step.
 
         Args:
-            answer: of the tissue.
-            now: s on a clock that never stands still, whatever a client says of its own time.
+            answer: answer of the tissue.
+            now: time, s, on a clock of this computer that always advances; the clock of a client is not used.
         """
-        watchdog, last, self._last = self._watchdog, self._last, now
-        if last is None and math.hypot(*answer.wrench[:3]) > ENGAGES:
+        watchdog, last, self._last_step = self._watchdog, self._last_step, now
+        if last is None and math.hypot(*answer.wrench[:3]) > LARGEST_FIRST_FORCE:
             watchdog.withdraw()
-        found = answer.status is ForceStatus.CONVERGED
-        gain = watchdog.step(found, 0.0 if last is None else max(0.0, now - last))
+        converged = answer.status is ForceStatus.CONVERGED
+        gain = watchdog.step(converged, 0.0 if last is None else max(0.0, now - last))
         if gain == 1.0:
             return answer
         status = answer.status
-        if found:
+        if converged:
             status = ForceStatus.RETURNING
         elif status in (ForceStatus.LATE, ForceStatus.STOPPED) and watchdog.state is not WatchdogState.MISSING:
             status = ForceStatus.FADING

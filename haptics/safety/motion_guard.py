@@ -1,9 +1,9 @@
-"""Limits of a motor that moves a tool: checked at every look at its sensor and its stage, and before it moves at
-all."""
+"""Check the limits of a motor that moves a tool: before the motion, and at each poll of its sensor and its stage."""
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -11,33 +11,55 @@ from dataclasses import dataclass, fields
 from haptics.devices.contracts import ForceSample, SampleStatus, StageSample
 from tissue_sim.errors import InputError
 
-#: How long a sensor may be silent, s, and in periods of it; whichever is longer.
-SILENCE, SILENT_PERIODS = 0.05, 3
-#: Over which time a speed is taken, s; and by how much it may be missed: a share, and steps of the position.
-_SPEED_OVER, _SPEED_SLACK = 0.1, 0.25
-#: How far a driven tool may stay behind before it counts as stalled, s of its way, and m.
-_BEHIND_TIME, _BEHIND = 0.25, 50e-6
-#: How far it may be off the way that it was sent, or from where it rests, m.
-_ASTRAY = 0.1e-3
+#: Default of the longest time without a sample of the sensor, s.
+DEFAULT_SENSOR_SILENCE = 0.05
+
+
+@dataclass(frozen=True)
+class MotionGuardSettings:
+    """Tolerances of `MotionGuard`; larger values detect a fault later and cause fewer false stops.
+
+    Attributes:
+        silent_periods: number of sampling periods that a sensor may be silent, if this time is longer than
+            `MotionLimits.sensor_silence`.
+        speed_window: time over which a speed is measured, s.
+        speed_tolerance: relative amount by which a measured speed may exceed the limit, 1.
+        stall_time: travel that a tool may be behind its commanded position, as a time at the commanded speed, s.
+        stall_distance: least distance behind the commanded position that counts as a stall, m; also the tolerance of
+            the position in the checks of travel and speed.
+        path_tolerance: distance from the commanded path, or from the position at rest, that is always allowed, m.
+    """
+
+    silent_periods: int = 3
+    speed_window: float = 0.1
+    speed_tolerance: float = 0.25
+    stall_time: float = 0.25
+    stall_distance: float = 50e-6
+    path_tolerance: float = 0.1e-3
+
+
+#: Settings of every guard.
+_SETTINGS = MotionGuardSettings()
 
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What must not be passed. They can be set, not switched off.
+    """Limits of the motions of a run; every limit is finite, so that no limit can be switched off.
 
     Attributes:
-        force: largest magnitude, N.
-        lowest, highest: of the stage's position, m.
-        speed: m/s.
-        duration: of a whole run, s.
-        stiffness: largest that the specimen may show, N/m: what a motion that ends late costs.
-        force_margin: what that may cost, N.
-        sensor_silence: how long the sensor may be silent, s.
-        tare: largest magnitude that the sensor may read before it is zeroed for the first time, N.
-        retracts: whether the tool is taken back after a stop; otherwise it stands where it is.
+        force: largest magnitude of the force, N.
+        lowest: lowest position of the stage, m.
+        highest: highest position of the stage, m; positive is into the specimen.
+        speed: largest speed, m/s.
+        duration: largest duration of a run, s.
+        stiffness: largest stiffness of the specimen, N/m; with the speed it gives the force increase until a halt.
+        force_margin: largest force increase between a fault and the halt, N.
+        sensor_silence: longest time without a sample of the sensor, s.
+        tare: largest magnitude of the reading of the sensor before its first tare, N.
+        retracts: whether the tool is retracted after a stop; otherwise the tool stays in place.
 
     Raises:
-        InputError: one that is no finite number above zero, or an empty way.
+        InputError: a limit is not a finite positive number, or the range of positions is empty.
     """
 
     force: float
@@ -47,7 +69,7 @@ class MotionLimits:
     duration: float
     stiffness: float
     force_margin: float
-    sensor_silence: float = SILENCE
+    sensor_silence: float = DEFAULT_SENSOR_SILENCE
     tare: float = 10.0
     retracts: bool = False
 
@@ -57,176 +79,218 @@ class MotionLimits:
             if each.name in ("lowest", "highest", "retracts"):
                 continue
             if not 0 < value < math.inf:
-                raise InputError(f"{value:g} limits nothing; give a number above zero", field=f"limits.{each.name}")
+                raise InputError(f"must be positive and finite; got {value:g}", field=f"limits.{each.name}")
         if not -math.inf < self.lowest < self.highest < math.inf:
-            raise InputError(f"from {self.lowest * 1e3:g} to {self.highest * 1e3:g} mm is no way; give the lower end "
-                             "first",
+            raise InputError(f"must be below limits.highest, {self.highest * 1e3:g} mm; got {self.lowest * 1e3:g} mm",
                              field="limits.lowest")
 
 
 @dataclass(frozen=True)
-class Stop:
-    """Why a motion was ended.
+class StopReason:
+    """Reason for which a motion was stopped.
 
     Attributes:
         cause: ``"force"``, ``"travel"``, ``"speed"``, ``"duration"``, ``"sensor lost"``, ``"sensor saturated"``,
             ``"sensor fault"``, ``"stage fault"``, ``"limit switch"``, ``"stage stalled"``, ``"stage astray"``,
-            ``"device"``, ``"disk"``, ``"asked"``, ``"program late"``, ``"no contact"``, ``"zero"``.
-        message: one sentence, with what to do.
+            ``"device"``, ``"disk"``, ``"asked"``, ``"program late"``, ``"no contact"`` or ``"zero"``.
+        message: one sentence with the remedy.
     """
 
     cause: str
     message: str
 
     @property
-    def may_retract(self) -> bool:
-        """Whether the stage can still be believed to move the tool back."""
+    def allows_retraction(self) -> bool:
+        """Whether the stage still works well enough to retract the tool."""
         return self.cause not in ("stage fault", "limit switch", "stage stalled", "stage astray", "device", "speed",
                                   "travel")
 
 
 @dataclass(frozen=True)
-class Drive:
-    """A motion that is under way: from, to, m; at what speed, m/s; since when, s."""
+class CommandedMotion:
+    """The last motion that the stage was commanded to make, at a constant speed.
+
+    Attributes:
+        start: position at the start, m.
+        goal: commanded position, m.
+        speed: commanded speed, m/s; 0: the stage stays in place.
+        started: time of the command, s.
+    """
 
     start: float
     goal: float
     speed: float
-    began: float
+    started: float
 
-    def expected(self, now: float) -> float:
-        """How far it should have come, m."""
-        return min(self.speed * max(now - self.began, 0.0), abs(self.goal - self.start))
+    def expected_travel(self, now: float) -> float:
+        """Return the distance that the tool should have moved at a time, m.
+
+        Args:
+            now: s, on the clock of `started`.
+        """
+        return min(self.speed * max(now - self.started, 0.0), abs(self.goal - self.start))
 
 
 class MotionGuard:
-    """Looks at every sample, and says when a motion has to end.
+    """Check each sample of a run against the limits, and report the reason to stop.
 
     Args:
-        limits: see there.
-        sensor_rate: Hz. channels: of the sensor: all forces among them count against the limit together.
-        measures_position: of the stage: whether a stall can be seen in its position.
-        began: when the run began, s on the clock of the samples.
+        limits: limits of the run.
+        sensor_rate: sampling rate of the sensor, Hz.
+        channels: names of the channels of the sensor; the resultant of Fx, Fy and Fz counts against the force limit.
+        measures_position: whether the stage measures its position, so that a stall is visible.
+        started: start of the run, s, on the clock of the samples.
 
     Attributes:
-        knows_place, knows_zero: whether the stage was homed and the sensor zeroed in this run, so that they can be
-            judged. Nothing is moved before the sensor is.
+        is_stage_homed: whether the stage was homed in this run; before that, its position is not checked.
+        is_sensor_zeroed: whether the sensor was zeroed in this run; before that, its force is not checked, and the
+            recorder moves nothing.
     """
 
     def __init__(self, limits: MotionLimits, sensor_rate: float, channels: Sequence[str], measures_position: bool,
-                 began: float):
-        self.limits, self._measured, self._began = limits, measures_position, began
-        self._silence = max(limits.sensor_silence, SILENT_PERIODS / sensor_rate)
-        self._forces = [number for number, name in enumerate(channels) if name in ("Fx", "Fy", "Fz")]
-        self._heard = began
-        self._readings: deque[StageSample] = deque()
-        self.knows_place = self.knows_zero = False
+                 started: float):
+        self.limits, self._measures_position, self._started = limits, measures_position, started
+        self._longest_silence = max(limits.sensor_silence, _SETTINGS.silent_periods / sensor_rate)
+        self._force_channels = [number for number, name in enumerate(channels) if name in ("Fx", "Fy", "Fz")]
+        self._last_sample = started
+        self._stage_samples: deque[StageSample] = deque()
+        self.is_stage_homed = self.is_sensor_zeroed = False
 
     def check(self, now: float, samples: Sequence[ForceSample], forces: Sequence[float], stage: StageSample,
-              drive: Drive | None) -> Stop | None:
-        """Why the motion has to end; None: it need not.
+              command: CommandedMotion | None) -> StopReason | None:
+        """Check the samples of one poll.
 
         Args:
-            now: s on the clock of the samples. samples: new ones. forces: what they say along the tool, N.
-            stage: where it is. drive: what it was told last; None: nothing.
+            now: time of the poll, s, on the clock of the samples.
+            samples: new force samples.
+            forces: force along the tool of each sample, N.
+            stage: new stage sample.
+            command: last commanded motion; None: none.
+
+        Returns:
+            The reason to stop the motion, or None.
         """
         return (self._check_sensor(now, samples) or self._check_force(samples, forces) or self._check_stage(stage)
-                or self._check_motion(now, stage, drive))
+                or self._check_motion(now, stage, command))
 
-    def _check_sensor(self, now: float, samples: Sequence[ForceSample]) -> Stop | None:
+    def _check_sensor(self, now: float, samples: Sequence[ForceSample]) -> StopReason | None:
+        """Check the status of the sensor, and the time since its last sample."""
         for sample in samples:
             if sample.status & SampleStatus.SATURATED:
-                return Stop("sensor saturated", "the sensor is at the end of its range, and the force may be larger; "
-                                                "take the load off and look whether it reads zero")
+                return StopReason("sensor saturated",
+                                  "the sensor is at the end of its range, and the force may be larger; remove the "
+                                  "load, and check that the sensor reads zero")
             if sample.status & SampleStatus.FAULT:
-                return Stop("sensor fault", "the sensor reports a fault, and its samples are not to be trusted; look "
-                                            "at what it says of itself")
+                return StopReason("sensor fault", "the sensor reports a fault, and its samples are unreliable; check "
+                                                  "its status display or its manual")
         if samples:
-            self._heard = now
-        elif now - self._heard > self._silence:
-            return Stop("sensor lost", f"the sensor was silent for {now - self._heard:.3g} s, where "
-                                       f"{self._silence:.3g} s are allowed; look at its cable and its power")
+            self._last_sample = now
+        elif now - self._last_sample > self._longest_silence:
+            return StopReason("sensor lost", f"the sensor was silent for {now - self._last_sample:.3g} s, longer than "
+                                             f"the allowed {self._longest_silence:.3g} s; check its cable and its "
+                                             "power supply")
         return None
 
-    def _check_force(self, samples: Sequence[ForceSample], forces: Sequence[float]) -> Stop | None:
-        if not self.knows_zero:
+    def _check_force(self, samples: Sequence[ForceSample], forces: Sequence[float]) -> StopReason | None:
+        """Check the force along the tool and the resultant force."""
+        if not self.is_sensor_zeroed:
             return None
         for sample, force in zip(samples, forces, strict=True):
-            together = math.sqrt(sum(sample.values[number] ** 2 for number in self._forces))
-            for size, words in ((abs(force), "along the tool"), (together, "in all directions")):
-                # Not the other way round: what is no number passes no limit.
-                if not size <= self.limits.force:
-                    return Stop("force", f"the force {words} was {size:.4g} N, above the limit of "
-                                         f"{self.limits.force:g} N")
+            resultant = math.sqrt(sum(sample.values[number] ** 2 for number in self._force_channels))
+            for magnitude, direction in ((abs(force), "along the tool"), (resultant, "in all directions")):
+                # Written as a negation, so that NaN exceeds the limit.
+                if not magnitude <= self.limits.force:
+                    return StopReason("force", f"the force {direction} was {magnitude:.4g} N, above the limit of "
+                                               f"{self.limits.force:g} N")
         return None
 
-    def _check_stage(self, stage: StageSample) -> Stop | None:
+    def _check_stage(self, stage: StageSample) -> StopReason | None:
+        """Check the status of the stage."""
         if stage.status & SampleStatus.FAULT:
-            return Stop("stage fault", "the stage reports a fault; look at what it says of itself, and home it again")
-        if stage.status & SampleStatus.LIMIT and self.knows_place and not stage.moving:
-            return Stop("limit switch", "the stage stands at a limit switch, where it should not be; home it again")
+            return StopReason("stage fault", "the stage reports a fault; check its status display, and home it again")
+        if stage.status & SampleStatus.LIMIT and self.is_stage_homed and not stage.moving:
+            return StopReason("limit switch", "the stage stands at a limit switch within the limits of the motion; "
+                                              "home it again")
         return None
 
-    def _check_motion(self, now: float, stage: StageSample, drive: Drive | None) -> Stop | None:
+    def _check_motion(self, now: float, stage: StageSample, command: CommandedMotion | None) -> StopReason | None:
+        """Check the duration of the run, and the position and speed of the homed stage."""
         limits = self.limits
-        if now - self._began > limits.duration:
-            return Stop("duration", f"the run took longer than its limit of {limits.duration:g} s")
-        if not self.knows_place or not stage.homed:
-            self._readings.clear()
+        if now - self._started > limits.duration:
+            return StopReason("duration", f"the run took longer than its limit of {limits.duration:g} s")
+        if not self.is_stage_homed or not stage.homed:
+            self._stage_samples.clear()
             return None
-        if not limits.lowest - _BEHIND <= stage.position <= limits.highest + _BEHIND:
-            return Stop("travel", f"the stage is at {stage.position * 1e3:.4g} mm, outside of its limits of "
-                                  f"{limits.lowest * 1e3:g} to {limits.highest * 1e3:g} mm")
-        return self._check_speed(stage) or (None if drive is None else self._check_drive(stage, drive))
+        tolerance = _SETTINGS.stall_distance
+        if not limits.lowest - tolerance <= stage.position <= limits.highest + tolerance:
+            return StopReason("travel", f"the stage is at {stage.position * 1e3:.4g} mm, outside of its limits of "
+                                        f"{limits.lowest * 1e3:g} to {limits.highest * 1e3:g} mm")
+        return self._check_speed(stage) or (None if command is None else self._check_command(stage, command))
 
-    def _check_speed(self, stage: StageSample) -> Stop | None:
-        """Compare the lowest speed that the readings of the last `_SPEED_OVER` allow with the limit.
+    def _check_speed(self, stage: StageSample) -> StopReason | None:
+        """Compare the lowest speed that the stage samples of the last `speed_window` allow with the limit.
 
         The reply to a request for the position can be late, on a slow line or a busy computer: the position was read
         between request and reply. The time between two readings is therefore at most the time from the request of the
         first to the reply of the second, and that time gives the lowest speed.
         """
-        readings = self._readings
-        readings.append(stage)
-        while readings[-1].received - readings[0].received > _SPEED_OVER:
-            readings.popleft()
-        first, last = readings[0], readings[-1]
-        if last.received - first.received > 0.5 * _SPEED_OVER:
-            passed = last.received - first.earliest
-            speed = abs(last.position - first.position) / passed
-            if speed > (1 + _SPEED_SLACK) * self.limits.speed + _BEHIND / passed:
-                return Stop("speed", f"the stage moves at {speed * 1e3:.3g} mm/s or faster, above the limit of "
-                                     f"{self.limits.speed * 1e3:g} mm/s")
+        samples, window = self._stage_samples, _SETTINGS.speed_window
+        samples.append(stage)
+        while samples[-1].received - samples[0].received > window:
+            samples.popleft()
+        first, last = samples[0], samples[-1]
+        if last.received - first.received > 0.5 * window:
+            longest = last.received - first.earliest
+            speed = abs(last.position - first.position) / longest
+            allowed = (1 + _SETTINGS.speed_tolerance) * self.limits.speed + _SETTINGS.stall_distance / longest
+            if speed > allowed:
+                return StopReason("speed", f"the stage moves at {speed * 1e3:.3g} mm/s or faster, above the limit of "
+                                           f"{self.limits.speed * 1e3:g} mm/s")
         return None
 
-    def _check_drive(self, stage: StageSample, drive: Drive) -> Stop | None:
-        slack = max(_ASTRAY, _BEHIND_TIME * drive.speed)
-        low, high = sorted((drive.start, drive.goal))
-        if not low - slack <= stage.position <= high + slack:
-            return Stop("stage astray", f"the stage is at {stage.position * 1e3:.4g} mm, where it was sent from "
-                                        f"{drive.start * 1e3:.4g} to {drive.goal * 1e3:.4g} mm; home it again")
-        behind = drive.expected(stage.earliest) - abs(stage.position - drive.start)
-        if self._measured and drive.speed and stage.earliest - drive.began > _BEHIND_TIME and \
-                behind > max(_BEHIND, _BEHIND_TIME * drive.speed):
-            return Stop("stage stalled", f"the stage is {behind * 1e3:.3g} mm behind where it was driven; look what "
-                                         "holds it, and home it again")
+    def _check_command(self, stage: StageSample, command: CommandedMotion) -> StopReason | None:
+        """Check that the tool stays on the commanded path and follows the commanded motion."""
+        tolerance = max(_SETTINGS.path_tolerance, _SETTINGS.stall_time * command.speed)
+        low, high = sorted((command.start, command.goal))
+        if not low - tolerance <= stage.position <= high + tolerance:
+            return StopReason("stage astray", f"the stage is at {stage.position * 1e3:.4g} mm, off the commanded path "
+                                              f"from {command.start * 1e3:.4g} to {command.goal * 1e3:.4g} mm; home it "
+                                              "again")
+        behind = command.expected_travel(stage.earliest) - abs(stage.position - command.start)
+        if self._measures_position and command.speed and stage.earliest - command.started > _SETTINGS.stall_time and \
+                behind > max(_SETTINGS.stall_distance, _SETTINGS.stall_time * command.speed):
+            return StopReason("stage stalled", f"the stage is {behind * 1e3:.3g} mm behind its commanded position; "
+                                               "remove what blocks it, and home it again")
         return None
 
 
 def require_stoppable(limits: MotionLimits, speed: float, seconds: float) -> None:
-    """Refuse a motion that would cost more force than the margin until it stands.
+    """Refuse a motion whose force can increase by more than the margin before the stage stands.
+
+    The force increase is speed * seconds * stiffness of the specimen.
 
     Args:
-        limits: see there. speed: of the motion, m/s. seconds: until it stands, after something went wrong.
+        limits: limits of the run.
+        speed: speed of the motion, m/s.
+        seconds: longest time from a fault until the stage stands, s.
 
     Raises:
-        InputError: it would.
+        InputError: the force increase exceeds `MotionLimits.force_margin`.
     """
-    cost = speed * seconds * limits.stiffness
-    if not cost <= limits.force_margin:
+    increase = speed * seconds * limits.stiffness
+    if not increase <= limits.force_margin:
         allowed = limits.force_margin / (seconds * limits.stiffness) if seconds else math.inf
         raise InputError(
-            f"at {speed * 1e3:.3g} mm/s it takes {seconds:.3g} s until the tool stands, which costs {cost:.3g} N on a "
-            f"specimen of {limits.stiffness * 1e-3:.3g} N/mm, more than the margin of {limits.force_margin:.3g} N; "
-            + (f"go no faster than {allowed * 1e3:.2g} mm/s" if allowed > 0 else
-               "take a stage that stops when the program ends"), field="limits.force_margin")
+            f"the force increase before a halt must be at most {limits.force_margin:.3g} N; got {increase:.3g} N: at "
+            f"{speed * 1e3:.3g} mm/s the tool stands {seconds:.3g} s after a fault, on a specimen of "
+            f"{limits.stiffness * 1e-3:.3g} N/mm. "
+            + (f"Use a speed of at most {allowed * 1e3:.2g} mm/s" if allowed > 0 else
+               "Use a stage that stops when the program ends"), field="limits.force_margin")
+
+
+def __getattr__(name: str) -> type[StopReason]:
+    """Return `StopReason` for its old name `Stop`, with a warning; the old name is kept for one release."""
+    if name == "Stop":
+        warnings.warn("haptics.safety.motion_guard.Stop is renamed to StopReason", DeprecationWarning, stacklevel=2)
+        return StopReason
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

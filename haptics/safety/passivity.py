@@ -1,86 +1,106 @@
-"""Time-domain passivity: count the energy that passes between hand and tissue (Hannaford and Ryu 2002)."""
+"""Time-domain passivity: observe and limit the energy that passes between hand and tissue (Hannaford and Ryu 2002)."""
 
 from __future__ import annotations
 
 import math
+import warnings
 
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Screw, Vector, motion
 
 _NO_WRENCH: Screw = (0.0,) * 6
-_NO_WAY: Screw = (0.0,) * 6
+_NO_MOTION: Screw = (0.0,) * 6
 
 
 class PassivityObserver:
-    """Energy that the hand has put in through one port, from samples of wrench and pose: force along the way, torque
-    along the rotation.
+    """Sum the energy that the hand puts into one port: force times displacement plus torque times rotation.
 
-    The wrench is that on the hand, so pushing against it puts energy in and the way back returns it. An elastic tissue
-    returns all of it, a dissipative one less; what returns more is active and can shake.
+    The wrench is the one on the hand, so pushing against it puts energy in, and the reverse motion returns energy. An
+    elastic tissue returns all of the energy, a dissipative tissue less; a tissue that returns more is active and can
+    cause vibrations.
 
-    Two rules: the trapezoidal rule says what the tissue does, as if wrench and motion were straight lines between
-    ticks; with `held`, the wrench of a tick acts until the next one, which is what a device with a zero-order hold does
-    to the hand. On a spring of stiffness K the hold gives back (K/2) step^2 too much in every tick.
+    Two quadrature rules are available. The trapezoidal rule (`held` False) gives the work of the tissue, with wrench
+    and motion linear between ticks. The rectangle rule (`held` True) gives the work of a device with a zero-order hold,
+    whose wrench acts unchanged until the next tick. On a spring of stiffness K the hold returns (K/2) step^2 too much
+    energy in every tick.
 
     Args:
-        held: count with the wrench held over a tick.
-        tolerance: part of the energy put in that may come out on top before `is_active`; 1e-3 is far above rounding
-            and far below what is felt.
+        held: whether the wrench is held over a tick.
+        tolerance: returned energy above the energy put in, as a fraction of the latter, from which `is_active` is True.
+            The default, 1e-3, is far above rounding and far below the limit of perception.
 
     Attributes:
-        energy_in: put in by the hand, J: the sum of all ticks in which it did work.
-        energy_out: given back, J: the sum of the others.
+        energy_in: energy that the hand has put in, J: the sum over all ticks with positive work.
+        energy_out: energy that the hand has received, J: the sum over all other ticks.
+
+    Raises:
+        InputError: the tolerance is negative or not finite.
     """
 
     def __init__(self, held: bool = False, tolerance: float = 1e-3):
         if not 0 <= tolerance < math.inf:
-            raise InputError(f"{tolerance:g} is no part of the energy; give zero or more", field="tolerance")
+            raise InputError(f"must be zero or more and finite; got {tolerance:g}", field="tolerance")
         self.held, self.tolerance = held, tolerance
         self.reset()
 
     def reset(self):
-        """Start again from zero energy."""
+        """Set the energies to zero, and discard the last sample."""
         self.energy_in = self.energy_out = 0.0
         self._wrench: Screw = _NO_WRENCH
         self._pose: Pose | None = None
 
     @property
     def energy(self) -> float:
-        """Energy put in less energy given back, J."""
+        """Energy put in less energy returned, J."""
         return self.energy_in - self.energy_out
 
     @property
     def is_active(self) -> bool:
-        """Whether more came out than was ever put in, beyond the tolerance."""
+        """Whether the returned energy exceeds the energy put in by more than the tolerance."""
         return self.energy_in - self.energy_out < -self.tolerance * self.energy_in
 
-    def way(self, pose: Pose) -> Screw:
-        """From the last sample to a pose, m and rad; none for the first sample."""
-        return _NO_WAY if self._pose is None else motion(self._pose, pose)
+    def displacement_to(self, pose: Pose) -> Screw:
+        """Return translation and rotation vector from the last sample to a pose, m and rad; zero for the first sample.
 
-    def work(self, wrench: Screw, way: Screw) -> float:
-        """Energy, J, that the hand puts in on the way from the last sample to one with this wrench."""
+        Args:
+            pose: pose of the tool in this tick.
+        """
+        return _NO_MOTION if self._pose is None else motion(self._pose, pose)
+
+    def way(self, pose: Pose) -> Screw:
+        """Return `displacement_to` of a pose, m and rad. Deprecated name, kept for one release."""
+        warnings.warn("PassivityObserver.way is renamed to displacement_to", DeprecationWarning, stacklevel=2)
+        return self.displacement_to(pose)
+
+    def work(self, wrench: Screw, displacement: Screw) -> float:
+        """Return the energy that the hand puts in between the last sample and a new one, J.
+
+        Args:
+            wrench: wrench of the new sample, N and N m.
+            displacement: translation and rotation vector since the last sample, m and rad.
+        """
         a, b, c, d, e, f = self._wrench
         if not self.held:
             g, h, i, j, k, m = wrench
             a, b, c, d, e, f = 0.5 * (a + g), 0.5 * (b + h), 0.5 * (c + i), 0.5 * (d + j), 0.5 * (e + k), 0.5 * (f + m)
-        x, y, z, u, v, w = way
+        x, y, z, u, v, w = displacement
         return -(a * x + b * y + c * z + d * u + e * v + f * w)
 
-    def observe(self, wrench: Screw, pose: Pose, way: Screw | None = None):
-        """Take one sample: wrench from this tick on, N and N m; pose at this tick. Samples that are not finite are left
-        out.
+    def observe(self, wrench: Screw, pose: Pose, displacement: Screw | None = None):
+        """Add one sample to the energies; a sample that is not finite is ignored.
 
         Args:
-            wrench, pose: the sample.
-            way: to that pose, where it is known already, and finite.
+            wrench: wrench from this tick on, N and N m.
+            pose: pose in this tick.
+            displacement: translation and rotation vector since the last sample, m and rad, if already known and finite;
+                None: computed from the pose.
         """
-        if way is None:
+        if displacement is None:
             if self._pose is None and not pose.is_finite:
                 return
-            way = self.way(pose)
-        work = self.work(wrench, way)
-        # What is not finite in a later pose is in the work.
+            displacement = self.displacement_to(pose)
+        work = self.work(wrench, displacement)
+        # A component of the pose that is not finite makes the work not finite.
         if not math.isfinite(work + sum(wrench)):
             return
         if work > 0.0:
@@ -90,7 +110,12 @@ class PassivityObserver:
         self._wrench, self._pose = wrench, pose
 
     def velocity(self, pose: Pose, dt: float) -> Vector:
-        """Mean velocity of the tool's tip since the last sample, m/s; 0 for the first."""
+        """Return the mean velocity of the tool tip since the last sample, m/s; zero for the first sample.
+
+        Args:
+            pose: pose in this tick.
+            dt: length of the tick, s.
+        """
         if self._pose is None:
             return (0.0, 0.0, 0.0)
         (x0, y0, z0), (x1, y1, z1) = self._pose.position, pose.position
@@ -98,71 +123,85 @@ class PassivityObserver:
 
 
 class EnergyLimit:
-    """Takes the force away for good where a hand is given much more energy than it put in.
+    """Switch the force off permanently if the hand receives much more energy than it put in.
 
-    The last line behind the controller: tissue that drives a hand by itself, through a wrong sign, a wrong pose or an
-    instability, is let go of. What a force that was late or held over a tick gives out in ordinary use is little, and
-    forgiven as fast as `energy` in `FORGIVEN` s.
+    This is the last safeguard behind the passivity controller, against tissue that drives the hand because of a wrong
+    sign, a wrong pose or an instability. The energy that late or held forces return in ordinary use is small; it is
+    forgiven at the rate `energy` per `FORGIVEN` seconds.
 
     Args:
-        energy: J, or infinite: no limit. Above what tissue stores and a hand may take back: 0.03 J under the study's
-            needle at 10 mm.
+        energy: largest net energy that the hand may receive, J; infinite: no limit. Use a value above the energy that
+            the tissue stores: 0.03 J under the needle of the study at 10 mm.
 
     Attributes:
-        exceeded: whether it has happened since the last `reset`.
+        exceeded: whether the limit was exceeded since the last `reset`.
 
     Raises:
-        InputError: not above zero.
+        InputError: the energy is not positive.
     """
 
-    #: s.
+    #: Time in which the energy `energy` is forgiven, s.
     FORGIVEN = 60.0
 
     def __init__(self, energy: float):
         if not energy > 0:
-            raise InputError(f"{energy:g} J is no limit; give an energy above zero", field="energy")
+            raise InputError(f"must be positive; got {energy:g} J", field="energy")
         self.energy = energy
         self.reset()
 
     def reset(self):
-        """Let force through again."""
-        self.exceeded, self._most = False, 0.0
+        """Allow force again, and start from zero energy."""
+        self.exceeded, self._reference = False, 0.0
 
     def step(self, energy: float, dt: float) -> bool:
-        """Whether force may still be given: energy put in less energy given back so far, J, after dt, s."""
+        """Return whether force is allowed in this tick.
+
+        Args:
+            energy: energy put in less energy returned so far, J.
+            dt: length of the tick, s.
+        """
         if self.energy == math.inf:
             return True
-        self._most = max(energy, self._most - self.energy * dt / self.FORGIVEN)
-        if energy < self._most - self.energy:
+        self._reference = max(energy, self._reference - self.energy * dt / self.FORGIVEN)
+        if energy < self._reference - self.energy:
             self.exceeded = True
         return not self.exceeded
 
 
 class PassivityController:
-    """Adds damping while the observer's energy is below zero (Hannaford and Ryu 2002, impedance causality).
+    """Add damping while the energy of the observer is negative (Hannaford and Ryu 2002, impedance causality).
 
-    The damping takes out in the coming tick, if the speed stays, what has come out too much: -energy/(velocity^2 dt).
-    It acts on the way of the tool's tip; rotation is not damped.
+    The damping dissipates the excess energy in the next tick if the velocity stays the same:
+    damping = -energy/(velocity^2 dt). It acts on the translation of the tool tip; rotation is not damped.
 
     Args:
-        observer: of the same port, with the wrench held; it must be shown the wrench that leaves in the end.
-        damping: most that is added, N s/m. Sampled damping is itself active above the device's own damping: stay below.
+        observer: observer of the same port with `held` True; it must observe the wrench that finally reaches the hand.
+        damping: largest damping that is added, N s/m. Sampled damping is active if it exceeds the physical damping of
+            the device, so stay below that value.
 
     Attributes:
         added: damping of the last step, N s/m.
+
+    Raises:
+        InputError: the damping is not positive and finite, or the observer does not count the held force.
     """
 
     def __init__(self, observer: PassivityObserver, damping: float):
         if not 0 < damping < math.inf:
-            raise InputError(f"{damping:g} N s/m controls nothing; give a damping above zero", field="damping")
+            raise InputError(f"must be positive and finite; got {damping:g} N s/m", field="damping")
         if not observer.held:
-            raise InputError("the observer of a controller counts the held force; make it with held=True",
+            raise InputError("must count the held force; got held=False. Create the observer with held=True",
                              field="observer")
         self.observer, self.damping, self.added = observer, damping, 0.0
 
     def force(self, pose: Pose, dt: float) -> Vector:
-        """Force, N, to add in this tick, against the motion; 0 while no energy is missing or the tool rests."""
-        energy = self.observer.energy + self.observer.work(_NO_WRENCH, self.observer.way(pose))
+        """Return the damping force of this tick, N; zero if the energy is not negative or the tool rests.
+
+        Args:
+            pose: pose in this tick.
+            dt: length of the tick, s.
+        """
+        energy = self.observer.energy + self.observer.work(_NO_WRENCH, self.observer.displacement_to(pose))
         x, y, z = self.observer.velocity(pose, dt)
         power = (x * x + y * y + z * z) * dt
         self.added = min(-energy / power, self.damping) if energy < 0 and power > 0 else 0.0

@@ -1,4 +1,4 @@
-"""Force rendering: from the device's pose to the wrench on the hand, one tick at a time."""
+"""Force rendering: compute the wrench on the hand from the pose of the device, one tick at a time."""
 
 from __future__ import annotations
 
@@ -15,32 +15,50 @@ from tissue_sim.tool_force import ForceStatus, ToolForce
 
 
 class RenderFlag(IntFlag):
-    """What happened to a force on its way to the device."""
+    """Events of a tick that changed the force, or that explain it; see the properties of `RenderedForce`."""
 
+    #: The magnitude was limited.
     LIMITED = 1
+    #: The change since the last tick was limited.
     RATE_LIMITED = 2
+    #: The force or the time step was not a finite number.
     INVALID = 4
+    #: The watchdog reduces the force because poses or answers are missing.
     LOST_POSE = 8
+    #: The held force has returned more energy than was put in.
     ACTIVE = 16
+    #: The energy limit has switched the force off.
     ENERGY = 32
 
 
-# Plain numbers: arithmetic on enumerations costs a microsecond each.
-_LIMITED, _RATE_LIMITED, _INVALID, _LOST_POSE, _ACTIVE, _ENERGY = (flag.value for flag in RenderFlag)
+# Plain integers, because arithmetic on enumerations costs a microsecond per operation.
+#: `RenderFlag.LIMITED` as an integer.
+_LIMITED = RenderFlag.LIMITED.value
+#: `RenderFlag.RATE_LIMITED` as an integer.
+_RATE_LIMITED = RenderFlag.RATE_LIMITED.value
+#: `RenderFlag.INVALID` as an integer.
+_INVALID = RenderFlag.INVALID.value
+#: `RenderFlag.LOST_POSE` as an integer.
+_LOST_POSE = RenderFlag.LOST_POSE.value
+#: `RenderFlag.ACTIVE` as an integer.
+_ACTIVE = RenderFlag.ACTIVE.value
+#: `RenderFlag.ENERGY` as an integer.
+_ENERGY = RenderFlag.ENERGY.value
 _NO_WRENCH: Screw = (0.0,) * 6
-_NOT_KNOWN: Screw = (math.nan,) * 6
+#: Wrench of a tick without a valid time step; the limits replace it by zero.
+_INVALID_WRENCH: Screw = (math.nan,) * 6
 
 
 class RenderedForce(NamedTuple):
-    """What one tick gives to the device.
+    """Wrench on the hand in one tick, with flags and energies.
 
     Attributes:
-        wrench: force, then torque about the tool's deepest point, on the hand, N and N m.
-        proxy: where the simulated tool was.
+        wrench: force, then torque about the deepest point of the tool, on the hand, N and N m, shape (6,).
+        proxy: pose of the simulated tool.
         flags: bits of `RenderFlag`.
-        state: of the watchdog.
-        energy: put in by the hand less given back, J, by the trapezoidal rule.
-        held_energy: the same with the wrench held over a tick: what the hand really gets.
+        state: state of the watchdog.
+        energy: energy put in by the hand less energy returned, J, by the trapezoidal rule.
+        held_energy: the same energy with the wrench held over each tick, as the device does, J.
     """
 
     wrench: Screw
@@ -52,60 +70,62 @@ class RenderedForce(NamedTuple):
 
     @property
     def force(self) -> float:
-        """Along z, N, positive out of the tissue."""
+        """Force along z, N, positive out of the tissue."""
         return self.wrench[2]
 
     @property
     def proxy_depth(self) -> float:
-        """How far the simulated tool was pushed in, m."""
+        """Depth of the simulated tool, m."""
         return self.proxy.depth
 
     @property
     def limited(self) -> bool:
-        """The magnitude was cut."""
+        """Whether the magnitude of force or torque was limited."""
         return bool(self.flags & _LIMITED)
 
     @property
     def rate_limited(self) -> bool:
-        """The change since the last tick was cut."""
+        """Whether the change of force or torque since the last tick was limited."""
         return bool(self.flags & _RATE_LIMITED)
 
     @property
     def invalid(self) -> bool:
-        """The force or dt was no finite number; the force goes to zero."""
+        """Whether the force or dt was not a finite number; the force then goes to zero."""
         return bool(self.flags & _INVALID)
 
     @property
     def lost_pose(self) -> bool:
-        """The watchdog holds force back: pose or answer were missing for longer than the timeout."""
+        """Whether the watchdog reduces the force, because pose or answer were missing for longer than the timeout."""
         return bool(self.flags & _LOST_POSE)
 
     @property
     def active(self) -> bool:
-        """The held force has given out more than was put in."""
+        """Whether the held force has returned more energy than was put in."""
         return bool(self.flags & _ACTIVE)
 
     @property
     def out_of_energy(self) -> bool:
-        """So much more came out than was put in that there is no force until a reset."""
+        """Whether the energy limit has switched the force off until a reset."""
         return bool(self.flags & _ENERGY)
 
 
 class ForceRendering:
-    """One tick: coupling, tissue (stepped by the caller), passivity controller, watchdog, limits, observers.
+    """Compute the wrench of a tick: coupling, tissue, passivity controller, watchdog, energy limit, force limits.
 
-    Call `pose_for` with what the device says, step the tissue to that pose, then `render` its answer. Neither raises
-    on a missing or bad number: force and torque go to zero, by the limits, and the flags say why.
+    In each tick call `pose_for` with the pose of the device, step the tissue to the returned pose, then call `render`
+    with the answer of the tissue. Missing or invalid numbers raise no error: force and torque go to zero at the rate of
+    the limits, and the flags give the reason.
 
     Args:
-        limits: the last in the chain: no other part can jump past them.
-        coupling: between device and simulated tool; None: the device's pose goes to the tissue as it is.
-        watchdog: for a pose that stays away.
-        controller_damping: most that a passivity controller may add, N s/m; None: observe only.
-        energy_limit: takes the force away where far too much energy has come out; None: never.
+        limits: limits of the wrench; they act last, so no other part can exceed them.
+        coupling: virtual coupling between device and simulated tool; None: the tissue receives the pose of the device.
+        watchdog: fades the force if poses are missing; None: a watchdog with default times.
+        controller_damping: largest damping of a passivity controller, N s/m; None: energies are observed only.
+        energy_limit: switches the force off after a large energy return; None: no limit.
 
     Attributes:
-        observer, held_observer: energy at the device, by the trapezoidal rule and with the wrench held.
+        observer: energy at the device by the trapezoidal rule.
+        held_observer: energy at the device with the wrench held over each tick.
     """
 
     def __init__(self, limits: ForceLimits, coupling: VirtualCoupling | None = None, watchdog: Watchdog | None = None,
@@ -118,61 +138,66 @@ class ForceRendering:
         self.reset()
 
     def reset(self):
-        """As if nothing had been touched, seen or missed."""
+        """Reset all parts to their initial state."""
         for part in (self.limits, self.coupling, self.watchdog, self.observer, self.held_observer,
                      self.energy_limit):
             if part is not None:
                 part.reset()
         self._device: Pose | None = None
-        # The device's pose of this tick, where one has come.
-        self._seen: Pose | None = None
+        #: Pose of the device in this tick; None: no valid pose has arrived.
+        self._new_pose: Pose | None = None
         self._proxy = Pose.at_depth(0.0)
         self._answer: ToolForce | None = None
         self._wrench = _NO_WRENCH
 
     def pose_for(self, device: Pose | None, dt: float) -> Pose:
-        """Pose to which the tissue is to be stepped.
+        """Return the pose to which the tissue must be stepped in this tick.
 
         Args:
-            device: where the device is; None, or not finite, where no new pose has come: the last one counts.
-            dt: s.
+            device: pose of the device; if it is None or not finite, the last valid pose is used.
+            dt: length of the tick, s.
         """
-        self._seen = device if device is not None and device.is_finite else None
-        if self._seen is not None:
-            self._device = self._seen
+        self._new_pose = device if device is not None and device.is_finite else None
+        if self._new_pose is not None:
+            self._device = self._new_pose
         if self._device is not None and 0 < dt < math.inf:
             self._proxy = (self._device if self.coupling is None
                            else self.coupling.step(self._device, self._answer, dt))
         return self._proxy
 
     def render(self, answer: ToolForce, dt: float) -> RenderedForce:
-        """Wrench for the device, from the tissue's answer to `pose_for`.
+        """Return the wrench for the device.
 
-        LATE and STOPPED forces are rendered: they are local models. A REFUSED one, or one that is not finite, counts
-        as a lost pose; meanwhile the wrench is the last that was believed.
+        Answers with the status LATE or STOPPED are rendered, because they are local models of the tissue. An answer
+        with the status REFUSED, or with a number that is not finite, counts as a missing pose: the last valid wrench is
+        used until the watchdog fades it.
+
+        Args:
+            answer: answer of the tissue to the pose of `pose_for`.
+            dt: length of the tick, s.
         """
-        believed = answer.status is not ForceStatus.REFUSED and answer.is_finite
-        self._answer = answer if believed else None
-        if believed and self._device is not None:
+        is_valid = answer.status is not ForceStatus.REFUSED and answer.is_finite
+        self._answer = answer if is_valid else None
+        if is_valid and self._device is not None:
             self._wrench = (answer.wrench if self.coupling is None
                             else self.coupling.force + answer.wrench[3:])
-        given, seen = _NOT_KNOWN, self._seen
+        wrench, pose = _INVALID_WRENCH, self._new_pose
         if 0 < dt < math.inf:
-            given = self._wrench
-            if self.controller is not None and seen is not None:
-                x, y, z = self.controller.force(seen, dt)
-                given = (given[0] + x, given[1] + y, given[2] + z, *given[3:])
-            gain = self.watchdog.step(seen is not None and believed, dt)
+            wrench = self._wrench
+            if self.controller is not None and pose is not None:
+                x, y, z = self.controller.force(pose, dt)
+                wrench = (wrench[0] + x, wrench[1] + y, wrench[2] + z, *wrench[3:])
+            gain = self.watchdog.step(pose is not None and is_valid, dt)
             if gain != 1.0:
-                given = scaled(gain, given)
+                wrench = scaled(gain, wrench)
         limits, observer, held = self.limits, self.observer, self.held_observer
         if not self.energy_limit.step(held.energy, dt if 0 < dt < math.inf else 0.0):
-            given = _NO_WRENCH
-        given = limits.step(given)
-        if seen is not None:
-            way = held.way(seen)
-            observer.observe(given, seen, way)
-            held.observe(given, seen, way)
+            wrench = _NO_WRENCH
+        wrench = limits.step(wrench)
+        if pose is not None:
+            displacement = held.displacement_to(pose)
+            observer.observe(wrench, pose, displacement)
+            held.observe(wrench, pose, displacement)
         flags = _ACTIVE if held.is_active else 0
         if limits.limited:
             flags |= _LIMITED
@@ -184,4 +209,4 @@ class ForceRendering:
             flags |= _ENERGY
         if self.watchdog.gain < 1.0:
             flags |= _LOST_POSE
-        return RenderedForce(given, self._proxy, flags, self.watchdog.state, observer.energy, held.energy)
+        return RenderedForce(wrench, self._proxy, flags, self.watchdog.state, observer.energy, held.energy)

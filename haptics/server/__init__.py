@@ -1,1 +1,1 @@
-"""The tissue for other programs."""
+"""Serve a simulated tissue to other programs: poses and forces over UDP, configuration over TCP."""

@@ -1,4 +1,4 @@
-"""A client of a tissue server, for tests and for programs in Python."""
+"""Client of a tissue server for Python programs and tests."""
 
 from __future__ import annotations
 
@@ -26,24 +26,27 @@ from tissue_sim.pose import Pose
 
 
 class TissueClient:
-    """Sends poses and waits for forces.
+    """Send poses to a tissue server, and wait for the forces.
 
     Args:
         port: UDP port of the server.
-        host: its address.
+        host: address of the server.
         timeout: longest wait for a reply, s.
-        polls: how often to look for a reply, a few us each, before sleeping until it comes.
-        session: number by which the server knows this client; a random one by default.
-        version: of the protocol, one of `haptics.server.wire.VERSIONS`.
+        polls: number of checks for a reply, a few microseconds each, before the client sleeps until the reply arrives.
+        session: number that identifies this client at the server; None: a random number.
+        version: protocol version, one of `haptics.server.wire.VERSIONS`.
+
+    Attributes:
+        session: number that identifies this client at the server.
 
     Raises:
-        InputError: another version.
+        InputError: the version is not supported.
     """
 
     def __init__(self, port: int, host: str = LOOPBACK, timeout: float = 1.0, polls: int = 0,
                  session: int | None = None, version: int = VERSION):
         if version not in VERSIONS:
-            raise InputError(f"version must be {' or '.join(map(str, VERSIONS))}; got {version!r}.", field="version")
+            raise InputError(f"must be {' or '.join(map(str, VERSIONS))}; got {version!r}", field="version")
         self._version = version
         self._timeout, self._polls, self._sequence = timeout, polls, 0
         self.session = secrets.randbits(64) | 1 if session is None else session
@@ -52,33 +55,33 @@ class TissueClient:
         self._socket.connect((host, port))
 
     def step(self, pose: Pose | float, at: float | None = None, *, reset: bool = False) -> Reply:
-        """Go to a pose and wait for the force.
+        """Send a pose, and wait for the reply with the force.
 
         Args:
-            pose: of the tool, or its depth, m.
-            at: s on a clock of your own, never backwards; this computer's by default.
-            reset: put the tissue back to its undeformed state before.
+            pose: pose of the tool, or depth of its tip on the axis, m.
+            at: time on a clock of the caller that does not decrease, s; None: the clock of this computer.
+            reset: whether the tissue is reset to its undeformed state before the step.
 
         Returns:
-            The reply, whatever its status: look at it (BUSY: another client has the tissue).
+            The reply. Check its status: BUSY, for example, means that another client owns the tissue.
 
         Raises:
-            InputError: the server speaks another version.
-            TimeoutError: no reply in time.
-            ConnectionRefusedError: nobody listens on that port of this machine.
+            InputError: the server uses another protocol version.
+            TimeoutError: no reply arrived within `timeout`.
+            ConnectionRefusedError: no program listens on this port of this computer.
         """
         if not isinstance(pose, Pose):
             pose = Pose((0.0, 0.0, -pose))
         at = time.monotonic() if at is None else at
-        return self._ask(Request(self._sequence, at, pose.position, pose.orientation, self.session,
-                                 flags=RequestFlags.RESET if reset else RequestFlags.NONE,
-                                 version=self._version))
+        return self._request(Request(self._sequence, at, pose.position, pose.orientation, self.session,
+                                     flags=RequestFlags.RESET if reset else RequestFlags.NONE,
+                                     version=self._version))
 
     def close(self) -> None:
-        """Say goodbye, so that another client can have the tissue at once."""
-        with self._socket, suppress(OSError):  # the server may have gone before
-            self._ask(Request(self._sequence, 0.0, session=self.session, kind=Kind.GOODBYE,
-                              version=self._version))
+        """Send a goodbye, so that another client can own the tissue at once, and close the socket."""
+        with self._socket, suppress(OSError):  # the server may have ended already
+            self._request(Request(self._sequence, 0.0, session=self.session, kind=Kind.GOODBYE,
+                                  version=self._version))
 
     def __enter__(self) -> TissueClient:
         return self
@@ -86,7 +89,8 @@ class TissueClient:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _ask(self, request: Request) -> Reply:
+    def _request(self, request: Request) -> Reply:
+        """Send a request, and return its reply; replies to earlier requests are dropped."""
         self._sequence += 1
         self._socket.send(encode_request(request))
         end = time.monotonic() + self._timeout
@@ -94,20 +98,21 @@ class TissueClient:
             try:
                 reply = decode_reply(self._receive())
             except OtherVersionError as error:
-                raise InputError(f"the server speaks version {error.version} of the protocol, and this client "
+                raise InputError(f"the server uses protocol version {error.version}, this client version "
                                  f"{self._version}; install the same tissue_sim on both sides") from None
             except WireError:
                 continue
             # A server of version 2 answers a request of version 3 without a step, in its own version.
             if reply.version != request.version:
-                raise InputError(f"the server speaks version {reply.version} of the protocol, and this client "
-                                 f"{self._version}; give version={reply.version}")
+                raise InputError(f"the server uses protocol version {reply.version}, this client version "
+                                 f"{self._version}; create the client with version={reply.version}")
             if (reply.sequence, reply.session) == (request.sequence, request.session):
                 return reply
-            if time.monotonic() > end:  # replies to requests that were given up
-                raise TimeoutError(f"no reply in {self._timeout:g} s")
+            if time.monotonic() > end:  # only replies to earlier requests arrived
+                raise TimeoutError(f"no reply within {self._timeout:g} s")
 
     def _receive(self) -> bytes:
+        """Return the next datagram: poll first, then wait up to the timeout."""
         if self._polls:
             self._socket.setblocking(False)
             try:

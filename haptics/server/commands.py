@@ -1,4 +1,4 @@
-"""The configuration commands of a server: one line of JSON in, one line of JSON out."""
+"""Configuration commands of a server: each command is one line of JSON, each answer another line of JSON."""
 
 from __future__ import annotations
 
@@ -14,25 +14,36 @@ from haptics.server.wire import FRAME, REPLY_SIZE, REQUEST_SIZE, VERSION
 from tissue_sim.decode import as_json_types, decode
 from tissue_sim.errors import ConvergenceError, InputError, nearest
 
-MOST_STATES, MOST_SEGMENTS = 16, 256
-#: Rows of an array that are turned into JSON between two looks at the poses.
-_ROWS = 128
+#: Largest number of saved states.
+MAX_STATES = 16
+#: Largest number of circumferential segments of a surface.
+MAX_SEGMENTS = 256
+#: Rows of an array that are encoded in one piece; the server answers poses between two pieces.
+_ROWS_PER_PIECE = 128
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 
 
 class _Command(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Command without arguments."""
+
     command: str
 
 
 class _SetParameters(_Command, frozen=True):
+    """Arguments of ``set_parameters``: name -> value, SI units."""
+
     parameters: dict[str, float]
 
 
 class _Surface(_Command, frozen=True):
-    segments: Annotated[int, msgspec.Meta(ge=3, le=MOST_SEGMENTS)] | None = None
+    """Arguments of ``surface``: circumferential segments of the triangles; None: no triangles."""
+
+    segments: Annotated[int, msgspec.Meta(ge=3, le=MAX_SEGMENTS)] | None = None
 
 
 class _State(_Command, frozen=True):
+    """Arguments of ``save`` and ``restore``: name of the state."""
+
     name: Name
 
 
@@ -40,22 +51,23 @@ Description = Mapping[str, Any] | Callable[[], Mapping[str, Any]]
 
 
 class Commands:
-    """Executes the commands on the tissue of a `StepService`, between its steps.
+    """Execute configuration commands on the tissue of a `StepService`, between its steps.
 
     Args:
-        service: the tissue, and who owns it.
-        description: what ``describe`` says of scene, specimen, tool, material and mesh; of JSON's types, or what gives
-            it when it is asked for.
-        parameters: name -> value of those that ``set_parameters`` knows, SI.
+        service: service that owns the tissue.
+        description: entries of the answer to ``describe`` about scene, specimen, tool, material and mesh, of JSON
+            types; or a function that returns them at the time of the command.
+        parameters: name -> value of each parameter that ``set_parameters`` accepts, SI units.
     """
 
     def __init__(self, service: StepService, description: Description | None = None,
                  parameters: Mapping[str, float] | None = None):
-        self._service, self._began = service, service.tissue
+        self._service, self._tissue = service, service.tissue
         self._description = description if callable(description) else as_json_types(description or {})
-        #: Of the tissue that it began with, and of the one that there is now.
-        self._first = dict(parameters or {})
-        self._parameters = dict(self._first)
+        #: Parameters of the initial tissue.
+        self._initial_parameters = dict(parameters or {})
+        #: Parameters of the present tissue.
+        self._parameters = dict(self._initial_parameters)
         self._states: dict[str, tuple[Any, dict[str, float]]] = {}
         self._commands: dict[str, tuple[type[_Command], Callable[[Any], Iterator[bytes] | dict[str, Any]]]] = {
             "describe": (_Command, self._describe),
@@ -68,114 +80,138 @@ class Commands:
         }
 
     def execute(self, line: bytes) -> Iterator[bytes]:
-        """Execute one command.
+        """Execute one command, and return its answer as a line of JSON.
 
         Args:
-            line: JSON, without the line end.
+            line: JSON object, without the line end.
 
         Returns:
-            The answer in pieces that are quick to make, its line end included; ``{"error": sentence}`` where the
-            command is none.
+            The answer with its line end, in pieces that are quick to compute. A failed or unknown command gives
+            ``{"error": sentence}``.
 
         Raises:
-            ConnectionAbortedError: the line is of HTTP: a web page must not get as far as the next line.
+            ConnectionAbortedError: the line is HTTP. The connection must be closed, so that a web page cannot send a
+                command in a later line of its request.
         """
         if re.search(rb"HTTP/\d", line[-16:]):
-            raise ConnectionAbortedError("a browser")
+            raise ConnectionAbortedError("the client is a web browser")
         try:
             answer = self._execute(line)
         except (InputError, ConvergenceError) as error:
             answer = {"error": str(error)}
         except Exception as error:
-            # Whatever a tissue does, the poses are answered on.
+            # An error of a tissue must not end the server, which still answers poses.
             self._service.log(f"a command failed ({type(error).__name__}: {str(error)[:200]})")
-            answer = {"error": f"the command failed ({type(error).__name__}); the server's log says why"}
+            answer = {"error": f"the command failed ({type(error).__name__}); see the log of the server for the reason"}
         if isinstance(answer, dict):
             return iter((msgspec.json.encode(answer) + b"\n",))
         return answer
 
     def _execute(self, line: bytes) -> Iterator[bytes] | dict[str, Any]:
+        """Decode a line, and call the function of its command."""
         try:
-            asked = msgspec.json.decode(line)
+            request = msgspec.json.decode(line)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            raise InputError(f'not JSON ({error}); send one object a line, such as {{"command": "describe"}}') from None
-        name = asked.get("command") if isinstance(asked, dict) else None
+            raise InputError(f'the line must be JSON ({error}); send one object per line, such as '
+                             '{"command": "describe"}') from None
+        name = request.get("command") if isinstance(request, dict) else None
         if not isinstance(name, str):
-            raise InputError(f"is missing; give one of {', '.join(self._commands)}", field="command")
+            raise InputError(f"must be one of {', '.join(self._commands)}; got none", field="command")
         if name not in self._commands:
             raise InputError(f"unknown command {name[:64]!r}{nearest(name[:64], self._commands)}", field="command")
-        kind, run = self._commands[name]
-        if self._service.tissue is not self._began:
-            # Built anew after a failure, as at first.
-            self._began, self._parameters = self._service.tissue, dict(self._first)
-        answer = run(decode(asked, kind))
+        kind, function = self._commands[name]
+        if self._service.tissue is not self._tissue:
+            # The service has rebuilt the tissue after a failure, with the initial parameters.
+            self._tissue, self._parameters = self._service.tissue, dict(self._initial_parameters)
+        answer = function(decode(request, kind))
         return {"command": name, **answer} if isinstance(answer, dict) else answer
 
     def _describe(self, _: _Command) -> dict[str, Any]:
-        given = as_json_types(self._description()) if callable(self._description) else self._description
+        """Return protocol, frame, scene, parameters, commands and saved states."""
+        description = as_json_types(self._description()) if callable(self._description) else self._description
         return {"protocol": {"version": VERSION, "request_bytes": REQUEST_SIZE, "reply_bytes": REPLY_SIZE},
-                "frame": FRAME, **given, "parameters": self._parameters,
+                "frame": FRAME, **description, "parameters": self._parameters,
                 "commands": list(self._commands), "states": list(self._states)}
 
     def _statistics(self, _: _Command) -> dict[str, Any]:
+        """Return the counters and the address of the owner."""
         owner = self._service.owner
         return {**msgspec.to_builtins(self._service.counters),
                 "owner": None if owner is None else "{}:{}".format(*owner[:2])}
 
     def _reset(self, _: _Command) -> dict[str, Any]:
+        """Restore the undeformed state of the tissue."""
         self._service.tissue.reset()
-        self._service.begin_anew()
+        self._service.discard_last_step()
         return {}
 
-    def _set_parameters(self, asked: _SetParameters) -> dict[str, Any]:
-        for name in asked.parameters:
+    def _set_parameters(self, request: _SetParameters) -> dict[str, Any]:
+        """Change parameters of the tissue, and return all parameters."""
+        for name in request.parameters:
             if name not in self._parameters:
-                hint = nearest(name[:64], self._parameters) if self._parameters else "; this tissue has none to set"
+                hint = nearest(name[:64], self._parameters) if self._parameters else \
+                    "; this tissue has no parameters to set"
                 raise InputError(f"unknown parameter{hint}", field=f"parameters.{name[:64]}")
-        self._able("set_parameters")(**asked.parameters)
-        self._parameters |= asked.parameters
+        self._require_method("set_parameters")(**request.parameters)
+        self._parameters |= request.parameters
         return {"parameters": self._parameters}
 
-    def _surface(self, asked: _Surface) -> Iterator[bytes]:
-        surface = self._able("surface")()
+    def _surface(self, request: _Surface) -> Iterator[bytes]:
+        """Yield the deformed surface as an outline and, on request, as triangles."""
+        surface = self._require_method("surface")()
         arrays = {} if surface.outline is None else {"outline": surface.outline}
-        if asked.segments is not None:
-            arrays["vertices"], arrays["triangles"] = surface.triangles(asked.segments)
-        return _in_pieces("surface", arrays)
+        if request.segments is not None:
+            arrays["vertices"], arrays["triangles"] = surface.triangles(request.segments)
+        return _encode_arrays("surface", arrays)
 
-    def _save(self, asked: _State) -> dict[str, Any]:
-        if asked.name not in self._states and len(self._states) == MOST_STATES:
-            raise InputError(f"{MOST_STATES} states are kept already; save under one of their names: "
+    def _save(self, request: _State) -> dict[str, Any]:
+        """Save state and parameters of the tissue under a name."""
+        if request.name not in self._states and len(self._states) == MAX_STATES:
+            raise InputError(f"at most {MAX_STATES} states can be saved; save under an existing name: "
                              f"{', '.join(self._states)}", field="name")
-        self._states[asked.name] = (self._able("save")(), dict(self._parameters))
+        self._states[request.name] = (self._require_method("save")(), dict(self._parameters))
         return {"states": list(self._states)}
 
-    def _restore(self, asked: _State) -> dict[str, Any]:
-        if asked.name not in self._states:
-            hint = nearest(asked.name, self._states) if self._states else "; none was saved"
-            raise InputError(f"no state {asked.name!r} was saved{hint}", field="name")
-        state, parameters = self._states[asked.name]
+    def _restore(self, request: _State) -> dict[str, Any]:
+        """Restore state and parameters that were saved under a name."""
+        if request.name not in self._states:
+            hint = nearest(request.name, self._states) if self._states else "; no state was saved"
+            raise InputError(f"unknown state {request.name!r}{hint}", field="name")
+        state, parameters = self._states[request.name]
         if parameters != self._parameters:
-            self._able("set_parameters")(**parameters)
+            self._require_method("set_parameters")(**parameters)
             self._parameters = dict(parameters)
-        self._able("restore")(state)
-        self._service.begin_anew()
+        self._require_method("restore")(state)
+        self._service.discard_last_step()
         return {"parameters": self._parameters}
 
-    def _able(self, ability: str) -> Callable[..., Any]:
-        method = getattr(self._service.tissue, ability, None)
+    def _require_method(self, name: str) -> Callable[..., Any]:
+        """Return a method of the tissue.
+
+        Args:
+            name: name of the method.
+
+        Raises:
+            InputError: the tissue does not have this method.
+        """
+        method = getattr(self._service.tissue, name, None)
         if method is None:
-            raise InputError(f"this tissue cannot {ability}; serve a tissue_sim.Simulator", field="command")
+            raise InputError(f"this tissue does not support {name!r}; serve a tissue_sim.Simulator", field="command")
         return method
 
 
-def _in_pieces(command: str, arrays: Mapping[str, np.ndarray]) -> Iterator[bytes]:
-    """A JSON object of arrays, some rows at a time."""
+def _encode_arrays(command: str, arrays: Mapping[str, np.ndarray]) -> Iterator[bytes]:
+    """Yield a JSON object of arrays in pieces of at most `_ROWS_PER_PIECE` rows.
+
+    Args:
+        command: value of the key ``command``.
+        arrays: key -> array, shape (rows, columns).
+    """
     yield b'{"command":' + msgspec.json.encode(command)
     for name, rows in arrays.items():
         yield b"," + msgspec.json.encode(name) + b":["
-        for start in range(0, len(rows), _ROWS):
-            piece = msgspec.json.encode(rows[start:start + _ROWS].tolist())[1:-1]
+        for start in range(0, len(rows), _ROWS_PER_PIECE):
+            piece = msgspec.json.encode(rows[start:start + _ROWS_PER_PIECE].tolist())[1:-1]
             yield b"," + piece if start else piece
         yield b"]"
     yield b"}\n"

@@ -1,30 +1,50 @@
-"""The TCP port of a server: lines in, lines out, in small pieces between two steps."""
+"""Configuration port of a server: TCP connections that send and receive lines, in small pieces between two steps."""
 
 from __future__ import annotations
 
 import selectors
 import socket
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
-#: Bytes of a line and of one read; connections at a time.
-LONGEST_LINE, READ_SIZE, MOST_CONNECTIONS = 65536, 65536, 8
-#: A connection is closed after so long with a line begun or an answer unread, or with nothing at all, s.
-STALLED, IDLE = 10.0, 600.0
 
-_TOO_LONG = b'{"error":"a line of more than %d bytes; send one short command a line"}\n' % LONGEST_LINE
+@dataclass(frozen=True)
+class ConnectionLimits:
+    """Limits of the configuration port.
+
+    Attributes:
+        longest_line: largest length of a line, bytes; a longer line gets an error.
+        read_size: largest number of bytes of one read.
+        most_connections: largest number of open connections; a further connection closes the one idle for longest.
+        stalled: time after which a connection with an unfinished line or an unread answer is closed, s.
+        idle: time after which a connection without traffic is closed, s.
+    """
+
+    longest_line: int = 65536
+    read_size: int = 65536
+    most_connections: int = 8
+    stalled: float = 10.0
+    idle: float = 600.0
+
+
+#: Limits of every configuration port.
+LIMITS = ConnectionLimits()
+
+_TOO_LONG = b'{"error":"a line must have at most %d bytes; send one short command per line"}\n' % LIMITS.longest_line
 
 Execute = Callable[[bytes], Iterator[bytes]]
 
 
 class ConfigurationPort:
-    """Accepts connections on a listening socket and answers their lines.
+    """Accept TCP connections, and answer their lines.
 
-    Everything happens in `work`, one piece at a time and never waiting: whoever owns the selector decides when.
+    All work is done by `work`, one piece per call and without waiting. The owner of the selector decides when to call.
 
     Args:
-        listener: bound and listening.
-        execute: the answer to a line, in pieces; raises ConnectionAbortedError to have the connection closed.
-        selector: where the sockets are registered; the data of each is its `work(now)`.
+        listener: bound and listening socket.
+        execute: function that returns the answer to a line in pieces; it raises ConnectionAbortedError to close the
+            connection.
+        selector: selector at which the sockets are registered; the data of each socket is its function `work(now)`.
     """
 
     def __init__(self, listener: socket.socket, execute: Execute, selector: selectors.BaseSelector):
@@ -34,19 +54,27 @@ class ConfigurationPort:
         selector.register(listener, selectors.EVENT_READ, self.work)
 
     def work(self, now: float) -> None:
-        """Accept one connection; where there are too many, the one that was idle for longest is closed."""
+        """Accept one connection; if there are too many, close the connection that was idle for longest.
+
+        Args:
+            now: time on the clock of the server, s.
+        """
         try:
             peer, _ = self._listener.accept()
-        except OSError:  # it has left again, or the process has no more files
+        except OSError:  # The client has disconnected, or the process has no free file descriptor.
             return
-        if len(self._connections) == MOST_CONNECTIONS:
-            min(self._connections, key=lambda connection: connection.heard).close()
+        if len(self._connections) == LIMITS.most_connections:
+            min(self._connections, key=lambda connection: connection.last_traffic).close()
         self._connections.add(_Connection(peer, self._execute, self._selector, self._connections.discard, now))
 
     def close_stalled(self, now: float) -> None:
-        """Close the connections whose other end has died or does not read."""
+        """Close the connections without traffic, see `ConnectionLimits.stalled` and `ConnectionLimits.idle`.
+
+        Args:
+            now: time on the clock of the server, s.
+        """
         for connection in [*self._connections]:
-            if now - connection.heard > (STALLED if connection.busy else IDLE):
+            if now - connection.last_traffic > (LIMITS.stalled if connection.is_busy else LIMITS.idle):
                 connection.close()
 
     def close(self) -> None:
@@ -58,34 +86,40 @@ class ConfigurationPort:
 
 
 class _Connection:
-    """One client of the port. It is read only while it has no answer to take: nothing piles up.
+    """One connection to the port. It is read only while it has no pending answer, so that no queue grows.
 
     Attributes:
-        heard: when it last sent or took something, s.
+        last_traffic: time at which bytes were last received or sent, s.
     """
 
     def __init__(self, peer: socket.socket, execute: Execute, selector: selectors.BaseSelector,
-                 closed: Callable[[_Connection], None], now: float):
-        self._peer, self._execute, self._selector, self._closed, self.heard = peer, execute, selector, closed, now
+                 on_close: Callable[[_Connection], None], now: float):
+        self._peer, self._execute, self._selector = peer, execute, selector
+        self._on_close, self.last_traffic = on_close, now
         self._inbox, self._outbox = bytearray(), b""
         self._answer: Iterator[bytes] | None = None
+        #: Whether the rest of a line that exceeds the limit is being discarded.
         self._too_long = False
         peer.setblocking(False)
         self._interest = selectors.EVENT_READ
         selector.register(peer, self._interest, self.work)
 
     @property
-    def busy(self) -> bool:
-        """Whether a line is begun, or an answer not taken."""
+    def is_busy(self) -> bool:
+        """Whether a line is incomplete, or an answer is not fully sent."""
         return bool(self._inbox or self._too_long or self._outbox or self._answer)
 
     def work(self, now: float) -> None:
-        """One piece: read, execute a line, make a piece of the answer, or send."""
+        """Do one piece of work: receive bytes, execute a line, compute a piece of the answer, or send bytes.
+
+        Args:
+            now: time on the clock of the server, s.
+        """
         try:
             self._work(now)
         except BlockingIOError:
             return
-        except OSError:  # the other end has left, or must go
+        except OSError:  # The client has disconnected, or `execute` closes the connection.
             self.close()
             return
         ready = self._outbox or self._answer is not None or b"\n" in self._inbox
@@ -95,28 +129,28 @@ class _Connection:
             self._selector.modify(self._peer, interest, self.work)
 
     def close(self) -> None:
-        """Close the connection; what it has not taken is lost."""
+        """Close the connection; bytes that were not sent are lost."""
         self._selector.unregister(self._peer)
         self._peer.close()
-        self._closed(self)
+        self._on_close(self)
 
     def _work(self, now: float) -> None:
         if not self._outbox and self._answer is None:
             if b"\n" not in self._inbox:
-                received = self._peer.recv(READ_SIZE)
+                received = self._peer.recv(LIMITS.read_size)
                 if not received:
                     raise ConnectionResetError
-                self.heard = now
+                self.last_traffic = now
                 self._inbox += received
             line, end, _ = self._inbox.partition(b"\n")
             if end:
                 del self._inbox[:len(line) + 1]
-                if self._too_long or len(line) > LONGEST_LINE:
+                if self._too_long or len(line) > LIMITS.longest_line:
                     self._answer = iter((_TOO_LONG,))
                 elif line.strip():
                     self._answer = self._execute(bytes(line))
                 self._too_long = False
-            elif len(line) > LONGEST_LINE:
+            elif len(line) > LIMITS.longest_line:
                 self._inbox.clear()
                 self._too_long = True
         if not self._outbox and self._answer is not None:
@@ -125,5 +159,5 @@ class _Connection:
                 self._answer = None
         if self._outbox:
             sent = self._peer.send(self._outbox)
-            self.heard = now
+            self.last_traffic = now
             self._outbox = self._outbox[sent:]

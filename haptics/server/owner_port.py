@@ -1,69 +1,94 @@
-"""Packets of the owner of a tissue, kept apart from those of everybody else; and how often strangers are answered."""
+"""Receive the packets of the owner of a tissue on a separate socket, and limit the replies to all other clients."""
 
 from __future__ import annotations
 
 import os
 import socket
 from contextlib import suppress
+from dataclasses import dataclass
 
 from haptics.server.steps import Address
 
-#: A stranger is answered so often a second, and so often at once at most; so many are remembered.
-ANSWERS_PER_SECOND, BURST, MOST_STRANGERS = 100.0, 20.0, 64
+
+@dataclass(frozen=True)
+class RateLimit:
+    """Token bucket for the replies to clients that do not own the tissue.
+
+    Attributes:
+        replies_per_second: replies per second and address, 1/s. A larger value takes more time from the owner.
+        burst: replies to one address that may follow each other at once.
+        most_addresses: largest number of addresses that are remembered; packets of further addresses are dropped.
+    """
+
+    replies_per_second: float = 100.0
+    burst: float = 20.0
+    most_addresses: int = 64
 
 
-def open_for(owner: Address, port: socket.socket) -> socket.socket | None:
-    """A socket on the same port that takes the owner's packets only, so that no flood fills its buffer.
+#: Rate limit of every server.
+RATE_LIMIT = RateLimit()
 
-    Linux gives a packet to the socket that is connected to its sender before it gives it to one that is not. Where the
-    system does not let two sockets share a port the answer is None, and the owner's packets come with all others.
+
+def open_owner_socket(owner: Address, port: socket.socket) -> socket.socket | None:
+    """Open a socket on the same port that receives only the packets of the owner, so that no flood fills its buffer.
+
+    Linux delivers a packet to the socket that is connected to its sender, and to an unconnected socket otherwise.
 
     Args:
-        owner: where its packets come from.
-        port: bound; it takes those of all others.
+        owner: address of the owner.
+        port: bound socket that receives the packets of all other clients.
+
+    Returns:
+        The connected socket. None if the operating system does not allow two sockets on a port; the packets of the
+        owner then arrive at `port`.
     """
     if os.name != "posix":
         return None
-    own = socket.socket(port.family, socket.SOCK_DGRAM)
+    connected = socket.socket(port.family, socket.SOCK_DGRAM)
     try:
-        own.setblocking(False)
-        # Only for the moment: with it another program could share the port, too.
-        for each in (port, own):
+        connected.setblocking(False)
+        # The option is set only during the bind: with it, other programs could also share the port.
+        for each in (port, connected):
             each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        own.bind(port.getsockname())
-        own.connect(owner)
+        connected.bind(port.getsockname())
+        connected.connect(owner)
     except OSError:
-        own.close()
+        connected.close()
         return None
     finally:
-        for each in (port, own):
+        for each in (port, connected):
             with suppress(OSError):
                 each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
-    return own
+    return connected
 
 
-class Allowance:
-    """How often each stranger may be answered: `ANSWERS_PER_SECOND`, after `BURST` at once."""
+class ReplyLimiter:
+    """Limit the replies to each address by a token bucket: `RateLimit.replies_per_second` after `RateLimit.burst`."""
 
     def __init__(self):
-        #: Address -> answers that are left, and when that was, s.
-        self._left: dict[Address, tuple[float, float]] = {}
+        #: Address -> remaining tokens, and time of their last update, s.
+        self._buckets: dict[Address, tuple[float, float]] = {}
 
-    def takes(self, address: Address, now: float) -> bool:
-        """Whether a packet from there is looked at; `now` in s.
+    def allows(self, address: Address, now: float) -> bool:
+        """Return whether a packet from an address is processed, and use a token of this address.
 
-        Strangers beyond the number that is remembered are not, until one of those has been quiet for long enough.
+        A new address is refused while `RateLimit.most_addresses` other addresses are active.
+
+        Args:
+            address: address of the sender.
+            now: time on the clock of the server, s.
         """
-        left, before = self._left.get(address, (BURST, now))
-        if address not in self._left and len(self._left) >= MOST_STRANGERS:
-            quiet = BURST / ANSWERS_PER_SECOND
-            self._left = {each: known for each, known in self._left.items() if now - known[1] < quiet}
-            if len(self._left) >= MOST_STRANGERS:
+        limit = RATE_LIMIT
+        tokens, before = self._buckets.get(address, (limit.burst, now))
+        if address not in self._buckets and len(self._buckets) >= limit.most_addresses:
+            refill_time = limit.burst / limit.replies_per_second
+            self._buckets = {each: bucket for each, bucket in self._buckets.items() if now - bucket[1] < refill_time}
+            if len(self._buckets) >= limit.most_addresses:
                 return False
-        left = min(BURST, left + (now - before) * ANSWERS_PER_SECOND)
-        if left < 1.0:
-            # The time since the packet before counts once.
-            self._left[address] = (left, now)
+        tokens = min(limit.burst, tokens + (now - before) * limit.replies_per_second)
+        if tokens < 1.0:
+            # Store the new time too, so that each interval adds tokens only once.
+            self._buckets[address] = (tokens, now)
             return False
-        self._left[address] = (left - 1.0, now)
+        self._buckets[address] = (tokens - 1.0, now)
         return True

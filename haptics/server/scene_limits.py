@@ -1,4 +1,4 @@
-"""Limits of the poses, times and forces of a server's scene."""
+"""Limits of the poses, the time steps and the forces of a server."""
 
 from __future__ import annotations
 
@@ -13,23 +13,32 @@ _NO_STIFFNESS = axial_stiffness(0.0)
 
 @dataclass(frozen=True)
 class SceneLimits(MotionLimits):
-    """Limits of what a client may ask, as of a simulator, and of the force that it gets.
+    """Limits of the requests of a client (the fields of the base class), and of the force in a reply.
 
     Attributes:
-        force: N; every reply has at most this force.
+        force: largest magnitude of the force in a reply, N.
 
     Raises:
-        InputError: a limit that is not positive.
+        InputError: a limit is not positive.
     """
 
     force: float = 100.0
 
-    def limited(self, answer: ToolForce) -> tuple[ToolForce, bool]:
-        """An answer with no more force than allowed, and whether it was cut; direction kept, torque cut alike, and no
-        stiffness: a client that goes on with it must not pass the limit."""
+    def limit_force(self, answer: ToolForce) -> tuple[ToolForce, bool]:
+        """Scale an answer so that its force does not exceed the limit.
+
+        Force and torque are scaled by the same factor. The stiffness of a scaled answer is zero, because a client that
+        extrapolates with the stiffness must not exceed the limit.
+
+        Args:
+            answer: answer of the tissue.
+
+        Returns:
+            The answer or its scaled copy, and whether it was scaled.
+        """
         force = math.hypot(*answer.wrench[:3])
         if force <= self.force:
             return answer, False
-        cut = answer.scaled(self.force / force, answer.status)
-        return replace(cut, stiffness_matrix=_NO_STIFFNESS, ahead=None, step_stiffness_matrix=None, stiffness_age=0.0,
-                       force_error=None, error_age=0.0), True
+        scaled = answer.scaled(self.force / force, answer.status)
+        return replace(scaled, stiffness_matrix=_NO_STIFFNESS, ahead=None, step_stiffness_matrix=None,
+                       stiffness_age=0.0, force_error=None, error_age=0.0), True

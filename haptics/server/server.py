@@ -1,4 +1,4 @@
-"""A tissue for programs that are not ours: poses in and forces out over UDP, configuration over TCP, in one thread."""
+"""Server of a tissue for other programs: poses and forces over UDP, configuration over TCP, in one thread."""
 
 from __future__ import annotations
 
@@ -10,47 +10,74 @@ import socket
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 from haptics.safety.force_release import ForceRelease
 from haptics.server.commands import Commands, Description
 from haptics.server.connections import ConfigurationPort
-from haptics.server.owner_port import Allowance, open_for
+from haptics.server.owner_port import ReplyLimiter, open_owner_socket
 from haptics.server.scene_limits import SceneLimits
 from haptics.server.steps import SILENCE, Counters, ServedTissue, StepService
 from haptics.server.wire import REQUEST_SIZE
 from tissue_sim.errors import InputError
 
+#: Address that only programs of this computer can reach.
 LOOPBACK = "127.0.0.1"
-#: Datagrams of the owner, and of others, that are looked at before a step is made: no flood keeps the owner waiting.
-_MOST_DATAGRAMS, _MOST_OF_OTHERS = 64, 8
-#: Longest sleep, s; a stop that cannot wake the server takes so long.
-_WAIT = 0.25
+
+
+@dataclass(frozen=True)
+class ReceiveSettings:
+    """Settings of the loop of a server.
+
+    Attributes:
+        most_datagrams: largest number of datagrams of the owner that are read before a step.
+        most_foreign_datagrams: largest number of datagrams of other clients that are read before a step if the owner
+            has a separate socket. A small value keeps a flood from delaying the owner.
+        longest_sleep: longest wait for a packet, s; a stop that cannot wake the server takes this long.
+        check_interval: time between two checks for stalled configuration connections, s.
+    """
+
+    most_datagrams: int = 64
+    most_foreign_datagrams: int = 8
+    longest_sleep: float = 0.25
+    check_interval: float = 1.0
+
+
+#: Settings of every server.
+_SETTINGS = ReceiveSettings()
 
 
 class TissueServer:
-    """Serves one tissue. `run` answers until `stop`; the tissue is touched by the thread of `run` only.
+    """Serve one tissue: `run` answers packets until `stop` is called; only the thread of `run` uses the tissue.
 
     Args:
-        tissue: what is stepped; `tissue_sim.Simulator`, warmed up, or anything with ``step(pose, dt)`` and ``reset()``.
+        tissue: tissue to step: a `tissue_sim.Simulator` after its warm-up, or any object with ``step(pose, dt)`` and
+            ``reset()``.
         host: address of the network interface.
-        port: UDP port of the poses; 0 chooses a free one.
-        configuration_port: TCP port of the configuration; 0 chooses a free one, None: no configuration.
-        description: what ``describe`` says of scene, material and mesh; of JSON's types, or what gives it then.
-        parameters: name -> value of what ``set_parameters`` may set, SI.
-        silence: a client that is silent for so long loses the tissue to another, s.
-        limits: of poses, times and forces; see `SceneLimits`.
-        releases: whether a force without an equilibrium is let go; see `ForceRelease`.
-        rebuild: another tissue like the first one, for after a step that failed; None: that one is reset.
-        session: number by which the one client that may have the tissue is known; None: whoever comes first.
-        spin: keep polling for so long after a packet before going to sleep, s. It saves the time of waking up, and
-            takes a whole processor while a client is there.
-        expose: allow an address that other machines can reach. The protocol has no password.
+        port: UDP port of the poses; 0: a free port.
+        configuration_port: TCP port of the configuration; 0: a free port, None: no configuration.
+        description: entries of the answer to ``describe`` about scene, material and mesh, of JSON types; or a function
+            that returns them at the time of the command.
+        parameters: name -> value of each parameter that ``set_parameters`` accepts, SI units.
+        silence: time without a packet after which the owner can lose the tissue to another client, s.
+        limits: limits of poses, times and forces; None: default `SceneLimits`.
+        releases: whether a force without equilibrium is faded out; see `ForceRelease`.
+        rebuild: function that creates a tissue equal to the first one, called after a failed step; None: the failed
+            tissue is reset.
+        session: session number of the only client that may own the tissue; None: every client may.
+        spin: time of polling after a packet before the server sleeps, s. Polling avoids the delay of waking up, and
+            uses a whole processor while a client is active.
+        expose: whether an address that other computers can reach is allowed. The protocol has no password.
+
+    Attributes:
+        address: address and UDP port of the poses.
+        configuration_address: address and TCP port of the configuration; None: no configuration.
 
     Raises:
-        InputError: a port that is taken or none, an address that is none of this machine's, or one that other machines
-            can reach without `expose`.
+        InputError: a port is invalid or in use, the address does not belong to this computer, or other computers can
+            reach the address and `expose` is False.
     """
 
     def __init__(self, tissue: ServedTissue, *, host: str = LOOPBACK, port: int = 0,
@@ -62,77 +89,78 @@ class TissueServer:
         _require_loopback(host, expose)
         self._service = StepService(tissue, silence, limits=limits, release=ForceRelease() if releases else None,
                                     rebuild=rebuild, session=session)
-        self._spin, self._heard = spin, -math.inf
+        self._spin, self._last_packet = spin, -math.inf
         self._stopping = False
         self._selector = selectors.DefaultSelector()
-        self._poses = _bound(socket.SOCK_DGRAM, host, port, "port")
-        #: Of the owner alone, and who that is; None where there is none.
-        self._owned: socket.socket | None = None
+        self._poses = _open_socket(socket.SOCK_DGRAM, host, port, "port")
+        #: Socket that receives only the packets of the owner; None: no owner, or not supported by the system.
+        self._owner_socket: socket.socket | None = None
+        #: Address of the owner for which the socket was opened; None: no owner.
         self._owner: Any = None
-        self._strangers = Allowance()
+        self._limiter = ReplyLimiter()
         self._configuration: ConfigurationPort | None = None
         self.address: tuple[str, int] = self._poses.getsockname()[:2]
         self.configuration_address: tuple[str, int] | None = None
-        self._alarm, self._bell = socket.socketpair()
+        self._wake_receiver, self._wake_sender = socket.socketpair()
         try:
             if configuration_port is not None:
-                listener = _bound(socket.SOCK_STREAM, host, configuration_port, "configuration_port")
+                listener = _open_socket(socket.SOCK_STREAM, host, configuration_port, "configuration_port")
                 commands = Commands(self._service, description, parameters)
                 self._configuration = ConfigurationPort(listener, commands.execute, self._selector)
                 self.configuration_address = listener.getsockname()[:2]
             self._poses.setblocking(False)
-            self._bell.setblocking(False)
+            self._wake_sender.setblocking(False)
             self._selector.register(self._poses, selectors.EVENT_READ)
-            self._selector.register(self._alarm, selectors.EVENT_READ)
+            self._selector.register(self._wake_receiver, selectors.EVENT_READ)
         except BaseException:
             self.close()
             raise
-        # One byte more than a request: a longer datagram must not pass for one.
+        # One byte more than a request, so that a longer datagram is not mistaken for a request.
         self._packet = memoryview(bytearray(REQUEST_SIZE + 1))
 
     @property
     def counters(self) -> Counters:
-        """Packets and steps since the server started."""
+        """Numbers of packets and steps since the server started."""
         return self._service.counters
 
     def run(self) -> None:
-        """Answer until `stop` is called."""
+        """Answer packets until `stop` is called."""
         now = time.monotonic()
-        next_look = now + 1.0
+        next_check = now + _SETTINGS.check_interval
         while not self._stopping:
-            if now - self._heard < self._spin:
-                # The client, or whoever else waits for this processor, goes first.
-                _let_others_run()
+            if now - self._last_packet < self._spin:
+                # Give the processor first to the client and to other waiting programs.
+                _yield_processor()
                 events = self._selector.select(0.0)
             else:
-                events = self._selector.select(_WAIT)
+                events = self._selector.select(_SETTINGS.longest_sleep)
             if events:
                 self._answer_poses()
             now = time.monotonic()
             for key, _ in events:
-                # A connection that an earlier one has pushed out is no longer registered.
+                # An earlier event of this loop may have closed the connection.
                 if key.data is not None and not isinstance(key.fileobj, int) and key.fileobj.fileno() >= 0:
                     key.data(now)
                     self._answer_poses()
-            if now > next_look:
-                next_look = now + 1.0
+            if now > next_check:
+                next_check = now + _SETTINGS.check_interval
                 if self._configuration is not None:
                     self._configuration.close_stalled(now)
 
     def stop(self) -> None:
-        """Make `run` return after the step that it is at; from any thread or signal handler."""
+        """Make `run` return after its present step; may be called from any thread or signal handler."""
         self._stopping = True
-        with suppress(OSError):  # closed already, or it rings
-            self._bell.send(b"!")
+        with suppress(OSError):  # already closed, or the wake-up is already queued
+            self._wake_sender.send(b"!")
 
     def close(self) -> None:
-        """Free the ports."""
+        """Close all sockets, which frees the ports."""
         if self._configuration is not None:
             self._configuration.close()
             self._configuration = None
-        for own in (self._owned, self._poses, self._alarm, self._bell):
-            if own is not None:
-                own.close()
+        for each in (self._owner_socket, self._poses, self._wake_receiver, self._wake_sender):
+            if each is not None:
+                each.close()
         self._selector.close()
 
     def __enter__(self) -> TissueServer:
@@ -142,86 +170,105 @@ class TissueServer:
         self.close()
 
     def _answer_poses(self) -> None:
-        """Look at what has come, the owner's first, then step to its newest pose."""
+        """Read the waiting datagrams, those of the owner first, then step to the newest pose and reply."""
         service = self._service
-        if self._owned is not None:
-            self._take(self._owned, _MOST_DATAGRAMS)
-        self._take(self._poses, _MOST_DATAGRAMS if self._owned is None else _MOST_OF_OTHERS)
+        if self._owner_socket is not None:
+            self._receive(self._owner_socket, _SETTINGS.most_datagrams)
+        self._receive(self._poses, _SETTINGS.most_datagrams if self._owner_socket is None
+                      else _SETTINGS.most_foreign_datagrams)
         if service.owner != self._owner:
-            self._follow_owner()
+            self._open_owner_socket()
         answer = service.step(time.monotonic())
         if answer is not None:
             self._send(*answer)
-            self._heard = time.monotonic()
-            service.answered(self._heard)
+            self._last_packet = time.monotonic()
+            service.restart_silence(self._last_packet)
 
-    def _take(self, own: socket.socket, most: int) -> None:
-        """Look at the datagrams of a socket."""
+    def _receive(self, source: socket.socket, most: int) -> None:
+        """Read datagrams of a socket, and answer those that need no step.
+
+        Args:
+            source: socket to read.
+            most: largest number of datagrams.
+        """
         service, packet = self._service, self._packet
         for _ in range(most):
             try:
-                size, address = own.recvfrom_into(packet)
-            except (BlockingIOError, ConnectionRefusedError):  # nothing more, or the owner has closed its port
+                size, address = source.recvfrom_into(packet)
+            except (BlockingIOError, ConnectionRefusedError):  # No datagram, or the owner has closed its port.
                 break
-            except ConnectionResetError:  # Windows: a client that was answered has closed its port
+            except ConnectionResetError:  # Windows: a client that was answered has closed its port.
                 continue
-            except OSError:  # Windows: longer than the buffer
+            except OSError:  # Windows: the datagram is longer than the buffer.
                 self.counters.malformed += 1
                 continue
             now = time.monotonic()
-            if service.owner not in (None, address) and not self._strangers.takes(address, now):
+            if service.owner not in (None, address) and not self._limiter.allows(address, now):
                 self.counters.flooded += 1
                 continue
-            self._heard = now
-            at_once = service.take(packet[:size], address, now)
-            if at_once is not None:
-                self._send(at_once, address)
+            self._last_packet = now
+            reply = service.receive(packet[:size], address, now)
+            if reply is not None:
+                self._send(reply, address)
 
-    def _follow_owner(self) -> None:
-        """Take the packets of a new owner apart from all others."""
-        if self._owned is not None:
-            self._selector.unregister(self._owned)
-            self._owned.close()
+    def _open_owner_socket(self) -> None:
+        """Replace the socket of the previous owner by a socket for the present owner."""
+        if self._owner_socket is not None:
+            self._selector.unregister(self._owner_socket)
+            self._owner_socket.close()
         owner = self._owner = self._service.owner
-        self._owned = None if owner is None else open_for(owner, self._poses)
-        if self._owned is not None:
-            self._selector.register(self._owned, selectors.EVENT_READ)
+        self._owner_socket = None if owner is None else open_owner_socket(owner, self._poses)
+        if self._owner_socket is not None:
+            self._selector.register(self._owner_socket, selectors.EVENT_READ)
 
     def _send(self, reply: bytes, address: Any) -> None:
+        """Send a reply; count it as unsent if the operating system refuses it."""
         try:
             self._poses.sendto(reply, address)
-        except OSError:  # a full buffer, a client without an address: the next reply may pass
+        except OSError:  # The send buffer is full, or the client cannot be reached: the next reply may succeed.
             self.counters.unsent += 1
 
 
-_let_others_run = getattr(os, "sched_yield", partial(time.sleep, 0.0))
+#: Function that gives the processor to other waiting threads and programs.
+_yield_processor = getattr(os, "sched_yield", partial(time.sleep, 0.0))
 
 
 def _require_loopback(host: str, expose: bool) -> None:
+    """Refuse an invalid address, and an address that other computers can reach unless `expose` is True."""
     try:
         loopback = host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
-        raise InputError(f"{host!r} is not an address; give one such as {LOOPBACK}", field="host") from None
+        raise InputError(f"must be an IP address such as {LOOPBACK}; got {host!r}", field="host") from None
     if not (loopback or expose):
-        raise InputError(f"{host} can be reached by other machines, and the protocol has no password; expose it "
-                         f"explicitly, or leave it out for {LOOPBACK}", field="host")
+        raise InputError(f"must be a loopback address such as {LOOPBACK} unless expose is set; got {host}. Other "
+                         "computers can reach this address, and the protocol has no password", field="host")
 
 
-def _bound(kind: socket.SocketKind, host: str, port: int, field: str) -> socket.socket:
-    """A socket that is bound, and listens where it can."""
+def _open_socket(kind: socket.SocketKind, host: str, port: int, field: str) -> socket.socket:
+    """Return a socket that is bound to an address; a TCP socket also listens.
+
+    Args:
+        kind: UDP or TCP.
+        host: address of the network interface.
+        port: port; 0: a free port.
+        field: name of the argument in error messages.
+
+    Raises:
+        InputError: the port is invalid or in use, or the address does not belong to this computer.
+    """
     if not 0 <= port <= 65535:
-        raise InputError(f"{port} is not a port; give 1 to 65535, or 0 for a free one", field=field)
+        raise InputError(f"must be 1 to 65535, or 0 for a free port; got {port}", field=field)
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    own = socket.socket(family, kind)
+    bound = socket.socket(family, kind)
     try:
         if kind == socket.SOCK_STREAM and os.name == "posix":
-            # On Windows this would let two servers share the port.
-            own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        own.bind((host, port))
+            # On Windows this option would let two servers share the port.
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.bind((host, port))
         if kind == socket.SOCK_STREAM:
-            own.listen()
+            bound.listen()
     except OSError as error:
-        own.close()
-        raise InputError(f"{host}:{port} cannot be used ({error.strerror}); close the program that has it, give "
-                         "another port, or 0 for a free one", field=field) from None
-    return own
+        bound.close()
+        raise InputError(f"{host}:{port} cannot be used ({error.strerror}); close the program that uses it, or choose "
+                         "another port, or 0 for a free port", field=field) from None
+    return bound

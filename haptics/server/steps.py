@@ -1,9 +1,10 @@
-"""Who owns the tissue, and which of its packets make a step. Knows nothing of sockets and has no clock."""
+"""Assign the tissue to one client, and step it to the newest request; independent of sockets and clocks."""
 
 from __future__ import annotations
 
 import math
 import sys
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -27,39 +28,53 @@ from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus, Tissue, ToolForce
 
-#: Of a client, as sockets give it: host, port and what else there is.
+#: Address of a client as a socket returns it: host, port, and further entries for IPv6.
 Address = tuple[Any, ...]
-#: A plain number: flags of an enumeration cost a microsecond to compare.
+# Flags as plain integers, because operations on enumerations cost a microsecond each.
+#: `RequestFlags.RESET` as an integer.
 _RESET = int(RequestFlags.RESET)
-_INERTIAL, _LIMITED = int(ReplyFlags.INERTIAL), int(ReplyFlags.LIMITED)
-_STALE, _OFF_AXIS = int(ReplyFlags.STALE_STIFFNESS), int(ReplyFlags.OFF_AXIS)
-#: The owner of the tissue loses it to another client after this time without a packet, s.
+#: `ReplyFlags.INERTIAL` as an integer.
+_INERTIAL = int(ReplyFlags.INERTIAL)
+#: `ReplyFlags.LIMITED` as an integer.
+_LIMITED = int(ReplyFlags.LIMITED)
+#: `ReplyFlags.STALE_STIFFNESS` as an integer.
+_STALE = int(ReplyFlags.STALE_STIFFNESS)
+#: `ReplyFlags.OFF_AXIS` as an integer.
+_OFF_AXIS = int(ReplyFlags.OFF_AXIS)
+#: Time without a packet after which the owner can lose the tissue to another client, s.
 SILENCE = 5.0
 _NO_FORCE = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
 
 
 class ServedTissue(Tissue, Protocol):
-    """What a server needs of a tissue; `tissue_sim.Simulator` is one."""
+    """Interface of a tissue that a server can step and reset; `tissue_sim.Simulator` implements it."""
 
     def reset(self) -> None:
-        """Back to the undeformed state."""
+        """Restore the undeformed state."""
 
 
 @dataclass(slots=True)
 class Counters:
-    """Packets and steps since the server started.
+    """Numbers of packets and steps since the server started; the names are keys of the command ``statistics``.
 
     Attributes:
-        steps: answered, by status: converged, late, stopped, refused, fading, returning, failed.
-        limited: answers whose force was cut.
-        malformed: no requests; dropped.
-        stale: not newer than the last one of their client; dropped.
-        skipped: in whose place a newer one was answered.
-        turned_away: from a client without the tissue; answered with BUSY.
-        other_version: of another version; answered with ours.
-        unsent: replies that the system would not take.
-        flooded: from who sends too much; dropped.
-        clients: that owned the tissue, one after the other.
+        steps: answered steps.
+        converged: steps with the status CONVERGED.
+        late: steps with the status LATE.
+        stopped: steps with the status STOPPED.
+        refused: steps with the status REFUSED.
+        fading: steps with the status FADING.
+        returning: steps with the status RETURNING.
+        failed: steps with the status FAILED.
+        limited: answers whose force was limited.
+        malformed: dropped packets that are not requests.
+        stale: dropped requests that are not newer than the last request of their client.
+        skipped: requests that were replaced by a newer one before the step.
+        turned_away: requests of clients that do not own the tissue, answered with BUSY.
+        other_version: packets of another protocol version, answered with the version of the server.
+        unsent: replies that the operating system refused to send.
+        flooded: packets dropped because their sender exceeded the rate limit.
+        clients: clients that owned the tissue, one after the other.
     """
 
     steps: int = 0
@@ -81,7 +96,7 @@ class Counters:
     clients: int = 0
 
     def count(self, status: ForceStatus) -> None:
-        """Count a step that was answered."""
+        """Count an answered step under its status."""
         self.steps += 1
         name = _NAMES[status]
         setattr(self, name, getattr(self, name) + 1)
@@ -91,49 +106,55 @@ _NAMES = {status: status.name.lower() for status in ForceStatus}
 
 
 class _Owner:
-    """The client that has the tissue.
+    """The client that owns the tissue.
 
     Attributes:
-        address: where its packets come from.
-        session: its number; 0: it is known by its address.
-        sequence: of its newest packet.
-        heard: when the server last had to do with it, s on the server's clock.
-        time: of its last step on its own clock, s; None before the first.
-        pose: of that step.
+        address: address of the client.
+        session: session number of the client; 0: the client is identified by its address.
+        sequence: sequence number of its newest request.
+        last_contact: time of the last request or reply, s on the clock of the server.
+        time: time of the last step on the clock of the client, s; None before the first step.
+        pose: pose of the last step; None before the first step.
     """
 
-    __slots__ = ("address", "heard", "pose", "sequence", "session", "time")
+    __slots__ = ("address", "last_contact", "pose", "sequence", "session", "time")
 
     def __init__(self, address: Address, session: int):
-        self.address, self.session, self.sequence, self.heard = address, session, -1, -math.inf
+        self.address, self.session, self.sequence, self.last_contact = address, session, -1, -math.inf
         self.time: float | None = None
         self.pose: Pose | None = None
 
-    def sent(self, request: Request, address: Address) -> bool:
-        """Whether a request is one of this client's. One that shows the number may have got another address."""
+    def has_sent(self, request: Request, address: Address) -> bool:
+        """Return whether a request is from this client: same session number, or same address if the number is 0."""
         return request.session == self.session and (self.session != 0 or address == self.address)
 
 
 class StepService:
-    """Steps a tissue for one client at a time.
+    """Step a tissue for one client at a time.
 
-    The first to speak owns the tissue until it says goodbye, or falls silent and another speaks. Packets are taken as
-    they come, and the newest is stepped: a client that sends faster than steps are made gets no queue. What the scene
-    cannot hold is refused before the tissue sees it, a force without an equilibrium is let go, and a step that raises
-    anything, or answers no number, is FAILED and costs the tissue its state, not the server its life.
+    Ownership. The first client to send a request owns the tissue. Another client can take over when the owner says
+    goodbye, or sends nothing for `silence` seconds.
+
+    Steps. Only the newest request is stepped: a client that sends faster than the steps are made builds up no queue.
+    A request outside of the limits is refused without a step, and a force without equilibrium is faded out. If a step
+    raises an error or returns a number that is not finite, the reply has the status FAILED and the tissue is rebuilt;
+    the server keeps running.
 
     Args:
-        tissue: what is stepped.
-        silence: after which an owner loses the tissue to another client, s.
-        limits: of poses, times and forces.
-        release: lets a force without an equilibrium go; None: replies hold what the tissue answers.
-        rebuild: another tissue like the first one, for after a step that failed; None: that one is reset.
-        session: the number by which the one client that may have the tissue is known; None: whoever comes first.
-        log: takes one line about each failure.
+        tissue: tissue to step.
+        silence: time without a packet after which the owner can lose the tissue to another client, s.
+        limits: limits of poses, times and forces; None: default limits.
+        release: fades a force without equilibrium; None: replies contain the unchanged answer of the tissue.
+        rebuild: function that creates a tissue equal to the first one, called after a failed step; None: the failed
+            tissue is reset.
+        session: session number of the only client that may own the tissue; None: every client may.
+        log: function that receives one line about each failure; None: lines go to standard error.
 
     Attributes:
-        tissue: the one that is stepped now.
-        log: as given, or to standard error.
+        tissue: tissue that is stepped at present.
+        limits: limits in use.
+        counters: numbers of packets and steps.
+        log: function that receives one line about each failure.
     """
 
     def __init__(self, tissue: ServedTissue, silence: float = SILENCE, *, limits: SceneLimits | None = None,
@@ -141,82 +162,88 @@ class StepService:
                  session: int | None = None, log: Callable[[str], None] | None = None):
         self.tissue, self.silence = tissue, silence
         self.limits, self._release, self._session = limits or SceneLimits(), release, session
-        self._rebuild, self.log = rebuild, log or _to_standard_error
+        self._rebuild, self.log = rebuild, log or _print_to_standard_error
         self.counters = Counters()
         self._owner: _Owner | None = None
         self._newest: Request | None = None
         self._last = _NO_FORCE
-        # Whether the tissue has failed, and could not be built anew yet.
-        self._broken = False
+        #: Whether the tissue has failed and is not rebuilt yet.
+        self._is_broken = False
 
     @property
     def owner(self) -> Address | None:
-        """Address of the client that has the tissue."""
+        """Address of the client that owns the tissue; None: no client owns it."""
         return None if self._owner is None else self._owner.address
 
-    def take(self, packet: bytes | bytearray | memoryview, address: Address, now: float) -> bytes | None:
-        """Look at one datagram.
+    def receive(self, packet: bytes | bytearray | memoryview, address: Address, now: float) -> bytes | None:
+        """Process one datagram: store a request of the owner for the next step, or answer it without a step.
 
         Args:
-            packet: its bytes.
-            address: of its sender.
-            now: server's clock, s.
+            packet: bytes of the datagram.
+            address: address of its sender.
+            now: time on the clock of the server, s.
 
         Returns:
-            What to answer at once; None where there is nothing to answer yet.
+            Reply to send at once; None if the datagram was stored or dropped.
         """
         counters = self.counters
         try:
             request = decode_request(packet)
         except OtherVersionError as error:
             counters.other_version += 1
-            return self._without_step(Status.OTHER_VERSION, Request(error.sequence, error.time))
+            return self._encode_status(Status.OTHER_VERSION, Request(error.sequence, error.time))
         except WireError:
             counters.malformed += 1
             return None
         owner = self._owner
         if self._session not in (None, request.session):
             counters.turned_away += 1
-            return self._without_step(Status.BUSY, request)
-        if owner is not None and now - owner.heard <= self.silence:
-            if not owner.sent(request, address):
+            return self._encode_status(Status.BUSY, request)
+        if owner is not None and now - owner.last_contact <= self.silence:
+            if not owner.has_sent(request, address):
                 counters.turned_away += 1
-                return self._without_step(Status.BUSY, request)
+                return self._encode_status(Status.BUSY, request)
             if request.sequence <= owner.sequence:
                 counters.stale += 1
                 return None
         if request.kind == Kind.GOODBYE:
-            self._let_go()
-            return self._without_step(Status.RELEASED, request)
-        # An owner that was silent goes on where it was, unless it starts to count anew.
-        if owner is None or not owner.sent(request, address) or request.sequence <= owner.sequence:
-            self._let_go()
+            self._release_owner()
+            return self._encode_status(Status.RELEASED, request)
+        # After a silence the owner keeps its state, unless its sequence numbers restart.
+        if owner is None or not owner.has_sent(request, address) or request.sequence <= owner.sequence:
+            self._release_owner()
             owner = self._owner = _Owner(address, request.session)
-            self._engage()
+            self._restart_release()
             counters.clients += 1
-        owner.sequence, owner.heard, owner.address = request.sequence, now, address
+        owner.sequence, owner.last_contact, owner.address = request.sequence, now, address
         if self._newest is not None:
             counters.skipped += 1
-            request = request._replace(flags=request.flags | self._newest.flags)  # a reset is not skipped
+            # The reset flag of a skipped request still applies.
+            request = request._replace(flags=request.flags | self._newest.flags)
         self._newest = request
         return None
 
+    def take(self, packet: bytes | bytearray | memoryview, address: Address, now: float) -> bytes | None:
+        """Return `receive` of a datagram. Deprecated name, kept for one release."""
+        warnings.warn("StepService.take is renamed to receive", DeprecationWarning, stacklevel=2)
+        return self.receive(packet, address, now)
+
     def step(self, now: float) -> tuple[bytes, Address] | None:
-        """Step to the newest pose that was taken.
+        """Step the tissue to the newest pose that was received.
 
         Args:
-            now: server's clock, s.
+            now: time on the clock of the server, s.
 
         Returns:
-            The reply and the address of its client; None where no pose is waiting.
+            The reply and the address of the client; None if no pose is waiting.
         """
         if self._newest is None or self._owner is None:
             return None
         request, self._newest, owner = self._newest, None, self._owner
-        answer, dt = self._answer(request, owner)
+        answer, dt = self._check_and_step(request, owner)
         if self._release is not None:
             answer = self._release.step(answer, now)
-        answer, limited = self.limits.limited(answer)
+        answer, limited = self.limits.limit_force(answer)
         counters = self.counters
         counters.count(answer.status)
         counters.limited += limited
@@ -229,80 +256,96 @@ class StepService:
                       answer.force_error, answer.error_age, answer.least_tool_mass)
         return encode_reply(reply), owner.address
 
-    def answered(self, now: float) -> None:
-        """The owner's silence begins here: a step may have taken long."""
-        if self._owner is not None:
-            self._owner.heard = now
+    def restart_silence(self, now: float) -> None:
+        """Restart the silence of the owner after its reply, because the step may have taken long.
 
-    def begin_anew(self) -> None:
-        """The tissue was changed from elsewhere: the next step has no time step."""
+        Args:
+            now: time on the clock of the server, s.
+        """
+        if self._owner is not None:
+            self._owner.last_contact = now
+
+    def discard_last_step(self) -> None:
+        """Discard the last step after the state of the tissue was replaced: the next step has the time step zero."""
         self._last = _NO_FORCE
-        self._engage()
+        self._restart_release()
         if self._owner is not None:
             self._owner.time = self._owner.pose = None
 
-    def _answer(self, request: Request, owner: _Owner) -> tuple[ToolForce, float]:
-        """The answer of the tissue, or the last one as refused where it is not asked; and the dt used."""
+    def _check_and_step(self, request: Request, owner: _Owner) -> tuple[ToolForce, float]:
+        """Check a request, and step the tissue to its pose.
+
+        Args:
+            request: newest request of the owner.
+            owner: the owner.
+
+        Returns:
+            The answer of the tissue, or the last answer with the status REFUSED; and the time step that was used, s.
+        """
         reset = request.flags & _RESET
         dt = 0.0 if owner.time is None or reset else request.time - owner.time
         try:
             if not math.isfinite(request.time):
-                raise InputError("no time", field="time")
+                raise InputError("must be finite", field="time")
             pose = Pose(request.position, request.orientation)
             self.limits.require(pose, None if reset else owner.pose, dt)
         except InputError:
-            return self._refused(), 0.0
+            return self._repeat_as_refused(), 0.0
         try:
-            if self._broken:
-                self._build_anew()
+            if self._is_broken:
+                self._rebuild_tissue()
             if reset:
                 self.tissue.reset()
-                self.begin_anew()
+                self.discard_last_step()
             answer = self.tissue.step(pose, dt)
             if not answer.is_finite:
-                raise ArithmeticError("the force is not a number")
+                raise ArithmeticError("the force is not finite")
         except Exception as error:
-            if isinstance(error, InputError) and not self._broken:
-                return self._refused(), 0.0
-            return self._failed(error), 0.0
+            if isinstance(error, InputError) and not self._is_broken:
+                return self._repeat_as_refused(), 0.0
+            return self._rebuild_after(error), 0.0
         if answer.status == ForceStatus.REFUSED:
             return answer, 0.0
         owner.time, owner.pose, self._last = request.time, pose, answer
         return answer, dt
 
-    def _refused(self) -> ToolForce:
+    def _repeat_as_refused(self) -> ToolForce:
+        """Return the last answer with the status REFUSED."""
         return replace(self._last, status=ForceStatus.REFUSED, iterations=0, compute_time=0.0)
 
-    def _failed(self, error: Exception) -> ToolForce:
-        """No force, and another tissue for the next step."""
-        self.log(f"a step failed ({type(error).__name__}: {str(error)[:200]}); the tissue begins anew")
-        self._broken = True
+    def _rebuild_after(self, error: Exception) -> ToolForce:
+        """Rebuild the tissue after an error, and return a zero force with the status FAILED."""
+        self.log(f"a step failed ({type(error).__name__}: {str(error)[:200]}); the tissue is rebuilt, undeformed")
+        self._is_broken = True
         try:
-            self._build_anew()
+            self._rebuild_tissue()
         except Exception as again:
-            self.log(f"the tissue cannot be built anew yet ({type(again).__name__}: {str(again)[:200]})")
-        self.begin_anew()
+            self.log(f"the tissue could not be rebuilt; the next step tries again ({type(again).__name__}: "
+                     f"{str(again)[:200]})")
+        self.discard_last_step()
         return replace(_NO_FORCE, status=ForceStatus.FAILED)
 
-    def _build_anew(self) -> None:
+    def _rebuild_tissue(self) -> None:
+        """Replace the tissue by the result of `rebuild`, or reset it if no such function was given."""
         if self._rebuild is None:
             self.tissue.reset()
         else:
             self.tissue = self._rebuild()
-        self._broken = False
+        self._is_broken = False
 
-    def _let_go(self) -> None:
-        """Of the owner."""
+    def _release_owner(self) -> None:
+        """Discard the owner and its waiting request."""
         if self._newest is not None:
             self.counters.skipped += 1
         self._owner = self._newest = None
 
-    def _engage(self) -> None:
-        """The next force is a client's first one."""
+    def _restart_release(self) -> None:
+        """Treat the next force as the first force of a client."""
         if self._release is not None:
             self._release.reset()
 
-    def _without_step(self, status: Status, request: Request) -> bytes:
+    def _encode_status(self, status: Status, request: Request) -> bytes:
+        """Return the reply to a request that makes no step."""
         counters = self.counters
         return encode_reply(Reply(status, request.sequence, request.time, request.session,
                                   malformed=counters.malformed, stale=counters.stale,
@@ -310,5 +353,6 @@ class StepService:
                                   version=request.version))
 
 
-def _to_standard_error(line: str) -> None:
+def _print_to_standard_error(line: str) -> None:
+    """Print a log line to standard error."""
     print(f"tissue-sim: {line}", file=sys.stderr, flush=True)

@@ -1,8 +1,9 @@
-"""The UDP protocol between a simulator that is not ours and the tissue: one request, one reply, fixed layouts.
+"""Encode and decode the UDP packets between a client and the tissue: one reply for each request, fixed layouts.
 
-Little-endian, SI, no padding; docs/wire_protocol.md has the offsets. The frame is that of the scenes (`FRAME`), and
-both packets carry all six degrees of freedom, whatever the scene uses of them. Requests of versions 2 and 3 differ in
-the version alone; a reply has the version of its request, and one of version 3 continues where that of version 2 ends.
+Packets are little-endian, in SI units and without padding; docs/wire_protocol.md lists the offsets. The coordinate
+frame is `FRAME`. Both packets carry all six degrees of freedom, also if the scene uses fewer. Requests of the versions
+2 and 3 differ only in the version number. A reply has the version of its request; a reply of version 3 is a reply of
+version 2 with additional fields at its end.
 """
 
 from __future__ import annotations
@@ -15,25 +16,32 @@ from typing import NamedTuple
 
 from tissue_sim.tool_force import ForceStatus
 
-#: Version of the requests of a client. Every change of a layout or of the meaning of a field makes a new version.
+#: Default version of a client. A change of a layout, or of the meaning of a field, requires a new version.
 VERSION = 3
 #: Versions in which a server answers.
 VERSIONS = (2, 3)
-REQUEST_MAGIC, REPLY_MAGIC = b"TSRQ", b"TSRP"
+#: First bytes of a request.
+REQUEST_MAGIC = b"TSRQ"
+#: First bytes of a reply.
+REPLY_MAGIC = b"TSRP"
+#: Description of the coordinate frame, part of the answer to ``describe``.
 FRAME = ("origin at the centre of the undeformed top face, z out of the tissue, right-handed; forces and torques are "
          "those on the tool, so pushing in gives a positive z force; depth = -z; orientation is a unit quaternion "
          "(w, x, y, z); SI units")
 
-#: magic, version, kind or status, sequence, time: the same in every version, so that any two can tell each other apart.
+#: Magic, version, kind or status, sequence, time: the same in every version, so that a version is always recognised.
 _HEAD = struct.Struct("<4sHHQd")
+#: Request.
 _REQUEST = struct.Struct("<4sHHQdQ3d4dII")
 #: Reply of version 2.
 _REPLY = struct.Struct("<4sHHQdQ3d3d36d36d4dII4Q")
-#: End of a reply of version 3: stiffness_age, force_error, error_age, least_tool_mass.
-_AGES = struct.Struct("<4d")
+#: Additional fields of a reply of version 3: stiffness_age, force_error, error_age, least_tool_mass.
+_VERSION_3_FIELDS = struct.Struct("<4d")
+#: Size of a request, bytes.
 REQUEST_SIZE = _REQUEST.size
-#: Bytes of a reply, by version.
-REPLY_SIZES = {2: _REPLY.size, 3: _REPLY.size + _AGES.size}
+#: Version -> size of a reply, bytes.
+REPLY_SIZES = {2: _REPLY.size, 3: _REPLY.size + _VERSION_3_FIELDS.size}
+#: Size of a reply of the default version, bytes.
 REPLY_SIZE = REPLY_SIZES[VERSION]
 
 Vector = tuple[float, float, float]
@@ -43,34 +51,38 @@ _NO_MATRIX: Matrix = ((0.0,) * 6,) * 6
 
 
 class Kind(IntEnum):
-    """What a request asks for."""
+    """Kind of a request."""
 
+    #: Step the tissue to the pose of the request.
     STEP = 1
+    #: Release the tissue for other clients.
     GOODBYE = 2
 
 
 class RequestFlags(IntFlag):
-    """RESET (bit 0): put the tissue back to its undeformed state before this step."""
+    """Flags of a request."""
 
     NONE = 0
+    #: Restore the undeformed state of the tissue before this step.
     RESET = 1
 
 
 class ReplyFlags(IntFlag):
-    """INERTIAL (bit 0): the mass of the tissue was taken into account. LIMITED (bit 1): the force was cut to the
-    largest one that the server gives; the stiffness is zero then. STALE_STIFFNESS (bit 2): the stiffness is older than
-    `haptics.safety.coupling.LONGEST_STIFFNESS_AGE`. OFF_AXIS (bit 3, version 3): the tool is away from or across the
-    axis of an axisymmetric scene, which the force does not take into account."""
+    """Flags of a reply."""
 
     NONE = 0
+    #: The force includes the mass of the tissue.
     INERTIAL = 1
+    #: The force was limited to the largest force of the server; the stiffness is then zero.
     LIMITED = 2
+    #: The stiffness is older than `haptics.safety.coupling.LONGEST_STIFFNESS_AGE`.
     STALE_STIFFNESS = 4
+    #: The tool is off the axis of an axisymmetric scene, or tilted; the force neglects this (version 3).
     OFF_AXIS = 8
 
 
 class Status(IntEnum):
-    """Below 100: of a step, as `tissue_sim.tool_force.ForceStatus`, with a force; from 100 on: no step was made."""
+    """Status of a reply: below 100 a `tissue_sim.tool_force.ForceStatus` with a force; from 100, no step was made."""
 
     CONVERGED = ForceStatus.CONVERGED
     LATE = ForceStatus.LATE
@@ -85,27 +97,29 @@ class Status(IntEnum):
 
     @property
     def message(self) -> str:
-        """What it means, and what to do."""
+        """Meaning of the status, and the remedy."""
         match self:
             case Status.BUSY:
-                return "another client owns the tissue; try again when it has said goodbye or fallen silent"
+                return "another client owns the tissue; try again after its goodbye or its silence"
             case Status.OTHER_VERSION:
-                return "the server speaks the version of this reply; use a client of that version"
+                return "the server uses the protocol version of this reply; use a client of that version"
             case Status.RELEASED:
-                return "goodbye: the tissue is free for another client"
+                return "the client has said goodbye; the tissue is free for another client"
             case _:
                 return ForceStatus(self).message
 
 
 class WireError(ValueError):
-    """A packet that is not of this protocol; the text says what is wrong with it."""
+    """A packet does not belong to this protocol; the message gives the reason."""
 
 
 class OtherVersionError(WireError):
-    """A packet of another version, of which only the head is known.
+    """A packet has another version, so that only its head can be decoded.
 
     Attributes:
-        version, sequence, time: as in the packet.
+        version: version of the packet.
+        sequence: sequence number of the packet.
+        time: time of the packet, s.
     """
 
     def __init__(self, version: int, sequence: int, time: float):
@@ -114,17 +128,17 @@ class OtherVersionError(WireError):
 
 
 class Request(NamedTuple):
-    """Where the tool is.
+    """Request of a client: pose of the tool at a time.
 
     Attributes:
-        sequence: number of the packet, 0 to 2^64 - 1; greater than all before.
-        time: on the client's clock, s; the time step is the difference to that of the last step.
-        position: x, y, z, m.
-        orientation: unit quaternion (w, x, y, z).
-        session: a random number that the client has chosen, by which the server knows it; 0: by its address only.
-        kind: a step, or goodbye.
-        flags: see `RequestFlags`.
-        version: of the packet, and of the reply to it.
+        sequence: number of the request, 0 to 2^64 - 1, increasing.
+        time: time on the clock of the client, s; the time step is the difference to the time of the last step.
+        position: position of the tool tip x, y, z, m.
+        orientation: unit quaternion (w, x, y, z) of the tool.
+        session: random number that identifies the client; 0: the client is identified by its address.
+        kind: value of `Kind`.
+        flags: bits of `RequestFlags`.
+        version: version of the request and of its reply.
     """
 
     sequence: int
@@ -138,28 +152,34 @@ class Request(NamedTuple):
 
 
 class Reply(NamedTuple):
-    """The force on the tool, and how far it can be believed.
+    """Reply of the server: force on the tool, its stiffness, and information on its accuracy.
 
     Attributes:
-        status: a value of `Status`; later servers may know more.
-        sequence, time, session: of the request that is answered.
-        force: N. torque: N m, about the tool's tip.
-        stiffness: the tissue's own: minus the derivative of (force, torque) with (position, rotation vector), 6 x 6,
-            N/m, N, N m, without its mass.
-        step_stiffness: the same within this step, with the mass where that was taken into account.
-        age: time since the last equilibrium, s; 0 where this is one.
+        status: value of `Status`; later servers may use further values.
+        sequence: sequence number of the request.
+        time: time of the request, s.
+        session: session number of the request.
+        force: force on the tool, N, shape (3,).
+        torque: torque on the tool about its tip, N m, shape (3,).
+        stiffness: static stiffness of the tissue: minus the derivative of (force, torque) with respect to (position,
+            rotation vector), N/m, N, N m, shape (6, 6).
+        step_stiffness: the same derivative within this step, including the mass of the tissue if it is modelled.
+        age: time since the last equilibrium, s; 0: this answer is an equilibrium.
         compute_time: wall time of the step, s.
-        residual: unbalanced over balanced forces.
-        dt: time step that was used, s.
-        iterations: linear solves of the step.
-        flags: see `ReplyFlags`.
-        malformed, stale, skipped, turned_away: packets since the server started that were no requests; that were not
-            newer than the last; in whose place a newer one was answered; that came from a client without the tissue.
-        version: of the packet. In version 2 the fields below do not exist; they have these defaults.
-        stiffness_age: time since the stiffness was evaluated, s.
-        force_error: estimated error of the force, N; None if it is unknown (NaN in the packet).
-        error_age: time since this error was estimated, s.
-        least_tool_mass: smallest mass of a tool that an explicit coupling keeps stable at this time step, kg.
+        residual: relative residual: norm of the unbalanced forces divided by the norm of the balanced forces, 1.
+        dt: time step of this step, s.
+        iterations: number of linear solutions in this step.
+        flags: bits of `ReplyFlags`.
+        malformed: number of packets since the start of the server that were not requests.
+        stale: number of requests since the start that were not newer than the last request of their client.
+        skipped: number of requests since the start that were replaced by a newer one.
+        turned_away: number of requests since the start from clients that do not own the tissue.
+        version: version of the packet. A reply of version 2 does not contain the fields below; they have these
+            defaults.
+        stiffness_age: time since the stiffness was computed, s.
+        force_error: estimated error of the force, N; None: unknown (NaN in the packet).
+        error_age: time since the error was estimated, s.
+        least_tool_mass: smallest mass of a tool for which an explicit coupling is stable at this time step, kg.
     """
 
     status: int
@@ -188,33 +208,39 @@ class Reply(NamedTuple):
 
     @property
     def is_on_axis(self) -> bool:
-        """Whether the tool is on the axis of an axisymmetric scene, as the force assumes."""
+        """Whether the tool is on the axis of an axisymmetric scene; the force assumes that it is."""
         return not self.flags & ReplyFlags.OFF_AXIS
 
 
 def encode_request(request: Request) -> bytes:
-    """The packet of a request, `REQUEST_SIZE` bytes."""
+    """Return the packet of a request, `REQUEST_SIZE` bytes."""
     return _REQUEST.pack(REQUEST_MAGIC, request.version, request.kind, request.sequence, request.time, request.session,
                          *request.position, *request.orientation, request.flags, 0)
 
 
 def decode_request(packet: bytes | bytearray | memoryview) -> Request:
-    """The request in a packet. Its numbers may be NaN: it is not for the wire to say what a pose may be.
+    """Return the request in a packet.
+
+    The numbers of the pose are not checked and may be NaN; `StepService` checks them.
+
+    Args:
+        packet: bytes of a datagram.
 
     Raises:
-        OtherVersionError: of another version.
-        WireError: not a request; or of this version with another size, kind, flag, or something in the reserved field.
+        OtherVersionError: the packet is a request of another version.
+        WireError: the packet is not a request, or its size, kind, flags or reserved field are invalid.
     """
-    version = _checked_version(packet, REQUEST_MAGIC)
+    version = _decode_version(packet, REQUEST_MAGIC)
     _check_size(packet, REQUEST_SIZE)
     (_, _, kind, sequence, time, session, x, y, z, qw, qx, qy, qz, flags, reserved) = _REQUEST.unpack(packet)
     if kind not in _KINDS or flags > _ALL_FLAGS or reserved:
-        raise WireError(f"unknown kind {kind}, flags {flags:#x} or reserved {reserved:#x}")
+        raise WireError(f"kind must be one of {sorted(_KINDS)}, flags at most {_ALL_FLAGS:#x} and the reserved field "
+                        f"0; got {kind}, {flags:#x} and {reserved:#x}")
     return Request(sequence, time, (x, y, z), (qw, qx, qy, qz), session, kind, flags, version)
 
 
 def encode_reply(reply: Reply) -> bytes:
-    """The packet of a reply, as long as `REPLY_SIZES` says for its version."""
+    """Return the packet of a reply; its size is `REPLY_SIZES` of its version."""
     (status, sequence, time, session, force, torque, stiffness, step_stiffness, age, compute_time, residual, dt,
      iterations, flags, malformed, stale, skipped, turned_away, version, stiffness_age, force_error, error_age,
      least_tool_mass) = reply
@@ -223,18 +249,21 @@ def encode_reply(reply: Reply) -> bytes:
                          residual, dt, iterations, flags, malformed, stale, skipped, turned_away)
     if version == 2:
         return packet
-    return packet + _AGES.pack(stiffness_age, math.nan if force_error is None else force_error, error_age,
+    return packet + _VERSION_3_FIELDS.pack(stiffness_age, math.nan if force_error is None else force_error, error_age,
                                least_tool_mass)
 
 
 def decode_reply(packet: bytes | bytearray | memoryview) -> Reply:
-    """The reply in a packet.
+    """Return the reply in a packet.
+
+    Args:
+        packet: bytes of a datagram.
 
     Raises:
-        OtherVersionError: of another version.
-        WireError: not a reply, or of this version with another size.
+        OtherVersionError: the packet is a reply of another version.
+        WireError: the packet is not a reply, or its size is invalid.
     """
-    version = _checked_version(packet, REPLY_MAGIC)
+    version = _decode_version(packet, REPLY_MAGIC)
     _check_size(packet, REPLY_SIZES[version])
     values = _REPLY.unpack_from(packet)
     stiffness, step_stiffness = (tuple(values[start:start + 6] for start in range(first, first + 36, 6))
@@ -243,16 +272,19 @@ def decode_reply(packet: bytes | bytearray | memoryview) -> Reply:
                          0.0, None, 0.0, 0.0))
     if version == 2:
         return reply
-    stiffness_age, force_error, error_age, least_tool_mass = _AGES.unpack_from(packet, _REPLY.size)
+    stiffness_age, force_error, error_age, least_tool_mass = _VERSION_3_FIELDS.unpack_from(packet, _REPLY.size)
     return reply._replace(stiffness_age=stiffness_age, force_error=None if math.isnan(force_error) else force_error,
                           error_age=error_age, least_tool_mass=least_tool_mass)
 
 
+#: Valid kinds of a request.
 _KINDS = frozenset(map(int, Kind))
+#: All valid flags of a request.
 _ALL_FLAGS = int(RequestFlags.RESET)
 
 
-def _checked_version(packet: bytes | bytearray | memoryview, magic: bytes) -> int:
+def _decode_version(packet: bytes | bytearray | memoryview, magic: bytes) -> int:
+    """Return the version of a packet after checking its size and its first bytes."""
     if len(packet) < _HEAD.size:
         raise WireError(f"a packet must have at least {_HEAD.size} bytes; got {len(packet)}")
     found, version, _, sequence, time = _HEAD.unpack_from(packet)
@@ -264,5 +296,6 @@ def _checked_version(packet: bytes | bytearray | memoryview, magic: bytes) -> in
 
 
 def _check_size(packet: bytes | bytearray | memoryview, size: int) -> None:
+    """Raise WireError if a packet does not have the given size, bytes."""
     if len(packet) != size:
         raise WireError(f"a packet must have {size} bytes; got {len(packet)}")

@@ -1,1 +1,1 @@
-"""The demo: the main job on a virtual specimen."""
+"""Demonstration on a virtual specimen: measure, calibrate, predict and diagnose without hardware."""

@@ -1,4 +1,4 @@
-"""A prediction of the demo beside what was measured."""
+"""Compare a predicted test with its measurement."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from tissue_sim.experiment.kinds.kind import TestKind
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """A predicted test beside its measurement; forces in N.
+    """Predicted force curve of a test and its measured replicates.
 
     Attributes:
-        kind: the test.
-        measured: the replicates, all on the same displacements.
-        predicted: what the calibrated material gives.
+        kind: kind of the test.
+        measured: replicates, all at the same displacements.
+        predicted: prediction with the calibrated material at these displacements.
     """
 
     kind: TestKind
@@ -26,14 +26,15 @@ class Comparison:
 
     @property
     def mean(self) -> np.ndarray:
+        """Mean measured force, N, shape (samples,)."""
         return np.mean([recording.force for recording in self.measured], axis=0)
 
     @property
     def error(self) -> np.ndarray:
-        """Predicted minus mean measured force, N."""
+        """Predicted force less mean measured force, N, shape (samples,)."""
         return self.predicted.force - self.mean
 
     @property
     def rmse(self) -> float:
-        """Of the whole curve, N."""
+        """Root mean square of `error` over the curve, N."""
         return float(np.sqrt(np.mean(self.error**2)))

@@ -1,4 +1,4 @@
-"""The picture of the demo: calibration, predictions, their errors and the section under the needle."""
+"""Draw the result of the demonstration: calibration, predictions, prediction errors, and the needle section."""
 
 from __future__ import annotations
 
@@ -13,20 +13,26 @@ from tissue_sim.material.material import Material
 from tissue_sim.recording.recording import Recording
 from tissue_sim.specimen import Specimen
 
-MEASURED, MODEL, SECOND = "#7F7F7F", "#0072B2", "#D55E00"
+#: Colour of measurements.
+MEASURED = "#7F7F7F"
+#: Colour of the fitted curve and of the needle prediction.
+MODEL = "#0072B2"
+#: Colour of the bonded prediction.
+SECOND = "#D55E00"
 
 
 def draw_demo(calibrated_on: list[Recording], material: Material, needle: Comparison, bonded: Comparison, path: Path, *,
               noise: float, specimen: Specimen) -> None:
-    """Draw the demo's six panels into an image file.
+    """Draw calibration, predictions, errors and the deformed section into six panels of an image file.
 
     Args:
         calibrated_on: replicates of the lubricated test.
-        material: the calibrated material.
-        needle, bonded: the predicted tests; the needle's prediction carries its fields.
-        path: image file.
-        noise: standard deviation of the force, N.
-        specimen: what was tested.
+        material: calibrated material.
+        needle: comparison of the needle test; its prediction contains the fields of the solution.
+        bonded: comparison of the bonded test.
+        path: path of the image file.
+        noise: standard deviation of the force sensor, N.
+        specimen: tested specimen.
     """
     from matplotlib.figure import Figure
 
@@ -36,25 +42,25 @@ def draw_demo(calibrated_on: list[Recording], material: Material, needle: Compar
 
     depth = calibrated_on[0].displacement
     fitted = -law.nominal_stress(1 - depth / specimen.height, material.parameters) * specimen.area
-    _points(calibration, calibrated_on)
+    _draw_points(calibration, calibrated_on)
     values = ", ".join(f"{name} {value:.4g}{' Pa' if law.units[name] == 'Pa' else ''}"
                        for name, value in material.parameters.items())
     calibration.plot(depth * 1e3, fitted, color=MODEL, linewidth=1.8, label=f"{law.title}\n{values}")
     calibration.set_title("Calibration: lubricated compression", loc="left", fontweight="bold")
 
-    share = noise / np.sqrt(len(needle.measured))
-    error.axhspan(-2 * share, 2 * share, color=MEASURED, alpha=0.25, linewidth=0,
+    standard_error = noise / np.sqrt(len(needle.measured))
+    error.axhspan(-2 * standard_error, 2 * standard_error, color=MEASURED, alpha=0.25, linewidth=0,
                   label=f"± 2 standard errors of the mean of {len(needle.measured)}")
     error.axhline(0, color="0.3", linewidth=0.8)
     for axes, test, colour in zip(predictions, (needle, bonded), (MODEL, SECOND), strict=True):
-        _points(axes, test.measured)
+        _draw_points(axes, test.measured)
         axes.plot(test.predicted.displacement * 1e3, test.predicted.force, color=colour, linewidth=1.8,
                   label="predicted by finite elements")
         axes.set_title(f"Prediction: {test.kind.title.lower()}", loc="left", fontweight="bold")
         error.plot(test.predicted.displacement * 1e3, test.error, color=colour, linewidth=1.2,
                    label=f"{test.kind.title.lower()}, RMSE {test.rmse:.3f} N")
-    reach = 2.2 * max(3 * share, abs(needle.error).max(), abs(bonded.error).max())
-    error.set_ylim(-reach, reach)
+    limit = 2.2 * max(3 * standard_error, abs(needle.error).max(), abs(bonded.error).max())
+    error.set_ylim(-limit, limit)
     error.set_title("Predicted − measured", loc="left", fontweight="bold")
     for axes in (calibration, *predictions, error):
         axes.set_ylabel("force [N]")
@@ -69,7 +75,8 @@ def draw_demo(calibrated_on: list[Recording], material: Material, needle: Compar
     save(figure, path)
 
 
-def _points(axes, recordings: list[Recording]) -> None:
+def _draw_points(axes, recordings: list[Recording]) -> None:
+    """Draw the samples of replicates as grey points."""
     for number, recording in enumerate(recordings):
         axes.plot(recording.displacement * 1e3, recording.force, ".", color=MEASURED, markersize=3, alpha=0.7,
                   label=f"measured, {len(recordings)} replicates" if number == 0 else None)

@@ -1,4 +1,4 @@
-"""What the demo may hide in a virtual specimen or in the rig that measures it, and whether a diagnosis found it."""
+"""Draw an effect to hide in a virtual specimen or rig, and judge whether a diagnosis found the effect."""
 
 from __future__ import annotations
 
@@ -14,38 +14,58 @@ from calibration.effects.catalogue import CATALOGUE
 from tissue_sim.experiment.interfaces import AS_TOOL
 from tissue_sim.parameters import parameters
 
-PLATES, NEEDLE = "plates", "needle"
+#: Name of the compression test between lubricated plates.
+PLATES = "plates"
+#: Name of the needle test.
+NEEDLE = "needle"
 
 
 @dataclass(frozen=True)
-class Hidden:
-    """What was hidden.
+class HiddenEffect:
+    """Effect that is hidden in a virtual experiment, or no effect.
 
     Attributes:
-        name: in the catalogue; empty: nothing. values: path in the model -> value, SI. tests: that have it.
+        name: name of the effect in the catalogue; empty: no effect is hidden.
+        values: path in the model -> value of each parameter of the effect, SI units.
+        tests: names of the tests that contain the effect.
     """
 
     name: str = ""
     values: Mapping[str, float] = field(default_factory=dict)
     tests: tuple[str, ...] = ()
 
-    def within(self, test: str, model: ts.Model) -> ts.Model:
-        """The model of a test with it."""
-        return with_effect(self.name, self.values, model) if test in self.tests else model
+    def apply_to(self, test: str, model: ts.Model) -> ts.Model:
+        """Return the model of a test with the effect, or the unchanged model if the test does not contain the effect.
 
-    def in_words(self, models: Mapping[str, ts.Model]) -> str:
-        """``viscoelasticity (g1 = 0.12, tau1 = 14.1 s)``, by the models of the tests without it."""
+        Args:
+            test: name of the test.
+            model: model of the test without the effect.
+        """
+        return add_effect(self.name, self.values, model) if test in self.tests else model
+
+    def describe(self, models: Mapping[str, ts.Model]) -> str:
+        """Return title and values of the effect, such as ``viscoelasticity (g1 = 0.12, tau1 = 14.1 s)``.
+
+        Args:
+            models: test -> model without the effect; used for symbols and units of the parameters.
+        """
         if not self.name:
             return "nothing"
         known = {path.removeprefix("material."): each
-                 for path, each in parameters(self.within(self.tests[0], models[self.tests[0]])).items()}
+                 for path, each in parameters(self.apply_to(self.tests[0], models[self.tests[0]])).items()}
         numbers = [number_in_words(Number(path=path, symbol=known[path].symbol, unit=known[path].declaration.unit,
                                           value=value)) for path, value in self.values.items()]
         return f"{CATALOGUE[self.name].title} ({', '.join(numbers)})"
 
 
-def with_effect(name: str, values: Mapping[str, float], model: ts.Model) -> ts.Model:
-    """A model with an effect of the catalogue; plates with friction have it on both sides."""
+def add_effect(name: str, values: Mapping[str, float], model: ts.Model) -> ts.Model:
+    """Return a copy of a model with an effect of the catalogue; friction is applied to both plates.
+
+    Args:
+        name: name of the effect in the catalogue.
+        values: path in the model -> value of each parameter, SI units.
+        model: model without the effect.
+    """
     model = CATALOGUE[name]().apply(model, values)
     if "experiment.friction" not in values:
         return model
@@ -53,57 +73,79 @@ def with_effect(name: str, values: Mapping[str, float], model: ts.Model) -> ts.M
 
 
 @dataclass(frozen=True)
-class Hideable:
-    """An effect that a compression and a needle with a hold and a return can show, and how large it may be.
+class HideableEffect:
+    """Effect that the two tests of the demonstration can reveal, with the range of its size.
 
     Attributes:
-        name: in the catalogue. sizes: path in the model -> lowest and highest value, SI. tests: that have it.
+        name: name of the effect in the catalogue.
+        sizes: path in the model -> lowest and highest value, SI units.
+        tests: names of the tests that contain the effect.
     """
 
     name: str
     sizes: Mapping[str, tuple[float, float]]
     tests: tuple[str, ...] = (PLATES, NEEDLE)
 
-    def draw(self, random: np.random.Generator) -> Hidden:
-        """Sizes evenly spread in their logarithm, three digits of each."""
+    def draw(self, random: np.random.Generator) -> HiddenEffect:
+        """Draw the values of the effect from a log-uniform distribution, rounded to three digits.
+
+        Args:
+            random: random number generator.
+        """
         values = {path: float(f"{np.exp(random.uniform(*np.log(ends))):.3g}") for path, ends in self.sizes.items()}
-        return Hidden(self.name, values, self.tests)
+        return HiddenEffect(self.name, values, self.tests)
 
 
-HIDEABLE = (
-    Hideable("viscoelasticity", {"viscoelastic.terms[0].g": (0.05, 0.2), "viscoelastic.terms[0].tau": (5.0, 30.0)}),
-    Hideable("softening", {"softening.loss": (0.05, 0.25), "softening.share": (0.7, 1.5)}),
-    Hideable("plate_friction", {"experiment.friction": (0.02, 0.1)}, (PLATES,)),
-    Hideable("machine_compliance", {"rig.compliance": (7e-5, 1.5e-4)}),
-    Hideable("sensor_drift", {"rig.sensor_drift": (3e-4, 1.5e-3)}),
-    Hideable("edge_rounding", {"experiment.tool.edge_radius": (1e-3, 2.5e-3)}, (NEEDLE,)),
-    Hideable("backlash", {"rig.backlash": (5e-5, 2e-4)}))
+#: Effects that can be hidden.
+HIDEABLE_EFFECTS = (
+    HideableEffect("viscoelasticity",
+                   {"viscoelastic.terms[0].g": (0.05, 0.2), "viscoelastic.terms[0].tau": (5.0, 30.0)}),
+    HideableEffect("softening", {"softening.loss": (0.05, 0.25), "softening.share": (0.7, 1.5)}),
+    HideableEffect("plate_friction", {"experiment.friction": (0.02, 0.1)}, (PLATES,)),
+    HideableEffect("machine_compliance", {"rig.compliance": (7e-5, 1.5e-4)}),
+    HideableEffect("sensor_drift", {"rig.sensor_drift": (3e-4, 1.5e-3)}),
+    HideableEffect("edge_rounding", {"experiment.tool.edge_radius": (1e-3, 2.5e-3)}, (NEEDLE,)),
+    HideableEffect("backlash", {"rig.backlash": (5e-5, 2e-4)}))
 
 
-def draw_hidden(seed: int) -> Hidden:
-    """One of `HIDEABLE`, or nothing, each as likely; the same for the same seed."""
+def draw_hidden_effect(seed: int) -> HiddenEffect:
+    """Draw one of `HIDEABLE_EFFECTS`, or no effect, with equal probability; equal seeds draw the same effect.
+
+    Args:
+        seed: seed of the random number generator.
+    """
     random = np.random.default_rng(seed)
-    number = int(random.integers(len(HIDEABLE) + 1))
-    return HIDEABLE[number].draw(random) if number < len(HIDEABLE) else Hidden()
+    number = int(random.integers(len(HIDEABLE_EFFECTS) + 1))
+    return HIDEABLE_EFFECTS[number].draw(random) if number < len(HIDEABLE_EFFECTS) else HiddenEffect()
 
 
-def judge_answer(hidden: Hidden, diagnosis: Diagnosis) -> tuple[bool, str]:
-    """Whether a diagnosis found what was hidden, and that in a sentence."""
+def judge_diagnosis(hidden: HiddenEffect, diagnosis: Diagnosis) -> tuple[bool, str]:
+    """Decide whether a diagnosis found the hidden effect.
+
+    Args:
+        hidden: hidden effect, or no effect.
+        diagnosis: diagnosis of the virtual measurements.
+
+    Returns:
+        Whether the diagnosis is right, and a sentence that states the result.
+    """
     named = [each.name for each in diagnosis.effects]
-    among = [name.partition("@")[0] for name in diagnosis.indistinguishable]
+    candidates = [name.partition("@")[0] for name in diagnosis.indistinguishable]
     found = joined([effect_in_words(each) for each in diagnosis.effects])
     if not hidden.name:
         right = diagnosis.verdict == "NONE"
         return right, "Nothing was hidden, and nothing was found." if right else \
-            f"A false alarm: nothing was hidden, and the diagnosis says {found or 'that something is missing'}."
-    if diagnosis.verdict == "SET" and hidden.name in among:
-        return True, f"Found, but not alone: it is one of {len(among)} effects that these tests cannot tell apart."
+            f"False alarm: nothing was hidden, and the diagnosis reports {found or 'an unknown effect'}."
+    if diagnosis.verdict == "SET" and hidden.name in candidates:
+        return True, (f"Found, but not uniquely: it is one of {len(candidates)} effects that these tests cannot "
+                      "distinguish.")
     if hidden.name in named:
-        others = "" if len(named) == 1 else ", with another that was not there"
-        form = "" if diagnosis.verdict == "NAMED" else ", its form unconfirmed"
-        return len(named) == 1, f"Found{others}{form}: {found}."
+        others = "" if len(named) == 1 else ", together with an effect that was not hidden"
+        confirmation = "" if diagnosis.verdict == "NAMED" else ", its form unconfirmed"
+        return len(named) == 1, f"Found{others}{confirmation}: {found}."
     if diagnosis.verdict == "NONE":
-        return False, "Missed: the diagnosis sees nothing."
+        return False, "Missed: the diagnosis reports no effect."
     if diagnosis.verdict == "UNKNOWN":
-        return False, "Half found: the diagnosis sees that something is missing, and does not know what."
-    return False, f"Wrong: the diagnosis says {found}."
+        return False, ("Partly found: the diagnosis reports that an effect is missing from the model, but does not "
+                       "identify it.")
+    return False, f"Wrong: the diagnosis reports {found}."

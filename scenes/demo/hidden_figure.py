@@ -1,4 +1,4 @@
-"""The picture of the demo with something hidden: each test and what a model misses in it, before and after."""
+"""Draw the fits of a diagnosis: measured and computed force of each test, and the residuals before and after."""
 
 from __future__ import annotations
 
@@ -13,8 +13,13 @@ from scenes.figures import save
 if TYPE_CHECKING:
     from calibration import DiagnosisResult
 
-MEASURED, BEFORE, AFTER = "#7F7F7F", "#D55E00", "#0072B2"
-#: Residuals are drawn as means of so many bins over a recording.
+#: Colour of measurements.
+MEASURED = "#7F7F7F"
+#: Colour of the model without the diagnosed effects.
+BEFORE = "#D55E00"
+#: Colour of the model with the diagnosed effects.
+AFTER = "#0072B2"
+#: Number of time bins in which residuals are averaged for the drawing.
 _BINS = 40
 
 
@@ -22,7 +27,8 @@ def draw_before_and_after(result: DiagnosisResult, path: Path) -> None:
     """Draw force and residuals of every test over time into an image file.
 
     Args:
-        result: of `calibration.diagnose`, whose ``residuals.csv`` has every sample. path: of the picture.
+        result: result of `calibration.diagnose`; its ``residuals.csv`` contains every sample.
+        path: path of the image file.
     """
     from matplotlib.figure import Figure
 
@@ -35,38 +41,48 @@ def draw_before_and_after(result: DiagnosisResult, path: Path) -> None:
     models = [("model_before_N", "plain model", BEFORE, "--")]
     if diagnosis.effects:
         models.append(("model_after_N", f"model with {added}", AFTER, "-"))
-    for (force, gap), test in zip(axes.T, tests, strict=True):
-        mine = table[np.char.startswith(table["replicate"], f"{test}/")]
-        recordings = [mine[mine["replicate"] == name] for name in dict.fromkeys(mine["replicate"])]
+    for (force, residual), test in zip(axes.T, tests, strict=True):
+        rows_of_test = table[np.char.startswith(table["replicate"], f"{test}/")]
+        recordings = [rows_of_test[rows_of_test["replicate"] == name]
+                      for name in dict.fromkeys(rows_of_test["replicate"])]
         for number, rows in enumerate(recordings):
             force.plot(rows["time_s"], rows["measured_N"], ".", color=MEASURED, ms=3.5, alpha=0.7,
                        label=None if number else f"measured, {len(recordings)} recordings")
-        noise = float(np.mean(mine["noise_N"]))
-        gap.axhspan(-noise, noise, color=MEASURED, alpha=0.2, lw=0, label="± noise of a sample")
+        noise = float(np.mean(rows_of_test["noise_N"]))
+        residual.axhspan(-noise, noise, color=MEASURED, alpha=0.2, lw=0, label="± noise of a sample")
         for column, label, colour, dashes in models:
             first = recordings[0]
             force.plot(first["time_s"], first[column], color=colour, ls=dashes, lw=1.8, label=label)
-            gap.plot(*_means(mine["time_s"], mine["measured_N"] - mine[column]), color=colour, ls=dashes, lw=1.8)
+            misfit = rows_of_test["measured_N"] - rows_of_test[column]
+            residual.plot(*_average_in_bins(rows_of_test["time_s"], misfit), color=colour, ls=dashes, lw=1.8)
         force.set_title(test, loc="left", fontweight="bold")
         force.set_ylabel("force [N]")
-        gap.set(xlabel="time [s]", ylabel="data − model [N]")
-        gap.axhline(0.0, color="0.3", lw=0.8)
-        reach = max(abs(limit) for limit in gap.get_ylim())
-        gap.set_ylim(-1.1 * reach, 1.4 * reach)
-        for each in (force, gap):
+        residual.set(xlabel="time [s]", ylabel="data − model [N]")
+        residual.axhline(0.0, color="0.3", lw=0.8)
+        largest = max(abs(limit) for limit in residual.get_ylim())
+        residual.set_ylim(-1.1 * largest, 1.4 * largest)
+        for each in (force, residual):
             each.grid(alpha=0.3)
             each.spines[["top", "right"]].set_visible(False)
         force.legend(frameon=False, fontsize=9)
-        gap.legend(frameon=False, fontsize=9, loc="upper right")
+        residual.legend(frameon=False, fontsize=9, loc="upper right")
     sentences = diagnosis.message.replace(". ", ".\n").splitlines()
     figure.suptitle("\n".join(line for each in sentences for line in textwrap.wrap(each, 62 * len(tests))),
                     fontsize=11)
     save(figure, path)
 
 
-def _means(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Means over bins of time of samples of all recordings."""
+def _average_in_bins(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Average samples of all recordings in equal time bins.
+
+    Args:
+        time: s, shape (n,).
+        values: values to average, shape (n,).
+
+    Returns:
+        Centres of the bins, s, and mean values, each of shape (_BINS,). The mean of an empty bin is 0.
+    """
     edges = np.linspace(time.min(), time.max(), _BINS + 1)
-    place = np.clip(np.searchsorted(edges, time, side="right") - 1, 0, _BINS - 1)
-    count = np.maximum(np.bincount(place, minlength=_BINS), 1)
-    return 0.5 * (edges[1:] + edges[:-1]), np.bincount(place, values, minlength=_BINS) / count
+    bin_number = np.clip(np.searchsorted(edges, time, side="right") - 1, 0, _BINS - 1)
+    count = np.maximum(np.bincount(bin_number, minlength=_BINS), 1)
+    return 0.5 * (edges[1:] + edges[:-1]), np.bincount(bin_number, values, minlength=_BINS) / count

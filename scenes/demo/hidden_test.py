@@ -1,4 +1,4 @@
-"""A virtual specimen with something hidden: it is measured, diagnosed, and only then the truth is told."""
+"""Hide an effect in a virtual specimen, measure, diagnose, and reveal the hidden effect at the end."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ import numpy as np
 
 import tissue_sim as ts
 from calibration.effects.catalogue import CATALOGUE
-from scenes.demo.hidden_effect import NEEDLE, PLATES, Hidden, draw_hidden, judge_answer
+from scenes.demo.hidden_effect import NEEDLE, PLATES, HiddenEffect, draw_hidden_effect, judge_diagnosis
 from scenes.demo.hidden_figure import draw_before_and_after
+from scenes.demo.measurement_settings import MeasurementSettings
 from scenes.demo.specimen import BULK_RATIO, PHANTOM, SPECIMEN
 from tissue_sim.atomic_write import write_text
 
@@ -22,13 +23,16 @@ if TYPE_CHECKING:
     from calibration import DiagnosisResult, Workers
     from calibration.fit.steps import Progress
 
-#: Motion of both tests; samples of a recording; recordings of a test.
-PROTOCOL, SAMPLES, REPLICATES = "ramp 10mm @0.248mm/s; hold 60s; unload", 140, 3
-#: Standard deviations of the sensor, N, and between the recordings of the point of contact, m, and of the zero, N.
-FORCE_NOISE, CONTACT_JITTER, ZERO_JITTER = 0.02, 0.03e-3, 0.01
+#: Motion of both tests.
+PROTOCOL = "ramp 10mm @0.248mm/s; hold 60s; unload"
+#: Recordings and errors of the virtual measurements.
+MEASUREMENT = MeasurementSettings(replicates=3, samples=140, force_noise=0.02, contact_jitter=0.03e-3,
+                                  zero_jitter=0.01)
+#: Name of each test -> its kind.
 KINDS = {PLATES: "lubricated_compression", NEEDLE: "needle_indentation"}
 
-CAMPAIGN = f"""# Lubricated compression and a needle on a virtual specimen in which something may be hidden.
+#: Campaign file of both tests.
+CAMPAIGN = f"""# Lubricated compression and needle indentation of a virtual specimen with a possible hidden effect.
 [[specimen]]
 name = "virtual phantom"
 radius_mm = {1e3 * SPECIMEN.radius:g}
@@ -55,22 +59,29 @@ starts = 1
 start = {{ C10 = 1000.0, C20 = 500.0 }}
 
 [noise]
-force_N = {FORCE_NOISE}
+force_N = {MEASUREMENT.force_noise}
 """
 
 
 @dataclass(frozen=True)
-class HiddenAnswer:
-    """What the demo showed.
+class HiddenDemoResult:
+    """Result of the demonstration with a hidden effect.
 
     Attributes:
-        result: of the diagnosis. hidden, truth: what was hidden, and that in words. found, sentence: whether it was
-            found, and that in words.
-        figure, report, campaign: files. seed: of what was hidden and of the noise. wall_s: of all of it.
+        result: result of the diagnosis.
+        hidden: hidden effect.
+        truth: description of the hidden effect.
+        found: whether the diagnosis found the hidden effect.
+        sentence: sentence that states whether it was found.
+        figure: path of the picture.
+        report: path of the report.
+        campaign: path of the campaign file.
+        seed: seed of the hidden effect and of the noise.
+        wall_s: duration of the demonstration, s.
     """
 
     result: DiagnosisResult
-    hidden: Hidden
+    hidden: HiddenEffect
     truth: str
     found: bool
     sentence: str
@@ -81,7 +92,7 @@ class HiddenAnswer:
     wall_s: float
 
     def to_json(self) -> dict[str, Any]:
-        """For ``--json``: numbers in SI, gaps in N."""
+        """Return the object for ``--json``: parameters in SI units, gaps in N."""
         diagnosis = self.result.diagnosis
         return {
             "verdict": diagnosis.verdict, "message": diagnosis.message,
@@ -94,8 +105,8 @@ class HiddenAnswer:
             "campaign": str(self.campaign), "seed": self.seed, "wall_s": self.wall_s}
 
 
-def plain_models() -> dict[str, ts.Model]:
-    """Test -> its model with nothing hidden, on knots between which the force is smooth."""
+def build_plain_models() -> dict[str, ts.Model]:
+    """Return the model of each test without a hidden effect; the protocol has points at its corners."""
     material = ts.Material("reduced_polynomial_2", PHANTOM, ts.Bulk("bulk_ratio", BULK_RATIO), name="virtual phantom")
     protocol = ts.Protocol.parse(PROTOCOL, points=41)
     return {test: ts.Model(ts.KINDS[kind].experiment(specimen=SPECIMEN, protocol=protocol), material)
@@ -104,63 +115,80 @@ def plain_models() -> dict[str, ts.Model]:
 
 def run_hidden_demo(output: Path, *, seed: int, overwrite: bool = False, console=None,
                     progress: AbstractContextManager[Progress] | None = None,
-                    workers: Workers | None = None) -> HiddenAnswer:
-    """Hide something, measure, diagnose, and tell the truth; write everything into `output`.
+                    workers: Workers | None = None) -> HiddenDemoResult:
+    """Hide an effect, measure, diagnose, and reveal the hidden effect; write all files into a folder.
 
     Args:
-        output: folder of the results. seed: of what is hidden, and of noise and jitter.
-        overwrite: write into a folder that is not empty. console: a rich console for what happens; none: silent.
-        progress: open while the diagnosis runs; what it gives, and `workers`, as in `calibration.diagnose`.
+        output: folder of the results.
+        seed: seed of the hidden effect, of the noise and of the jitter.
+        overwrite: whether to write into a folder that is not empty.
+        console: rich console for the messages; None: no messages.
+        progress: context manager that is open during the diagnosis and gives its progress function; None: no progress.
+        workers: processes of the diagnosis, see `calibration.diagnose`.
+
+    Returns:
+        Result of the diagnosis, hidden effect and paths of the files.
 
     Raises:
-        InputError: `output` is not empty and `overwrite` is not set.
+        InputError: `output` is not empty and `overwrite` is False.
     """
     import calibration
 
     began, output = time.perf_counter(), Path(output)
     if output.exists() and (not output.is_dir() or any(output.iterdir())) and not overwrite:
-        raise ts.InputError("the folder is not empty; name another one or add --overwrite", file=output)
+        raise ts.InputError("the folder must be empty; choose another folder or add --overwrite", file=output)
     say = console.print if console else lambda *_, **__: None
-    hidden, models = draw_hidden(seed), plain_models()
-    say("1 measuring a virtual specimen in which something may be hidden ...")
+    hidden, models = draw_hidden_effect(seed), build_plain_models()
+    say("1 measuring a virtual specimen with a possible hidden effect ...")
     random = np.random.default_rng([seed, 1])
     for test, model in models.items():
-        write_measured(hidden.within(test, model), test, output / "measured", random)
+        write_measurements(hidden.apply_to(test, model), test, output / "measured", random)
     campaign = output / "campaign.toml"
     write_text(campaign, CAMPAIGN)
-    say(f"2 diagnosing: what does a plain model miss, and which of {len(CATALOGUE)} effects is it? ...")
-    with progress or nullcontext() as told:
-        (result,) = calibration.diagnose([campaign], output / "diagnosis", overwrite=overwrite, progress=told,
+    say(f"2 diagnosing: searching the misfit of the plain model for one of {len(CATALOGUE)} effects ...")
+    with progress or nullcontext() as show_progress:
+        (result,) = calibration.diagnose([campaign], output / "diagnosis", overwrite=overwrite, progress=show_progress,
                                          workers=workers)
     diagnosis, report = result.diagnosis, result.output / "report.html"
     figure = output / "before_and_after.png"
     draw_before_and_after(result, figure)
     say(f"\n{diagnosis.message}", markup=False, soft_wrap=True)
-    found, sentence = judge_answer(hidden, diagnosis)
-    truth = hidden.in_words(models)
+    found, sentence = judge_diagnosis(hidden, diagnosis)
+    truth = hidden.describe(models)
     say(f"{'gap':>10}: {diagnosis.gap_before_N:.2g} N before, "
         + ("nothing was added" if diagnosis.gap_after_N is None else f"{diagnosis.gap_after_N:.2g} N after")
         + f"; sensor noise {diagnosis.noise_N:.2g} N", markup=False, soft_wrap=True)
     for name, path in (("figure", figure), ("report", report)):
         say(f"{name:>10}: {path}", markup=False, soft_wrap=True)
-    say(f"\n3 the truth (seed {seed}): {truth} was hidden.\n  {sentence}", markup=False, soft_wrap=True)
-    return HiddenAnswer(result, hidden, truth, found, sentence, figure, report, campaign, seed,
+    say(f"\n3 hidden effect (seed {seed}): {truth} was hidden.\n  {sentence}", markup=False, soft_wrap=True)
+    return HiddenDemoResult(result, hidden, truth, found, sentence, figure, report, campaign, seed,
                         time.perf_counter() - began)
 
 
-def write_measured(model: ts.Model, test: str, folder: Path, random: np.random.Generator) -> Sequence[Path]:
-    """Recordings of a model, each with its own noise, point of contact and zero, written as files."""
+def write_measurements(model: ts.Model, test: str, folder: Path, random: np.random.Generator) -> Sequence[Path]:
+    """Simulate a test, and write replicates with different noise, contact point and zero.
+
+    Args:
+        model: model of the test, with the hidden effect.
+        test: name of the test.
+        folder: folder of the recordings.
+        random: random number generator.
+
+    Returns:
+        Paths of the recordings.
+    """
     from scipy.interpolate import PchipInterpolator
 
     true = ts.simulate(model, resolution="accurate", estimate_error=False)
-    clock = np.linspace(true.time[0], true.time[-1], SAMPLES)
-    displacement = np.interp(clock, true.time, true.displacement)
-    # Between knots as smooth as the tissue; a corner of the motion is a knot.
-    channels = {"time": clock, "displacement": displacement, "force": PchipInterpolator(true.time, true.force)(clock)}
+    times = np.linspace(true.time[0], true.time[-1], MEASUREMENT.samples)
+    displacement = np.interp(times, true.time, true.displacement)
+    # The force is smooth between the points of the protocol; each corner of the motion is such a point.
+    channels = {"time": times, "displacement": displacement, "force": PchipInterpolator(true.time, true.force)(times)}
     files = []
-    for number in range(1, REPLICATES + 1):
-        rig = ts.Rig(contact_offset=random.normal(0.0, CONTACT_JITTER), zero_offset=random.normal(0.0, ZERO_JITTER),
-                     force_noise=FORCE_NOISE, seed=int(random.integers(2**31)))
+    for number in range(1, MEASUREMENT.replicates + 1):
+        rig = ts.Rig(contact_offset=random.normal(0.0, MEASUREMENT.contact_jitter),
+                     zero_offset=random.normal(0.0, MEASUREMENT.zero_jitter),
+                     force_noise=MEASUREMENT.force_noise, seed=int(random.integers(2**31)))
         measured = rig.measure(ts.Recording(channels)).with_metadata(name=f"{test}_{number}", kind=KINDS[test],
                                                                      virtual=True)
         files.append(folder / f"{test}_{number}.csv")

@@ -1,4 +1,4 @@
-"""The main job on a virtual specimen: measure three tests, calibrate on one, predict the others."""
+"""Measure three tests of a virtual specimen, calibrate a material on one test, and predict the other two."""
 
 from __future__ import annotations
 
@@ -11,18 +11,20 @@ import numpy as np
 import tissue_sim as ts
 from scenes.demo.comparison import Comparison
 from scenes.demo.figure import draw_demo
+from scenes.demo.measurement_settings import MeasurementSettings
 from scenes.demo.specimen import BULK_RATIO, DEPTH, PHANTOM, SPECIMEN
 from tissue_sim.atomic_write import write_text
 from tissue_sim.experiment.kinds.compression import BONDED, LUBRICATED
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.experiment.kinds.kind import TestKind
 
-#: Of the force sensor, N.
-FORCE_NOISE = 0.02
-REPLICATES, SAMPLES = 3, 101
+#: Recordings and errors of the virtual measurements.
+MEASUREMENT = MeasurementSettings(replicates=3, samples=101, force_noise=0.02)
+#: Material laws that are calibrated.
 LAWS = ("neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "ogden_1")
 
-CAMPAIGN = """# Lubricated compression of the virtual specimen; the other tests are kept from the calibration.
+#: Template of the campaign file.
+CAMPAIGN = """# Lubricated compression of the virtual specimen; the calibration does not use the other tests.
 [[specimen]]
 name = "virtual phantom"
 shape = "cylinder"
@@ -45,48 +47,49 @@ force_N = {force_N}
 
 
 def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int = 0) -> dict:
-    """Measure, calibrate, predict; write everything into `output` and say where.
+    """Measure the virtual tests, calibrate, predict, and write all files into a folder.
 
     Args:
         output: folder of the results.
-        overwrite: write into a folder that is not empty.
-        console: a rich console for what happens; none: silent.
+        overwrite: whether to write into a folder that is not empty.
+        console: rich console for the messages; None: no messages.
         seed: seed of the sensor noise.
 
     Returns:
-        Paths ``figure``, ``report``, ``campaign``, ``material_file``; ``law``, ``parameters``; of the needle
-        ``prediction_rmse_N`` and, at the deepest sample, ``prediction_error_N``; the same and the forces of every
-        predicted test in ``predictions``; ``noise_N``, ``wall_s``.
+        Dictionary with the paths ``figure``, ``report``, ``campaign`` and ``material_file``; the best ``law`` and its
+        ``parameters``; for the needle ``prediction_rmse_N`` and, at the deepest sample, ``prediction_error_N``; the
+        same errors and the forces of each predicted test in ``predictions``; ``noise_N``; and the duration ``wall_s``,
+        s.
 
     Raises:
-        InputError: `output` is not empty and `overwrite` is not set.
+        InputError: `output` is not empty and `overwrite` is False.
     """
     import calibration
 
     started = time.perf_counter()
     output = Path(output)
     if output.exists() and (not output.is_dir() or any(output.iterdir())) and not overwrite:
-        raise ts.InputError("the folder is not empty; name another one or add --overwrite", file=output)
+        raise ts.InputError("the folder must be empty; choose another folder or add --overwrite", file=output)
     say = console.print if console else lambda *_, **__: None
-    # Fresh sensor noise for every replicate of every test.
-    seeds = iter(np.random.SeedSequence(seed).generate_state(3 * REPLICATES).tolist())
+    # A different seed for each replicate of each test.
+    seeds = iter(np.random.SeedSequence(seed).generate_state(3 * MEASUREMENT.replicates).tolist())
 
-    say("1 measuring the virtual specimen (a machine's first run compiles the solver, some 10 s) ...")
+    say("1 measuring the virtual specimen (the first run on a computer compiles the solver, about 10 s) ...")
     measured = {kind: _measure(kind, output / "measured", seeds) for kind in (LUBRICATED, BONDED, NEEDLE)}
 
     say(f"2 calibrating {len(LAWS)} laws on the lubricated test ...")
     campaign = output / "campaign.toml"
     write_text(campaign, CAMPAIGN.format(radius_mm=SPECIMEN.radius * 1e3, height_mm=SPECIMEN.height * 1e3,
-                                         laws=json.dumps(LAWS), bulk_ratio=BULK_RATIO, force_N=FORCE_NOISE))
+                                         laws=json.dumps(LAWS), bulk_ratio=BULK_RATIO, force_N=MEASUREMENT.force_noise))
     (result,) = calibration.calibrate([campaign], output / "calibration", overwrite=overwrite)
     material_file = output / "calibration" / str(result.best.material_file)
 
-    say("3 predicting the needle and the bonded test, which the calibration never saw ...")
+    say("3 predicting the needle test and the bonded test, which the calibration did not use ...")
     material = ts.load_material(material_file)
     needle, bonded = (_predict(kind, measured[kind], material, output) for kind in (NEEDLE, BONDED))
 
     figure = output / "prediction.png"
-    draw_demo(measured[LUBRICATED], material, needle, bonded, figure, noise=FORCE_NOISE, specimen=SPECIMEN)
+    draw_demo(measured[LUBRICATED], material, needle, bonded, figure, noise=MEASUREMENT.force_noise, specimen=SPECIMEN)
     answer = {
         "figure": str(figure), "report": str(output / "calibration" / "report.html"), "campaign": str(campaign),
         "material_file": str(material_file), "law": material.law, "parameters": dict(material.parameters),
@@ -94,10 +97,10 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
         "predictions": [{"test": one.kind.name, "predicted_N": float(one.predicted.force[-1]),
                          "measured_N": float(one.mean[-1]), "error_N": float(one.error[-1]), "RMSE_N": one.rmse}
                         for one in (needle, bonded)],
-        "noise_N": FORCE_NOISE, "wall_s": time.perf_counter() - started,
+        "noise_N": MEASUREMENT.force_noise, "wall_s": time.perf_counter() - started,
     }
-    say(f"\nBest law: {material.energy_law.title}. At {DEPTH * 1e3:.0f} mm, with a sensor noise of {FORCE_NOISE} N:",
-        markup=False)
+    say(f"\nBest law: {material.energy_law.title}. At {DEPTH * 1e3:.0f} mm, with a sensor noise of "
+        f"{MEASUREMENT.force_noise} N:", markup=False)
     for one in (needle, bonded):
         say(f"{one.kind.title.lower():>20}: predicted {one.predicted.force[-1]:.3f} N, measured {one.mean[-1]:.3f} N; "
             f"RMSE over the curve {one.rmse:.3f} N", markup=False, soft_wrap=True)
@@ -107,13 +110,22 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
 
 
 def _measure(kind: TestKind, folder: Path, seeds) -> list[ts.Recording]:
-    """Three replicates of a test as the virtual rig reports them, written as recordings."""
+    """Simulate a test, and write its replicates as recordings of the virtual rig.
+
+    Args:
+        kind: kind of the test.
+        folder: folder of the recordings.
+        seeds: iterator of seeds of the sensor noise; one is used per replicate.
+
+    Returns:
+        The replicates.
+    """
     truth = ts.Material("reduced_polynomial_2", PHANTOM, ts.Bulk("bulk_ratio", BULK_RATIO), name="virtual phantom")
-    experiment = kind.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(DEPTH, SAMPLES))
+    experiment = kind.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(DEPTH, MEASUREMENT.samples))
     true = ts.simulate(ts.Model(experiment, truth), resolution="accurate", estimate_error=False)
     replicates = []
-    for number in range(1, REPLICATES + 1):
-        rig = ts.Rig(force_noise=FORCE_NOISE, seed=next(seeds))
+    for number in range(1, MEASUREMENT.replicates + 1):
+        rig = ts.Rig(force_noise=MEASUREMENT.force_noise, seed=next(seeds))
         replicate = rig.measure(true).with_metadata(name=f"{kind.name}_{number}", kind=kind.name, virtual=True)
         ts.write_recording(replicate, folder / f"{kind.name}_{number}.csv")
         replicates.append(replicate)
@@ -121,7 +133,14 @@ def _measure(kind: TestKind, folder: Path, seeds) -> list[ts.Recording]:
 
 
 def _predict(kind: TestKind, measured: list[ts.Recording], material: ts.Material, output: Path) -> Comparison:
-    """The same motion with the calibrated material, written as a recording."""
+    """Simulate the measured motion with the calibrated material, and write the recording.
+
+    Args:
+        kind: kind of the test.
+        measured: replicates of the test; the first gives the motion.
+        material: calibrated material.
+        output: folder of the recording.
+    """
     protocol = ts.Protocol(measured[0].time, measured[0].displacement)
     experiment = kind.experiment(specimen=SPECIMEN, protocol=protocol)
     predicted = ts.simulate(ts.Model(experiment, material), resolution="accurate", fields=kind is NEEDLE,

@@ -1,4 +1,4 @@
-"""What the program needs of a computer, one check each."""
+"""Check whether a computer meets the requirements of the program: one check per requirement."""
 
 from __future__ import annotations
 
@@ -8,23 +8,26 @@ from scenes.doctor.check import Check
 
 
 def examine(*, clock_seconds: float = 2.0) -> Iterator[Check]:
-    """All checks, in the order in which one needs another; each is done when it is asked for.
+    """Run all checks one after the other, basic requirements first; each check runs when the iterator reaches it.
 
     Args:
-        clock_seconds: how long to watch the 1 kHz clock, s.
+        clock_seconds: duration of the measurement of the 1 kHz clock, s.
+
+    Yields:
+        The result of each check.
     """
     from scenes.doctor import clock, installation, platform_services, realtime_mesh, taichi_backend
 
-    yield installation.python()
-    yield from installation.packages()
-    yield installation.one_place()
-    yield taichi_backend.kernel()
-    yield taichi_backend.compiled_kernels()
-    yield realtime_mesh.reached()
-    yield clock.ticks(clock_seconds)
-    yield clock.real_time_priority()
-    yield platform_services.matplotlib_cache()
-    yield platform_services.viewer_port()
+    yield installation.check_python()
+    yield from installation.check_packages()
+    yield installation.check_package_folders()
+    yield taichi_backend.check_kernel()
+    yield taichi_backend.check_kernel_cache()
+    yield realtime_mesh.check_realtime_mesh()
+    yield clock.check_clock(clock_seconds)
+    yield clock.check_real_time_priority()
+    yield platform_services.check_matplotlib_cache()
+    yield platform_services.check_viewer_port()
 
 
 __all__ = ["Check", "examine"]

@@ -1,4 +1,4 @@
-"""The answer to one question about this computer."""
+"""Result of one check of the computer, and formatting of its numbers."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ Status = Literal["ok", "warn", "fail"]
 
 @dataclass(frozen=True)
 class Check:
-    """One line of the doctor.
+    """Result of one check of the computer.
 
     Attributes:
-        name: what was looked at.
-        status: ``ok``; ``warn``, where something works less well or is missing that not everybody needs; ``fail``.
-        finding: what was found, with numbers.
-        remedy: what to do; empty when ok.
-        values: the numbers of the finding, for programs: JSON's types.
+        name: name of the checked requirement.
+        status: ``ok``; ``warn``: an optional part is missing or slow; ``fail``: a requirement is not met.
+        finding: result in words, with numbers.
+        remedy: instruction for the user; empty if the status is ``ok``.
+        values: numbers of the finding for other programs, of JSON types; None: no numbers.
     """
 
     name: str
@@ -29,16 +29,17 @@ class Check:
     values: Mapping[str, object] | None = None
 
     def as_json(self) -> dict:
+        """Return the fields as a JSON object."""
         return asdict(self)
 
 
-def folder_size(folder: Path) -> int:
-    """Bytes of all files below a folder; 0 where there is none."""
+def get_folder_size(folder: Path) -> int:
+    """Return the size of all files below a folder, bytes; 0 if the folder does not exist."""
     return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) if folder.is_dir() else 0
 
 
-def readable_size(size: int) -> str:
-    """``1.5 MB`` and the like, powers of 1000."""
+def format_size(size: int) -> str:
+    """Return a size in bytes as a text with a decimal unit, such as ``1.5 MB``."""
     value = float(size)
     for unit in ("B", "kB", "MB"):
         if value < 1000:

@@ -1,4 +1,4 @@
-"""Python, the packages that we need, and where our own four packages come from."""
+"""Check the version of Python, the required packages, and the folders of the four packages of this program."""
 
 from __future__ import annotations
 
@@ -11,63 +11,68 @@ from pathlib import Path
 
 from scenes.doctor.check import Check, Status
 
-OURS = ("tissue_sim", "calibration", "haptics", "scenes")
-NEEDED = ("taichi", "numpy", "scipy", "sympy", "viser", "msgspec", "rich", "matplotlib")
-#: Taichi publishes wheels for these only: (sys.platform, machine in lower case).
+#: Packages of this program.
+OWN_PACKAGES = ("tissue_sim", "calibration", "haptics", "scenes")
+#: Distributions that this program requires.
+REQUIRED_PACKAGES = ("taichi", "numpy", "scipy", "sympy", "viser", "msgspec", "rich", "matplotlib")
+#: Platforms with Taichi wheels: (sys.platform, machine in lower case).
 TAICHI_PLATFORMS = (("linux", "x86_64"), ("win32", "amd64"), ("darwin", "arm64"))
+#: Lowest and highest supported version of Python.
 PYTHON_RANGE = ((3, 11), (3, 13))
 
 
-def python() -> Check:
-    """Version of Python and the platform."""
+def check_python() -> Check:
+    """Check the version of Python and the platform."""
     version = ".".join(str(part) for part in sys.version_info[:3])
     finding = f"{version} on {platform.platform()}, {platform.machine()}"
     values = {"version": version, "platform": platform.platform(), "machine": platform.machine()}
     low, high = PYTHON_RANGE
     if not low <= sys.version_info[:2] <= high:
-        return Check("Python", "fail", finding, "use Python 3.11, 3.12 or 3.13: Taichi has wheels for these", values)
+        return Check("Python", "fail", finding, "use Python 3.11, 3.12 or 3.13, for which Taichi has wheels", values)
     if not has_taichi_wheel():
-        return Check("Python", "warn", finding, "Taichi has no wheel for this platform: the analytical calibration "
-                     "works, the finite elements need Linux x86-64, Windows or an Apple-silicon Mac", values)
+        return Check("Python", "warn", finding, "Taichi has no wheel for this platform: analytical calibration "
+                     "works, finite elements need Linux x86-64, Windows or a Mac with Apple silicon", values)
     return Check("Python", "ok", finding, values=values)
 
 
 def has_taichi_wheel() -> bool:
+    """Return whether Taichi has a wheel for this platform."""
     return (sys.platform, platform.machine().lower()) in TAICHI_PLATFORMS
 
 
-def packages() -> Iterator[Check]:
-    """One check for each package that we need."""
-    for name in NEEDED:
+def check_packages() -> Iterator[Check]:
+    """Check whether each required package is installed; yield one result per package."""
+    for name in REQUIRED_PACKAGES:
         try:
             version = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             status: Status = "warn" if name == "taichi" and not has_taichi_wheel() else "fail"
             yield Check(name, status, "not installed", f"python -m pip install {name}" if status == "fail" else
-                        "the finite elements need a platform that Taichi has a wheel for")
+                        "finite elements need a platform with a Taichi wheel")
         else:
             yield Check(name, "ok", version, values={"version": version})
 
 
-def one_place() -> Check:
-    """Whether the four packages come from one folder.
+def check_package_folders() -> Check:
+    """Check whether the four packages of this program are imported from the same folder.
 
-    Another distribution with a package called `calibration`, or a user's own `calibration.py` in the current folder,
-    would shadow ours without a word.
+    Another distribution with a package `calibration`, or a file `calibration.py` in the current folder, would replace
+    the package of this program without a message.
     """
-    places = {name: _folder(name) for name in OURS}
-    values = {name: str(folder) if folder else None for name, folder in places.items()}
-    ours = places["scenes"]
-    strangers = [name for name, folder in places.items() if folder != ours]
-    if not strangers:
-        return Check("the four packages", "ok", f"all from {ours}", values=values)
-    listed = ", ".join(f"{name} from {places[name] or 'nowhere'}" for name in strangers)
-    return Check("the four packages", "fail", f"{listed}, the others from {ours}",
-                 "rename or uninstall the one that is not ours, or start from another folder; "
+    folders = {name: _package_folder(name) for name in OWN_PACKAGES}
+    values = {name: str(folder) if folder else None for name, folder in folders.items()}
+    own_folder = folders["scenes"]
+    foreign = [name for name, folder in folders.items() if folder != own_folder]
+    if not foreign:
+        return Check("the four packages", "ok", f"all from {own_folder}", values=values)
+    listed = ", ".join(f"{name} from {folders[name]}" if folders[name] else f"{name} not found" for name in foreign)
+    return Check("the four packages", "fail", f"{listed}, the others from {own_folder}",
+                 "rename or uninstall the package with the same name, or start from another folder; "
                  "then: python -m pip install --force-reinstall --no-deps tissue-sim", values)
 
 
-def _folder(name: str) -> Path | None:
+def _package_folder(name: str) -> Path | None:
+    """Return the folder that contains a package, the path of a single-file module, or None if neither exists."""
     try:
         spec = importlib.util.find_spec(name)
     except (ImportError, ValueError):
@@ -75,5 +80,5 @@ def _folder(name: str) -> Path | None:
     if spec is None or spec.origin is None:
         return None
     origin = Path(spec.origin).resolve()
-    # A package lies in a folder of its own; a stray module such as calibration.py does not.
+    # A single file such as calibration.py has no search locations: its path differs from the folder of the packages.
     return origin.parent.parent if spec.submodule_search_locations else origin

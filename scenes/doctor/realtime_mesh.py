@@ -1,4 +1,4 @@
-"""How fine a mesh this computer steps a thousand times a second."""
+"""Find the finest mesh that this computer can step at 1 kHz."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ import time
 from scenes.doctor.check import Check
 from tissue_sim.errors import MissingBackendError
 
-#: Wall time of a step, as `tissue-sim loop` and `serve` have it, s.
+#: Wall time of a step, the default of `tissue-sim loop` and `tissue-sim serve`, s.
 BUDGET = 0.8e-3
-_NAME, COARSEST = "real-time mesh", "realtime_20"
+#: Name of the check.
+_NAME = "real-time mesh"
+#: Name of the coarsest real-time resolution.
+COARSEST = "realtime_20"
 
 
-def reached() -> Check:
-    """The mesh that `resolution="realtime"` comes to under the study's needle, the mass of the tissue counted."""
+def check_realtime_mesh() -> Check:
+    """Determine the mesh that `resolution="realtime"` selects for the needle of the study, with inertia."""
     import numpy as np
 
     import tissue_sim as ts
@@ -25,14 +28,15 @@ def reached() -> Check:
         simulator = ts.Simulator(ts.Model(experiment, material), budget=BUDGET, inertia="on")
         simulator.warm_up()
     except MissingBackendError as error:
-        return Check(_NAME, "warn", str(error), "use one of these platforms for finite elements")
+        return Check(_NAME, "warn", str(error),
+                     "use Linux x86-64, Windows or a Mac with Apple silicon for finite elements")
     elements, percent = len(simulator.mesh.connectivity), 100 * float(simulator.force_error or np.nan)
-    finding = (f"{simulator.resolution}, {elements} elements under the study's needle, inertia counted, in "
-               f"{BUDGET * 1e3:g} ms a step: its force errs by {percent:.2g} % at most; chosen after "
+    finding = (f"{simulator.resolution}, {elements} elements for the needle of the study with inertia, in "
+               f"{BUDGET * 1e3:g} ms per step: force error at most {percent:.2g} %; selected in "
                f"{time.perf_counter() - start:.1f} s")
     values = {"resolution": simulator.resolution, "elements": elements, "force_error_percent": percent,
               "budget_us": BUDGET * 1e6}
     if simulator.resolution == COARSEST:
-        return Check(_NAME, "warn", finding, "a finer one needs a faster processor, or one with nothing else to do: "
-                     "close other programs and ask again; offline simulation is not touched by this", values)
+        return Check(_NAME, "warn", finding, "a finer mesh needs a faster or less busy processor: close other "
+                     "programs and run the check again; offline simulation is not affected", values)
     return Check(_NAME, "ok", finding, values=values)

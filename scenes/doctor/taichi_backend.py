@@ -1,16 +1,18 @@
-"""Whether Taichi compiles and runs here, and where it keeps what it compiled."""
+"""Check whether Taichi compiles and runs on this computer, and the size of its kernel cache."""
 
-# No postponed annotations here: Taichi reads the types of a kernel when it is defined.
+# Postponed annotations are not possible: Taichi reads the types of a kernel at its definition.
 import subprocess
 import sys
 import time
 
-from scenes.doctor.check import Check, folder_size, readable_size
+from scenes.doctor.check import Check, format_size, get_folder_size
 from tissue_sim.errors import MissingBackendError
 
+#: Number of terms of the sum that the test kernel computes.
 _TERMS = 1000
-#: Back-ends of Taichi beside the CPU; OpenGL last, see `other_backends`.
-_OTHERS = ("cuda", "amdgpu", "metal", "vulkan", "dx11", "opengl", "gles")
+#: Back-ends of Taichi except the CPU; the OpenGL ones last, see `find_other_backends`.
+_OTHER_BACKENDS = ("cuda", "amdgpu", "metal", "vulkan", "dx11", "opengl", "gles")
+#: Program that prints each of its arguments that names an available back-end.
 _PROBE = """
 import sys
 from tissue_sim.fem.taichi import runtime
@@ -19,21 +21,23 @@ for name in sys.argv[1:]:
     if ti.lang.misc.is_arch_supported(getattr(ti, name)):
         print(name, flush=True)
 """
+#: Longest duration of the probe, s.
 _PROBE_SECONDS = 60.0
 
 
-def kernel() -> Check:
-    """Compile and run a small kernel on the back-end that the finite elements use."""
+def check_kernel() -> Check:
+    """Compile and run a small kernel on the back-end of the finite elements, and check its result."""
     from tissue_sim.fem.taichi import runtime
 
     start = time.perf_counter()
     try:
         ti = runtime.initialise()
     except MissingBackendError as error:
-        return Check("Taichi", "warn", str(error), "use one of these platforms for finite elements")
+        return Check("Taichi", "warn", str(error),
+                     "use Linux x86-64, Windows or a Mac with Apple silicon for finite elements")
     except OSError as error:
         return Check("Taichi", "fail", f"cannot start ({error})",
-                     "set TISSUE_SIM_CACHE to a folder that you can write to")
+                     "set TISSUE_SIM_CACHE to a writable folder")
 
     @ti.kernel
     def sum_of_squares(terms: ti.i32) -> ti.f64:
@@ -50,40 +54,40 @@ def kernel() -> Check:
     seconds = time.perf_counter() - start
     version = ".".join(str(part) for part in ti.__version__)
     backend = str(ti.lang.impl.current_cfg().arch).removeprefix("Arch.")
-    offered = [backend, *other_backends()]
+    offered = [backend, *find_other_backends()]
     values = {"version": version, "backend": backend, "offered": ", ".join(offered), "start_s": seconds}
     expected = sum(i * i for i in range(_TERMS))
     if answer != expected:
         return Check("Taichi", "fail", f"{version} on {backend} computed {answer} instead of {expected}",
-                     "empty the folder of compiled kernels, then python -m pip install --force-reinstall taichi==1.7.4",
-                     values)
-    return Check("Taichi", "ok", f"{version}, back-ends here: {', '.join(offered)}; this program uses the CPU "
-                 f"({backend}) whatever else there is, because a tissue step is a chain of small dependent operations "
-                 f"in double precision; a kernel was compiled and run after {seconds:.1f} s", values=values)
+                     "delete the files in the folder of compiled kernels, then: "
+                     "python -m pip install --force-reinstall taichi==1.7.4", values)
+    return Check("Taichi", "ok", f"{version}, available back-ends: {', '.join(offered)}; this program always "
+                 f"uses the CPU ({backend}), because a step of the tissue is a chain of small dependent operations in "
+                 f"double precision; a kernel was compiled and run in {seconds:.1f} s", values=values)
 
 
-def other_backends() -> list[str]:
-    """Back-ends beside the CPU that Taichi can start on this computer.
+def find_other_backends() -> list[str]:
+    """Return the names of the back-ends, except the CPU, that Taichi can start on this computer.
 
-    Asked in a process of its own: asking for OpenGL where there is no display ends the process. Those that it named
-    until then count.
+    A separate process tests the back-ends, because a test of OpenGL without a display ends the process. The names that
+    were printed before are used.
     """
     try:
-        done = subprocess.run([sys.executable, "-c", _PROBE, *_OTHERS], capture_output=True, text=True,
+        process = subprocess.run([sys.executable, "-c", _PROBE, *_OTHER_BACKENDS], capture_output=True, text=True,
                               encoding="utf-8", timeout=_PROBE_SECONDS, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return []
-    return [name for name in done.stdout.split() if name in _OTHERS]
+    return [name for name in process.stdout.split() if name in _OTHER_BACKENDS]
 
 
-def compiled_kernels() -> Check:
-    """Folder of the compiled kernels and its size."""
+def check_kernel_cache() -> Check:
+    """Report the folder of the compiled kernels and its size."""
     from tissue_sim.fem.taichi import runtime
 
     folder = runtime.cache_folder()
-    size = folder_size(folder)
+    size = get_folder_size(folder)
     values = {"folder": str(folder), "bytes": size}
     if size == 0:
-        return Check("compiled kernels", "ok", f"{folder} is empty: the first simulation compiles for some seconds",
-                     values=values)
-    return Check("compiled kernels", "ok", f"{folder}, {readable_size(size)} (safe to delete)", values=values)
+        return Check("compiled kernels", "ok",
+                     f"{folder} is empty: the first simulation compiles kernels for several seconds", values=values)
+    return Check("compiled kernels", "ok", f"{folder}, {format_size(size)} (safe to delete)", values=values)

@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from haptics.recorder.recorder import Moment
+from haptics.recorder.recorder import RunProgress
 from haptics.recorder.run_folder import RunFolder
 from scenes.viewer.bench.page import BenchPage
 from scenes.viewer.bench.sources import RunSource
@@ -30,14 +30,14 @@ def test_a_run_is_shown_as_it_goes(watched, open_page):
     page.get_by_text("no run in").wait_for()
     folder = RunFolder(path, "digest")
     live = LiveFile(path)
-    with folder, live.shown():
-        folder.note(state="running")
-        live.show(Moment("needle", "ramp", 1, 5e-3, 3e-3, 0.437, 0.25))
-        partial = folder.partial("needle_1", ["time [s]", "displacement [mm]", "force [N]", "segment"])
+    with folder, live.publish():
+        folder.update(state="running")
+        live.show(RunProgress("needle", "ramp", 1, 5e-3, 3e-3, 0.437, 0.25))
+        partial = folder.open_partial("needle_1", ["time [s]", "displacement [mm]", "force [N]", "segment"])
         partial.add([(0.01 * row, 0.1 * row, 0.02 * row, "ramp") for row in range(30)])
         page.get_by_text("needle 1: ramp; 0 recordings done").wait_for()
         page.get_by_text("0.437").wait_for()
         page.locator(".uplot canvas").first.wait_for()
         partial.close()
-        folder.note(state="stopped", stops=[{"message": "the sensor was silent for 0.06 s"}])
+        folder.update(state="stopped", stops=[{"message": "the sensor was silent for 0.06 s"}])
     page.get_by_text("the sensor was silent for 0.06 s").wait_for()

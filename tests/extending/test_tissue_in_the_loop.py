@@ -134,8 +134,8 @@ def test_through_multi_rate(toy, path):
 def test_through_the_step_service(toy, path):
     service, tissue = StepService(toy.ToyTissue()), toy.ToyTissue()
     for number, pose in enumerate(path):
-        assert service.take(encode_request(Request(number, DT * number, pose.position, pose.orientation)), "client",
-                            0.0) is None
+        request = encode_request(Request(number, DT * number, pose.position, pose.orientation))
+        assert service.receive(request, "client", 0.0) is None
         packet, _ = service.step(0.0)
         reply, expected = decode_reply(packet), tissue.step(pose, DT)
         assert reply.status == Status.CONVERGED

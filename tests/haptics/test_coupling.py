@@ -1,4 +1,4 @@
-"""The virtual coupling, and what it asks of the device to stay passive."""
+"""`VirtualCoupling`: passivity condition, stability and equilibrium."""
 
 import cmath
 import math
@@ -20,11 +20,13 @@ RIGID = 1e12
 
 
 class Load:
-    """Spring, damper and mass under the proxy, stepped by backward differences of first or of second order, as the
-    simulator's tissue is; with a mass it says what its next step would answer, or does not."""
+    """Spring, damper and mass under the proxy, by backward differences of first or second order as in the simulator.
 
-    def __init__(self, stiffness, mass=0.0, damping=0.0, order=1, says_ahead=True):
-        self.stiffness, self.mass, self.damping, self.says_ahead = stiffness, mass, damping, says_ahead
+    With `predicts_next`, a load with mass also gives the force of its next step (`ToolForce.ahead`).
+    """
+
+    def __init__(self, stiffness, mass=0.0, damping=0.0, order=1, predicts_next=True):
+        self.stiffness, self.mass, self.damping, self.predicts_next = stiffness, mass, damping, predicts_next
         self.weights = {1: (1.0, -1.0, 0.0), 2: (1.5, -2.0, 0.5)}[order]
         self.depths, self.speeds = (0.0, 0.0), (0.0, 0.0)
 
@@ -43,18 +45,18 @@ class Load:
         stiffness = self.stiffness + self.damping * rate + self.mass * rate**2
         ahead = NextForce(axial_wrench(self._force(depth, dt)[0]), axial_stiffness(stiffness))
         answer = ToolForce.axial(force, stiffness, ForceStatus.CONVERGED, inertial=self.mass > 0)
-        return replace(answer, ahead=ahead) if self.mass > 0 and self.says_ahead else answer
+        return replace(answer, ahead=ahead) if self.mass > 0 and self.predicts_next else answer
 
 
 def step(coupling, depth, answer):
-    """Depth of the proxy after a step along z, m."""
+    """Step the coupling along z, and return the depth of the proxy, m."""
     proxy = coupling.step(Pose((0.0, 0.0, -depth)), answer, TICK)
     assert proxy is coupling.pose and proxy.position[:2] == coupling.force[:2] == (0.0, 0.0)
     return proxy.depth
 
 
 def free_flight(coupling, load, mass, damping, speed, ticks):
-    """A device let go with a speed: mass and damper, the force held between samples, its motion solved exactly.
+    """Simulate a free device with an initial speed: mass and damper, force held between samples, exact solution.
 
     Returns:
         Kinetic energy at the samples, J.
@@ -75,29 +77,29 @@ stiffnesses, dampings = st.floats(50.0, 5000.0), st.floats(0.0, 5.0)
 
 @settings(deadline=None)
 @given(stiffnesses, dampings, st.floats(0.02, 1.0), st.floats(1.0, 3.0), st.sampled_from([RIGID, 2e4, 1500.0, 100.0]))
-def test_energy_does_not_grow_when_the_condition_holds(stiffness, damping, mass, margin, tissue):
-    """The hand gets back at most what it put in, whatever the device's mass and the tissue."""
+def test_the_energy_does_not_grow_if_the_condition_holds(stiffness, damping, mass, margin, tissue):
+    """The hand receives at most the energy that it put in, for any mass of the device and any tissue."""
     coupling = VirtualCoupling(stiffness, damping)
-    needed = margin * coupling.least_device_damping(TICK)
+    needed = margin * coupling.required_device_damping(TICK)
     assert coupling.is_passive(needed * 1.0001, TICK)
     energy = free_flight(coupling, Load(tissue), mass, needed * 1.0001, 0.1, 400)
     assert energy.max() <= energy[0] * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("stiffness", [500.0, 2000.0, 5000.0])
-def test_energy_grows_when_the_device_has_half_the_damping(stiffness):
-    """A wall without damping: K T/2 is the limit of stability too, for a device much heavier than K T^2."""
+def test_the_energy_grows_with_half_the_required_damping(stiffness):
+    """For a wall without damping, K T/2 is also the stability limit of a device much heavier than K T^2."""
     for part, grows in ((0.5, True), (2.0, False)):
         coupling = VirtualCoupling(stiffness)
-        damping = part * coupling.least_device_damping(TICK)
+        damping = part * coupling.required_device_damping(TICK)
         assert coupling.is_passive(damping, TICK) is not grows
         energy = free_flight(coupling, Load(RIGID), 0.2, damping, 0.1, 3000)
         late, early = energy[2000:].max(), energy[:1000].max()
         assert late > 2 * early if grows else late < early / 2
 
 
-def test_damping_of_the_coupling_is_counted_too():
-    """A light device under strong sampled damping shakes, with a spring that alone would be passive."""
+def test_the_condition_includes_the_damping_of_the_coupling():
+    """A light device with strong sampled damping vibrates although its spring alone is passive."""
     coupling = VirtualCoupling(100.0, damping=40.0)
     damping = 2 * coupling.stiffness * TICK / 2
     assert not coupling.is_passive(damping, TICK)
@@ -105,37 +107,37 @@ def test_damping_of_the_coupling_is_counted_too():
     assert energy[-10:].max() > 10 * energy[0]
 
 
-def needed_damping(impedance, angle, delay=0):
-    """Colgate and Schenkel 1997, eq. for a sampled impedance (force over position) H at z = exp(j angle), N s/m."""
+def required_damping(impedance, angle, delay=0):
+    """Return the damping of Colgate and Schenkel (1997) for a sampled impedance H(z), z = exp(j angle), N s/m."""
     z = cmath.exp(1j * angle)
     return TICK / 2 / (1 - math.cos(angle)) * ((1 - 1 / z) * impedance * z**-delay).real
 
 
 @given(stiffnesses, dampings, st.floats(-3.0, 3.0), st.floats(-4.0, 4.0), st.integers(0, 3))
-def test_condition_covers_every_passive_load_at_every_frequency(stiffness, damping, resistance, reactance, delay):
-    """Loads Z with Re Z >= 0, coupled in series, by the general condition of Colgate and Schenkel."""
+def test_the_condition_covers_each_passive_load_at_each_frequency(stiffness, damping, resistance, reactance, delay):
+    """Loads Z with Re Z >= 0 in series, by the general condition of Colgate and Schenkel."""
     coupling = VirtualCoupling(stiffness, damping)
-    least = coupling.least_device_damping(TICK, delay)
+    least = coupling.required_device_damping(TICK, delay)
     load = 10**resistance + 1j * math.sinh(3 * reactance)
     for angle in np.linspace(1e-3, math.pi, 200):
         rate = (1 - cmath.exp(-1j * angle)) / TICK
         spring = damping + stiffness / rate
         series = spring * load / (spring + load)
-        assert needed_damping(series * rate, angle, delay) <= least * (1 + 1e-9)
+        assert required_damping(series * rate, angle, delay) <= least * (1 + 1e-9)
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(1000.0, 0.0), (1000.0, 2.0), (200.0, 0.3)])
-def test_condition_is_exact_for_a_proxy_that_stands(stiffness, damping):
+def test_the_condition_is_exact_for_a_proxy_at_rest(stiffness, damping):
     """K T/2 + |B|, reached at the Nyquist frequency."""
-    needed = [needed_damping(stiffness + damping * (1 - cmath.exp(-1j * angle)) / TICK, angle)
+    needed = [required_damping(stiffness + damping * (1 - cmath.exp(-1j * angle)) / TICK, angle)
               for angle in np.linspace(1e-3, math.pi, 500)]
     assert max(needed) == pytest.approx(stiffness * TICK / 2 + damping)
-    assert VirtualCoupling(stiffness, damping).least_device_damping(TICK) == pytest.approx(max(needed))
+    assert VirtualCoupling(stiffness, damping).required_device_damping(TICK) == pytest.approx(max(needed))
 
 
 @pytest.mark.parametrize(("damping", "covered"), [(0.2, True), (1.0, True), (0.0, False)])
-def test_condition_with_a_mass_by_second_order_differences(damping, covered):
-    """It covers any mass where the coupling has a damper of K tick/5, and not one at its resonance without."""
+def test_the_condition_with_a_mass_by_second_order_differences(damping, covered):
+    """The condition covers any mass if the damping is K tick/5; without damping a resonant mass violates it."""
     coupling, angles, needed = VirtualCoupling(1000.0, damping), np.linspace(1e-3, math.pi, 400), []
     for mass, tissue in product(np.logspace(-5, 1, 25), (0.0, 200.0, 3000.0)):
         load = Load(tissue, mass, order=2)
@@ -143,14 +145,14 @@ def test_condition_with_a_mass_by_second_order_differences(damping, covered):
             z = cmath.exp(1j * angle)
             rate = sum(weight * z**-place for place, weight in enumerate(load.weights)) / TICK
             spring, tissues = 1000.0 + damping * (1 - 1 / z) / TICK, tissue + mass * rate**2
-            needed.append(needed_damping(spring * tissues / (spring + tissues), angle))
-    assert bool(max(needed) <= coupling.least_device_damping(TICK) * (1 + 1e-9)) is covered
+            needed.append(required_damping(spring * tissues / (spring + tissues), angle))
+    assert bool(max(needed) <= coupling.required_device_damping(TICK) * (1 + 1e-9)) is covered
 
 
 @pytest.mark.parametrize(("damping", "mass"), [(0.0, 0.0), (2.0, 0.0), (2.0, 0.005)])
 @pytest.mark.parametrize("angle", [0.05, 0.5, 2.0])
-def test_code_is_the_impedance_of_the_condition(damping, mass, angle):
-    """Steady oscillation against a spring: the force is coupling, proxy mass and tissue in series, without a delay."""
+def test_the_coupling_has_the_impedance_of_the_condition(damping, mass, angle):
+    """Steady oscillation against a spring: coupling, proxy mass and tissue in series, without delay."""
     stiffness, tissue, ticks = 1000.0, 1500.0, 4000
     coupling, load, answer, force = VirtualCoupling(stiffness, damping, mass), Load(tissue), None, np.empty(ticks)
     for tick in range(ticks):
@@ -163,8 +165,8 @@ def test_code_is_the_impedance_of_the_condition(damping, mass, angle):
     assert force[late] == pytest.approx((1e-3 * impedance * np.exp(1j * angle * late)).real, abs=1e-6)
 
 
-def test_at_rest_coupling_and_tissue_balance():
-    """A tissue that stiffens, touched with a sudden move: p from K (x - p) = F(p)."""
+def test_at_rest_coupling_and_tissue_are_in_equilibrium():
+    """A stiffening tissue after a sudden motion: p satisfies K (x - p) = F(p)."""
     coupling, answer = VirtualCoupling(1000.0, 1.0), None
     for _ in range(200):
         depth = step(coupling, 5e-3, answer) if answer else step(coupling, 0.0, None)
@@ -174,7 +176,7 @@ def test_at_rest_coupling_and_tissue_balance():
 
 
 def peak(coupling, load, ticks=500):
-    """Largest depth of the proxy when the device is moved by 1 mm at once."""
+    """Return the largest depth of the proxy after a sudden motion of the device by 1 mm, m."""
     answer, largest = load.step(step(coupling, 0.0, None), TICK), 0.0
     for _ in range(ticks):
         answer = load.step(step(coupling, 1e-3, answer), TICK)
@@ -187,13 +189,13 @@ def peak(coupling, load, ticks=500):
 @settings(deadline=None)
 @given(st.floats(100, 1e4), st.floats(0.0, 10.0), st.floats(1.0, 1e4), st.floats(1e-5, 1.0), st.floats(0.0, 10.0),
        st.sampled_from([1, 2]))
-def test_proxy_is_stable_on_a_tissue_with_mass(stiffness, damping, tissue, mass, lost, order):
+def test_the_proxy_is_stable_on_a_tissue_with_mass(stiffness, damping, tissue, mass, lost, order):
     assert peak(VirtualCoupling(stiffness, damping), Load(tissue, mass, lost, order)) < 4e-3
 
 
 @pytest.mark.parametrize("mass", [1e-3, 1.0])
-def test_proxy_with_a_heavy_tissue_is_one_system_that_is_stepped_implicitly(mass):
-    """The force of the coupling is the tissue's in every tick, though neither is known before the step."""
+def test_proxy_and_heavy_tissue_are_one_implicit_system(mass):
+    """The force of the coupling equals the force of the tissue in each tick."""
     coupling, load, rest = VirtualCoupling(1000.0, 1.0), Load(200.0, mass, order=2), 0.0
     answer = load.step(step(coupling, rest, None), TICK)
     for _ in range(1000):
@@ -203,16 +205,16 @@ def test_proxy_with_a_heavy_tissue_is_one_system_that_is_stepped_implicitly(mass
 
 
 @pytest.mark.parametrize(("part", "stable"), [(0.97, True), (1.03, False)])
-def test_limit_of_a_proxy_that_does_not_know_of_the_mass(part, stable):
-    """2 mass + B tick + (K + k) tick^2/2, for a load of first order that does not say what comes next."""
+def test_the_stability_limit_without_prediction_of_the_next_force(part, stable):
+    """The limit of the mass is 2 mass + B tick + (K + k) tick^2/2 for a load of first order."""
     coupling, tissue = VirtualCoupling(1000.0, 1.0, mass=0.5e-3), 1500.0
     limit = 2 * coupling.mass + coupling.damping * TICK + (coupling.stiffness + tissue) * TICK**2 / 2
-    assert (peak(coupling, Load(tissue, part * limit, says_ahead=False), ticks=2000) < 4e-3) is stable
+    assert (peak(coupling, Load(tissue, part * limit, predicts_next=False), ticks=2000) < 4e-3) is stable
 
 
-def test_proxy_stays_while_there_is_no_answer():
+def test_the_proxy_stays_without_an_answer():
     coupling = VirtualCoupling(1000.0, 1.0)
-    # Put at the device first, whatever a tissue said about another place.
+    # The first step places the proxy at the device and ignores the answer to another pose.
     assert step(coupling, 2e-3, ToolForce.axial(1.0, 500.0, ForceStatus.CONVERGED)) == 2e-3
     assert step(coupling, 3e-3, None) == 2e-3
     assert coupling.force[2] == pytest.approx(1000 * 1e-3 + 1.0 * 1.0)
@@ -220,7 +222,7 @@ def test_proxy_stays_while_there_is_no_answer():
     assert coupling.force[2] == pytest.approx(1.0)
 
 
-def test_the_damper_counts_what_it_takes():
+def test_the_damper_sums_the_dissipated_energy():
     """1 m/s of slip for 1 ms through 2 N s/m: 2 mJ."""
     coupling = VirtualCoupling(1000.0, 2.0)
     step(coupling, 0.0, None)
@@ -230,8 +232,8 @@ def test_the_damper_counts_what_it_takes():
     assert coupling.dissipated == 0.0 and step(coupling, 7e-3, None) == 7e-3
 
 
-def test_tissue_that_softens_does_not_throw_the_proxy():
-    """A negative stiffness, as at the onset of puncture, smaller than that of the coupling."""
+def test_a_softening_tissue_does_not_make_the_proxy_jump():
+    """A negative stiffness, as at the onset of puncture, smaller in magnitude than that of the coupling."""
     coupling, answer = VirtualCoupling(1000.0), ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
     step(coupling, 0.0, None)
     for _ in range(400):
@@ -240,8 +242,8 @@ def test_tissue_that_softens_does_not_throw_the_proxy():
     assert depth == pytest.approx((4.0 - 2.0) / 600.0)
 
 
-def test_tissue_that_gives_way_faster_than_the_coupling_lets_the_tool_through():
-    """Puncture: from 2 N to nothing in 0.5 mm, 4 times as steep as the coupling."""
+def test_a_sudden_loss_of_resistance_lets_the_tool_pass():
+    """Puncture: the force falls from 2 N to zero in 0.5 mm, 4 times as steep as the coupling."""
     def tissue(depth):
         fallen = 2.0 - 4000 * max(depth - 2e-3, 0.0)
         return ToolForce.axial(max(min(1000 * depth, fallen), 0.0), 1000.0 if depth < 2e-3 else -4000.0 * (fallen > 0),
@@ -255,15 +257,20 @@ def test_tissue_that_gives_way_faster_than_the_coupling_lets_the_tool_through():
     assert path[-1] == pytest.approx(6e-3)
 
 
-# ---- all three directions ----
+# ---- Three directions ----
 
-#: An oblique unit vector, and a turned device.
+#: An oblique unit vector, and a rotated device.
 OBLIQUE, TURNED = np.array([0.48, -0.6, 0.64]), (0.6, 0.0, 0.8, 0.0)
 
 
 def tissue_at(proxy, stiffness, looks_ahead=False):
-    """A linear tissue, N/m, shape (3, 3), that is at rest at the origin; with a torque. One that looks ahead says so
-    there, and has another force and stiffness in this step."""
+    """Return the answer of a linear tissue with equilibrium at the origin, with a torque.
+
+    Args:
+        proxy: pose of the proxy.
+        stiffness: N/m, shape (3, 3).
+        looks_ahead: whether the answer contains the next force; force and stiffness of this step then differ from it.
+    """
     force = -stiffness @ np.array(proxy.position)
     matrix = np.zeros((6, 6))
     matrix[:3, :3] = stiffness
@@ -273,11 +280,11 @@ def tissue_at(proxy, stiffness, looks_ahead=False):
     return ToolForce((9.0,) * 6, ((7.0,) * 6,) * 6, ForceStatus.CONVERGED, ahead=NextForce(wrench, rows))
 
 
-def follow(coupling, places, stiffness, **options):
-    """Positions of the proxy, m, and forces on the device, N, for positions of the device, shape (n, 3)."""
+def simulate(coupling, positions, stiffness, **options):
+    """Return positions of the proxy, m, and forces on the device, N, for positions of the device, shape (n, 3)."""
     answer, proxies, forces = None, [], []
-    for place in places:
-        proxy = coupling.step(Pose(tuple(place), TURNED), answer, TICK)
+    for position in positions:
+        proxy = coupling.step(Pose(tuple(position), TURNED), answer, TICK)
         answer = tissue_at(proxy, stiffness, **options)
         proxies.append(proxy.position)
         forces.append(coupling.force)
@@ -285,13 +292,14 @@ def follow(coupling, places, stiffness, **options):
 
 
 @pytest.mark.parametrize("looks_ahead", [False, True])
-def test_it_is_the_same_in_every_direction(looks_ahead):
-    """Along an oblique line, on a tissue that resists along it: as along z."""
-    ways = 3e-3 * np.sin(0.05 * np.arange(300))
+def test_the_coupling_is_isotropic(looks_ahead):
+    """A motion along an oblique line gives the same result as along z."""
+    depths = 3e-3 * np.sin(0.05 * np.arange(300))
     by_axis = []
     for axis in (np.array([0.0, 0.0, 1.0]), OBLIQUE):
         coupling = VirtualCoupling(1500.0, 2.0, 2e-3)
-        proxies, forces = follow(coupling, ways[:, None] * axis, 900.0 * np.outer(axis, axis), looks_ahead=looks_ahead)
+        stiffness = 900.0 * np.outer(axis, axis)
+        proxies, forces = simulate(coupling, depths[:, None] * axis, stiffness, looks_ahead=looks_ahead)
         np.testing.assert_allclose(np.cross(proxies, axis), 0.0, atol=1e-15)
         by_axis.append((proxies @ axis, forces @ axis, coupling.dissipated))
     for along_z, oblique in zip(*by_axis, strict=True):
@@ -300,51 +308,56 @@ def test_it_is_the_same_in_every_direction(looks_ahead):
 
 @given(st.integers(0, 10**6), st.floats(1.0, 1e6), st.floats(100.0, 1e4), st.floats(0.0, 5.0))
 @settings(deadline=None, max_examples=30)
-def test_on_a_full_stiffness_it_comes_to_rest_in_balance(seed, largest, stiffness, damping):
-    """Any symmetric positive definite tissue, soft or as good as rigid, shear coupled with pressure."""
+def test_with_a_full_stiffness_matrix_the_proxy_reaches_equilibrium(seed, largest, stiffness, damping):
+    """Any symmetric positive definite stiffness, from soft to almost rigid, with coupling of shear and normal force."""
     mixed = np.random.default_rng(seed).normal(size=(3, 3))
     tissue = mixed @ mixed.T
     tissue *= largest / np.linalg.norm(tissue, 2)
     device = 4e-3 * OBLIQUE
-    # The slowest way to rest is that of the damper against the spring alone.
+    # The slowest mode is the damper of the coupling against its spring.
     ticks = 200 + math.ceil(40 * damping / stiffness / TICK)
     places = np.vstack([np.zeros(3), np.tile(device, (ticks, 1))])
-    proxies, forces = follow(VirtualCoupling(stiffness, damping), places, tissue)
+    proxies, forces = simulate(VirtualCoupling(stiffness, damping), places, tissue)
     rest = np.linalg.solve(tissue + stiffness * np.eye(3), stiffness * device)
     np.testing.assert_allclose(proxies[-1], rest, atol=1e-9)
     np.testing.assert_allclose(forces[-1], stiffness * (rest - device), atol=1e-5)
     assert np.abs(proxies).max() < 5e-3
 
 
-def test_a_tissue_that_gives_way_aslant_does_not_throw_the_proxy():
-    """Resists with 800 N/m but along one oblique line, along which it gives way with 400 N/m, less than the spring."""
+def test_a_negative_oblique_stiffness_does_not_make_the_proxy_jump():
+    """Stiffness of 800 N/m, except -400 N/m along an oblique line, smaller in magnitude than that of the coupling."""
     tissue = 800.0 * np.eye(3) - 1200.0 * np.outer(OBLIQUE, OBLIQUE)
     device = 1e-3 * OBLIQUE
-    proxies, _ = follow(VirtualCoupling(1000.0, 1.0), np.vstack([np.zeros(3), np.tile(device, (400, 1))]), tissue)
+    proxies, _ = simulate(VirtualCoupling(1000.0, 1.0), np.vstack([np.zeros(3), np.tile(device, (400, 1))]), tissue)
     np.testing.assert_allclose(proxies[-1], device * 1000.0 / 600.0, rtol=1e-6)
-    ways = proxies @ OBLIQUE
-    assert (np.diff(ways) > -1e-12).all()
+    depths = proxies @ OBLIQUE
+    assert (np.diff(depths) > -1e-12).all()
 
 
-def test_rotation_is_rigid():
+def test_the_rotation_is_coupled_rigidly():
     proxy = VirtualCoupling(1000.0).step(Pose((0.0, 0.0, 0.0), TURNED), None, TICK)
     assert proxy.orientation == TURNED
 
 
 @pytest.mark.parametrize("values", [(0.0,), (math.nan,), (100.0, -1.0), (100.0, 1.0, math.inf)])
-def test_couplings_that_couple_nothing_are_refused(values):
-    with pytest.raises(InputError, match="give"):
+def test_invalid_settings_are_refused(values):
+    with pytest.raises(InputError, match="must be"):
         VirtualCoupling(*values)
 
 
-def test_condition_of_no_tick_is_refused():
+def test_the_old_name_of_the_condition_warns():
+    with pytest.warns(DeprecationWarning, match="renamed to required_device_damping"):
+        assert VirtualCoupling(1000.0, 2.0).least_device_damping(1e-3) == 2.5
+
+
+def test_the_condition_refuses_an_invalid_tick():
     with pytest.raises(InputError, match="tick"):
-        VirtualCoupling(100.0).least_device_damping(0.0)
-    assert VirtualCoupling(1000.0, 2.0).least_device_damping(1e-3, delay_ticks=1) == pytest.approx(10.0)
+        VirtualCoupling(100.0).required_device_damping(0.0)
+    assert VirtualCoupling(1000.0, 2.0).required_device_damping(1e-3, delay_ticks=1) == pytest.approx(10.0)
 
 
-class Old(Load):
-    """A spring whose stiffness was found once, at the touch, and is said to be old from then on."""
+class OldStiffness(Load):
+    """Spring whose stiffness is computed once at contact, and marked as old afterwards."""
 
     def __init__(self, stiffness, first):
         super().__init__(stiffness)
@@ -359,8 +372,8 @@ class Old(Load):
 @pytest.mark.parametrize("first", [0.0, 50.0, 1e4])
 @pytest.mark.parametrize("tissue", [200.0, 1500.0, 6000.0])
 def test_a_stiffness_that_is_too_old_does_not_make_the_proxy_oscillate(first, tissue):
-    """A tissue thirty times as stiff as the coupling: with the old stiffness the proxy would jump past its balance."""
-    coupling, load, answer = VirtualCoupling(200.0), Old(tissue, first), None
+    """A tissue thirty times as stiff as the coupling: with the old stiffness the proxy would overshoot."""
+    coupling, load, answer = VirtualCoupling(200.0), OldStiffness(tissue, first), None
     balance = 200.0 * 5e-3 / (200.0 + tissue)
     for _ in range(150):  # until the stiffness is too old, at rest at the surface
         answer = load.step(step(coupling, 0.0, answer), TICK)
@@ -372,7 +385,7 @@ def test_a_stiffness_that_is_too_old_does_not_make_the_proxy_oscillate(first, ti
     assert np.ptp(depths[-50:]) < 1e-6
 
 
-def test_a_stiffness_within_its_age_is_used():
+def test_a_recent_stiffness_is_used():
     young, old = (VirtualCoupling(500.0) for _ in range(2))
     answer = ToolForce.axial(0.0, 1500.0, ForceStatus.CONVERGED)
     for coupling, age in ((young, LONGEST_STIFFNESS_AGE), (old, 1.01 * LONGEST_STIFFNESS_AGE)):

@@ -1,4 +1,4 @@
-"""Force and rate limits hold for every input."""
+"""`ForceLimits`: magnitude and rate limits hold for every input."""
 
 import math
 
@@ -15,29 +15,29 @@ part = st.floats(-20.0, 20.0)
 
 
 def along(force):
-    """A force along z, N."""
+    """Return the wrench of a force along z, N."""
     return (0.0, 0.0, force, 0.0, 0.0, 0.0)
 
 
-def stepped(limits, force):
-    """What is given of a force along z, N; nothing else may appear."""
-    given = limits.step(along(force))
-    assert given == along(given[2]) and given is limits.last
-    return given[2]
+def step_along_z(limits, force):
+    """Step with a force along z, N, check that the result is along z, and return its force, N."""
+    result = limits.step(along(force))
+    assert result == along(result[2]) and result is limits.last
+    return result[2]
 
 
-def before_there_were_directions(force, last, largest, rate):
-    """The limits of a single number, N."""
-    kept = min(max(force, -largest), largest)
-    return min(max(kept, last - rate), last + rate)
+def limit_scalar(force, last, largest, rate):
+    """Limit a scalar force in magnitude and rate, N."""
+    limited = min(max(force, -largest), largest)
+    return min(max(limited, last - rate), last + rate)
 
 
 @given(st.lists(st.floats(-20, 20), max_size=50), st.floats(0.1, 50.0), st.floats(1e-3, 5.0))
-def test_along_one_axis_it_is_the_limit_of_a_number(forces, largest, rate):
+def test_along_one_axis_the_limits_are_those_of_a_scalar(forces, largest, rate):
     limits, last = ForceLimits(largest, rate), 0.0
     for force in forces:
-        last = before_there_were_directions(force, last, largest, rate)
-        assert stepped(limits, force) == pytest.approx(last, rel=1e-14, abs=1e-14)
+        last = limit_scalar(force, last, largest, rate)
+        assert step_along_z(limits, force) == pytest.approx(last, rel=1e-14, abs=1e-14)
         last = limits.last[2]
 
 
@@ -46,75 +46,75 @@ def test_along_one_axis_it_is_the_limit_of_a_number(forces, largest, rate):
 def test_magnitudes_are_limited_and_directions_kept(wrenches, largest, rate, torque, torque_rate):
     limits, last = ForceLimits(largest, rate, torque, torque_rate), (0.0,) * 6
     for wrench in wrenches:
-        given_ = limits.step(wrench)
+        result = limits.step(wrench)
         for start, most, change in ((0, largest, rate), (3, torque, torque_rate)):
-            now, before, wanted = (np.array(each[start:start + 3]) for each in (given_, last, wrench))
+            now, before, requested = (np.array(each[start:start + 3]) for each in (result, last, wrench))
             assert np.linalg.norm(now) <= most * (1 + 1e-12)
             assert np.linalg.norm(now - before) <= change * (1 + 1e-12)
-            # Towards what was asked for, cut to the largest.
-            aim = wanted * min(1.0, most / max(np.linalg.norm(wanted), 1e-300))
+            # The change points towards the requested vector, limited in magnitude.
+            aim = requested * min(1.0, most / max(np.linalg.norm(requested), 1e-300))
             np.testing.assert_allclose(np.cross(now - before, aim - before), 0.0, atol=1e-9)
             assert (now - before) @ (aim - before) >= 0.0
-        last = given_
+        last = result
 
 
-def test_torque_has_limits_of_its_own():
+def test_torque_has_separate_limits():
     limits = ForceLimits(3.0, 10.0, torque=0.5, torque_rate=0.4)
     assert limits.step((0.0, 0.0, 1.0, 0.6, 0.0, 0.8)) == pytest.approx((0.0, 0.0, 1.0, 0.24, 0.0, 0.32))
     assert (limits.limited, limits.rate_limited) == (True, True)
-    assert limits.message == "cut to 0.5 N m, changed by 0.4 N m only"
+    assert limits.message == "torque limited to 0.5 N m, change of the torque limited to 0.4 N m"
     assert limits.step((0.0, 0.0, 1.0, 0.6, 0.0, 0.8)) == pytest.approx((0.0, 0.0, 1.0, 0.3, 0.0, 0.4))
-    assert limits.message == "cut to 0.5 N m"
+    assert limits.message == "torque limited to 0.5 N m"
     limits.step((0.0, 0.0, 1.0, math.nan, 0.0, 0.0))
     assert limits.invalid and limits.last[2] == 0.0
 
 
 @given(st.lists(anything | st.floats(-20, 20), max_size=80), st.floats(0.1, 50.0), st.floats(1e-3, 5.0))
-def test_no_input_passes_the_limits(forces, largest, rate):
+def test_no_input_exceeds_the_limits(forces, largest, rate):
     limits, last = ForceLimits(largest, rate), 0.0
     for force in forces:
-        given_ = stepped(limits, force)
-        assert abs(given_) <= largest
-        assert abs(given_ - last) <= rate * (1 + 1e-12) + 1e-12
+        result = step_along_z(limits, force)
+        assert abs(result) <= largest
+        assert abs(result - last) <= rate * (1 + 1e-12) + 1e-12
         assert limits.invalid == (not math.isfinite(force))
         assert limits.limited == (abs(force) > largest and math.isfinite(force))
         if not (limits.limited or limits.rate_limited or limits.invalid):
-            assert given_ == force
-            assert limits.message == "as asked"
-        last = given_
+            assert result == force
+            assert limits.message == "not limited"
+        last = result
 
 
 @given(st.floats(0.5, 10.0), st.floats(0.01, 1.0), st.sampled_from([math.nan, math.inf, -math.inf]))
 def test_what_is_no_number_leads_to_zero(force, rate, bad):
     limits = ForceLimits(10.0, rate)
     for _ in range(math.ceil(force / rate) + 1):
-        stepped(limits, force)
+        step_along_z(limits, force)
     assert limits.last == along(force)
     last = force
     for _ in range(math.ceil(force / rate) + 1):
-        given_ = stepped(limits, bad)
-        assert 0 <= given_ <= last
-        last = given_
+        result = step_along_z(limits, bad)
+        assert 0 <= result <= last
+        last = result
     assert last == 0.0
     assert "not a number" in limits.message
 
 
-def test_it_says_which_limit_held():
+def test_the_message_names_the_limit_that_acted():
     limits = ForceLimits(force=3.0, rate=2.0)
-    assert (stepped(limits, 5.0), limits.limited, limits.rate_limited) == (2.0, True, True)
-    assert limits.message == "cut to 3 N, changed by 2 N only"
-    assert (stepped(limits, 5.0), limits.limited, limits.rate_limited) == (3.0, True, False)
-    assert limits.message == "cut to 3 N"
-    assert (stepped(limits, 0.0), limits.limited, limits.rate_limited) == (1.0, False, True)
-    assert limits.message == "changed by 2 N only"
+    assert (step_along_z(limits, 5.0), limits.limited, limits.rate_limited) == (2.0, True, True)
+    assert limits.message == "force limited to 3 N, change of the force limited to 2 N"
+    assert (step_along_z(limits, 5.0), limits.limited, limits.rate_limited) == (3.0, True, False)
+    assert limits.message == "force limited to 3 N"
+    assert (step_along_z(limits, 0.0), limits.limited, limits.rate_limited) == (1.0, False, True)
+    assert limits.message == "change of the force limited to 2 N"
     limits.reset()
     assert (limits.last, limits.limited, limits.rate_limited) == (along(0.0), False, False)
 
 
 @pytest.mark.parametrize("settings", [{"force": 0.0, "rate": 1.0}, {"force": math.inf, "rate": 1.0},
                                       {"force": 5.0, "rate": -1.0}, {"force": 5.0, "rate": math.nan}])
-def test_limits_that_limit_nothing_are_refused(settings):
-    with pytest.raises(InputError, match="is no limit"):
+def test_invalid_limits_are_refused(settings):
+    with pytest.raises(InputError, match="must be positive and finite"):
         ForceLimits(**settings)
-    with pytest.raises(InputError, match="torque_rate: 0 N m per tick is no limit"):
+    with pytest.raises(InputError, match="torque_rate: must be positive and finite; got 0 N m per tick"):
         ForceLimits(5.0, 1.0, 1.0, 0.0)

@@ -1,4 +1,4 @@
-"""Energy between hand and tissue."""
+"""Passivity observer, passivity controller and energy limit."""
 
 import math
 
@@ -17,7 +17,7 @@ TICK = 1e-3
 
 
 def along(force):
-    """A force along z, N."""
+    """Return the wrench of a force along z, N."""
     return (0.0, 0.0, force, 0.0, 0.0, 0.0)
 
 
@@ -26,14 +26,14 @@ def observe(observer, force, depth):
 
 
 def added(controller, depth):
-    """Force along z that the controller adds, N."""
+    """Return the force along z that the controller adds, N."""
     x, y, z = controller.force(Pose((0.0, 0.0, -depth)), TICK)
     assert (x, y) == (0.0, 0.0)
     return z
 
 
 def closed_motion(seed, ticks=2000):
-    """A hand's motion that ends where it began, at rest: below 13 Hz, up to 0.12 m/s."""
+    """Return a closed motion of a hand that ends at rest: below 13 Hz, up to 0.12 m/s."""
     generator = np.random.default_rng(seed)
     time = np.arange(ticks + 1) / ticks
     depth = 5e-3 * np.ones(ticks + 1)
@@ -44,13 +44,13 @@ def closed_motion(seed, ticks=2000):
 
 
 def stiffening(depth):
-    """A tissue that stiffens and does not pull, N."""
+    """Return the force of a stiffening tissue without tension, N."""
     return 400.0 * depth + 6e6 * depth**3 if depth > 0 else 0.0
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_elastic_tissue_gives_back_at_most_a_thousandth_more(seed):
-    """Trapezoidal energy out of a closed motion: at most 0.1 % of the energy in."""
+def test_an_elastic_tissue_returns_at_most_0_1_percent_too_much(seed):
+    """Energy of a closed motion by the trapezoidal rule: at most 0.1 % of the energy put in."""
     observer = PassivityObserver()
     for depth in closed_motion(seed):
         observe(observer, stiffening(depth), depth)
@@ -60,8 +60,8 @@ def test_elastic_tissue_gives_back_at_most_a_thousandth_more(seed):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_elastic_tissue_behind_a_coupling_gives_back_at_most_a_thousandth_more(seed):
-    """The rendered force; without a damper in the coupling there is nothing to hide behind."""
+def test_an_elastic_tissue_behind_a_coupling_returns_at_most_0_1_percent_too_much(seed):
+    """The same for the rendered force, without a damper in the coupling."""
     coupling, observer, answer = VirtualCoupling(3000.0), PassivityObserver(), None
     for depth in closed_motion(seed):
         proxy = coupling.step(Pose.at_depth(depth), answer, TICK).depth
@@ -73,7 +73,7 @@ def test_elastic_tissue_behind_a_coupling_gives_back_at_most_a_thousandth_more(s
 
 
 def held_energy(coupling, tissue, path):
-    """Energy put in by the hand, J, with the force held, through a coupling on a spring."""
+    """Return the energy that the hand puts into a coupling on a spring, J, with the force held."""
     observer, answer = PassivityObserver(held=True), None
     for depth in path:
         proxy = coupling.step(Pose.at_depth(depth), answer, TICK).depth
@@ -84,13 +84,13 @@ def held_energy(coupling, tissue, path):
 
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 10**6), st.floats(200.0, 4000.0), st.floats(0.3, 3.0))
-def test_held_force_gives_back_at_most_what_the_coupling_dissipates(seed, stiffness, ratio):
-    """Above B = K T (K + k)/(2 k) the damper pays for the hold; without it the hold gives energy away."""
+def test_the_coupling_dissipates_the_energy_that_the_hold_returns(seed, stiffness, ratio):
+    """Above B = K T (K + k)/(2 k) the damper dissipates the energy of the hold; without damper the hold is active."""
     path, tissue = closed_motion(seed), ratio * stiffness
     bare = VirtualCoupling(stiffness)
     leaked = -held_energy(bare, tissue, path)
     assert leaked > bare.dissipated == 0.0
-    # A hold is half a tick of delay: it gives back k_eff/2 of every step squared.
+    # A hold delays the force by half a tick and returns k_eff/2 step^2 too much in each step.
     effective = stiffness * tissue / (stiffness + tissue)
     assert leaked == pytest.approx(effective / 2 * np.sum(np.diff(path) ** 2), rel=0.01)
     damped = VirtualCoupling(stiffness, 1.2 * stiffness * TICK * (stiffness + tissue) / (2 * tissue))
@@ -102,7 +102,7 @@ def test_held_force_gives_back_at_most_what_the_coupling_dissipates(seed, stiffn
 
 @given(st.floats(50.0, 3000.0), st.floats(0.1, 20.0))
 def test_trapezoidal_work_of_a_spring_and_a_damper(stiffness, damping):
-    """Pushed in by 10 mm at 0.1 m/s: K d^2/2 and B v d."""
+    """Indentation by 10 mm at 0.1 m/s: K d^2/2 and B v d."""
     observer = PassivityObserver()
     for depth in np.linspace(0.0, 0.010, 101):
         observe(observer, stiffness * depth + damping * 0.1, depth)
@@ -110,7 +110,7 @@ def test_trapezoidal_work_of_a_spring_and_a_damper(stiffness, damping):
     assert observer.energy_out == 0.0
 
 
-def test_held_force_of_a_spring_is_half_a_step_behind():
+def test_the_held_force_of_a_spring_is_half_a_step_late():
     observer = PassivityObserver(held=True)
     for depth in (0.0, 1e-3, 2e-3, 1e-3, 0.0):
         observe(observer, 1000.0 * depth, depth)
@@ -122,7 +122,7 @@ def test_held_force_of_a_spring_is_half_a_step_behind():
     assert observer.energy == 0.0 and not observer.is_active
 
 
-def test_samples_that_are_no_numbers_are_left_out():
+def test_samples_that_are_not_finite_are_ignored():
     observer = PassivityObserver()
     for force, depth in ((1.0, 0.0), (math.nan, 1e-3), (1.0, math.inf), (1.0, 2e-3)):
         observe(observer, force, depth)
@@ -130,7 +130,7 @@ def test_samples_that_are_no_numbers_are_left_out():
 
 
 def amplitude(controlled, ticks=4000):
-    """Vibration of a device of 50 g with less damping than its sampled wall asks for: 2000 N/m, 0.2 N s/m, m."""
+    """Return the vibration amplitude, m, of a device of 50 g and 0.2 N s/m at a sampled wall of 2000 N/m."""
     observer = PassivityObserver(held=True)
     controller = PassivityController(observer, damping=2.0)
     mass, damping, stiffness = 0.05, 0.2, 2000.0
@@ -149,15 +149,15 @@ def amplitude(controlled, ticks=4000):
     return max(depths[:200]), max(depths[-200:])
 
 
-def test_controller_stops_a_vibration_that_grows_without_it():
+def test_the_controller_stops_a_growing_vibration():
     early, late = amplitude(controlled=False)
     assert late > 10 * early
     early, late = amplitude(controlled=True)
     assert late < early / 10
 
 
-def test_controller_damps_by_what_has_just_come_out():
-    """1 N held over 1 mm of the way back: 1 mJ, to be taken at 1 m/s in 1 ms: 1 N s/m."""
+def test_the_controller_dissipates_the_returned_energy():
+    """1 N held over 1 mm of unloading returns 1 mJ; at 1 m/s for 1 ms this needs 1 N s/m."""
     observer = PassivityObserver(held=True)
     controller = PassivityController(observer, damping=5.0)
     observe(observer, 1.0, 0.0)
@@ -167,7 +167,7 @@ def test_controller_damps_by_what_has_just_come_out():
 
 
 @given(st.lists(st.tuples(st.floats(-10, 10), st.floats(-0.01, 0.01)), max_size=50), st.floats(0.1, 20.0))
-def test_controller_only_ever_takes_energy(samples, damping):
+def test_the_controller_only_dissipates_energy(samples, damping):
     observer = PassivityObserver(held=True)
     controller = PassivityController(observer, damping)
     last = None
@@ -182,13 +182,13 @@ def test_controller_only_ever_takes_energy(samples, damping):
         last = depth
 
 
-def turned(angle, place=(0.0, 0.0, 0.0)):
-    """About an oblique axis, rad."""
-    return Pose(place, (math.cos(angle / 2), 0.6 * math.sin(angle / 2), 0.0, 0.8 * math.sin(angle / 2)))
+def turned(angle, position=(0.0, 0.0, 0.0)):
+    """Return a pose that is rotated about an oblique axis, rad."""
+    return Pose(position, (math.cos(angle / 2), 0.6 * math.sin(angle / 2), 0.0, 0.8 * math.sin(angle / 2)))
 
 
-def test_torque_does_work_along_the_rotation():
-    """A spring of 0.4 N m/rad turned by 0.5 rad, and 3 N sideways over 2 mm on the way."""
+def test_torque_does_work_in_a_rotation():
+    """A spring of 0.4 N m/rad turned by 0.5 rad, and a lateral force of 3 N over 2 mm."""
     observer = PassivityObserver()
     for share in np.linspace(0.0, 1.0, 51):
         torque = -0.4 * 0.5 * share
@@ -197,7 +197,7 @@ def test_torque_does_work_along_the_rotation():
     assert observer.energy_out == 0.0
 
 
-def test_controller_pushes_against_the_motion_in_any_direction():
+def test_the_controller_force_opposes_the_motion_in_any_direction():
     observer = PassivityObserver(held=True)
     controller = PassivityController(observer, damping=5.0)
     observer.observe((0.6, 0.0, 0.8, 0.0, 0.0, 0.0), Pose((0.0, 0.0, 0.0)))
@@ -205,7 +205,7 @@ def test_controller_pushes_against_the_motion_in_any_direction():
     assert controller.added == pytest.approx(1.0)
 
 
-def test_a_pose_that_is_no_number_is_left_out():
+def test_a_pose_that_is_not_finite_is_ignored():
     observer = PassivityObserver()
     for wrench, pose in (((math.nan,) * 6, turned(0.0)), ((1.0,) * 6, turned(math.nan)),
                          ((1.0,) * 6, turned(0.0)), ((1.0,) * 6, turned(math.nan)), ((1.0,) * 6, turned(0.1))):
@@ -213,7 +213,12 @@ def test_a_pose_that_is_no_number_is_left_out():
     assert observer.energy == pytest.approx(-(0.6 + 0.8) * 0.1)
 
 
-def test_settings_that_mean_nothing_are_refused():
+def test_the_old_name_way_warns():
+    with pytest.warns(DeprecationWarning, match="renamed to displacement_to"):
+        assert PassivityObserver().way(Pose.at_depth(1e-3)) == (0.0,) * 6
+
+
+def test_invalid_settings_are_refused():
     with pytest.raises(InputError, match="tolerance"):
         PassivityObserver(tolerance=math.nan)
     with pytest.raises(InputError, match="held=True"):
@@ -223,28 +228,28 @@ def test_settings_that_mean_nothing_are_refused():
 
 
 class TestEnergyLimit:
-    def test_what_was_stored_may_come_back(self):
+    def test_stored_energy_may_be_returned(self):
         limit = EnergyLimit(1.0)
         press = np.linspace(0.0, 0.9, 100)
         assert all(limit.step(energy, TICK) for energy in [*press, *press[::-1]] * 5)
 
-    def test_what_never_went_in_does_not_come_out(self):
+    def test_more_than_the_limit_is_not_returned(self):
         limit = EnergyLimit(1.0)
         energies = np.linspace(0.0, -1.5, 151)
         given = [limit.step(energy, TICK) for energy in energies]
         assert given == [bool(energy > -1.0 - TICK) for energy in energies]
-        assert not limit.step(5.0, TICK), "until somebody says that it may"
+        assert not limit.step(5.0, TICK), "the force stays off until a reset"
         limit.reset()
         assert limit.step(0.0, TICK) and not limit.exceeded
 
-    def test_a_little_in_a_long_time_is_forgiven(self):
+    def test_a_small_rate_of_energy_is_forgiven(self):
         limit = EnergyLimit(1.0)
         assert all(limit.step(-0.9 * second / limit.FORGIVEN, 1.0) for second in range(3600))
         limit.reset()
         assert not all(limit.step(-1.1 * second / limit.FORGIVEN, 1.0) for second in range(3600))
 
     @pytest.mark.parametrize("energy", [0.0, -1.0, math.nan])
-    def test_what_limits_nothing_is_refused(self, energy):
-        with pytest.raises(InputError, match=r"energy: .* is no limit"):
+    def test_an_invalid_limit_is_refused(self, energy):
+        with pytest.raises(InputError, match="energy: must be positive"):
             EnergyLimit(energy)
         assert EnergyLimit(math.inf).step(-1e9, TICK)

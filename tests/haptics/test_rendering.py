@@ -1,4 +1,4 @@
-"""One tick of the loop, from the device's depth to the force on the hand."""
+"""`ForceRendering`: from the depth of the device to the force on the hand, tick by tick."""
 
 import math
 from itertools import pairwise
@@ -21,7 +21,7 @@ AWAY = (WatchdogState.FADING, WatchdogState.LOST, WatchdogState.RETURNING)
 
 
 class Spring:
-    """An elastic tissue that keeps the depths at which it was asked."""
+    """Elastic tissue that records the depths of its steps."""
 
     def __init__(self, stiffness=500.0, status=ForceStatus.CONVERGED):
         self.stiffness, self.status, self.depths = stiffness, status, []
@@ -32,7 +32,7 @@ class Spring:
 
 
 def at(depth):
-    """Where the device is, by its depth, m; None: not known."""
+    """Return the pose of the device at a depth, m; None: no pose."""
     return None if depth is None else Pose((0.0, 0.0, -depth))
 
 
@@ -44,7 +44,7 @@ def generous():
     return ForceLimits(force=100.0, rate=100.0)
 
 
-def test_without_a_coupling_the_device_is_the_tool():
+def test_without_a_coupling_the_tissue_gets_the_pose_of_the_device():
     tissue = Spring()
     rendered = run(ForceRendering(generous()), tissue, [0.0, 1e-3, 2e-3])
     assert tissue.depths == [0.0, 1e-3, 2e-3]
@@ -55,7 +55,7 @@ def test_without_a_coupling_the_device_is_the_tool():
     assert rendered[-1].held_energy == pytest.approx(0.5 * 1e-3)
 
 
-def test_with_a_coupling_the_hand_feels_both_springs():
+def test_with_a_coupling_the_springs_act_in_series():
     rendering = ForceRendering(generous(), VirtualCoupling(1500.0, 1.0))
     rendered = run(rendering, Spring(500.0), [0.0] + [4e-3] * 300)
     assert rendered[-1].force == pytest.approx(4e-3 * 375.0)
@@ -70,8 +70,8 @@ def test_local_models_are_rendered(status):
 
 
 @pytest.mark.parametrize("coupling", [None, VirtualCoupling(1500.0, 1.0)])
-def test_a_pose_that_stays_away_takes_the_force_away(coupling):
-    """None, NaN and a refusal are the same; the force goes within timeout and ramp, in steps of the rate at most."""
+def test_a_missing_pose_fades_the_force(coupling):
+    """None, NaN and a refusal have the same effect; the force is zero after timeout and ramp, within the rate limit."""
     for missing in (None, math.nan, "refused"):
         tissue, rate = Spring(), 0.05
         rendering = ForceRendering(ForceLimits(10.0, rate), coupling, Watchdog(0.050, 0.100))
@@ -99,8 +99,8 @@ def test_a_pose_that_stays_away_takes_the_force_away(coupling):
 @pytest.mark.parametrize("bad", [ToolForce.axial(9.0, 500.0, ForceStatus.REFUSED),
                                  ToolForce.axial(math.nan, 500.0, ForceStatus.CONVERGED),
                                  ToolForce.axial(9.0, math.inf, ForceStatus.LATE)])
-def test_an_answer_that_cannot_be_believed_changes_nothing(bad, coupled):
-    """Force and proxy stay for as long as the watchdog waits."""
+def test_an_invalid_answer_keeps_force_and_proxy(bad, coupled):
+    """Force and proxy stay constant until the timeout of the watchdog."""
     rendering = ForceRendering(generous(), VirtualCoupling(1500.0, 1.0) if coupled else None)
     before = run(rendering, Spring(), [2e-3] * 300)[-1]
     rendering.pose_for(at(2e-3), DT)
@@ -121,8 +121,8 @@ ticks = st.sampled_from([DT, DT, DT, 5e-3, 0.0, -1.0, math.nan])
 
 @settings(deadline=None)
 @given(st.lists(st.tuples(depths, answers, ticks), max_size=60), st.booleans(), st.none() | st.floats(0.1, 5.0))
-def test_whatever_comes_the_hand_is_safe(path, coupled, damping):
-    """Any pose, any answer, any dt: no exception, no force above the limit, no change above the rate."""
+def test_force_and_rate_limits_hold_for_any_input(path, coupled, damping):
+    """Any pose, answer and dt: no exception, no force above the limit, no change above the rate."""
     rendering = ForceRendering(ForceLimits(5.0, 0.1), VirtualCoupling(2000.0, 1.0, 1e-3) if coupled else None,
                                controller_damping=damping)
     last = 0.0
@@ -136,7 +136,7 @@ def test_whatever_comes_the_hand_is_safe(path, coupled, damping):
 
 @settings(deadline=None)
 @given(st.lists(st.tuples(depths, answers, ticks), max_size=30), st.booleans())
-def test_a_sound_tissue_is_felt_again_after_anything(path, coupled):
+def test_the_force_returns_after_any_input(path, coupled):
     rendering = ForceRendering(ForceLimits(5.0, 0.1), VirtualCoupling(2000.0, 1.0) if coupled else None)
     for depth, (force, stiffness, status, inertial), dt in path:
         rendering.pose_for(at(depth), dt)
@@ -146,7 +146,7 @@ def test_a_sound_tissue_is_felt_again_after_anything(path, coupled):
     assert not rendered[-1].lost_pose and not rendered[-1].limited
 
 
-def test_flags_say_what_happened():
+def test_flags_name_the_events_of_a_tick():
     rendering, tissue = ForceRendering(ForceLimits(force=1.0, rate=0.6)), Spring()
     first, second = run(rendering, tissue, [4e-3] * 2)
     assert RenderFlag(first.flags) == RenderFlag.LIMITED | RenderFlag.RATE_LIMITED
@@ -157,16 +157,16 @@ def test_flags_say_what_happened():
     assert bad.invalid and bad.force == pytest.approx(0.4)
 
 
-def test_active_is_what_the_held_force_does():
-    """An elastic tissue gives back what it took; held over a tick it gives more."""
+def test_the_flag_active_refers_to_the_held_force():
+    """An elastic tissue returns the energy put in; with its force held over a tick it returns more."""
     path = [2e-3 * (1 - math.cos(2 * math.pi * 4 * tick * DT)) for tick in range(251)]
     rendered = run(ForceRendering(generous()), Spring(1000.0), path)[-1]
     assert rendered.energy == pytest.approx(0.0, abs=1e-12)
     assert rendered.held_energy < 0 and rendered.active
 
 
-def test_a_tissue_that_gives_more_than_it_took_is_seen_and_can_be_damped():
-    """A spring that answers two ticks late, held for one: 2.5 K step^2 too much in every tick."""
+def test_an_active_tissue_is_detected_and_can_be_damped():
+    """A spring with a delay of two ticks and a hold of one returns 2.5 K step^2 too much in each tick."""
     stiffness, energies, active = 1000.0, [], []
     for damping in (None, 20.0):
         rendering, late, steps, last = ForceRendering(generous(), controller_damping=damping), [0.0, 0.0], 0.0, 0.0
@@ -182,14 +182,14 @@ def test_a_tissue_that_gives_more_than_it_took_is_seen_and_can_be_damped():
     assert abs(energies[1]) < 0.05 * abs(energies[0])
 
 
-def test_nothing_is_felt_before_the_first_pose():
+def test_the_force_is_zero_before_the_first_pose():
     tissue = Spring()
     rendered = run(ForceRendering(generous()), tissue, [None] * 3)
     assert tissue.depths == [0.0] * 3
     assert [tick.force for tick in rendered] == [0.0] * 3
 
 
-def test_blend_of_a_slow_solver_is_a_tissue():
+def test_a_local_model_blend_can_be_rendered():
     blend = LocalModelBlend(jump=0.02)
     blend.publish(LocalModel.axial(1.0, 500.0, 2e-3, time=0.0))
     rendered = run(ForceRendering(generous()), blend, [2e-3] * 60)
@@ -197,7 +197,7 @@ def test_blend_of_a_slow_solver_is_a_tissue():
     assert rendered[-1].force == pytest.approx(1.0)
 
 
-def test_reset_and_instances_of_their_own():
+def test_reset_restores_the_initial_state_of_separate_instances():
     one, other = (ForceRendering(ForceLimits(5.0, 0.1), VirtualCoupling(1000.0)) for _ in range(2))
     path = [0.0, 1e-3, 3e-3, None, 2e-3]
     first = run(one, Spring(), path)
@@ -208,7 +208,7 @@ def test_reset_and_instances_of_their_own():
 
 
 @pytest.mark.parametrize("coupled", [False, True])
-def test_torque_goes_to_the_hand_and_a_turned_device_turns_the_tool(coupled):
+def test_torque_reaches_the_hand_and_the_tool_turns_with_the_device(coupled):
     rendering = ForceRendering(generous(), VirtualCoupling(1500.0, 1.0) if coupled else None)
     device = Pose((1e-3, 2e-3, -3e-3), (0.6, 0.0, 0.8, 0.0))
     tool = rendering.pose_for(device, DT)
@@ -220,7 +220,7 @@ def test_torque_goes_to_the_hand_and_a_turned_device_turns_the_tool(coupled):
 
 
 def test_tissue_that_drives_a_hand_is_let_go_for_good():
-    """A wrong sign: pulled in with 500 N/m over 0.1 m 2.5 J come out; with a limit of 0.2 J little more than that."""
+    """Wrong sign: 500 N/m over 0.1 m would return 2.5 J; with a limit of 0.2 J little more than 0.2 J is returned."""
     for energy, most in ((math.inf, 2.0), (0.2, 0.3)):
         rendering = ForceRendering(ForceLimits(100.0, 5.0), energy_limit=EnergyLimit(energy))
         rendered = run(rendering, Spring(-500.0), [1e-4 * k for k in range(1001)])

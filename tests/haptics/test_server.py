@@ -1,4 +1,4 @@
-"""A tissue server on real sockets: poses in, forces out, one client at a time, one thread."""
+"""`TissueServer` on real sockets: poses, forces, ownership, and errors."""
 
 import socket
 import sys
@@ -17,7 +17,7 @@ from tissue_sim.tool_force import ForceStatus, ToolForce
 
 
 class MaxwellTissue:
-    """A spring of 1 N/mm beside one that relaxes in 0.1 s; `gate` holds a step until it is opened."""
+    """Spring of 1 N/mm in parallel with a Maxwell element of 0.1 s; `gate` blocks a step until it is set."""
 
     def __init__(self):
         self.threads, self.gate, self.entered = set(), threading.Event(), threading.Event()
@@ -26,20 +26,20 @@ class MaxwellTissue:
 
     def reset(self):
         self.threads.add(threading.get_ident())
-        self.pull, self.depth = 0.0, 0.0
+        self.viscous_force, self.depth = 0.0, 0.0
 
     def step(self, pose, dt):
         self.threads.add(threading.get_ident())
         self.entered.set()
         assert self.gate.wait(300.0)
-        self.pull = (self.pull + 500.0 * (pose.depth - self.depth)) * (1.0 - dt / (0.1 + dt))
+        self.viscous_force = (self.viscous_force + 500.0 * (pose.depth - self.depth)) * (1.0 - dt / (0.1 + dt))
         self.depth = pose.depth
-        return ToolForce.axial(1e3 * pose.depth + self.pull, 1.5e3, ForceStatus.CONVERGED, depth=pose.depth)
+        return ToolForce.axial(1e3 * pose.depth + self.viscous_force, 1.5e3, ForceStatus.CONVERGED, depth=pose.depth)
 
 
 @contextmanager
 def serving(tissue, **options):
-    """A server that runs in a thread of its own; its forces are those of the tissue from the first one on."""
+    """Run a server in a separate thread; without `releases` its forces equal those of the tissue from the first."""
     with TissueServer(tissue, **{"releases": False, **options}) as server:
         thread = threading.Thread(target=server.run)
         thread.start()
@@ -58,12 +58,12 @@ def server(request):
 
 
 def test_forces_are_those_of_the_tissue(server):
-    own, last = MaxwellTissue(), None
+    reference, last = MaxwellTissue(), None
     path = [(0.001 * k, 0.0002 * (k % 7)) for k in range(40)]
     with TissueClient(server.address[1], timeout=60.0) as client:
         for time, depth in path:
             reply = client.step(depth, at=time)
-            expected = own.step(Pose((0.0, 0.0, -depth)), 0.0 if last is None else time - last)
+            expected = reference.step(Pose((0.0, 0.0, -depth)), 0.0 if last is None else time - last)
             assert reply.force == expected.force_vector and reply.stiffness == expected.stiffness_matrix
             last = time
         assert client.step(Pose((0.001, 0.002, -0.003), (0.0, 1.0, 0.0, 0.0)), at=last).status == Status.CONVERGED
@@ -72,7 +72,7 @@ def test_forces_are_those_of_the_tissue(server):
     assert server.counters.refused == 1 and server.counters.converged == len(path) + 2
 
 
-def test_client_that_is_faster_than_the_steps_builds_no_queue(server):
+def test_a_client_faster_than_the_steps_builds_no_queue(server):
     tissue = server._service.tissue
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
         client.settimeout(60.0)
@@ -88,7 +88,7 @@ def test_client_that_is_faster_than_the_steps_builds_no_queue(server):
     assert replies[1].skipped == 9 and replies[1].dt == 0.01
 
 
-def test_second_client_is_told_and_gets_the_tissue_after_goodbye(server):
+def test_a_second_client_gets_busy_and_the_tissue_after_the_goodbye(server):
     port = server.address[1]
     with TissueClient(port, timeout=60.0) as second:
         with TissueClient(port, timeout=60.0) as first:
@@ -99,8 +99,8 @@ def test_second_client_is_told_and_gets_the_tissue_after_goodbye(server):
     assert server.counters.clients == 2
 
 
-def test_silent_client_loses_the_tissue(monkeypatch):
-    """On a clock of the test: how long anybody waits for a processor does not count."""
+def test_a_silent_client_loses_the_tissue(monkeypatch):
+    """With a simulated clock, so that the load of the computer has no effect."""
     clock = SimpleNamespace(now=100.0, monotonic=lambda: clock.now)
     monkeypatch.setattr("haptics.server.server.time", clock)
     with serving(MaxwellTissue(), silence=0.05) as server:
@@ -114,9 +114,9 @@ def test_silent_client_loses_the_tissue(monkeypatch):
         first.close()
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="two sockets on a port, one of them of the owner, are Linux'")
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux allows a separate socket of the owner on the same port")
 def test_a_flood_of_others_does_not_take_the_tissue_or_the_time(server):
-    """Ten thousand packets that wait before each of the owner's: its own are answered, first and all of them."""
+    """Ten thousand packets of another client: all requests of the owner are answered, and answered first."""
     with TissueClient(server.address[1], timeout=60.0) as client, \
             socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as flooder:
         assert client.step(0.001).status == Status.CONVERGED
@@ -126,11 +126,11 @@ def test_a_flood_of_others_does_not_take_the_tissue_or_the_time(server):
                 flooder.sendto(encode_request(Request(sequence, 0.0, session=5)), server.address)
                 sequence += 1
             assert client.step(0.001).status == Status.CONVERGED
-        # Before the goodbye: after that the tissue is anybody's.
+        # Checked before the goodbye, after which the flooding client may own the tissue.
         assert server.counters.clients == 1 and server.counters.flooded > 0
 
 
-def test_who_begins_inside_the_tissue_begins_without_a_force():
+def test_a_client_that_starts_inside_the_tissue_starts_without_force():
     with serving(MaxwellTissue(), releases=True) as server, TissueClient(server.address[1], timeout=60.0) as client:
         reply = client.step(0.001)
         assert (reply.status, reply.force[2]) == (Status.RETURNING, 0.0)
@@ -139,7 +139,7 @@ def test_who_begins_inside_the_tissue_begins_without_a_force():
         assert reply.status == Status.CONVERGED and reply.force[2] > 1.0
 
 
-def test_a_step_that_raises_costs_no_server(server, capfd):
+def test_a_failed_step_does_not_end_the_server(server, capfd):
     tissue = server._service.tissue
     step = tissue.step
 
@@ -166,17 +166,17 @@ def test_noise_is_dropped_and_the_server_goes_on(server):
         assert client.step(0.001).malformed == 7
 
 
-def test_other_version_is_told_ours(server):
-    strange = bytearray(encode_request(Request(3, 1.0)))
-    strange[4:6] = b"\x09\x00"
+def test_another_version_is_answered_with_the_version_of_the_server(server):
+    other_version = bytearray(encode_request(Request(3, 1.0)))
+    other_version[4:6] = b"\x09\x00"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
         client.settimeout(60.0)
-        client.sendto(strange + bytes(40), server.address)
+        client.sendto(other_version + bytes(40), server.address)
         packet = client.recv(REPLY_SIZE)
     assert packet[4:6] == bytes((VERSION, 0)) and decode_reply(packet).status == Status.OTHER_VERSION
 
 
-def test_client_says_when_the_server_speaks_another_version():
+def test_the_client_reports_another_version_of_the_server():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as future:
         future.bind(("127.0.0.1", 0))
         client = TissueClient(future.getsockname()[1], timeout=60.0)
@@ -187,13 +187,13 @@ def test_client_says_when_the_server_speaks_another_version():
 
         thread = threading.Thread(target=answer)
         thread.start()
-        with pytest.raises(InputError, match="speaks version 4 of the protocol, and this client 3"):
+        with pytest.raises(InputError, match="uses protocol version 4, this client version 3"):
             client.step(0.001)
         thread.join()
         client._socket.close()
 
 
-def test_client_passes_over_replies_that_it_gave_up(server):
+def test_the_client_ignores_replies_after_a_timeout(server):
     tissue = server._service.tissue
     client = TissueClient(server.address[1], timeout=0.05)
     tissue.gate.clear()
@@ -207,7 +207,7 @@ def test_client_passes_over_replies_that_it_gave_up(server):
     client.close()
 
 
-def test_polling_client_sleeps_when_the_reply_takes_longer(server):
+def test_a_polling_client_waits_for_a_late_reply(server):
     tissue = server._service.tissue
     with TissueClient(server.address[1], timeout=60.0, polls=3) as client:
         tissue.gate.clear()
@@ -217,17 +217,17 @@ def test_polling_client_sleeps_when_the_reply_takes_longer(server):
         assert client.step(0.001, at=0.0, reset=True).force[2] == 1.5
 
 
-def test_client_without_a_server_says_so():
+def test_a_client_without_a_server_raises():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     client = TissueClient(port, timeout=0.2)
-    with pytest.raises(OSError):  # refused, or no reply where the system tells nothing
+    with pytest.raises(OSError):  # connection refused, or a timeout on systems that do not report refused packets
         client.step(0.001)
     client.close()
 
 
-def test_one_thread_touches_the_tissue(server):
+def test_only_the_thread_of_the_server_uses_the_tissue(server):
     tissue = server._service.tissue
     tissue.threads.clear()
     with TissueClient(server.address[1], timeout=60.0) as client:
@@ -236,14 +236,14 @@ def test_one_thread_touches_the_tissue(server):
     assert len(tissue.threads) == 1 and threading.get_ident() not in tissue.threads
 
 
-def test_stop_before_run_and_twice():
+def test_stop_may_be_called_before_run_and_twice():
     with TissueServer(MaxwellTissue()) as server:
         server.stop()
         server.stop()
         server.run()
 
 
-def test_taken_port_is_one_sentence():
+def test_a_used_port_is_refused():
     with (TissueServer(MaxwellTissue(), configuration_port=0) as first,
           pytest.raises(InputError, match=r"^port: 127\.0\.0\.1:\d+ cannot be used .*another port")):
         TissueServer(MaxwellTissue(), port=first.address[1])
@@ -252,7 +252,7 @@ def test_taken_port_is_one_sentence():
         TissueServer(MaxwellTissue(), configuration_port=first.configuration_address[1])
 
 
-def test_ports_are_free_after_close():
+def test_close_frees_the_ports():
     with TissueServer(MaxwellTissue(), configuration_port=0) as first:
         ports = first.address[1], first.configuration_address[1]
     with TissueServer(MaxwellTissue(), port=ports[0], configuration_port=ports[1]) as again:
@@ -260,18 +260,18 @@ def test_ports_are_free_after_close():
 
 
 @pytest.mark.parametrize(("options", "expected"), [
-    ({"host": "0.0.0.0"}, "host: 0.0.0.0 can be reached by other machines"),
-    ({"host": "192.168.1.7"}, "can be reached by other machines"),
-    ({"host": "nowhere"}, "host: 'nowhere' is not an address"),
+    ({"host": "0.0.0.0"}, "host: must be a loopback address .* got 0.0.0.0. Other computers can reach"),
+    ({"host": "192.168.1.7"}, "Other computers can reach this address"),
+    ({"host": "nowhere"}, "host: must be an IP address such as 127.0.0.1; got 'nowhere'"),
     ({"host": "203.0.113.9", "expose": True}, "203.0.113.9:0 cannot be used"),
-    ({"port": 65536}, "port: 65536 is not a port"),
-    ({"configuration_port": -1}, "configuration_port: -1 is not a port"),
+    ({"port": 65536}, "^port: must be 1 to 65535, or 0 for a free port; got 65536"),
+    ({"configuration_port": -1}, "configuration_port: must be 1 to 65535, or 0 for a free port; got -1"),
 ])
-def test_bad_address_is_one_sentence(options, expected):
+def test_an_invalid_address_is_refused(options, expected):
     with pytest.raises(InputError, match=expected):
         TissueServer(MaxwellTissue(), **options)
 
 
-def test_another_interface_needs_expose():
+def test_a_public_interface_requires_expose():
     with TissueServer(MaxwellTissue(), host="0.0.0.0", expose=True) as server:
         assert server.address[0] == "0.0.0.0"

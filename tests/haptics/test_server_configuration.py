@@ -1,4 +1,4 @@
-"""The configuration of a tissue server: lines of JSON over TCP, on real sockets, beside the poses."""
+"""Configuration port of a tissue server: lines of JSON over TCP on real sockets."""
 
 import json
 import selectors
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from haptics.server.client import TissueClient
-from haptics.server.connections import IDLE, LONGEST_LINE, MOST_CONNECTIONS, STALLED, ConfigurationPort
+from haptics.server.connections import LIMITS, ConfigurationPort
 from haptics.server.server import TissueServer
 from tissue_sim.errors import InputError
 from tissue_sim.tool_force import ForceStatus, ToolForce
@@ -20,7 +20,7 @@ DESCRIPTION = {"scene": "needle_indentation", "mesh": {"elements": np.int64(80)}
 
 @dataclass
 class Cap:
-    """A flat top of four points."""
+    """Outline of a surface with four points."""
 
     outline: np.ndarray
 
@@ -31,7 +31,7 @@ class Cap:
 
 
 class SettableTissue:
-    """A spring with a set stiffness and a memory of its deepest depth."""
+    """Spring with a settable stiffness, whose force depends on the largest depth so far."""
 
     def __init__(self):
         self.stiffness, self.deepest, self.threads = 1e3, 0.0, set()
@@ -61,7 +61,7 @@ class SettableTissue:
 
 
 class Line:
-    """One connection of the configuration."""
+    """One connection to the configuration port."""
 
     def __init__(self, server):
         self.socket = socket.create_connection(server.configuration_address, timeout=60.0)
@@ -107,7 +107,7 @@ def client(server):
         yield client
 
 
-def test_describe_says_what_is_served(line):
+def test_describe_returns_the_scene(line):
     answer = line.ask("describe")
     assert answer["protocol"] == {"version": 3, "request_bytes": 96, "reply_bytes": 760}
     assert "z out of the tissue" in answer["frame"]
@@ -123,7 +123,7 @@ def test_parameters_are_set_between_steps(line, client):
     assert line.ask("describe")["parameters"] == {"C10": 3000.0}
 
 
-def test_reset_begins_anew(line, client):
+def test_reset_restarts_the_time_step(line, client):
     client.step(0.004, at=5.0)
     assert client.step(0.001, at=6.0).force[2] == 4.0
     assert line.ask("reset") == {"command": "reset"}
@@ -131,7 +131,7 @@ def test_reset_begins_anew(line, client):
     assert reply.force[2] == 1.0 and reply.dt == 0.0
 
 
-def test_states_come_back(line, client):
+def test_saved_states_are_restored(line, client):
     client.step(0.003, at=1.0)
     assert line.ask("save", name="deep")["states"] == ["deep"]
     line.ask("set_parameters", parameters={"C10": 10.0})
@@ -139,14 +139,14 @@ def test_states_come_back(line, client):
     assert line.ask("restore", name="deep")["parameters"] == {"C10": 1e3}
     reply = client.step(0.0, at=3.0)
     assert reply.force[2] == 3.0 and reply.dt == 0.0
-    assert line.ask("restore", name="dep")["error"] == "name: no state 'dep' was saved; did you mean 'deep'?"
+    assert line.ask("restore", name="dep")["error"] == "name: unknown state 'dep'; did you mean 'deep'?"
     for number in range(15):
         line.ask("save", name=str(number))
-    assert "16 states are kept already" in line.ask("save", name="one more")["error"]
-    assert len(line.ask("save", name="deep")["states"]) == 16, "a name can be used again"
+    assert "at most 16 states can be saved" in line.ask("save", name="one more")["error"]
+    assert len(line.ask("save", name="deep")["states"]) == 16, "an existing name may be used again"
 
 
-def test_surface_is_the_outline_and_on_demand_a_mesh(line, client):
+def test_surface_returns_the_outline_and_on_request_a_mesh(line, client):
     client.step(0.005)
     answer = line.ask("surface")
     assert answer == {"command": "surface", "outline": [[0.0, -0.005], [0.01, -0.001], [0.04, 0.0], [0.04, -0.07]]}
@@ -159,7 +159,7 @@ def test_surface_is_the_outline_and_on_demand_a_mesh(line, client):
     assert "segments" in line.ask("surface", segments=10**9)["error"]
 
 
-def test_statistics_count(line, client):
+def test_statistics_returns_the_counters(line, client):
     client.step(0.001)
     answer = line.ask("statistics")
     assert answer["steps"] == answer["converged"] == answer["clients"] == 1 and answer["malformed"] == 0
@@ -169,12 +169,12 @@ def test_statistics_count(line, client):
 
 
 @pytest.mark.parametrize(("content", "expected"), [
-    (b"hello", "not JSON"),
-    (b'{"command": "describe"', "not JSON"),
-    (b"\xff\xfe", "not JSON"),
-    (b"[" * 20000, "not JSON"),
-    (b"[]", "command: is missing; give one of describe, "),
-    (b'{"command": 3}', "command: is missing"),
+    (b"hello", "must be JSON"),
+    (b'{"command": "describe"', "must be JSON"),
+    (b"\xff\xfe", "must be JSON"),
+    (b"[" * 20000, "must be JSON"),
+    (b"[]", "command: must be one of describe, "),
+    (b'{"command": 3}', "; got none"),
     (b'{"command": "descibe"}', "command: unknown command 'descibe'; did you mean 'describe'?"),
     (b'{"command": "surface", "segment": 8}', "segment: unknown key; did you mean 'segments'?"),
     (b'{"command": "reset", "hard": true}', "hard: unknown key"),
@@ -186,18 +186,18 @@ def test_statistics_count(line, client):
     (b'{"command": "set_parameters", "parameters": {"C10": -1}}', "C10: -1 is not positive"),
     (b'{"command": "set_parameters", "parameters": {"C10": 1e999}}', ""),
     (b'{"command": "save", "name": ""}', "name"),
-    (b'{"command": "restore", "name": "x"}', "name: no state 'x' was saved; none was saved"),
-    (b"x" * (LONGEST_LINE + 1), f"a line of more than {LONGEST_LINE} bytes"),
-    (b"x" * 1_000_000, f"a line of more than {LONGEST_LINE} bytes"),
+    (b'{"command": "restore", "name": "x"}', "name: unknown state 'x'; no state was saved"),
+    (b"x" * (LIMITS.longest_line + 1), f"a line must have at most {LIMITS.longest_line} bytes"),
+    (b"x" * 1_000_000, f"a line must have at most {LIMITS.longest_line} bytes"),
 ], ids=lambda content: content[:40] if isinstance(content, bytes) else "")
-def test_bad_line_is_answered_and_the_connection_stays(line, content, expected):
+def test_an_invalid_line_is_answered_and_the_connection_stays_open(line, content, expected):
     line.send(content + b"\n")
     answer = line.answer()
     assert list(answer) == ["error"] and expected in answer["error"] and len(answer["error"]) < 500
     assert line.ask("describe")["parameters"] == {"C10": 1e3}
 
 
-def test_tissue_that_cannot_is_one_sentence():
+def test_a_tissue_without_a_method_gives_an_error():
     class Plain:
         def step(self, pose, dt):
             return ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
@@ -209,14 +209,14 @@ def test_tissue_that_cannot_is_one_sentence():
         thread = threading.Thread(target=server.run)
         thread.start()
         line = Line(server)
-        assert line.ask("surface")["error"].startswith("command: this tissue cannot surface")
-        assert "none to set" in line.ask("set_parameters", parameters={"C10": 1.0})["error"]
+        assert line.ask("surface")["error"].startswith("command: this tissue does not support 'surface'")
+        assert "no parameters to set" in line.ask("set_parameters", parameters={"C10": 1.0})["error"]
         line.close()
         server.stop()
         thread.join(300.0)
 
 
-def test_lines_may_come_in_pieces_and_in_heaps(line):
+def test_lines_may_arrive_in_pieces_or_together(line):
     for piece in (b'{"comm', b'and": "statis', b'tics"}\r\n\n  \n{"command": "reset"}\n{"command": "describe"}\n{"com'):
         line.send(piece)
     assert [line.answer()["command"] for _ in range(3)] == ["statistics", "reset", "describe"]
@@ -232,10 +232,10 @@ def test_web_page_is_shown_the_door_before_its_body(server, line, client):
 
 
 def test_client_that_does_not_read_stops_nobody(server, line, client):
-    """Hundreds of answers that nobody takes, and steps go on."""
+    """200 unread answers do not delay the steps."""
     line.socket.setblocking(False)
-    asked = b'{"command": "surface", "segments": 256}\n' * 200
-    line.socket.send(asked)
+    request = b'{"command": "surface", "segments": 256}\n' * 200
+    line.socket.send(request)
     for _ in range(200):
         assert client.step(0.001).status == 0
     other = Line(server)
@@ -243,17 +243,17 @@ def test_client_that_does_not_read_stops_nobody(server, line, client):
     other.close()
 
 
-def test_client_that_leaves_in_the_middle_of_an_answer_harms_nobody(server, client):
+def test_a_client_that_disconnects_during_an_answer_does_not_disturb_others(server, client):
     for _ in range(20):
-        one = Line(server)
-        one.send(b'{"command": "surface", "segments": 256}\n' * 3)
-        one.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
-        one.close()
+        connection = Line(server)
+        connection.send(b'{"command": "surface", "segments": 256}\n' * 3)
+        connection.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+        connection.close()
     for _ in range(50):
         assert client.step(0.001).status == 0
 
 
-def test_one_thread_touches_the_tissue(server, line, client):
+def test_only_the_thread_of_the_server_uses_the_tissue(server, line, client):
     for _ in range(5):
         client.step(0.001)
         line.ask("reset")
@@ -261,7 +261,7 @@ def test_one_thread_touches_the_tissue(server, line, client):
 
 
 class Port:
-    """A `ConfigurationPort` that the test drives by hand, on a clock of its own."""
+    """`ConfigurationPort` that the test works by hand, with a simulated clock."""
 
     def __init__(self):
         self.selector, self.now = selectors.DefaultSelector(), 0.0
@@ -297,23 +297,23 @@ def port():
     port.selector.close()
 
 
-def test_dead_connections_are_closed(port):
-    begun, quiet = port.connect(), port.connect()
-    begun.sendall(b"half a li")
+def test_stalled_and_idle_connections_are_closed(port):
+    unfinished, idle = port.connect(), port.connect()
+    unfinished.sendall(b"half a li")
     port.turn()
-    port.port.close_stalled(STALLED)
-    assert not port.closed(begun) and not port.closed(quiet)
-    port.port.close_stalled(STALLED + 0.1)
-    assert port.closed(begun) and not port.closed(quiet)
-    port.port.close_stalled(IDLE + 0.1)
-    assert port.closed(quiet)
-    begun.close()
-    quiet.close()
+    port.port.close_stalled(LIMITS.stalled)
+    assert not port.closed(unfinished) and not port.closed(idle)
+    port.port.close_stalled(LIMITS.stalled + 0.1)
+    assert port.closed(unfinished) and not port.closed(idle)
+    port.port.close_stalled(LIMITS.idle + 0.1)
+    assert port.closed(idle)
+    unfinished.close()
+    idle.close()
 
 
-def test_longest_idle_connection_makes_room(port):
+def test_a_new_connection_replaces_the_one_idle_for_longest(port):
     peers = []
-    for number in range(MOST_CONNECTIONS):
+    for number in range(LIMITS.most_connections):
         port.now = float(number)
         peers.append(port.connect())
     port.now = 20.0
@@ -321,7 +321,7 @@ def test_longest_idle_connection_makes_room(port):
     port.turn()
     assert peers[0].recv(10) == b"ALIVE\n"
     peers.append(port.connect())
-    assert port.closed(peers[1]) and not any(port.closed(peers[k]) for k in (0, 2, MOST_CONNECTIONS))
+    assert port.closed(peers[1]) and not any(port.closed(peers[k]) for k in (0, 2, LIMITS.most_connections))
     for peer in peers:
         peer.close()
 
@@ -332,7 +332,7 @@ def test_a_command_that_fails_costs_no_server(server, line, client, capfd):
 
     server._service.tissue.set_parameters = fail
     answer = line.ask("set_parameters", parameters={"C10": 2e3})
-    assert answer == {"error": "the command failed (ZeroDivisionError); the server's log says why"}
+    assert answer == {"error": "the command failed (ZeroDivisionError); see the log of the server for the reason"}
     assert "a command failed (ZeroDivisionError: in the tissue)" in capfd.readouterr().err
     assert line.ask("describe")["parameters"] == {"C10": 1e3} and client.step(0.001).status == 0
 
@@ -340,5 +340,5 @@ def test_a_command_that_fails_costs_no_server(server, line, client, capfd):
 @pytest.mark.parametrize("noise", [b'{"command": "\xed\xa0\x80"}', b'"\xfe"', b'{"\xff": 1}', b"\xff\xfe", b"{" * 3000])
 def test_bytes_that_are_no_text_are_answered(line, client, noise):
     line.send(noise + b"\n")
-    assert "not JSON" in line.answer()["error"]
+    assert "must be JSON" in line.answer()["error"]
     assert line.ask("describe")["scene"] == "needle_indentation"

@@ -1,4 +1,4 @@
-"""Who owns the tissue, which packets make a step and with which time step: without sockets, on a clock of the test."""
+"""`StepService`: ownership, steps and time steps, without sockets and with a simulated clock."""
 
 import math
 from itertools import count
@@ -17,8 +17,8 @@ from tissue_sim.tool_force import ForceStatus, ToolForce
 A, B = ("127.0.0.1", 5001), ("127.0.0.1", 5002)
 
 
-class NotedTissue:
-    """1 N/mm; notes what it is asked."""
+class RecordingTissue:
+    """Spring of 1 N/mm that records its steps and resets."""
 
     def __init__(self):
         self.steps, self.resets = [], 0
@@ -34,7 +34,7 @@ class NotedTissue:
 
 @pytest.fixture
 def service():
-    return StepService(NotedTissue(), silence=1.0, log=[].append)
+    return StepService(RecordingTissue(), silence=1.0, log=[].append)
 
 
 def packet(sequence, time=None, depth=0.001, **changes):
@@ -43,19 +43,19 @@ def packet(sequence, time=None, depth=0.001, **changes):
 
 
 def ask(service, *packets, address=A, now=0.0):
-    """Reply to the last of these packets, all there before the step."""
-    at_once = None
-    for one in packets:
-        at_once = service.take(one, address, now)
+    """Send packets, make one step, and return the reply to the last packet."""
+    immediate = None
+    for each in packets:
+        immediate = service.receive(each, address, now)
     answer = service.step(now)
     if answer is None:
-        return None if at_once is None else decode_reply(at_once)
+        return None if immediate is None else decode_reply(immediate)
     assert answer[1] == address
-    service.answered(now)
+    service.restart_silence(now)
     return decode_reply(answer[0])
 
 
-def test_reply_carries_the_answer_of_the_tissue(service):
+def test_the_reply_contains_the_answer_of_the_tissue(service):
     reply = ask(service, packet(17, depth=0.002))
     assert (reply.status, reply.sequence, reply.time) == (Status.CONVERGED, 17, 0.017)
     assert reply.force == (0.0, 0.0, 2.0) and reply.torque == (0.0, 0.0, 0.0)
@@ -63,32 +63,32 @@ def test_reply_carries_the_answer_of_the_tissue(service):
     assert (reply.iterations, reply.residual, reply.flags, reply.compute_time) == (2, 1e-7, 1, 3e-4)
 
 
-def test_time_step_is_the_difference_of_the_clients_times(service):
+def test_the_time_step_is_the_difference_of_the_request_times(service):
     replies = [ask(service, packet(k, time)) for k, time in enumerate((10.0, 10.5, 10.5, 12.0))]
     assert [reply.dt for reply in replies] == [0.0, 0.5, 0.0, 1.5]
     assert [dt for _, dt in service.tissue.steps] == [0.0, 0.5, 0.0, 1.5]
 
 
-def test_newest_pose_is_stepped_and_the_time_step_covers_the_skipped(service):
+def test_only_the_newest_pose_is_stepped_with_the_whole_time_step(service):
     ask(service, packet(0, 0.0))
     reply = ask(service, packet(1, 0.1), packet(2, 0.2), packet(3, 0.3, depth=0.004))
     assert reply.sequence == 3 and reply.skipped == 2
     assert service.tissue.steps[1:] == [(0.004, 0.3)]
 
 
-def test_packet_that_is_not_newer_is_dropped_and_counted(service):
+def test_an_older_request_is_dropped_and_counted(service):
     ask(service, packet(5))
     assert ask(service, packet(5)) is None and ask(service, packet(4)) is None
     assert ask(service, packet(6)).stale == 2
-    # Late by the network, in one heap with the newest.
+    # A late packet that arrives together with the newest.
     assert ask(service, packet(9), packet(8)).sequence == 9
     assert service.counters.stale == 3 and len(service.tissue.steps) == 3
 
 
-def test_what_is_no_request_is_dropped_and_counted(service):
+def test_malformed_packets_are_dropped_and_counted(service):
     for noise in (b"", b"hello", packet(1)[:-1], packet(1) + b"\0", bytes(88)):
         assert ask(service, noise) is None
-    assert service.owner is None, "noise must not take the tissue"
+    assert service.owner is None, "noise must not become the owner"
     assert ask(service, packet(1)).malformed == 5
 
 
@@ -98,16 +98,16 @@ def test_what_is_no_request_is_dropped_and_counted(service):
     {"time": math.inf}, {"time": -0.001}, {"time": 1e300}, {"time": 1e6},
     {"position": (0.0, 0.0, 1e300)}, {"position": (0.0, 0.0, -1e300)}, {"position": (0.0, 11.0, -0.003)},
 ], ids=str)
-def test_refused_pose_keeps_the_state_and_the_last_force(service, changes):
+def test_a_refused_pose_keeps_the_state_and_the_last_force(service, changes):
     ask(service, packet(0, 0.0, depth=0.003))
     reply = ask(service, packet(1, **{"time": 0.1, **changes}))
     assert reply.status == Status.REFUSED and reply.force == (0.0, 0.0, 3.0) and reply.iterations == 0
     assert service.tissue.steps == [(0.003, 0.0)]
-    # The next good one goes on from the last good one.
+    # The next valid request continues from the last valid request.
     assert ask(service, packet(2, 0.25)).dt == 0.25
 
 
-def test_refusal_of_the_tissue_is_passed_on_and_moves_no_time(service):
+def test_a_refusal_by_the_tissue_does_not_advance_time(service):
     ask(service, packet(0, 0.0))
     step, service.tissue.step = service.tissue.step, lambda pose, dt: ToolForce.axial(1.0, 2.0, ForceStatus.REFUSED)
     assert ask(service, packet(1, 0.1)).status == Status.REFUSED
@@ -122,9 +122,9 @@ def test_refusal_of_the_tissue_is_passed_on_and_moves_no_time(service):
     assert service.counters.refused == 2 and service.counters.steps == 4
 
 
-def test_reset_flag_resets_before_the_step_and_is_not_skipped(service):
+def test_the_reset_flag_resets_before_the_step_and_is_never_skipped(service):
     ask(service, packet(0, 5.0))
-    # Time may go back where the tissue starts anew.
+    # After a reset the time may be smaller.
     reply = ask(service, packet(1, 0.0, flags=RequestFlags.RESET))
     assert service.tissue.resets == 1 and reply.dt == 0.0 and reply.status == Status.CONVERGED
     reply = ask(service, packet(2, 0.1, flags=RequestFlags.RESET), packet(3, 0.2))
@@ -133,7 +133,7 @@ def test_reset_flag_resets_before_the_step_and_is_not_skipped(service):
     assert service.tissue.resets == 2 and reply.status == Status.REFUSED
 
 
-def test_reset_holds_where_the_step_after_it_is_refused(service):
+def test_a_reset_applies_even_if_its_step_is_refused(service):
     ask(service, packet(0, 5.0, depth=0.003))
     step, service.tissue.step = service.tissue.step, lambda pose, dt: ToolForce.axial(1.0, 2.0, ForceStatus.REFUSED)
     ask(service, packet(1, 6.0, flags=RequestFlags.RESET))
@@ -142,12 +142,17 @@ def test_reset_holds_where_the_step_after_it_is_refused(service):
     assert ask(service, packet(3, 7.0)).dt == 0.0
 
 
-def test_first_of_two_in_one_heap_owns_the_tissue(service):
-    assert service.take(packet(0), A, 0.0) is None
-    assert decode_reply(service.take(packet(0), B, 0.0)).status == Status.BUSY
+def test_the_old_name_take_warns(service):
+    with pytest.warns(DeprecationWarning, match="renamed to receive"):
+        assert service.take(packet(0), A, 0.0) is None
 
 
-def test_first_to_speak_owns_the_tissue(service):
+def test_the_first_of_two_waiting_clients_owns_the_tissue(service):
+    assert service.receive(packet(0), A, 0.0) is None
+    assert decode_reply(service.receive(packet(0), B, 0.0)).status == Status.BUSY
+
+
+def test_the_first_client_owns_the_tissue(service):
     ask(service, packet(0), address=A, now=0.0)
     reply = ask(service, packet(900, 7.0), address=B, now=0.5)
     assert (reply.status, reply.sequence, reply.time, reply.turned_away) == (Status.BUSY, 900, 7.0, 1)
@@ -156,34 +161,34 @@ def test_first_to_speak_owns_the_tissue(service):
     assert service.owner == A and ask(service, packet(1), address=A, now=0.6).turned_away == 2
 
 
-def test_silent_owner_loses_the_tissue_to_another(service):
+def test_a_silent_owner_loses_the_tissue_to_another_client(service):
     ask(service, packet(50, 8.0), address=A, now=0.0)
     assert ask(service, packet(0, 3.0), address=B, now=1.01).dt == 0.0
     assert service.owner == B and service.counters.clients == 2
     assert ask(service, packet(51, 9.0), address=A, now=1.02).status == Status.BUSY
 
 
-def test_silence_begins_with_the_reply_not_with_the_packet(service):
-    service.take(packet(0), A, 0.0)
+def test_the_silence_starts_with_the_reply(service):
+    service.receive(packet(0), A, 0.0)
     service.step(0.0)
-    service.answered(5.0)  # a long step
+    service.restart_silence(5.0)  # a long step
     assert ask(service, packet(0), address=B, now=5.9).status == Status.BUSY
 
 
-def test_stale_packets_do_not_hold_the_tissue(service):
+def test_stale_packets_do_not_extend_the_ownership(service):
     ask(service, packet(9), address=A, now=0.0)
-    service.take(packet(9), A, 0.9)
+    service.receive(packet(9), A, 0.9)
     assert ask(service, packet(0), address=B, now=1.1).status == Status.CONVERGED
 
 
-def test_silent_owner_goes_on_or_counts_anew(service):
+def test_a_silent_owner_continues_or_restarts_its_sequence(service):
     ask(service, packet(5, 1.0), now=0.0)
-    assert ask(service, packet(6, 4.0), now=3.0).dt == 3.0, "a pause is time that passes"
-    assert ask(service, packet(0, 0.0), now=6.0).dt == 0.0, "a program that was started again"
+    assert ask(service, packet(6, 4.0), now=3.0).dt == 3.0, "the time of a pause counts"
+    assert ask(service, packet(0, 0.0), now=6.0).dt == 0.0, "a restarted program"
     assert service.counters.clients == 2
 
 
-def test_goodbye_frees_the_tissue_at_once(service):
+def test_a_goodbye_releases_the_tissue_at_once(service):
     ask(service, packet(0), address=A)
     reply = ask(service, packet(1), packet(2, kind=Kind.GOODBYE), address=A)
     assert (reply.status, reply.sequence) == (Status.RELEASED, 2)
@@ -191,10 +196,10 @@ def test_goodbye_frees_the_tissue_at_once(service):
     assert ask(service, packet(0), address=B).status == Status.CONVERGED
 
 
-def test_other_version_is_answered_with_ours(service):
-    strange = bytearray(packet(77, 1.5))
-    strange[4:6] = b"\x04\x00"
-    reply = ask(service, bytes(strange) + b"more of version 4")
+def test_another_version_is_answered_with_the_version_of_the_server(service):
+    other_version = bytearray(packet(77, 1.5))
+    other_version[4:6] = b"\x04\x00"
+    reply = ask(service, bytes(other_version) + b"more of version 4")
     assert (reply.status, reply.sequence, reply.time) == (Status.OTHER_VERSION, 77, 1.5)
     assert service.owner is None and service.counters.other_version == 1 and reply.version == VERSION
 
@@ -217,29 +222,29 @@ def test_statuses_are_counted(service):
 
 
 class TestSceneLimits:
-    def test_deeper_than_the_specimen_is_refused(self):
-        service = StepService(NotedTissue(), limits=SceneLimits(deepest=0.07))
+    def test_a_depth_beyond_the_limit_is_refused(self):
+        service = StepService(RecordingTissue(), limits=SceneLimits(deepest=0.07))
         assert ask(service, packet(0, 0.0, depth=0.05)).status == Status.CONVERGED
         for number, depth in enumerate((0.071, 0.1, 1e3, 1e300, 1.7e308), start=1):
             assert ask(service, packet(number, 0.1, depth=depth)).status == Status.REFUSED
         assert service.tissue.steps == [(0.05, 0.0)]
 
-    def test_who_jumps_in_the_tissue_is_heard_again_when_the_time_has_passed(self, service):
+    def test_a_jump_is_refused_until_the_time_step_allows_it(self, service):
         ask(service, packet(0, 0.0, depth=0.0))
         replies = [ask(service, packet(k, 1e-3 * k, depth=0.45)) for k in range(1, 8)]
         assert [reply.status for reply in replies[:4]] == [Status.REFUSED] * 4
         assert replies[-1].status == Status.CONVERGED and max(reply.dt for reply in replies) == 5e-3
 
-    def test_above_the_tissue_a_tool_may_be_anywhere_at_once(self, service):
+    def test_above_the_tissue_jumps_are_allowed(self, service):
         heights = [-0.2, -5.0, -0.001, 0.001]
         assert [ask(service, packet(k, depth=depth)).status for k, depth in enumerate(heights)] == [0, 0, 0, 0]
 
-    def test_a_step_of_no_time_is_a_sudden_one(self, service):
+    def test_a_zero_time_step_has_no_speed_limit(self, service):
         ask(service, packet(0, 1.0, depth=0.0))
         assert ask(service, packet(1, 1.0, depth=0.02)).status == Status.CONVERGED
 
     def test_no_reply_has_more_than_the_largest_force(self):
-        service = StepService(NotedTissue(), limits=SceneLimits(force=2.5))
+        service = StepService(RecordingTissue(), limits=SceneLimits(force=2.5))
         reply = ask(service, packet(0, depth=0.002))
         assert (reply.force[2], reply.flags, service.counters.limited) == (2.0, 1, 0)
         reply = ask(service, packet(1, depth=0.009))
@@ -247,7 +252,7 @@ class TestSceneLimits:
         assert not any(map(any, reply.stiffness)) and not any(map(any, reply.step_stiffness))
 
     @pytest.mark.parametrize("bad", [{"deepest": 0.0}, {"force": -1.0}, {"speed": math.nan}])
-    def test_a_limit_that_is_none_is_refused(self, bad):
+    def test_an_invalid_limit_is_refused(self, bad):
         with pytest.raises(InputError, match=f"^{next(iter(bad))}: must be positive"):
             SceneLimits(**bad)
 
@@ -255,8 +260,8 @@ class TestSceneLimits:
 class TestFailure:
     @pytest.fixture
     def failing(self):
-        """A service whose tissue fails below 3 mm, and what it logs; a tissue that is built anew is another one."""
-        class Brittle(NotedTissue):
+        """Service whose tissue fails below 3 mm and is replaced by a new one, and the list of its log lines."""
+        class Brittle(RecordingTissue):
             def step(self, pose, dt):
                 if pose.depth > 0.003:
                     raise OverflowError("cannot convert float infinity\nto integer")
@@ -277,47 +282,48 @@ class TestFailure:
         assert ask(service, packet(2, 0.2, depth=0.001)).status == Status.CONVERGED
         assert service.tissue.steps == [(0.001, 0.0)] and service.counters.failed == 1
 
-    def test_a_force_that_is_no_number_is_a_failure(self, service):
+    def test_a_force_that_is_not_finite_is_a_failure(self, service):
         service.tissue.step = lambda pose, dt: ToolForce.axial(math.nan, 1.0, ForceStatus.CONVERGED)
         assert ask(service, packet(0)).status == Status.FAILED and service.tissue.resets == 1
 
-    def test_what_cannot_be_built_anew_is_tried_again(self):
+    def test_a_failed_rebuild_is_repeated(self):
         made, log = [], []
 
         def rebuild():
-            made.append(NotedTissue())
+            made.append(RecordingTissue())
             if len(made) == 1:
                 raise MemoryError("not now")
             return made[-1]
 
-        service = StepService(NotedTissue(), rebuild=rebuild, log=log.append)
+        service = StepService(RecordingTissue(), rebuild=rebuild, log=log.append)
 
         def fail(pose, dt):
             raise ZeroDivisionError
 
         service.tissue.step = fail
-        assert ask(service, packet(0, 0.0)).status == Status.FAILED and "cannot be built anew yet" in log[1]
+        assert ask(service, packet(0, 0.0)).status == Status.FAILED
+        assert "could not be rebuilt; the next step tries again" in log[1]
         assert ask(service, packet(1, 0.1)).status == Status.CONVERGED and service.tissue is made[1]
 
 
 class TestRelease:
     @pytest.fixture
     def service(self):
-        return StepService(NotedTissue(), release=ForceRelease())
+        return StepService(RecordingTissue(), release=ForceRelease())
 
     def drive(self, service, depths, start=0, status=ForceStatus.CONVERGED):
-        """Replies at 1 kHz."""
+        """Step through depths at 1 kHz, and return the replies."""
         service.tissue.step = lambda pose, dt: ToolForce.axial(1e3 * pose.depth, 1e3, status)
         return [ask(service, packet(start + k, depth=depth), now=1e-3 * (start + k)) for k, depth in enumerate(depths)]
 
-    def test_from_the_air_forces_are_those_of_the_tissue(self, service):
+    def test_a_client_that_starts_in_the_air_gets_the_forces_of_the_tissue(self, service):
         replies = self.drive(service, [1e-5 * k for k in range(100)])
         assert [reply.status for reply in replies] == [Status.CONVERGED] * 100
         assert [reply.force[2] for reply in replies] == [1e3 * (1e-5 * k) for k in range(100)]
 
-    def test_who_begins_inside_begins_without_a_force(self, service):
-        for first in (0, 1000):  # the second time after a reset from elsewhere
-            service.begin_anew()
+    def test_a_client_that_starts_inside_starts_without_force(self, service):
+        for first in (0, 1000):  # the second time after a reset by a command
+            service.discard_last_step()
             replies = self.drive(service, [0.003] * 100, start=first)
             assert (replies[0].status, replies[0].force[2]) == (Status.RETURNING, 0.0)
             assert replies[-1].status == Status.CONVERGED and replies[-1].force[2] == 3.0
@@ -332,7 +338,7 @@ class TestRelease:
         assert back[0].status == Status.RETURNING and back[0].force[2] < 0.01
         assert back[-1].status == Status.CONVERGED and back[-1].force[2] == 2.0
 
-    def test_a_client_that_only_sends_refused_poses_is_let_go_too(self, service):
+    def test_the_force_of_refused_poses_fades(self, service):
         self.drive(service, [0.0, 0.003])
         replies = [ask(service, packet(2 + k, math.nan), now=1e-3 * (2 + k)) for k in range(200)]
         assert {reply.status for reply in replies} == {Status.REFUSED}
@@ -340,44 +346,44 @@ class TestRelease:
 
 
 class TestSession:
-    def test_the_number_is_echoed_and_followed_to_another_port(self, service):
+    def test_the_session_number_identifies_a_client_on_another_port(self, service):
         assert ask(service, packet(0, session=77), address=A).session == 77
         assert ask(service, packet(1, session=78), address=A).status == Status.BUSY
         assert ask(service, packet(2, session=77), address=B).status == Status.CONVERGED
         assert service.owner == B and service.counters.clients == 1
 
     def test_a_stated_number_is_the_only_one_that_is_heard(self):
-        service = StepService(NotedTissue(), session=7)
+        service = StepService(RecordingTissue(), session=7)
         assert ask(service, packet(0)).status == ask(service, packet(0, session=8)).status == Status.BUSY
         assert service.owner is None and ask(service, packet(0, session=7)).status == Status.CONVERGED
         assert ask(service, packet(1, kind=Kind.GOODBYE, session=8)).status == Status.BUSY and service.owner == A
 
 
-@given(st.lists(st.tuples(st.sampled_from(["step", "take A", "take B", "noise", "wait", "bye"]), st.integers(0, 30))))
-def test_every_packet_is_counted_once(events):
-    """Taken packets are stepped, skipped, stale, turned away, malformed or goodbyes."""
-    service, now, taken, goodbyes = StepService(NotedTissue(), silence=1.0), 0.0, 0, 0
-    for what, sequence in events:
-        if what == "step":
+@given(st.lists(st.tuples(st.sampled_from(["step", "from A", "from B", "noise", "wait", "bye"]), st.integers(0, 30))))
+def test_each_packet_is_counted_once(events):
+    """Each received packet is stepped, skipped, stale, turned away, malformed or a goodbye."""
+    service, now, received, goodbyes = StepService(RecordingTissue(), silence=1.0), 0.0, 0, 0
+    for event, sequence in events:
+        if event == "step":
             service.step(now)
-            service.answered(now)
-        elif what == "wait":
+            service.restart_silence(now)
+        elif event == "wait":
             now += sequence / 10
         else:
-            one = {"noise": b"noise", "bye": packet(sequence, kind=Kind.GOODBYE)}.get(what, packet(sequence, 0.0))
-            at_once = service.take(one, B if what == "take B" else A, now)
-            taken += 1
-            goodbyes += at_once is not None and decode_reply(at_once).status == Status.RELEASED
+            one = {"noise": b"noise", "bye": packet(sequence, kind=Kind.GOODBYE)}.get(event, packet(sequence, 0.0))
+            immediate = service.receive(one, B if event == "from B" else A, now)
+            received += 1
+            goodbyes += immediate is not None and decode_reply(immediate).status == Status.RELEASED
     service.step(now)
     counters = service.counters
     assert counters.steps == len(service.tissue.steps)
-    assert taken == (counters.steps + counters.skipped + counters.stale + counters.turned_away + counters.malformed
+    assert received == (counters.steps + counters.skipped + counters.stale + counters.turned_away + counters.malformed
                      + goodbyes)
 
 
 @given(st.lists(st.integers(0, 2**64 - 1), min_size=1, max_size=30))
-def test_answered_sequences_grow(sequences):
-    service, answered, clock = StepService(NotedTissue(), silence=math.inf), [], count()
+def test_answered_sequence_numbers_increase(sequences):
+    service, answered, clock = StepService(RecordingTissue(), silence=math.inf), [], count()
     for sequence in sequences:
         reply = ask(service, packet(sequence, float(next(clock))))
         answered += [] if reply is None else [reply.sequence]

@@ -1,4 +1,4 @@
-"""A lost pose takes the force away smoothly, and gives it back so."""
+"""`Watchdog`: the gain of the force fades when the pose is lost, and returns with the pose."""
 
 import math
 
@@ -14,10 +14,10 @@ DT = 1e-3
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(1, 200)), max_size=20), st.floats(0.002, 0.1),
        st.floats(0.005, 0.3))
-def test_gain_never_jumps_and_ends_where_it_must(stretches, timeout, ramp):
-    """Stretches of ticks with and without a pose, in any order."""
+def test_gain_is_continuous_and_reaches_zero_and_one(intervals, timeout, ramp):
+    """Any sequence of intervals with and without a pose."""
     watchdog, last = Watchdog(timeout, ramp), 1.0
-    for seen, ticks in stretches:
+    for seen, ticks in intervals:
         for _ in range(ticks):
             gain = watchdog.step(seen, DT)
             assert 0.0 <= gain <= 1.0
@@ -46,15 +46,15 @@ def test_fifty_milliseconds():
     assert gains[67] > 0.0 and gains[69] == 0.0
 
 
-def test_states_tell_the_story():
-    watchdog, told = Watchdog(timeout=0.050, ramp=0.020), []
+def test_states_follow_the_poses():
+    watchdog, states = Watchdog(timeout=0.050, ramp=0.020), []
     for seen, ticks in ((True, 10), (False, 40), (True, 10), (False, 40), (True, 1), (False, 100), (True, 50)):
         for _ in range(ticks):
             watchdog.step(seen, DT)
-            if not told or told[-1] is not watchdog.state:
-                told.append(watchdog.state)
+            if not states or states[-1] is not watchdog.state:
+                states.append(watchdog.state)
     state = WatchdogState
-    assert told == [*[state.TRACKING, state.MISSING] * 3, state.FADING, state.LOST, state.RETURNING, state.TRACKING]
+    assert states == [*[state.TRACKING, state.MISSING] * 3, state.FADING, state.LOST, state.RETURNING, state.TRACKING]
     assert state.LOST.value == "the pose is lost: no force"
     watchdog.step(False, DT)
     watchdog.reset()
@@ -62,6 +62,6 @@ def test_states_tell_the_story():
 
 
 @pytest.mark.parametrize("settings", [{"timeout": 0.0}, {"ramp": -1.0}, {"timeout": math.nan}, {"ramp": math.inf}])
-def test_times_that_are_none_are_refused(settings):
+def test_invalid_times_are_refused(settings):
     with pytest.raises(InputError, match=next(iter(settings))):
         Watchdog(**settings)

@@ -1,4 +1,4 @@
-"""The wire protocol: bytes that stand in docs/wire_protocol.md, and every packet back from its bytes."""
+"""Wire protocol: bytes as documented in docs/wire_protocol.md, and encoding followed by decoding."""
 
 import math
 import re
@@ -39,7 +39,7 @@ OLD = (U16, U64, REAL, U64, VECTOR, VECTOR, MATRIX, MATRIX, REAL, REAL, REAL, RE
 REPLIES = (st.builds(Reply, *OLD, *map(st.just, (2, 0.0, None, 0.0, 0.0)))
            | st.builds(Reply, *OLD, st.just(3), REAL, st.none() | REAL, REAL, REAL))
 
-#: Written by hand from the table of the page: IEEE 754 of 1, 2, 0.5, -0.25 ... with the low byte first.
+#: Written by hand from the table of the page: IEEE 754 numbers 1, 2, 0.5, -0.25 ..., little-endian.
 ZERO, ONE, TWO, HALF = bytes(8), bytes.fromhex("000000000000f03f"), bytes.fromhex("0000000000000040"), \
     bytes.fromhex("000000000000e03f")
 MINUS_QUARTER = bytes.fromhex("000000000000d0bf")
@@ -50,7 +50,7 @@ GOLDEN_REQUEST = GOLDEN_REQUESTS[3]
 
 
 @pytest.mark.parametrize("version", [2, 3])
-def test_request_has_its_golden_bytes(version):
+def test_a_request_has_the_documented_bytes(version):
     request = Request(0x0102030405060708, 0.5, (1.0, 2.0, -0.25), session=0x8877665544332211,
                       flags=RequestFlags.RESET, version=version)
     assert encode_request(request) == GOLDEN_REQUESTS[version]
@@ -58,12 +58,12 @@ def test_request_has_its_golden_bytes(version):
     assert len(GOLDEN_REQUEST) == REQUEST_SIZE == 96
 
 
-def test_goodbye_is_a_kind():
+def test_a_goodbye_has_its_own_kind():
     assert encode_request(Request(0, 0.0, kind=Kind.GOODBYE))[6:8] == b"\x02\x00"
 
 
 @pytest.mark.parametrize("version", [2, 3])
-def test_reply_has_its_golden_bytes(version):
+def test_a_reply_has_the_documented_bytes(version):
     stiffness = [[0.0] * 6 for _ in range(6)]
     stiffness[2][2], stiffness[5][0] = 2.0, 1.0
     within = [[0.0] * 6 for _ in range(6)]
@@ -88,7 +88,7 @@ def test_reply_has_its_golden_bytes(version):
     assert len(golden) == REPLY_SIZES[version] == {2: 728, 3: 760}[version]
 
 
-def test_an_unknown_error_is_nan_on_the_wire_and_flags_say_what_is_off():
+def test_an_unknown_error_is_encoded_as_nan_and_flags_are_encoded():
     unknown = Reply(Status.CONVERGED, 1, 0.0, flags=ReplyFlags.STALE_STIFFNESS | ReplyFlags.OFF_AXIS)
     packet = encode_reply(unknown)
     assert math.isnan(struct.unpack_from("<d", packet, 736)[0]) and packet[692] == 0b1100
@@ -106,30 +106,30 @@ def test_a_reply_of_the_size_of_the_other_version_is_refused(version):
 
 
 @given(REQUESTS)
-def test_every_request_comes_back(request):
+def test_each_request_is_decoded_unchanged(request):
     assert decode_request(encode_request(request)) == request
 
 
 @given(REPLIES)
-def test_every_reply_comes_back(reply):
+def test_each_reply_is_decoded_unchanged(reply):
     packet = encode_reply(reply)
     assert len(packet) == REPLY_SIZES[reply.version] and decode_reply(packet) == reply
 
 
-def test_nan_passes_the_wire():
+def test_nan_is_decoded_unchanged():
     request = decode_request(encode_request(Request(1, float("nan"), (float("inf"), 0.0, float("nan")))))
     assert request.time != request.time and request.position[0] == float("inf")
 
 
 @given(st.binary(max_size=600))
-def test_noise_is_no_packet(noise):
+def test_noise_is_refused(noise):
     for decode in (decode_request, decode_reply):
         with pytest.raises(WireError):
             decode(noise)
 
 
 @given(st.binary(min_size=64, max_size=120))
-def test_noise_behind_a_good_head_is_a_request_of_that_size_or_none(noise):
+def test_noise_after_a_valid_head_is_refused_unless_it_has_the_right_size(noise):
     packet = GOLDEN_REQUEST[:24] + noise
     if len(packet) == REQUEST_SIZE and noise[-8:] in (bytes(8), b"\x01" + bytes(7)):
         assert decode_request(packet).sequence == 0x0102030405060708
@@ -141,7 +141,7 @@ def test_noise_behind_a_good_head_is_a_request_of_that_size_or_none(noise):
 @pytest.mark.parametrize(("at", "value"), [(0, b"TSRP"), (4, b"\x04\x00"), (6, b"\x03\x00"), (6, b"\x00\x00"),
                                            (88, b"\x02\x00\x00\x00"),
                                            (92, b"\x01\x00\x00\x00")])
-def test_a_wrong_field_is_refused(at, value):
+def test_an_invalid_field_is_refused(at, value):
     packet = bytearray(GOLDEN_REQUEST)
     packet[at:at + len(value)] = value
     with pytest.raises(WireError):
@@ -149,7 +149,7 @@ def test_a_wrong_field_is_refused(at, value):
 
 
 @given(st.integers(0, 2**16 - 1).filter(lambda version: version not in VERSIONS), U64, REAL, st.binary(max_size=200))
-def test_head_of_another_version_is_read_whatever_follows(version, sequence, time, rest):
+def test_the_head_of_another_version_is_decoded(version, sequence, time, rest):
     for magic, decode in ((b"TSRQ", decode_request), (b"TSRP", decode_reply)):
         with pytest.raises(OtherVersionError) as caught:
             decode(struct.pack("<4sHHQd", magic, version, 9, sequence, time) + rest)
@@ -163,8 +163,8 @@ def test_statuses_of_a_step_are_those_of_the_tissue():
         assert status.message and (status >= 100 or status in list(ForceStatus))
 
 
-def test_page_has_the_layout(root):
-    """The tables of docs/wire_protocol.md: offsets follow from the sizes, and end at the size of the packet."""
+def test_the_documentation_has_the_layout_of_the_packets(root):
+    """In the tables of docs/wire_protocol.md, offsets follow from the sizes and end at the size of the packet."""
     size = {"char": 1, "uint16": 2, "uint32": 4, "uint64": 8, "float64": 8}
     text = (root / "docs" / "wire_protocol.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (\d+) \| (\w+)(?: x (\d+))? \| (\w+) \|", text, re.MULTILINE)
@@ -179,7 +179,7 @@ def test_page_has_the_layout(root):
         assert set(kind._fields) <= {name for *_, name in table}
 
 
-def test_c_header_has_the_same_numbers(root):
+def test_the_c_header_has_the_same_numbers(root):
     header = (root / "docs" / "client" / "tissue_sim_client.h").read_text(encoding="utf-8")
     defined = {name: int(value) for name, value in re.findall(r"TISSUE_SIM_(\w+)(?: =)? (\d+)", header)}
     assert (defined["VERSION"], defined["REQUEST_SIZE"], defined["REPLY_SIZE"]) == (VERSION, REQUEST_SIZE, REPLY_SIZE)

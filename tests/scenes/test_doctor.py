@@ -1,4 +1,4 @@
-"""`tissue-sim doctor`: what it measures, and that it notices what is wrong."""
+"""`tissue-sim doctor`: its measurements, and the detection of each problem."""
 
 import importlib.metadata
 import json
@@ -25,7 +25,7 @@ def test_json(capsys):
     assert all(check["remedy"] for check in checks.values() if check["status"] != "ok")
 
 
-def test_one_line_a_check_for_people(capsys):
+def test_the_text_output_has_one_line_per_check(capsys):
     main(["doctor", "--clock-seconds", SECONDS])
     lines = capsys.readouterr().out.splitlines()
     assert sum(line.startswith(("ok ", "warn ", "fail ")) for line in lines) >= 16
@@ -40,8 +40,8 @@ def test_a_failed_check_fails_the_command(monkeypatch, capsys):
     assert "fail  numpy: not installed" in text and "python -m pip install numpy" in text and "to mend: numpy" in text
 
 
-def test_lateness_is_measured_against_standing_deadlines(monkeypatch):
-    """A clock that stalls 5 ms once: the tick is 5 ms late and the next ones 4, 3, 2, 1 ms, as in a real loop."""
+def test_lateness_is_measured_against_fixed_deadlines(monkeypatch):
+    """A clock that stalls once by 5 ms: the tick is 5 ms late, the next ones 4, 3, 2, 1 ms, as in a real loop."""
     now, asleep = [0.0], []
 
     def perf_counter():
@@ -62,7 +62,7 @@ def test_lateness_is_measured_against_standing_deadlines(monkeypatch):
 @pytest.mark.parametrize(("lateness", "status"), [(1e-6, "ok"), (2e-3, "fail")])
 def test_clock_verdict(monkeypatch, lateness, status):
     monkeypatch.setattr(clock, "measure_lateness", lambda seconds: np.full(1000, lateness))
-    check = clock.ticks(1.0)
+    check = clock.check_clock(1.0)
     assert check.status == status and bool(check.remedy) == (status != "ok")
 
 
@@ -70,14 +70,14 @@ def test_clock_warns_of_rare_late_ticks(monkeypatch):
     lateness = np.full(1000, 1e-6)
     lateness[::100] = 3e-3
     monkeypatch.setattr(clock, "measure_lateness", lambda seconds: lateness)
-    check = clock.ticks(1.0)
+    check = clock.check_clock(1.0)
     assert check.status == "warn" and check.values["later_than_1_ms"] == pytest.approx(0.01)
 
 
 @pytest.mark.skipif(not hasattr(clock.os, "sched_getscheduler"), reason="this platform has one scheduler only")
-def test_scheduler_is_given_back():
+def test_the_scheduler_is_restored():
     before = clock.os.sched_getscheduler(0)
-    clock.ticks(0.01)
+    clock.check_clock(0.01)
     assert clock.os.sched_getscheduler(0) == before
 
 
@@ -86,25 +86,25 @@ def test_missing_scheduler_is_a_warning_with_a_remedy(monkeypatch):
         raise PermissionError(1, "Operation not permitted")
 
     monkeypatch.setattr(clock.os, "sched_setscheduler", refuse, raising=False)
-    check = clock.real_time_priority()
+    check = clock.check_real_time_priority()
     assert check.status == "warn" and "rtprio" in check.remedy
 
 
-def test_packages_from_one_place():
-    assert installation.one_place().status == "ok"
+def test_packages_come_from_one_folder():
+    assert installation.check_package_folders().status == "ok"
 
 
-def test_shadowed_package_is_noticed(tmp_path, monkeypatch):
-    """A user's own calibration.py in the current folder is found before ours."""
+def test_a_shadowed_package_is_detected(tmp_path, monkeypatch):
+    """A file calibration.py in the current folder is imported instead of the package."""
     stray = tmp_path / "calibration.py"
     stray.write_text("", encoding="utf-8")
     monkeypatch.delitem(sys.modules, "calibration", raising=False)
     monkeypatch.syspath_prepend(str(tmp_path))
-    check = installation.one_place()
+    check = installation.check_package_folders()
     assert check.status == "fail" and str(stray) in check.finding and check.remedy
 
 
-def test_missing_package_is_noticed(monkeypatch):
+def test_a_missing_package_is_detected(monkeypatch):
     installed = importlib.metadata.version
 
     def version(name):
@@ -113,39 +113,39 @@ def test_missing_package_is_noticed(monkeypatch):
         return installed(name)
 
     monkeypatch.setattr(importlib.metadata, "version", version)
-    checks = {check.name: check for check in installation.packages()}
+    checks = {check.name: check for check in installation.check_packages()}
     assert checks["sympy"].status == "fail" and checks["sympy"].remedy == "python -m pip install sympy"
     assert checks["numpy"].status == "ok" and checks["numpy"].finding == installed("numpy")
 
 
-def test_old_python_is_noticed(monkeypatch):
+def test_an_old_python_is_detected(monkeypatch):
     monkeypatch.setattr(installation.sys, "version_info", (3, 10, 4))
-    check = installation.python()
+    check = installation.check_python()
     assert check.status == "fail" and "3.11" in check.remedy
 
 
-def test_kernel_ran():
-    check = taichi_backend.kernel()
+def test_the_kernel_runs():
+    check = taichi_backend.check_kernel()
     if not installation.has_taichi_wheel():
         assert check.status == "warn"
     else:
         assert check.status == "ok", check
         assert check.values["offered"].split(", ")[0] == check.values["backend"]
-        assert "back-ends here: " in check.finding and "uses the CPU" in check.finding
+        assert "available back-ends: " in check.finding and "uses the CPU" in check.finding
 
 
-def test_a_probe_that_crashes_keeps_what_it_found(monkeypatch):
+def test_a_crashing_probe_keeps_its_results(monkeypatch):
     probe = "import os, sys; print(sys.argv[1], flush=True); print('noise', flush=True); os.abort()"
     monkeypatch.setattr(taichi_backend, "_PROBE", probe)
-    assert taichi_backend.other_backends() == ["cuda"]
+    assert taichi_backend.find_other_backends() == ["cuda"]
     monkeypatch.setattr(taichi_backend.sys, "executable", "/no/such/python")
-    assert taichi_backend.other_backends() == []
+    assert taichi_backend.find_other_backends() == []
 
 
-def test_taken_port_is_noticed(monkeypatch):
+def test_a_used_port_is_detected(monkeypatch):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         monkeypatch.setattr(platform_services, "VIEWER_PORT", taken.getsockname()[1])
-        assert platform_services.viewer_port().status == "warn"
-    assert platform_services.viewer_port().status == "ok"
+        assert platform_services.check_viewer_port().status == "warn"
+    assert platform_services.check_viewer_port().status == "ok"

@@ -1,6 +1,7 @@
-"""`tissue-sim demo --hidden`: what is drawn, how the answer is judged, and one run to its end."""
+"""`tissue-sim demo --hidden`: drawing of the effect, judgement of the diagnosis, and one complete run."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,8 +15,8 @@ from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
 from scenes.cli import main
 from scenes.commands.demo.found_scene import before_and_after_scene
-from scenes.demo.hidden_effect import HIDEABLE, PLATES, Hidden, draw_hidden, judge_answer
-from scenes.demo.hidden_test import plain_models
+from scenes.demo.hidden_effect import HIDEABLE_EFFECTS, PLATES, HiddenEffect, draw_hidden_effect, judge_diagnosis
+from scenes.demo.hidden_test import MEASUREMENT, build_plain_models
 from scenes.viewer.measurement import residual
 from scenes.viewer.session import Session
 
@@ -23,70 +24,71 @@ RELAXING = 23
 EFFECTS = {"viscoelasticity": Viscoelasticity, "machine_compliance": MachineCompliance, "backlash": Backlash}
 
 
-def test_everything_is_drawn_and_the_same_seed_draws_the_same():
-    drawn = [draw_hidden(seed) for seed in range(200)]
-    assert {each.name for each in drawn} == {"", *(each.name for each in HIDEABLE)}
-    assert [draw_hidden(seed) for seed in range(200)] == drawn
-    bounds = {each.name: each.sizes for each in HIDEABLE}
+def test_each_effect_is_drawn_and_equal_seeds_draw_equal_effects():
+    drawn = [draw_hidden_effect(seed) for seed in range(200)]
+    assert {each.name for each in drawn} == {"", *(each.name for each in HIDEABLE_EFFECTS)}
+    assert [draw_hidden_effect(seed) for seed in range(200)] == drawn
+    bounds = {each.name: each.sizes for each in HIDEABLE_EFFECTS}
     for each in drawn:
         for path, value in each.values.items():
             low, high = bounds[each.name][path]
             assert low <= value <= high
 
 
-@pytest.mark.parametrize("hideable", HIDEABLE, ids=lambda each: each.name)
-def test_each_is_in_its_tests_and_has_words(hideable):
-    hidden = Hidden(hideable.name, {path: ends[1] for path, ends in hideable.sizes.items()}, hideable.tests)
-    models = plain_models()
+@pytest.mark.parametrize("hideable", HIDEABLE_EFFECTS, ids=lambda each: each.name)
+def test_each_effect_changes_its_tests_and_has_a_description(hideable):
+    hidden = HiddenEffect(hideable.name, {path: ends[1] for path, ends in hideable.sizes.items()}, hideable.tests)
+    models = build_plain_models()
     for test, model in models.items():
-        assert (hidden.within(test, model) != model) == (test in hideable.tests)
-    assert " = " in hidden.in_words(models)
-    assert Hidden().in_words(models) == "nothing"
+        assert (hidden.apply_to(test, model) != model) == (test in hideable.tests)
+    assert " = " in hidden.describe(models)
+    assert HiddenEffect().describe(models) == "nothing"
 
 
-def test_friction_is_on_both_plates():
-    model = Hidden("plate_friction", {"experiment.friction": 0.05}, (PLATES,)).within(PLATES, plain_models()[PLATES])
+def test_friction_is_applied_to_both_plates():
+    friction = HiddenEffect("plate_friction", {"experiment.friction": 0.05}, (PLATES,))
+    model = friction.apply_to(PLATES, build_plain_models()[PLATES])
     assert model.experiment.base_interface == model.experiment.friction == 0.05
 
 
-@pytest.mark.parametrize(("hidden", "verdict", "named", "among", "right", "expected"), [
+@pytest.mark.parametrize(("hidden", "verdict", "named", "candidates", "right", "expected"), [
     ("backlash", "NAMED", ["backlash"], ["backlash"], True, "Found: "),
     ("backlash", "LOOKS_LIKE", ["backlash"], ["backlash"], True, "form unconfirmed"),
     ("backlash", "SET", ["sensor_drift"], ["sensor_drift", "backlash"], True, "one of 2 effects"),
     ("backlash", "SET", ["sensor_drift"], ["sensor_drift", "softening"], False, "Wrong"),
-    ("backlash", "NAMED", ["backlash", "softening"], ["backlash", "softening"], False, "another that was not there"),
+    ("backlash", "NAMED", ["backlash", "softening"], ["backlash", "softening"], False, "effect that was not hidden"),
     ("backlash", "NAMED", ["softening"], ["softening"], False, "Wrong"),
     ("backlash", "NONE", [], [], False, "Missed"),
-    ("backlash", "UNKNOWN", [], [], False, "does not know what"),
+    ("backlash", "UNKNOWN", [], [], False, "does not identify it"),
     ("", "NONE", [], [], True, "nothing was found"),
-    ("", "NAMED", ["softening"], ["softening"], False, "false alarm"),
-    ("", "UNKNOWN", [], [], False, "something is missing"),
+    ("", "NAMED", ["softening"], ["softening"], False, "False alarm"),
+    ("", "UNKNOWN", [], [], False, "an unknown effect"),
 ])
-def test_the_answer_is_judged(hidden, verdict, named, among, right, expected):
+def test_the_diagnosis_is_judged(hidden, verdict, named, candidates, right, expected):
     effects = [FoundEffect(name=name, room="rig", title=name) for name in named]
-    judged = judge_answer(Hidden(hidden), SimpleNamespace(verdict=verdict, effects=effects, indistinguishable=among))
-    assert judged[0] is right and expected in judged[1]
+    diagnosis = SimpleNamespace(verdict=verdict, effects=effects, indistinguishable=candidates)
+    is_right, sentence = judge_diagnosis(HiddenEffect(hidden), diagnosis)
+    assert is_right is right and expected in sentence
 
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
-    """A run with fewer samples and effects than people get."""
+    """Complete run with fewer samples and effects than the default."""
     import contextlib
     import io
 
     out, text = tmp_path_factory.mktemp("hidden") / "demo", io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(text):
         patch.setattr("calibration.diagnosis.proposals.CATALOGUE", EFFECTS)
-        patch.setattr("scenes.demo.hidden_test.SAMPLES", 60)
-        patch.setattr("scenes.demo.hidden_test.REPLICATES", 2)
+        patch.setattr("scenes.demo.hidden_test.MEASUREMENT", replace(MEASUREMENT, samples=60, replicates=2))
         patch.setattr("os.cpu_count", lambda: 1)
         assert main(["demo", "--hidden", "--seed", str(RELAXING), "-o", str(out)]) == 0
         yield out, text.getvalue()
 
 
-def test_it_finds_the_effect_and_tells_the_truth_last(demo):
+def test_the_demo_finds_the_effect_and_reveals_it_at_the_end(demo):
     out, text = demo
-    hidden = draw_hidden(RELAXING)
+    hidden = draw_hidden_effect(RELAXING)
     assert hidden.name == "viscoelasticity"
     found = json.loads((out / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
     assert [each["name"] for each in found["effects"]] == [hidden.name]
@@ -101,25 +103,23 @@ def test_it_finds_the_effect_and_tells_the_truth_last(demo):
     assert len(list((out / "measured").glob("*.csv"))) == 4
 
 
-def test_both_models_are_in_the_viewer(demo):
+def test_the_viewer_shows_both_models(demo):
     out, _ = demo
     (result,) = diagnose([out / "campaign.toml"], out / "diagnosis")
     assert result.resumed
     scene = before_and_after_scene(result, out / "measured")
     assert scene.kind.name == "needle_indentation" and scene.compared[0] == "without viscoelasticity"
-    assert scene.material.viscoelastic.terms[0].g == pytest.approx(0.122, rel=0.15), "it relaxes under the needle"
+    assert scene.material.viscoelastic.terms[0].g == pytest.approx(0.122, rel=0.15), "the material relaxes"
     with_it = ts.simulate(ts.Model(scene.experiment, scene.material))
     assert residual(with_it, scene.measurement).rmse < 0.6 * residual(scene.compared[1], scene.measurement).rmse
 
 
-def test_a_rig_effect_is_in_the_curve_and_the_session_begins_with_both(demo, monkeypatch):
+def test_a_rig_effect_is_part_of_the_curve_of_the_session(demo, monkeypatch):
     out, _ = demo
     (result,) = diagnose([out / "campaign.toml"], out / "diagnosis")
     scene = before_and_after_scene(result, out / "measured")
     asked = []
     monkeypatch.setattr("scenes.viewer.model_curve.ModelCurve.ask", lambda self, model: asked.append(model))
-    from dataclasses import replace
-
     session = Session(replace(scene, rig=ts.Rig(backlash=1e-4)))
     try:
         assert asked[0].rig.backlash == 1e-4
@@ -128,8 +128,8 @@ def test_a_rig_effect_is_in_the_curve_and_the_session_begins_with_both(demo, mon
         session.close()
 
 
-def test_the_page_comes_last(demo, monkeypatch, tmp_path):
-    """What is shown, without a browser; and the folder of the user is kept."""
+def test_the_page_opens_after_the_run(demo, monkeypatch, tmp_path):
+    """The scene of the page, without a browser."""
     out, _ = demo
     (result,) = diagnose([out / "campaign.toml"], out / "diagnosis")
     shown = []
@@ -139,7 +139,7 @@ def test_the_page_comes_last(demo, monkeypatch, tmp_path):
     assert shown[0].kind.name == "needle_indentation" and shown[0].compared is not None
 
 
-def test_a_folder_that_the_user_named_is_kept(tmp_path, capsys):
+def test_a_folder_with_other_files_is_refused(tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
     assert main(["demo", "--hidden", "-o", str(tmp_path)]) == 2
     assert "--overwrite" in capsys.readouterr().err

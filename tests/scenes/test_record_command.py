@@ -135,7 +135,7 @@ def test_files_of_one_name_are_kept_apart(tmp_path):
     content = {"defaults": {"tool": "a/tip.csv"}, "test": [{"tool": "b/tip.csv"}, {"tool": "flat"}, {}]}
     (tmp_path / "flat").write_text("no profile", encoding="utf-8")
     with RunFolder(tmp_path / "run", "digest") as folder:
-        copied = with_files_named(content, tmp_path, folder.copy_of)
+        copied = with_files_named(content, tmp_path, folder.copy_file)
     assert copied["defaults"]["tool"] == "files/tip.csv" and copied["test"][1:] == [{"tool": "flat"}, {}]
     assert (folder.folder / copied["defaults"]["tool"]).read_text() == "a"
     assert (folder.folder / copied["test"][0]["tool"]).read_text() == "b"
@@ -192,9 +192,9 @@ def test_ctrl_c_stands_the_stage_and_keeps_what_there_is(protocol, tmp_path):
 
 @pytest.mark.parametrize(("change", "said"), [
     ({"[limits]": "[limitz]"}, "limits: a motor needs limits"),
-    ({"force_N = 20.0": "force_N = 0.0"}, "limits.force: 0 limits nothing"),
+    ({"force_N = 20.0": "force_N = 0.0"}, "limits.force: must be positive and finite; got 0"),
     ({"lubricant = ": "lubrication = "}, "unknown key"),
-    ({"force_margin_N = 1e3": "force_margin_N = 0.1"}, "go no faster than"),
+    ({"force_margin_N = 1e3": "force_margin_N = 0.1"}, "Use a speed of at most"),
     ({'protocol = "ramp 4mm @8mm/s; unload"': ""}, "there is no motion to record"),
     ({'protocol = "ramp 4mm @8mm/s; unload"': 'recordings = ["a.csv"]'}, "is what will be recorded"),
     ({"[limits]": '[devices]\nstage = "tic:/dev/null"\n[limits]'}, "make both virtual, or give the sensor"),

@@ -191,7 +191,7 @@ def test_ctrl_c_ends_with_counters(root, material):
 
 @pytest.mark.parametrize(("words", "expected"), [
     (["--port", "70000"], "'70000' is too many"),
-    (["--host", "0.0.0.0"], "host: 0.0.0.0 can be reached by other machines"),
+    (["--host", "0.0.0.0"], "host: must be a loopback address"),
     (["--scene", "needle"], "unknown scene 'needle'"),
     (["--largest-force-N", "1e6"], "--largest-force-N: 1e+06 N is more than a scene gives; 100 N is the most"),
     (["--session", "0"], "'0' is not a whole number of at least 1"),

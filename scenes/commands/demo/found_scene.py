@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import tissue_sim as ts
-from scenes.demo.hidden_effect import HIDEABLE, NEEDLE, with_effect
-from scenes.demo.hidden_test import KINDS, plain_models
+from scenes.demo.hidden_effect import HIDEABLE_EFFECTS, NEEDLE, add_effect
+from scenes.demo.hidden_test import KINDS, build_plain_models
 from scenes.viewer.measurement import motion
 from scenes.viewer.scene import Scene, read_measurements
 
@@ -27,7 +27,7 @@ def before_and_after_scene(result: DiagnosisResult, measured: Path) -> Scene:
     test = _shown(diagnosis)
     kind = ts.KINDS[KINDS[test]]
     measurements = read_measurements(sorted(measured.glob("*.csv")), kind.name)
-    plain = plain_models()[test]
+    plain = build_plain_models()[test]
     fitted = {name: diagnosis.fit_before.parameters[name] for name in plain.material.parameters}
     found = plain = replace(plain, material=replace(plain.material, parameters=fitted, name="plain model"))
     if diagnosis.fit_after is not None:
@@ -37,7 +37,7 @@ def before_and_after_scene(result: DiagnosisResult, measured: Path) -> Scene:
         around = {number.path.partition("@")[0]: number.value for number in each.parameters
                   if number.path.startswith(("experiment.", "rig."))}
         if around and (not each.tests or test in each.tests):
-            found = with_effect(each.name, around, found)
+            found = add_effect(each.name, around, found)
     compared = None
     if diagnosis.effects:
         name = f"without {' and '.join(each.title for each in diagnosis.effects)}"
@@ -51,7 +51,7 @@ def _shown(diagnosis: Diagnosis) -> str:
     """The test to look at."""
     if not diagnosis.effects or any(each.room == "tissue" for each in diagnosis.effects):
         return NEEDLE
-    having: dict[str, Sequence[str]] = {each.name: each.tests for each in HIDEABLE}
+    having: dict[str, Sequence[str]] = {each.name: each.tests for each in HIDEABLE_EFFECTS}
     tests = {test for each in diagnosis.effects for test in each.tests or having.get(each.name, tuple(KINDS))}
     return max((region for region in diagnosis.regions if region.test in tests),
                key=lambda region: region.before_sigma).test

@@ -17,7 +17,7 @@ from tissue_sim.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from haptics.recorder.recorder import Moment
+    from haptics.recorder.recorder import RunProgress
     from haptics.recorder.run_folder import RunFolder
     from scenes.commands.record.protocol_file import ProtocolFile
 
@@ -107,28 +107,29 @@ def _record(arguments, protocol: ProtocolFile, tests: list[Any], console: Consol
                                                              "stage": protocol.devices.stage}}
     stopped: str | None = None
     live = LiveFile(arguments.output)
-    with folder, _wishes_to_stop(arguments.json) as asked, _shown(arguments.json) as show_here, live.shown():
+    with folder, _wishes_to_stop(arguments.json) as asked, _shown(arguments.json) as show_here, live.publish():
 
-        def watch(moment: Moment) -> None:
-            live.show(moment)
-            show_here(moment)
+        def watch(progress: RunProgress) -> None:
+            live.show(progress)
+            show_here(progress)
 
         for test in tests:
             plan = protocol.plans[test.name]
-            if not folder.missing(plan.name, plan.replicates):
+            if not folder.missing_replicates(plan.name, plan.replicates):
                 continue
             try:
                 recorder = Recorder(open_bench(protocol, test), plan, protocol.limits, folder, about=about,
-                                    asked=asked, watch=watch)
+                                    stop_request=asked, on_progress=watch)
                 # Before anything moves: a file may change, or vanish, while the run goes.
                 for path in protocol.files:
-                    folder.copy_of(path)
+                    folder.copy_file(path)
                 recorder.run()
             except (StoppedError, DeviceError) as error:
                 stopped = str(error)
                 break
-        if not stopped and not any(folder.missing(plan.name, plan.replicates) for plan in protocol.plans.values()):
-            folder.note(state="complete")
+        if not stopped and not any(folder.missing_replicates(plan.name, plan.replicates)
+                                   for plan in protocol.plans.values()):
+            folder.update(state="complete")
         _write_campaign(protocol, folder)
     if arguments.json:
         print_json({"state": "stopped" if stopped else folder.state["state"], "message": stopped,
@@ -154,9 +155,9 @@ def _write_campaign(protocol: ProtocolFile, folder: RunFolder) -> None:
                          if f"{name}_{number}.csv" in done] for name, plan in protocol.plans.items()}
     if any(recordings.values()):
         missing = [f"{name}_{number}.csv" for name, plan in protocol.plans.items()
-                   for number in folder.missing(name, plan.replicates)]
+                   for number in folder.missing_replicates(name, plan.replicates)]
         words = f"# Not recorded yet, and not in here: {', '.join(missing)}.\n" if missing else ""
-        write_text(folder.folder / CAMPAIGN, words + protocol.campaign_text(recordings, folder.copy_of))
+        write_text(folder.folder / CAMPAIGN, words + protocol.campaign_text(recordings, folder.copy_file))
 
 
 @contextmanager
@@ -176,11 +177,11 @@ def _wishes_to_stop(quiet: bool) -> Iterator[Callable[[], str | None]]:
 
 
 @contextmanager
-def _shown(quiet: bool) -> Iterator[Callable[[Moment], None]]:
+def _shown(quiet: bool) -> Iterator[Callable[[RunProgress], None]]:
     """Numbers as they come, and how far the run is; nothing where nobody looks."""
     console = progress_console(quiet=quiet)
     if console.quiet:
-        yield lambda moment: None
+        yield lambda progress: None
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -188,9 +189,9 @@ def _shown(quiet: bool) -> Iterator[Callable[[Moment], None]]:
                   transient=True) as progress:
         task = progress.add_task("starting; Enter stops", total=1.0)
 
-        def watch(moment: Moment) -> None:
+        def watch(moment: RunProgress) -> None:
             replicate = f" {moment.replicate}" if moment.replicate else ""
-            progress.update(task, completed=moment.share, description=(
+            progress.update(task, completed=moment.fraction, description=(
                 f"{moment.test}{replicate} {moment.phase}: {moment.position * 1e3:7.3f} mm {moment.force:7.3f} N; "
                 "Enter stops"))
 

@@ -17,7 +17,7 @@ from calibration.campaign.schema import PRISM
 from calibration.report.additions import to_toml
 from haptics.recorder.lag import measure_lag
 from haptics.recorder.plan import Plan
-from haptics.safety.motion_guard import SILENCE, MotionLimits
+from haptics.safety.motion_guard import DEFAULT_SENSOR_SILENCE, MotionLimits
 from tissue_sim.decode import decode, read_toml
 from tissue_sim.errors import InputError, located
 from tissue_sim.experiment.protocol_text import parse_protocol
@@ -68,7 +68,7 @@ class LimitsTable(_Table, frozen=True, kw_only=True):
     duration_s: float
     stiffness_N_per_mm: float
     force_margin_N: float
-    sensor_silence_s: float = SILENCE
+    sensor_silence_s: float = DEFAULT_SENSOR_SILENCE
     tare_N: float = 10.0
     on_stop: Literal["stand", "retract"] = "stand"
 

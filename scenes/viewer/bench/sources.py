@@ -12,7 +12,7 @@ import numpy as np
 
 from haptics.devices.contracts import DeviceError, ForceSensor, SampleStatus, Stage
 from haptics.recorder.live import LIVE_FILE
-from haptics.recorder.run_folder import PARTIAL, RUN_FILE
+from haptics.recorder.run_folder import PARTIAL_SUFFIX, RUN_FILE
 from tissue_sim.decode import read_json
 from tissue_sim.errors import InputError
 
@@ -93,7 +93,7 @@ class RunSource(BenchSource):
 
     def _recording(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The rows that are there of the recording under way, thinned; of the last one when none is."""
-        partial = max(self._folder.glob(f"*{PARTIAL}"), key=_changed, default=None)
+        partial = max(self._folder.glob(f"*{PARTIAL_SUFFIX}"), key=_changed, default=None)
         if partial is not None and partial != self._partial:
             self._partial, self._rows, self._read = partial, [], 0
         if self._partial is not None and self._partial.exists():

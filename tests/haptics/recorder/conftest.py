@@ -1,4 +1,4 @@
-"""The bench is beside the tests that use it."""
+"""Makes the virtual bench of this folder available to its tests."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A bench whose clock goes as the recorder lets it: runs of minutes take no time, whatever else the machine does."""
+"""Virtual bench with a simulated clock: a run of minutes takes no real time, at any load of the computer."""
 
 import itertools
 
@@ -13,11 +13,14 @@ from tissue_sim import Rig
 from tissue_sim.experiment.protocol_text import parse_protocol
 from tissue_sim.experiment.segments import legs
 
-STIFFNESS, SURFACE = 400.0, 2e-3
+#: Stiffness of the spring, N/m.
+STIFFNESS = 400.0
+#: Position of the surface of the spring, m.
+SURFACE = 2e-3
 
 
 class Clock:
-    """s; goes on while somebody pauses."""
+    """Simulated clock, s; it advances only in `sleep`."""
 
     def __init__(self):
         self.now = 1000.0
@@ -25,12 +28,16 @@ class Clock:
     def __call__(self):
         return self.now
 
-    def pause(self, seconds):
+    def sleep(self, seconds):
         self.now += max(seconds, 1e-6)
 
 
 class Spring:
-    """Pushes back with so many newtons a metre; its top may go away, at a time."""
+    """Linear spring without tension.
+
+    Attributes:
+        stiffness: N/m.
+    """
 
     def __init__(self, stiffness=STIFFNESS):
         self.stiffness = stiffness
@@ -40,12 +47,12 @@ class Spring:
 
 
 class VirtualBench:
-    """A recorder on a virtual rig, with everything that a test may change."""
+    """Recorder on a virtual rig; a test can change every part."""
 
     def __init__(self, folder):
         self.folder, self.clock = folder, Clock()
         self.moments = []
-        #: In which order the stage was halted and stopped.
+        #: Counter that gives the order of halts and stops of the stage.
         self._order = itertools.count()
         self.halts, self.stops = [], []
 
@@ -63,13 +70,13 @@ class VirtualBench:
                           limits=options.pop("limits", StageLimits(-0.01, 0.02, 0.01)), **options)
 
     def goals_of(self, rig):
-        """Where the stage is sent, from now on, m."""
+        """Return a list that collects the commanded positions from now on, m."""
         goals, move = [], rig.stage.move
         rig.stage.move = lambda position, speed: (goals.append(position), move(position, speed))[1]
         return goals
 
-    def run(self, *, plan=None, limits=None, rig=None, faults=None, asked=lambda: None, digest="a", watch=None,
-            **options):
+    def run(self, *, plan=None, limits=None, rig=None, faults=None, stop_request=lambda: None, digest="a",
+            on_progress=None, **options):
         plan, limits = plan or self.plan(), limits or self.limits()
         self.virtual = rig or self.rig(faults=faults or Faults(), **options)
         if rig is None:
@@ -78,7 +85,8 @@ class VirtualBench:
             stage.stop = lambda: (self.stops.append(next(self._order)), stop())[1]
         self.run_folder = RunFolder(self.folder, digest)
         with self.run_folder:
-            recorder = Recorder(self.virtual.bench, plan, limits, self.run_folder, asked=asked,
-                                watch=watch or self.moments.append, clock=self.clock, pause=self.clock.pause)
+            recorder = Recorder(self.virtual.bench, plan, limits, self.run_folder, stop_request=stop_request,
+                                on_progress=on_progress or self.moments.append, clock=self.clock,
+                                sleep=self.clock.sleep)
             recorder.run()
         return self.run_folder

@@ -8,7 +8,7 @@ import pytest
 from haptics.devices.contracts import DeviceError
 from haptics.devices.virtual.force_sensor import VirtualForceSensor
 from haptics.recorder.live import LIVE_FILE, LiveFile, as_json
-from haptics.recorder.recorder import Moment
+from haptics.recorder.recorder import RunProgress
 from haptics.recorder.run_folder import RunFolder
 from scenes.viewer.bench.page import words_html
 from scenes.viewer.bench.sources import DevicesSource, RunSource
@@ -22,11 +22,11 @@ def test_a_run_that_goes_is_read_row_by_row(tmp_path):
     assert "no run in" in source.look().title and "tissue-sim record" in source.look().message
     folder = RunFolder(tmp_path / "run", "digest")
     with folder:
-        folder.note(state="running")
+        folder.update(state="running")
         assert "may have been killed" in source.look().message
-        moment = Moment("needle", "ramp", 2, 5e-3, 3e-3, 0.4, 0.25)
+        moment = RunProgress("needle", "ramp", 2, 5e-3, 3e-3, 0.4, 0.25)
         (tmp_path / "run" / LIVE_FILE).write_text(json.dumps(as_json(moment)), encoding="utf-8")
-        partial = folder.partial("needle_2", HEADER)
+        partial = folder.open_partial("needle_2", HEADER)
         partial.add([(0.01 * row, 0.1 * row, 0.02 * row, "ramp") for row in range(5)])
         partial.close()
         view = source.look()
@@ -37,15 +37,15 @@ def test_a_run_that_goes_is_read_row_by_row(tmp_path):
             file.write("0.05,0.5,0.1,ramp\n0.06,0.6,0.1")  # half a row is none yet
         assert source.look().time.size == 6
         (tmp_path / "run" / LIVE_FILE).unlink()
-        folder.note(state="stopped", stops=[{"message": "the force was 9 N"}])
+        folder.update(state="stopped", stops=[{"message": "the force was 9 N"}])
         assert source.look().message == "the force was 9 N"
 
 
 def test_what_a_run_shows_is_written_by_another_thread_and_gone_afterwards(tmp_path):
     live = LiveFile(tmp_path)
     file = tmp_path / LIVE_FILE
-    with live.shown():
-        live.show(Moment("a", "approach", 0, 1e-3, float("nan"), float("nan"), 0.0))
+    with live.publish():
+        live.show(RunProgress("a", "approach", 0, 1e-3, float("nan"), float("nan"), 0.0))
         while not file.exists():
             pass
         assert json.loads(file.read_text(encoding="utf-8")) == {
