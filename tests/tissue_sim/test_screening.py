@@ -85,9 +85,21 @@ class TestOutliers:
         assert found.suspected[0].samples == (81,)
         assert "sample 81 kept" in found.contradictions[0]
 
-    def test_a_channel_counts_from_the_first_sample_that_is_kept(self):
-        rest, _ = clean(recording(way=changed(WAY, 0, 5e-3) + 1e-3), zeroed=["displacement"])
-        assert rest.displacement[0] == 0.0
+    @pytest.mark.parametrize("way", [changed(WAY, 0, 5e-3) + 1e-3, changed(WAY, [0, 1], 9.999)])
+    def test_a_channel_counts_from_its_value_at_a_wrong_first_sample(self, way):
+        rest, found = clean(recording(way=way), zeroed=["displacement"])
+        assert rest.displacement[0] == pytest.approx(WAY[len(found.samples)], abs=1e-7)
+
+    def test_a_wrong_first_force_keeps_the_zero_of_the_displacement(self):
+        rest, _ = clean(recording(load=changed(FORCE, 0, 9999.0)), zeroed=["displacement"])
+        assert rest.displacement[0] == WAY[1]
+
+    @pytest.mark.parametrize("late", [1, 5])
+    def test_a_wrong_first_displacement_before_a_late_start(self, late):
+        way = np.clip(WAY - WAY[late], 0.0, None)
+        rest, _ = clean(recording(way=changed(way, 0, 5e-3) + 1e-3, load=force(way) + 0.1 * NOISE),
+                        zeroed=["displacement"])
+        assert rest.displacement[0] == pytest.approx(0.0, abs=2e-6)
 
 
 class TestSaturation:

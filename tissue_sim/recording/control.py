@@ -114,7 +114,7 @@ def _holds(labels: np.ndarray) -> Iterator[tuple[int, int]]:
 
 def _lost(load: np.ndarray, first: int, last: int, rest: float) -> float:
     """Fraction of the load at the start of a hold that is lost in it; 0 where it is not significant."""
-    noise = _noise(load)
+    noise = noise_deviation(load)
     begin = float(np.median(load[first:first + _AT_ENDS]))
     end = float(np.median(load[max(last - _AT_ENDS, first):last]))
     if begin - rest <= _LOADED * np.ptp(load) or begin - end < 4 * noise:
@@ -125,7 +125,7 @@ def _lost(load: np.ndarray, first: int, last: int, rest: float) -> float:
 def _creep(motion: np.ndarray, load: np.ndarray, clock: np.ndarray) -> Iterator[tuple[int, int, float]]:
     """First sample, end and gain of the displacement (as a fraction) of each hold of the load in which it creeps."""
     rest = float(load[0])
-    tolerance = max(_HELD_RANGE * float(np.ptp(load)), _HELD_NOISE * _noise(load))
+    tolerance = max(_HELD_RANGE * float(np.ptp(load)), _HELD_NOISE * noise_deviation(load))
     if tolerance > 0.2 * np.ptp(load):
         return
     for first, last in _holds(label_motion(clock, load, tolerance)):
@@ -136,7 +136,7 @@ def _creep(motion: np.ndarray, load: np.ndarray, clock: np.ndarray) -> Iterator[
         gain = float(np.median(motion[last - _AT_ENDS:last]) - motion[first])
         duration, before = clock[last - 1] - clock[first], max(first - _FEWEST, 0)
         loading = clock[first] - clock[before]
-        if gain <= 0 or not duration > 0 or not loading > 0 or gain < 6 * _noise(motion):
+        if gain <= 0 or not duration > 0 or not loading > 0 or gain < 6 * noise_deviation(motion):
             continue
         rate_before = (motion[first] - motion[before]) / loading
         if rate_before > 0 and gain / duration < _SLOWER * rate_before and motion[first] > 0:
@@ -158,6 +158,7 @@ def _straighter(motion: np.ndarray, load: np.ndarray, clock: np.ndarray, end: in
     return "displacement" if bends[0] < bends[1] else "force"
 
 
-def _noise(values: np.ndarray) -> float:
+def noise_deviation(values: np.ndarray) -> float:
+    """Standard deviation of the noise of a smooth channel, from its second differences."""
     bend = values[1:-1] - 0.5 * (values[:-2] + values[2:])
     return float(np.median(np.abs(bend))) / (0.6745 * np.sqrt(1.5))

@@ -97,7 +97,7 @@ def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSetting
 
 def left_out(outliers: tuple[tuple[str, tuple[int, ...], float], ...], channels: Mapping[str, np.ndarray],
              words: Callable[[str, float], str]) -> tuple[LeftOut, ...]:
-    """Outliers with a reason in words, each sample once.
+    """Outliers with a reason in words, one for each channel that is wrong in a group of samples.
 
     Args:
         outliers: of `find_outliers`. channels: name of the channel of motion and load, in this order -> values.
@@ -111,8 +111,6 @@ def left_out(outliers: tuple[tuple[str, tuple[int, ...], float], ...], channels:
     found: list[LeftOut] = []
     seen: set[int] = set()
     for which, group, predicted in outliers:
-        if seen.issuperset(group):
-            continue
         seen.update(group)
         name = names[which]
         values = channels[name][list(group)]
@@ -289,16 +287,21 @@ def _relaxes(values: np.ndarray, following: float) -> bool:
 
 
 def _line(values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Line through the first samples, at other places; one half of the samples may be wrong.
+    """Line through the first samples, at other places; one half of the samples may be wrong."""
+    start, slope = median_line(np.arange(values.size, dtype=float), values)
+    return start + slope * at
+
+
+def median_line(places: np.ndarray, values: np.ndarray) -> tuple[float, float]:
+    """Value at place 0 and slope of a line through points, one half of which may be wrong.
 
     Source: Siegel, Biometrika 69 (1982) 242, repeated medians.
     """
-    places = np.arange(values.size)
     gaps = places[:, None] - places[None]
     with np.errstate(invalid="ignore", divide="ignore"):
         slopes = np.where(gaps == 0, np.nan, (values[:, None] - values[None]) / gaps)
     slope = float(np.median(np.nanmedian(slopes, axis=1)))
-    return float(np.median(values - slope * places)) + slope * at
+    return float(np.median(values - slope * places)), slope
 
 
 def _running_median(padded: np.ndarray) -> np.ndarray:

@@ -15,17 +15,20 @@ from tissue_sim.recording.recording import Recording
 _AWAY = 0.02
 
 
-def oriented(columns: Sequence[ColumnGuess], recordings: Sequence[Recording], kind: str | None,
-             stated: Collection[str]) -> tuple[ColumnGuess, ...]:
+def oriented(columns: Sequence[ColumnGuess], recordings: Sequence[Recording], starts: Sequence[float | None],
+             kind: str | None, stated: Collection[str]) -> tuple[ColumnGuess, ...]:
     """Columns with signs and zeros by which travel and force grow under load, and stretch and stress carry their sign.
 
     Args:
-        columns: as the file has them. recordings: read so. kind: of test. stated: channels whose sign a person states.
+        columns: as the file has them. recordings: read so, without outliers.
+        starts: displacement of each recording at its first sample, m, also where that sample is an outlier; None: no
+            displacement, or it is not known.
+        kind: of test. stated: channels whose sign a person states.
     """
     turned: dict[str, ColumnGuess] = {}
     for column in columns:
         if column.channel == "displacement":
-            column = _travel(column, recordings, stated)
+            column = _travel(column, recordings, starts, stated)
         elif column.channel == "stretch" and column.role != "stretch" and kind == "lubricated_compression" \
                 and "stretch" not in stated \
                 and _most(each.channel("stretch").max() - 1.0 > 1.0 - each.channel("stretch").min()
@@ -38,7 +41,8 @@ def oriented(columns: Sequence[ColumnGuess], recordings: Sequence[Recording], ki
     return tuple(turned.values())
 
 
-def _travel(column: ColumnGuess, recordings: Sequence[Recording], stated: Collection[str]) -> ColumnGuess:
+def _travel(column: ColumnGuess, recordings: Sequence[Recording], starts: Sequence[float | None],
+            stated: Collection[str]) -> ColumnGuess:
     ways = [each.channel("displacement") for each in recordings]
     static = [offset for each in recordings if (offset := _static_offset(each)) is not None]
     if 2 * len(static) > len(recordings):
@@ -46,7 +50,8 @@ def _travel(column: ColumnGuess, recordings: Sequence[Recording], stated: Collec
             column, sign=-1, reason=f"{column.reason}; it oscillates around a negative offset, so turned")
     if "displacement" not in stated and _most(largest_excursion(way) < 0 for way in ways):
         column = replace(column, sign=-1, reason=f"{column.reason}; it falls under load, so turned")
-    if any(abs(way[0]) > _AWAY * np.ptp(way) for way in ways):
+    begins = [float(way[0]) if start is None else start for way, start in zip(ways, starts, strict=True)]
+    if any(abs(start) > _AWAY * np.ptp(way) for way, start in zip(ways, begins, strict=True)):
         column = replace(column, offset="start", reason=f"{column.reason}; begins away from zero, so counted from the "
                                                         "first sample")
     return column
