@@ -38,7 +38,8 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
         return recording, Screening()
     channels = {name: recording.channel(name) for name in (motion, load)}
     try:
-        found = left_out(find_outliers(channels[motion], channels[load]), channels, in_words)
+        outliers = find_outliers(channels[motion], channels[load], is_counted=motion in zeroed)
+        found = left_out(outliers, channels, in_words)
     except InputError:
         # A list in the campaign states that all other samples are valid.
         if leave_out is None:

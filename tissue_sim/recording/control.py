@@ -22,9 +22,13 @@ _HELD_RANGE = 0.015
 _HELD_NOISE = 3.0
 #: A displacement creeps where its rate is less than this fraction of the rate at which the specimen was loaded.
 _SLOWER = 0.3
+#: A displacement creeps from the first sample on where its second half adds less than this fraction of its first half.
+_LATE = 0.5
 #: A line in time: largest deviation from it as a fraction of the range; and how many times more the other channel has.
 _STRAIGHT = 0.01
 _STRAIGHTER = 4.0
+#: Displacement of the first sample, as a fraction of the range, up to which the specimen is undeformed there.
+_UNDEFORMED = 0.05
 #: Most samples that are examined; others are skipped evenly.
 _MOST = 20_000
 #: Samples at each end of a hold whose median counts.
@@ -50,7 +54,7 @@ def find_control(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None =
         return Control(_straighter(motion, load, clock, oscillation.first), "oscillation",
                        loss_factor=oscillation.loss_factor, frequency=oscillation.frequency,
                        loading=_first_turn(motion, oscillation))
-    rest = min(float(load[0]), float(np.median(load[:_AT_ENDS])))
+    rest = min(_load_at_rest(motion, load), float(np.median(load[:_AT_ENDS])))
     holds = list(_holds(label_motion(clock, motion)))
     lost = max(((_lost(load, first, last, rest), first, last) for first, last in holds), default=(0.0, 0, 0))
     crept = [each for each in _creep(motion, load, clock) if each[2] > CREEPS]
@@ -80,6 +84,12 @@ def creep_holds(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None = 
     if motion.size < 2 * _FEWEST or not np.ptp(motion) > 0 or not np.ptp(load) > 0 or not clock[-1] > clock[0]:
         return ()
     return tuple((first, last) for first, last, gain in _creep(motion, load, clock) if gain > CREEPS)
+
+
+def _load_at_rest(motion: np.ndarray, load: np.ndarray) -> float:
+    """Load of the unloaded specimen: that of the first sample, or zero where the recording begins in a deformed state,
+    as after a first sample that is left out."""
+    return float(load[0]) if abs(motion[0]) <= _UNDEFORMED * np.ptp(motion) else min(float(load[0]), 0.0)
 
 
 def _time_constant(values: np.ndarray, clock: np.ndarray, first: int, last: int) -> float:
@@ -124,7 +134,7 @@ def _lost(load: np.ndarray, first: int, last: int, rest: float) -> float:
 
 def _creep(motion: np.ndarray, load: np.ndarray, clock: np.ndarray) -> Iterator[tuple[int, int, float]]:
     """First sample, end and gain of the displacement (as a fraction) of each hold of the load in which it creeps."""
-    rest = float(load[0])
+    rest = _load_at_rest(motion, load)
     tolerance = max(_HELD_RANGE * float(np.ptp(load)), _HELD_NOISE * noise_deviation(load))
     if tolerance > 0.2 * np.ptp(load):
         return
@@ -134,13 +144,27 @@ def _creep(motion: np.ndarray, load: np.ndarray, clock: np.ndarray) -> Iterator[
         if abs(level - rest) <= _LOADED * np.ptp(load) or np.ptp(load[first:last]) > 4 * tolerance:
             continue
         gain = float(np.median(motion[last - _AT_ENDS:last]) - motion[first])
-        duration, before = clock[last - 1] - clock[first], max(first - _FEWEST, 0)
-        loading = clock[first] - clock[before]
-        if gain <= 0 or not duration > 0 or not loading > 0 or gain < 6 * noise_deviation(motion):
+        duration = clock[last - 1] - clock[first]
+        if gain <= 0 or not duration > 0 or gain < 6 * noise_deviation(motion) or motion[first] <= 0:
             continue
-        rate_before = (motion[first] - motion[before]) / loading
-        if rate_before > 0 and gain / duration < _SLOWER * rate_before and motion[first] > 0:
+        if _slows_down(motion, clock, first, last, gain / duration):
             yield first, last, gain / float(motion[first])
+
+
+def _slows_down(motion: np.ndarray, clock: np.ndarray, first: int, last: int, rate: float) -> bool:
+    """Whether a motion in samples `first` to `last` (not included) is slower than the loading before, or, where the
+    recording begins in a loaded state, slower in its second half than in its first half; a motion in air is even.
+
+    Args:
+        rate: mean rate of the motion from sample `first` on.
+    """
+    if first <= 1 and abs(motion[0]) > _UNDEFORMED * np.ptp(motion):
+        middle = first + int(np.argmax(clock[first:last] >= 0.5 * (clock[first] + clock[last - 1])))
+        return bool(motion[last - 1] - motion[middle] < _LATE * (motion[middle] - motion[first]))
+    before = max(first - _FEWEST, 0)
+    loading = clock[first] - clock[before]
+    return bool(loading > 0 and motion[first] > motion[before]
+                and rate < _SLOWER * (motion[first] - motion[before]) / loading)
 
 
 def _straighter(motion: np.ndarray, load: np.ndarray, clock: np.ndarray, end: int
