@@ -197,3 +197,38 @@ def test_the_loading_from_rest_before_creep_is_kept():
     load = np.minimum(0.17 * time, 0.53) + 0.002 * np.sin(7.0 * time)
     load[0] = 0.0
     assert find_outliers(way, load) == ()
+
+
+class TestFirstSample:
+    HELD = np.arange(1.0, 60.0)
+    CREPT = np.concatenate([[0.0], 1e-3 * (1 + 0.4 * (1 - np.exp(-HELD / 12)))])
+
+    def test_a_lost_first_load_before_creep_costs_one_sample(self):
+        # The ramp before the hold has two samples.
+        way, load = np.insert(self.CREPT, 1, 0.6e-3), np.insert(np.where(self.CREPT > 0, 2.0, 0.0), 1, 1.2)
+        load += 0.1 * NOISE[:load.size]
+        found = find_outliers(way, changed(load, 0, 9999.0))
+        assert [(name, group) for name, group, _ in found] == [("load", (0,))]
+
+    def test_creep_is_recognised_where_the_recording_begins_in_the_hold(self):
+        load = np.full(self.HELD.size, 2.0) + 0.1 * NOISE[:self.HELD.size]
+        assert find_control(self.CREPT[1:], load).pattern == "creep"
+
+    def test_air_at_an_even_speed_is_no_creep(self):
+        way = 1e-3 + WAY
+        assert find_control(way, 2.0 + force(way - 2e-3) + NOISE).creep == 0.0
+
+    def test_a_hold_below_the_last_digit_of_the_load_is_no_creep(self):
+        way = np.concatenate([WAY[:40], np.full(30, WAY[39]), WAY[40:]])
+        assert find_control(way, np.round(force(way) / 0.4) * 0.4).creep == 0.0
+
+    def test_a_step_away_from_a_single_first_sample_does_not_show_the_zero(self):
+        way, load = self.CREPT - 8e-3 * (self.CREPT == 0), np.where(self.CREPT > 0, 2.0, 0.0)
+        with pytest.raises(InputError, match="the zero of the displacement is not known"):
+            clean(recording(way - way[0], load, np.arange(float(way.size))), zeroed=["displacement"])
+
+
+def test_a_coarse_force_hides_no_preload():
+    load = np.round(force(WAY + 0.2e-3) / 0.5) * 0.5
+    assert load_at_zero(WAY, load).load == pytest.approx(force(np.array([0.2e-3]))[0], rel=0.3)
+    assert load_at_zero(WAY, np.round(force(WAY) / 0.5) * 0.5) is None

@@ -135,13 +135,14 @@ def _lost(load: np.ndarray, first: int, last: int, rest: float) -> float:
 def _creep(motion: np.ndarray, load: np.ndarray, clock: np.ndarray) -> Iterator[tuple[int, int, float]]:
     """First sample, end and gain of the displacement (as a fraction) of each hold of the load in which it creeps."""
     rest = _load_at_rest(motion, load)
-    tolerance = max(_HELD_RANGE * float(np.ptp(load)), _HELD_NOISE * noise_deviation(load))
-    if tolerance > 0.2 * np.ptp(load):
+    span = max(float(load.max()), rest) - min(float(load.min()), rest)
+    tolerance = max(_HELD_RANGE * span, _HELD_NOISE * noise_deviation(load))
+    if tolerance > 0.2 * span:
         return
     for first, last in _holds(label_motion(clock, load, tolerance)):
         level = float(np.median(load[first + 1:last]))
         first += 1
-        if abs(level - rest) <= _LOADED * np.ptp(load) or np.ptp(load[first:last]) > 4 * tolerance:
+        if abs(level - rest) <= _LOADED * span or np.ptp(load[first:last]) > 4 * tolerance:
             continue
         gain = float(np.median(motion[last - _AT_ENDS:last]) - motion[first])
         duration = clock[last - 1] - clock[first]
@@ -152,18 +153,20 @@ def _creep(motion: np.ndarray, load: np.ndarray, clock: np.ndarray) -> Iterator[
 
 
 def _slows_down(motion: np.ndarray, clock: np.ndarray, first: int, last: int, rate: float) -> bool:
-    """Whether a motion in samples `first` to `last` (not included) is slower than the loading before, or, where the
-    recording begins in a loaded state, slower in its second half than in its first half; a motion in air is even.
+    """Whether a motion in samples `first` to `last` (not included) creeps: it slows down, and it is slower than the
+    loading before. Where the recording begins in a loaded state, the loading before is not known, and the motion must
+    slow down clearly, as a motion in air is even.
 
     Args:
         rate: mean rate of the motion from sample `first` on.
     """
+    middle = first + int(np.argmax(clock[first:last] >= 0.5 * (clock[first] + clock[last - 1])))
+    halves = motion[middle] - motion[first], motion[last - 1] - motion[middle]
     if first <= 1 and abs(motion[0]) > _UNDEFORMED * np.ptp(motion):
-        middle = first + int(np.argmax(clock[first:last] >= 0.5 * (clock[first] + clock[last - 1])))
-        return bool(motion[last - 1] - motion[middle] < _LATE * (motion[middle] - motion[first]))
+        return bool(halves[1] < _LATE * halves[0])
     before = max(first - _FEWEST, 0)
     loading = clock[first] - clock[before]
-    return bool(loading > 0 and motion[first] > motion[before]
+    return bool(halves[1] <= halves[0] and loading > 0 and motion[first] > motion[before]
                 and rate < _SLOWER * (motion[first] - motion[before]) / loading)
 
 

@@ -13,6 +13,8 @@ from tissue_sim.recording.recording import Recording
 
 #: A travel that begins farther from zero than this share of itself counts from a zero of the machine.
 _AWAY = 0.02
+#: Motion up to which the specimen is at rest, as a fraction of the largest motion.
+_FROM_REST = 0.05
 
 
 def oriented(columns: Sequence[ColumnGuess], recordings: Sequence[Recording], starts: Sequence[float | None],
@@ -37,7 +39,7 @@ def oriented(columns: Sequence[ColumnGuess], recordings: Sequence[Recording], st
         turned[column.channel] = column
     for channel in ("force", "nominal stress"):
         if channel in turned and channel not in stated:
-            turned[channel] = _load(turned[channel], recordings, turned)
+            turned[channel] = _load(turned[channel], recordings, starts, turned)
     return tuple(turned.values())
 
 
@@ -73,19 +75,23 @@ def _static_offset(recording: Recording) -> float | None:
     return found.mean if abs(found.mean) > found.amplitude else 0.0
 
 
-def _load(column: ColumnGuess, recordings: Sequence[Recording], columns: Mapping[str, ColumnGuess]) -> ColumnGuess:
+def _load(column: ColumnGuess, recordings: Sequence[Recording], starts: Sequence[float | None],
+          columns: Mapping[str, ColumnGuess]) -> ColumnGuess:
     """Loads go with their motion, out of rest: one that goes against it is turned."""
     rest = {"stretch": 1.0, "shear strain": 0.0}
     # Without a column of the motion, the displacement is that of a constant speed.
     motion = next((name for name in ("displacement", "stretch", "shear strain") if name in columns), "displacement")
     direction = columns[motion].sign if motion in columns else 1
 
-    def against(recording: Recording) -> bool:
+    def against(recording: Recording, start: float | None) -> bool:
         way, load = recording.channel(motion), recording.channel(column.channel)
-        way = direction * (way - rest.get(motion, way[0]))
-        return float(np.sum(way * (load - load[np.argmin(np.abs(way))]))) < 0
+        way = direction * (way - rest.get(motion, way[0] if start is None else start))
+        nearest = int(np.argmin(np.abs(way)))
+        # A recording that begins far from rest, after a lost first sample, does not show its load at rest.
+        at_rest = float(load[nearest]) if abs(way[nearest]) <= _FROM_REST * float(np.abs(way).max()) else 0.0
+        return float(np.sum(way * (load - at_rest))) < 0
 
-    if _most(against(recording) for recording in recordings):
+    if _most(against(recording, start) for recording, start in zip(recordings, starts, strict=True)):
         return replace(column, sign=-1, reason=f"{column.reason}; against the motion, so turned")
     return column
 
