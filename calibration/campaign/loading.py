@@ -13,6 +13,9 @@ from tissue_sim.recording.screening import Screening
 
 #: Fraction of the largest displacement that a specimen loaded to both sides reaches on the other side.
 OTHER_SIDE = 0.05
+#: Displacement and load of the first sample that is kept, as a fraction of their ranges, above which the loading before
+#: it changes the relaxation after it.
+_FAR = 0.1
 
 
 def elastic_samples(places: np.ndarray, displacement: np.ndarray, screening: Screening, path: Path, *,
@@ -44,6 +47,23 @@ def elastic_samples(places: np.ndarray, displacement: np.ndarray, screening: Scr
                          f"unloading; sort the file by time, so that at least {MIN_POINTS} samples load the specimen",
                          field="recordings")
     return places[loads]
+
+
+def require_loading(displacement: np.ndarray, force: np.ndarray, screening: Screening, path: Path) -> None:
+    """Refuse a recording whose loading from rest is lost with its first samples, for a material with a memory.
+
+    The force of such a material depends on all of its history, and a loading that was not recorded has no rate.
+
+    Args:
+        displacement, force: of the samples that are kept, positive under load, shape (n,).
+
+    Raises:
+        InputError: sample 1 is left out, and the next one is far from rest.
+    """
+    if 1 in screening.samples and displacement[0] > _FAR * np.ptp(displacement) and force[0] > _FAR * np.ptp(force):
+        lost = next((each.sentence for each in screening.left_out if 1 in each.samples), "sample 1 left out")
+        raise InputError(f"{path.name}: the loading from rest must be recorded for a material with a memory. {lost}, "
+                         "and the next sample is under load. Correct that sample in the file", field="recordings")
 
 
 def first_loading(displacement: np.ndarray, both_sides: bool) -> np.ndarray:

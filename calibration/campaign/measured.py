@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.campaign.campaign import DEFAULT_OFFSET_BOUND, DEFAULT_OFFSET_PRIOR, Campaign, Test
-from calibration.campaign.loading import check_motion, elastic_samples
+from calibration.campaign.loading import check_motion, elastic_samples, require_loading
 from calibration.campaign.schema import PRISM
 from calibration.campaign.screened import check_left_out, cleaned, notes_of, with_control, with_preload
 from calibration.campaign.segmented import SegmentedRecording, from_elsewhere, segment_recording, with_air_noted
@@ -198,6 +198,8 @@ def _curve(recording: Recording, screening: Screening, name: str, path: Path, te
     remembering = remembers(test, material) or (campaign.fit.whole and time is not None)
     height = 1.0 if test.specimen is None else test.specimen.height
     screening = with_control(screening, displacement, force, time)
+    if remembering:
+        require_loading(displacement, force, screening, path)
     labels = np.char.lower(recording.labels["segment"].astype(str)) if "segment" in recording.labels else None
     whole = segment_recording(test, displacement, force, time, labels, stressed=stressed, remembering=remembering,
                               path=path)

@@ -184,6 +184,18 @@ def test_the_extensometer_is_read_before_the_crosshead_and_the_difference_is_not
     assert shear_modulus(imported, tmp_path) == pytest.approx(MU, rel=1e-3)
 
 
+@pytest.mark.parametrize("sample", [0, 4, -1])
+def test_one_lost_value_of_the_crosshead_does_not_decide_between_it_and_the_extensometer(tmp_path, sample):
+    way, force = LENGTH * (STRETCH - 1), STRESS * AREA
+    crosshead = 1.2 * way
+    crosshead[sample] = 9999.0
+    path = write(tmp_path, "Time (s),Crosshead (mm),Load (N),Extensometer (mm)", STRETCH, crosshead, force, way,
+                 above=SHEET)
+    imported = load(path)
+    assert any("20 % more displacement than 'Extensometer (mm)'" in each for each in imported.warnings)
+    assert shear_modulus(imported, tmp_path) == pytest.approx(MU, rel=1e-3)
+
+
 def test_of_two_loads_the_corrected_one_is_read_and_equal_names_are_a_question(tmp_path):
     way, force = LENGTH * (STRETCH - 1), STRESS * AREA
     path = write(tmp_path, "Extension (mm),Load (N),Corrected load (N)", way, 1.1 * force, force, above=SHEET)

@@ -213,3 +213,20 @@ def test_the_verdict_names_columns_that_are_not_used_and_a_preload_that_the_cont
     assert re.search(r"zeroed at a preload of [\d.]+ N; the fitted contact offset of -0\.\d+ mm covers it",
                      result.message)
     assert "the moduli are wrong" not in result.message and "or the load cell was not zeroed" not in result.message
+
+
+@pytest.mark.parametrize("channel", ["displacement", "force"])
+def test_a_wrong_first_sample_keeps_the_zero_of_a_position(tmp_path, channel):
+    position, load = 15.0 - WAY, force(WAY) + noise(TIME.size)
+    values = (changed(position, 0, 9999.0), load) if channel == "displacement" else (position, changed(load, 0, 9999.0))
+    imported, fit = imported_and_fitted(tmp_path, write(tmp_path, *values))
+    assert "leave_out = [1]" in imported.text and 'offset = "start"' in imported.text
+    assert fit.mu0 == pytest.approx(20e3, rel=0.01)
+
+
+def test_a_lost_loading_of_a_creeping_material_is_not_fitted(tmp_path):
+    time = np.arange(0.0, 60.0, 0.5)
+    way = np.where(time > 0, 1.2 * (1 + 0.4 * (1 - np.exp(-time / 12))), 0.0)
+    load = np.where(time > 0, force(1.2), 9999.0) + noise(time.size, 0.01)
+    imported = calibration.import_files([write(tmp_path, way, load, time)], tmp_path / "gel.toml", wishes())
+    assert not imported.complete and "the loading from rest must be recorded" in imported.problem

@@ -87,9 +87,21 @@ class TestOutliers:
         assert found.suspected[0].samples == (81,)
         assert "sample 81 kept" in found.contradictions[0]
 
-    def test_a_channel_counts_from_the_first_sample_that_is_kept(self):
-        rest, _ = clean(recording(way=changed(WAY, 0, 5e-3) + 1e-3), zeroed=["displacement"])
-        assert rest.displacement[0] == 0.0
+    @pytest.mark.parametrize("way", [changed(WAY, 0, 5e-3) + 1e-3, changed(WAY, [0, 1], 9.999)])
+    def test_a_channel_counts_from_its_value_at_a_wrong_first_sample(self, way):
+        rest, found = clean(recording(way=way), zeroed=["displacement"])
+        assert rest.displacement[0] == pytest.approx(WAY[len(found.samples)], abs=1e-7)
+
+    def test_a_wrong_first_force_keeps_the_zero_of_the_displacement(self):
+        rest, _ = clean(recording(load=changed(FORCE, 0, 9999.0)), zeroed=["displacement"])
+        assert rest.displacement[0] == WAY[1]
+
+    @pytest.mark.parametrize("late", [1, 5])
+    def test_a_wrong_first_displacement_before_a_late_start(self, late):
+        way = np.clip(WAY - WAY[late], 0.0, None)
+        rest, _ = clean(recording(way=changed(way, 0, 5e-3) + 1e-3, load=force(way) + 0.1 * NOISE),
+                        zeroed=["displacement"])
+        assert rest.displacement[0] == pytest.approx(0.0, abs=2e-6)
 
 
 class TestSaturation:
@@ -238,3 +250,38 @@ def test_the_loading_from_rest_before_creep_is_kept():
     load = np.minimum(0.17 * time, 0.53) + 0.002 * np.sin(7.0 * time)
     load[0] = 0.0
     assert find_outliers(way, load) == ()
+
+
+class TestFirstSample:
+    HELD = np.arange(1.0, 60.0)
+    CREPT = np.concatenate([[0.0], 1e-3 * (1 + 0.4 * (1 - np.exp(-HELD / 12)))])
+
+    def test_a_lost_first_load_before_creep_costs_one_sample(self):
+        # The ramp before the hold has two samples.
+        way, load = np.insert(self.CREPT, 1, 0.6e-3), np.insert(np.where(self.CREPT > 0, 2.0, 0.0), 1, 1.2)
+        load += 0.1 * NOISE[:load.size]
+        found = find_outliers(way, changed(load, 0, 9999.0))
+        assert [(name, group) for name, group, _ in found] == [("load", (0,))]
+
+    def test_creep_is_recognised_where_the_recording_begins_in_the_hold(self):
+        load = np.full(self.HELD.size, 2.0) + 0.1 * NOISE[:self.HELD.size]
+        assert find_control(self.CREPT[1:], load).pattern == "creep"
+
+    def test_air_at_an_even_speed_is_no_creep(self):
+        way = 1e-3 + WAY
+        assert find_control(way, 2.0 + force(way - 2e-3) + NOISE).creep == 0.0
+
+    def test_a_hold_below_the_last_digit_of_the_load_is_no_creep(self):
+        way = np.concatenate([WAY[:40], np.full(30, WAY[39]), WAY[40:]])
+        assert find_control(way, np.round(force(way) / 0.4) * 0.4).creep == 0.0
+
+    def test_a_step_away_from_a_single_first_sample_does_not_show_the_zero(self):
+        way, load = self.CREPT - 8e-3 * (self.CREPT == 0), np.where(self.CREPT > 0, 2.0, 0.0)
+        with pytest.raises(InputError, match="the zero of the displacement is not known"):
+            clean(recording(way - way[0], load, np.arange(float(way.size))), zeroed=["displacement"])
+
+
+def test_a_coarse_force_hides_no_preload():
+    load = np.round(force(WAY + 0.2e-3) / 0.5) * 0.5
+    assert load_at_zero(WAY, load).load == pytest.approx(force(np.array([0.2e-3]))[0], rel=0.3)
+    assert load_at_zero(WAY, np.round(force(WAY) / 0.5) * 0.5) is None

@@ -7,18 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.recording.first_sample import LOADS, first_value
 from tissue_sim.recording.measures import Measure, stated_measures
 from tissue_sim.recording.outliers import find_outliers, left_out
 from tissue_sim.recording.recording import CHANNELS, MIN_POINTS, Recording
 from tissue_sim.recording.saturation import find_saturation, last_digit
-from tissue_sim.recording.screening import LeftOut, Saturation, Screening, numbered
+from tissue_sim.recording.screening import LeftOut, Saturation, Screening
 
-#: Channels of the motion and of the load; of each, the first one that a recording has is examined.
+#: Channels of the motion; of these, and of those of the load, the first one that a recording has is examined.
 MOTIONS = ("displacement", "stretch", "shear strain")
-LOADS = ("force", "nominal stress")
-#: Step of the load from the samples that are left out to the first one that is kept, as a fraction of its range, above
-#: which the motion was not at its start there.
-_LOADED = 0.1
 #: Errors of a product in units of the floating-point spacing.
 _BITS = 4.0
 #: Quantity -> unit and units in one of SI, for sentences.
@@ -32,17 +29,20 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
     Args:
         recording: one without a motion or without a load is returned as it is.
         leave_out: numbers of the samples to leave out, from 1; None: outliers are found.
-        zeroed: channels that were counted from the first sample; they are counted from the first sample that is kept.
+        zeroed: channels that were counted from the first sample; where that is an outlier, they are counted from the
+            value that the other samples show for it.
 
     Raises:
-        InputError: a number beyond the recording, too many outliers, or too few samples that are kept.
+        InputError: a number beyond the recording, too many outliers, too few samples that are kept, or a zero that the
+            samples do not show.
     """
     motion, load = (next((name for name in names if name in recording), None) for names in (MOTIONS, LOADS))
     if motion is None or load is None:
         return recording, Screening()
     channels = {name: recording.channel(name) for name in (motion, load)}
     try:
-        found = left_out(find_outliers(channels[motion], channels[load]), channels, in_words)
+        outliers = find_outliers(channels[motion], channels[load], is_counted=motion in zeroed)
+        found = left_out(outliers, channels, in_words)
     except InputError:
         # A list in the campaign states that all other samples are valid.
         if leave_out is None:
@@ -65,46 +65,54 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
             is_kept[cut] = False
             kept = np.flatnonzero(is_kept)
             rest = recording.select(kept)
-    if kept.size and kept[0] > 0 and zeroed:
-        _require_start(channels[load], kept, motion, zeroed, found)
-        rest = rest.with_channels(**{name: rest.channel(name) - rest.channel(name)[0] for name in zeroed
-                                     if name in rest})
-    return rest, Screening(found, saturation, suspected=suspected)
+    screening = Screening(found, saturation, suspected=suspected)
+    if kept.size and kept[0] > 0:
+        rest = rest.with_channels(**{name: rest.channel(name) - _start(recording, screening, name)
+                                     for name in zeroed if name in channels})
+    return rest, screening
 
 
-def _require_start(load: np.ndarray, kept: np.ndarray, motion: str, zeroed: Sequence[str], found: Sequence[LeftOut]
-                   ) -> None:
-    """Refuse to count a motion from the first sample that is kept if the specimen was loaded before that sample.
+def start_of(recording: Recording, screening: Screening, name: str) -> float | None:
+    """Value of the motion or the load at the first sample; see `tissue_sim.recording.first_sample.first_value`.
 
     Args:
-        load: of all samples, shape (n,). kept: samples from 0 that are kept. found: samples left out, by channel.
+        recording: all of its samples. screening: of `clean`.
+    """
+    partners = LOADS if name in MOTIONS else MOTIONS
+    partner = next((each for each in partners if each in recording), None)
+    return float(recording.channel(name)[0]) if partner is None else first_value(recording, screening, name, partner)
+
+
+def _start(recording: Recording, screening: Screening, name: str) -> float:
+    """As `start_of`, for a channel that is counted from its first sample.
 
     Raises:
-        InputError: the load of the samples left out for their motion is another one.
+        InputError: the samples that are kept do not determine the value.
     """
-    step = float(load[kept[0]] - load[0])
-    is_motion = any(1 in each.samples and each.channel == motion for each in found)
-    is_load = any(1 in each.samples and each.channel != motion for each in found)
-    if motion in zeroed and is_motion and not is_load and abs(step) > _LOADED * float(np.ptp(load[kept])):
-        samples = numbered(tuple(range(1, int(kept[0]) + 1)))
-        raise InputError(f"the zero of the {motion} is not known: {samples} left out, and the load changes before "
-                         f"sample {kept[0] + 1}; give the column of the {motion} an offset, 0 if it is right as the "
-                         "file has it", field=f"columns.{motion}.offset")
+    found = start_of(recording, screening, name)
+    if found is None:
+        raise InputError(f"the zero of the {name} is not known: sample 1 is left out, and the other channel does not "
+                         f"show where the {name} started; give the column of the {name} an offset, 0 if it is right as "
+                         "the file has it", field=f"columns.{name}.offset")
+    return found
 
 
-def counted_from_kept(recording: Recording, zeroed: Sequence[str]) -> Recording:
-    """Count channels from the first sample that is kept, not from the first one.
+def counted_from_start(recording: Recording, zeroed: Sequence[str]) -> Recording:
+    """Count channels from their value at the first sample, also where an outlier is in its place.
+
+    Where the samples do not show that value, the channels count from the first sample that is kept.
 
     Args:
         recording: all of its samples. zeroed: channels that count from the first sample.
     """
-    if not zeroed:
+    named = [name for name in zeroed if name in recording]
+    if not named:
         return recording
     rest, screening = clean(recording)
-    if 1 not in screening.samples:
-        return recording
-    return recording.with_channels(**{name: recording.channel(name) - rest.channel(name)[0] for name in zeroed
-                                      if name in recording})
+    starts = {name: start_of(recording, screening, name) for name in named}
+    return recording.with_channels(**{
+        name: recording.channel(name) - (float(rest.channel(name)[0]) if start is None else start)
+        for name, start in starts.items()})
 
 
 def _as_stated(recording: Recording, leave_out: Sequence[int], found: tuple[LeftOut, ...]

@@ -22,9 +22,13 @@ _HELD_RANGE = 0.015
 _HELD_NOISE = 3.0
 #: A displacement creeps where its rate is less than this fraction of the rate at which the specimen was loaded.
 _SLOWER = 0.3
+#: A displacement creeps from the first sample on where its second half adds less than this fraction of its first half.
+_LATE = 0.5
 #: A line in time: largest deviation from it as a fraction of the range; and how many times more the other channel has.
 _STRAIGHT = 0.01
 _STRAIGHTER = 4.0
+#: Displacement of the first sample, as a fraction of the range, up to which the specimen is undeformed there.
+_UNDEFORMED = 0.05
 #: Most samples that are examined; others are skipped evenly.
 _MOST = 20_000
 #: Samples at each end of a hold whose median counts.
@@ -50,7 +54,7 @@ def find_control(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None =
         return Control(_straighter(motion, load, clock, oscillation.first), "oscillation",
                        loss_factor=oscillation.loss_factor, frequency=oscillation.frequency,
                        loading=_first_turn(motion, oscillation))
-    rest = min(float(load[0]), float(np.median(load[:_AT_ENDS])))
+    rest = min(_load_at_rest(motion, load), float(np.median(load[:_AT_ENDS])))
     holds = list(_holds(label_motion(clock, motion)))
     lost = max(((_lost(load, first, last, rest), first, last) for first, last in holds), default=(0.0, 0, 0))
     crept = [each for each in _creep(motion, load, clock) if each[2] > CREEPS]
@@ -80,6 +84,12 @@ def creep_holds(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None = 
     if motion.size < 2 * _FEWEST or not np.ptp(motion) > 0 or not np.ptp(load) > 0 or not clock[-1] > clock[0]:
         return ()
     return tuple((first, last) for first, last, gain in _creep(motion, load, clock) if gain > CREEPS)
+
+
+def _load_at_rest(motion: np.ndarray, load: np.ndarray) -> float:
+    """Load of the unloaded specimen: that of the first sample, or zero where the recording begins in a deformed state,
+    as after a first sample that is left out."""
+    return float(load[0]) if abs(motion[0]) <= _UNDEFORMED * np.ptp(motion) else min(float(load[0]), 0.0)
 
 
 def _time_constant(values: np.ndarray, clock: np.ndarray, first: int, last: int) -> float:
@@ -114,7 +124,7 @@ def _holds(labels: np.ndarray) -> Iterator[tuple[int, int]]:
 
 def _lost(load: np.ndarray, first: int, last: int, rest: float) -> float:
     """Fraction of the load at the start of a hold that is lost in it; 0 where it is not significant."""
-    noise = _noise(load)
+    noise = noise_deviation(load)
     begin = float(np.median(load[first:first + _AT_ENDS]))
     end = float(np.median(load[max(last - _AT_ENDS, first):last]))
     if begin - rest <= _LOADED * np.ptp(load) or begin - end < 4 * noise:
@@ -124,23 +134,40 @@ def _lost(load: np.ndarray, first: int, last: int, rest: float) -> float:
 
 def _creep(motion: np.ndarray, load: np.ndarray, clock: np.ndarray) -> Iterator[tuple[int, int, float]]:
     """First sample, end and gain of the displacement (as a fraction) of each hold of the load in which it creeps."""
-    rest = float(load[0])
-    tolerance = max(_HELD_RANGE * float(np.ptp(load)), _HELD_NOISE * _noise(load))
-    if tolerance > 0.2 * np.ptp(load):
+    rest = _load_at_rest(motion, load)
+    span = max(float(load.max()), rest) - min(float(load.min()), rest)
+    tolerance = max(_HELD_RANGE * span, _HELD_NOISE * noise_deviation(load))
+    if tolerance > 0.2 * span:
         return
     for first, last in _holds(label_motion(clock, load, tolerance)):
         level = float(np.median(load[first + 1:last]))
         first += 1
-        if abs(level - rest) <= _LOADED * np.ptp(load) or np.ptp(load[first:last]) > 4 * tolerance:
+        if abs(level - rest) <= _LOADED * span or np.ptp(load[first:last]) > 4 * tolerance:
             continue
         gain = float(np.median(motion[last - _AT_ENDS:last]) - motion[first])
-        duration, before = clock[last - 1] - clock[first], max(first - _FEWEST, 0)
-        loading = clock[first] - clock[before]
-        if gain <= 0 or not duration > 0 or not loading > 0 or gain < 6 * _noise(motion):
+        duration = clock[last - 1] - clock[first]
+        if gain <= 0 or not duration > 0 or gain < 6 * noise_deviation(motion) or motion[first] <= 0:
             continue
-        rate_before = (motion[first] - motion[before]) / loading
-        if rate_before > 0 and gain / duration < _SLOWER * rate_before and motion[first] > 0:
+        if _slows_down(motion, clock, first, last, gain / duration):
             yield first, last, gain / float(motion[first])
+
+
+def _slows_down(motion: np.ndarray, clock: np.ndarray, first: int, last: int, rate: float) -> bool:
+    """Whether a motion in samples `first` to `last` (not included) creeps: it slows down, and it is slower than the
+    loading before. Where the recording begins in a loaded state, the loading before is not known, and the motion must
+    slow down clearly, as a motion in air is even.
+
+    Args:
+        rate: mean rate of the motion from sample `first` on.
+    """
+    middle = first + int(np.argmax(clock[first:last] >= 0.5 * (clock[first] + clock[last - 1])))
+    halves = motion[middle] - motion[first], motion[last - 1] - motion[middle]
+    if first <= 1 and abs(motion[0]) > _UNDEFORMED * np.ptp(motion):
+        return bool(halves[1] < _LATE * halves[0])
+    before = max(first - _FEWEST, 0)
+    loading = clock[first] - clock[before]
+    return bool(halves[1] <= halves[0] and loading > 0 and motion[first] > motion[before]
+                and rate < _SLOWER * (motion[first] - motion[before]) / loading)
 
 
 def _straighter(motion: np.ndarray, load: np.ndarray, clock: np.ndarray, end: int
@@ -158,6 +185,7 @@ def _straighter(motion: np.ndarray, load: np.ndarray, clock: np.ndarray, end: in
     return "displacement" if bends[0] < bends[1] else "force"
 
 
-def _noise(values: np.ndarray) -> float:
+def noise_deviation(values: np.ndarray) -> float:
+    """Standard deviation of the noise of a smooth channel, from its second differences."""
     bend = values[1:-1] - 0.5 * (values[:-2] + values[2:])
     return float(np.median(np.abs(bend))) / (0.6745 * np.sqrt(1.5))

@@ -33,6 +33,7 @@ class OutlierSettings:
         event: change of the motion across a group, in the largest step of its neighbours, above which a peak of the
             load belongs to the motion.
         rest: fraction of the largest value below which a first or last sample is at rest.
+        like: largest first step of a motion that counts from its first sample, in the largest of the following ones.
         correlated: correlation of motion and load above which their signs are known.
         plausible: largest motion at rest over that of the test, where a machine does not start at zero.
         stiffness: largest ratio of the stiffness of the first step from rest to that of the test.
@@ -52,6 +53,7 @@ class OutlierSettings:
     of_range: float = 0.01
     event: float = 2.0
     rest: float = 0.03
+    like: float = 3.0
     correlated: float = 0.5
     plausible: float = 1.5
     stiffness: float = 5.0
@@ -67,13 +69,15 @@ _BLOCK = 32
 _MEDIAN_DISTANCE = 0.52
 
 
-def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSettings = SETTINGS
-                  ) -> tuple[tuple[str, tuple[int, ...], float], ...]:
+def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSettings = SETTINGS, *,
+                  is_counted: bool = False) -> tuple[tuple[str, tuple[int, ...], float], ...]:
     """Find the outliers of motion and load, in the order of the samples.
 
     Args:
         motion, load: of one recording in the order of time, any unit and sign, shape (n,).
         settings: thresholds.
+        is_counted: whether the motion counts from the first sample. That sample is then zero by definition, which is no
+            evidence that the test starts from rest there.
 
     Returns:
         (``"motion"`` or ``"load"``, numbers of the samples from 0, value that the neighbours predict for the first).
@@ -84,10 +88,19 @@ def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSetting
     for _ in range(2):
         if kept.size < settings.fewest:
             break
-        channels = {"motion": _Channel(motion[kept], settings), "load": _Channel(load[kept], settings)}
-        new = {(name, tuple(kept[list(group)].tolist())): predicted
-               for name, one in channels.items() for group, predicted in one.outliers()
-               if not _belongs_to_test(name, group, channels, settings)}
+        channels = {"motion": _Channel(motion[kept], settings, is_counted=is_counted),
+                    "load": _Channel(load[kept], settings)}
+        candidates = {name: tuple(one.outliers()) for name, one in channels.items()}
+        lost = kept[0] > 0 and not any(name == "motion" and 0 in group for name, group in found)
+        start = _Start(motion[:1] if lost else None, any(0 in group for group, _ in candidates["load"]))
+        new = {}
+        for name in channels:
+            for group, predicted in candidates[name]:
+                if _belongs_to_test(name, group, channels, settings):
+                    continue
+                wrong = start.wrong(name) if start.includes(group, channels, settings) else group
+                if wrong and (wrong == group or not _belongs_to_test(name, wrong, channels, settings)):
+                    new[name, tuple(kept[list(wrong)].tolist())] = predicted
         if not new:
             break
         found |= new
@@ -97,7 +110,7 @@ def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSetting
 
 def left_out(outliers: tuple[tuple[str, tuple[int, ...], float], ...], channels: Mapping[str, np.ndarray],
              words: Callable[[str, float], str]) -> tuple[LeftOut, ...]:
-    """Outliers with a reason in words, each sample once.
+    """Outliers with a reason in words, one for each channel that is wrong in a group of samples.
 
     Args:
         outliers: of `find_outliers`. channels: name of the channel of motion and load, in this order -> values.
@@ -111,8 +124,6 @@ def left_out(outliers: tuple[tuple[str, tuple[int, ...], float], ...], channels:
     found: list[LeftOut] = []
     seen: set[int] = set()
     for which, group, predicted in outliers:
-        if seen.issuperset(group):
-            continue
         seen.update(group)
         name = names[which]
         values = channels[name][list(group)]
@@ -137,8 +148,8 @@ def _at_the_end(which: str, group: tuple[int, ...], total: int, values: np.ndarr
 class _Channel:
     """One channel with its noise, steps and candidates, shape (n,)."""
 
-    def __init__(self, values: np.ndarray, settings: OutlierSettings):
-        self.values, self.settings = values, settings
+    def __init__(self, values: np.ndarray, settings: OutlierSettings, *, is_counted: bool = False):
+        self.values, self.settings, self.is_counted = values, settings, is_counted
         padded = np.concatenate([_line(values[:9], np.arange(-3, 0)), values,
                                  _line(values[:-10:-1], np.arange(-3, 0))[::-1]])
         self.smooth = _running_median(padded)
@@ -228,6 +239,37 @@ class _Channel:
         return max((float(np.abs(np.diff(side)).max()) for side in sides if side.size > 1), default=0.0)
 
 
+@dataclass(frozen=True, eq=False)
+class _Start:
+    """A start from rest whose first load is lost, so that only the motion shows that its first samples are right.
+
+    Attributes:
+        motion: value of the motion in the first sample, where that sample is already left out for its load, shape (1,).
+        is_candidate: whether the load of the first sample is a candidate.
+    """
+
+    motion: np.ndarray | None
+    is_candidate: bool
+
+    def includes(self, group: tuple[int, ...], channels: Mapping[str, _Channel], settings: OutlierSettings) -> bool:
+        """Whether a group at the start is the loading from rest: the motion rises from rest through all of its
+        samples, and the load from the second sample on grows away from zero."""
+        if group[0] != 0 or (self.motion is None and not self.is_candidate):
+            return False
+        end = group[-1] + 2
+        motion, load = (channels[name].values[:end] for name in ("motion", "load"))
+        if self.motion is None:
+            load = load[1:]
+        else:
+            motion = np.concatenate([self.motion, motion])
+        return bool(np.all(np.diff(load) * load[0] > 0)) and _rises_from_rest(
+            motion, settings, is_counted=channels["motion"].is_counted)
+
+    def wrong(self, name: str) -> tuple[int, ...]:
+        """Samples of the group that are wrong: the first one of the load, unless it is already left out."""
+        return (0,) if name == "load" and self.motion is None else ()
+
+
 def _belongs_to_test(name: str, group: tuple[int, ...], channels: Mapping[str, _Channel],
                      settings: OutlierSettings) -> bool:
     """Whether a candidate is an event of the test: a peak of the load where the motion steps, a start from rest."""
@@ -238,8 +280,13 @@ def _belongs_to_test(name: str, group: tuple[int, ...], channels: Mapping[str, _
         step = abs(motion.jump(first, last))
         return name == "load" and step > max(settings.event * (last - first + 1) * motion.largest_step(first, last),
                                              0.02 * motion.range)
-    if first == 0 and last > 1 and all(_rises_from_rest(one.values[:last + 1], settings) for one in (motion, load)):
+    if first == 0 and last > 1 and all(_rises_from_rest(one.values[:last + 1], settings, is_counted=one.is_counted)
+                                       for one in (motion, load)):
         return True
+    if name == "motion" and first == 0 and (
+            motion.is_counted or abs(motion.values[0]) > settings.rest * float(np.abs(motion.smooth).max())):
+        # A single sample before a step does not decide the zero of the motion.
+        return False
     if name == "load" and first == 0 and _relaxes(load.values[:last], float(load.values[last])):
         return True
     if first == 0:
@@ -276,10 +323,17 @@ def _steps_together(sample: int, next_one: int, motion: _Channel, load: _Channel
     return together and any(rests) and is_plausible
 
 
-def _rises_from_rest(values: np.ndarray, settings: OutlierSettings) -> bool:
-    """Whether the first samples rise steadily, to one side, from rest, as in the loading before creep."""
+def _rises_from_rest(values: np.ndarray, settings: OutlierSettings, *, is_counted: bool) -> bool:
+    """Whether the first samples rise steadily, to one side, from rest, as in the loading before creep.
+
+    Of a channel that counts from the first sample, the first step must be like the following ones.
+    """
     steps = np.diff(values)
-    return bool(np.all(steps * steps[0] > 0) and abs(values[0]) <= settings.rest * np.abs(values).max())
+    if not np.all(steps * steps[0] > 0):
+        return False
+    if is_counted:
+        return steps.size > 1 and bool(abs(steps[0]) <= settings.like * np.abs(steps[1:]).max())
+    return bool(abs(values[0]) <= settings.rest * np.abs(values).max())
 
 
 def _relaxes(values: np.ndarray, following: float) -> bool:

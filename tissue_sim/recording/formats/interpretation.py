@@ -9,6 +9,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
+from tissue_sim.recording.formats.comparison import shared_values
 from tissue_sim.recording.formats.gauge_length import is_derived
 from tissue_sim.recording.formats.guesses import ColumnGuess, Stated
 from tissue_sim.recording.formats.pairing import with_measure
@@ -69,7 +70,7 @@ def column_assumptions(read: Read, columns: Sequence[ColumnGuess], recordings: S
         is_named = bool(stated.columns)
         yield Assumption(f"column of {channel}", name, () if is_named else (column.reason.split(";")[0],),
                          is_stated=is_named, flag=f"--column {flag}={_quoted(column.header or str(column.place))}")
-        yield _unit(read, column, recordings, others, stated, flag)
+        yield _unit(read, column, columns, recordings, others, stated, flag)
         if channel not in ("time", "temperature"):
             is_signed = not stated.signs.keys().isdisjoint({channel, column.role})
             turned = column.sign < 0
@@ -102,7 +103,7 @@ def settle_rivals(read: Read, columns: tuple[ColumnGuess, ...], recordings: tupl
     """Compare each column with others of the same quantity.
 
     A column that is measured on the specimen, or corrected, is preferred; one that does not move is not connected, and
-    the other is read. Equally sure columns that differ are a question.
+    the other is read. Equally sure columns that differ are a question. Outliers count in none of these comparisons.
 
     Returns:
         Columns, recordings, assumptions with the difference, and sentences.
@@ -118,9 +119,11 @@ def settle_rivals(read: Read, columns: tuple[ColumnGuess, ...], recordings: tupl
             other = read(swapped)
         except InputError:
             continue
-        own, its = (np.concatenate([each.channel(column.channel) - each.channel(column.channel)[0] for each in found])
-                    for found in (recordings, other))
-        if own.size != its.size or np.ptp(its) == 0:
+        pairs = [pair for pair in shared_values(recordings, other, column.channel) if pair[0].size]
+        if not pairs:
+            continue
+        own, its = (np.concatenate([pair[which] - pair[which][0] for pair in pairs]) for which in (0, 1))
+        if np.ptp(its) == 0:
             continue
         if np.ptp(own) < _CONNECTED * np.ptp(its) and rival.rank > column.rank:
             remarks.append(f"column {column.header!r} does not move, so that {rival.header!r} is read in its place")
@@ -157,12 +160,12 @@ def _quoted(text: str) -> str:
     return f'"{text}"' if not text.isalnum() else text
 
 
-def _unit(read: Read, column: ColumnGuess, recordings: Sequence[Recording], others: Sequence[ColumnGuess],
-          stated: Stated, flag: str) -> Assumption:
+def _unit(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
+          others: Sequence[ColumnGuess], stated: Stated, flag: str) -> Assumption:
     channel, subject = column.channel, f"unit of {column.channel}"
     is_stated = not (stated.units.keys() | stated.scales.keys()).isdisjoint({channel, column.role})
     alternatives = () if is_stated or not _is_ratio(column) else _percent(
-        read, column, recordings, others, flag, is_named=bool(stated.columns))
+        read, column, columns, recordings, others, flag, is_named=bool(stated.columns))
     if column.unit is None and CHANNELS[channel] == "ratio" and column.scale is None:
         return Assumption(subject, "-", ("no unit in the file: a ratio",), alternatives=alternatives,
                           flag=f"--unit {flag}=-", is_stated=is_stated)
@@ -204,10 +207,10 @@ def _is_ratio(column: ColumnGuess) -> bool:
         column.unit is None or UNITS.get(column.unit) == UNITS["-"])
 
 
-def _percent(read: Read, column: ColumnGuess, recordings: Sequence[Recording], others: Sequence[ColumnGuess],
-             flag: str, *, is_named: bool) -> tuple[Alternative, ...]:
+def _percent(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
+             others: Sequence[ColumnGuess], flag: str, *, is_named: bool) -> tuple[Alternative, ...]:
     """Large numbers may be in %, unless another measure of strain, or a displacement over the gauge length, agrees."""
-    values = np.concatenate([each.channel(column.channel) for each in recordings])
+    values = np.concatenate([own for own, _ in shared_values(recordings, recordings, column.channel)])
     # A derived displacement is the strain times the gauge length, which is its scale in mm.
     length = 1e-3 * (column.scale or 1e3)
     largest = float(np.abs(values - (column.channel == "stretch" and column.role == "strain")).max()) / length
@@ -219,15 +222,16 @@ def _percent(read: Read, column: ColumnGuess, recordings: Sequence[Recording], o
         if other.channel != column.channel or same or other.missing:
             continue
         try:
-            its = np.concatenate([each.channel(column.channel) for each in read([other])])
+            rival = read([other if each is column else each for each in columns])
         except InputError:
             continue
-        if its.size == values.size and np.abs(its - values).max() <= (
-                _AGREEMENT if other.measure != column.measure else _SAME_UNIT) * largest * length:
+        pairs = [pair for pair in shared_values(recordings, rival, column.channel) if pair[0].size]
+        limit = (_AGREEMENT if other.measure != column.measure else _SAME_UNIT) * largest * length
+        if pairs and max(float(np.abs(its - own).max()) for own, its in pairs) <= limit:
             return ()
     percent = replace(column, scale=0.01 * (column.scale or 1.0)) if is_derived(column) else replace(
         column, unit="%", offset=100.0 if column.offset == 1.0 else column.offset)
-    return (Alternative("%", _ratio(read, column, percent, recordings), f"--unit {flag}=%"),)
+    return (Alternative("%", _ratio_of_strains(read, column, percent, columns, recordings), f"--unit {flag}=%"),)
 
 
 def _measure(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
@@ -260,29 +264,47 @@ def _measure(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], re
                       flag=f"--measure {flag}={column.measure or ENGINEERING}", is_stated=is_stated)
 
 
-def _ratio(read: Read, column: ColumnGuess, changed: ColumnGuess, recordings: Sequence[Recording],
-           columns: Sequence[ColumnGuess] = ()) -> float | None:
-    """Shear modulus with the changed column over that with the column; None: it cannot be read so."""
+def _ratio_of_strains(read: Read, column: ColumnGuess, changed: ColumnGuess, columns: Sequence[ColumnGuess],
+                      recordings: Sequence[Recording]) -> float | None:
+    """Shear modulus with the changed column of strain over that with the column, inverse to the strain as in a small
+    deformation; None: the column cannot be read so."""
     try:
-        other = read([changed if each is column else each for each in columns] if columns else [changed])
+        other = read([changed if each is column else each for each in columns])
     except InputError:
         return None
-    if not columns:
-        # Small strains of an elastic specimen: the modulus is inverse to the strain.
-        own, its = (np.concatenate([np.abs(each.channel(column.channel) - (column.channel == "stretch"))
-                                    for each in found]).max() for found in (recordings, other))
-        return float(own / its) if its > 0 else None
-    own, its = (_shear_modulus(found) for found in (recordings, other))
+    rest = float(column.channel == "stretch")
+    pairs = [pair for pair in shared_values(recordings, other, column.channel) if pair[0].size]
+    own, its = (max((float(np.abs(pair[which] - rest).max()) for pair in pairs), default=0.0) for which in (0, 1))
+    return own / its if its > 0 else None
+
+
+def _ratio(read: Read, column: ColumnGuess, changed: ColumnGuess, recordings: Sequence[Recording],
+           columns: Sequence[ColumnGuess]) -> float | None:
+    """Shear modulus with the changed column over that with the column; None: it cannot be read so."""
+    try:
+        other = read([changed if each is column else each for each in columns])
+    except InputError:
+        return None
+    own, its = _shear_moduli(recordings, other)
     return its / own if own and its else None
 
 
-def _shear_modulus(recordings: Sequence[Recording]) -> float | None:
-    """Least-squares shear modulus of a neo-Hookean specimen, P = mu (l - l^-2), Pa; None: no stretch and stress."""
-    if not all({"stretch", "nominal stress"} <= set(each.channels) for each in recordings):
-        return None
-    stretch, stress = (np.concatenate([each.channel(name) for each in recordings])
-                       for name in ("stretch", "nominal stress"))
-    if stretch.min() <= 0:
+def _shear_moduli(first: Sequence[Recording], second: Sequence[Recording]) -> tuple[float | None, float | None]:
+    """Least-squares shear modulus of a neo-Hookean specimen, P = mu (l - l^-2), Pa, of two readings of a table; None:
+    no stretch and stress."""
+    if not all({"stretch", "nominal stress"} <= set(each.channels) for each in (*first, *second)):
+        return None, None
+    parts = [shared_values(first, second, name) for name in ("stretch", "nominal stress")]
+    if not parts[0]:
+        return None, None
+    stretches, stresses = ([np.concatenate([pair[which] for pair in part]) for which in (0, 1)] for part in parts)
+    one, other = (_shear_modulus(*each) for each in zip(stretches, stresses, strict=True))
+    return one, other
+
+
+def _shear_modulus(stretch: np.ndarray, stress: np.ndarray) -> float | None:
+    """Least-squares shear modulus, Pa; None: it has no value."""
+    if not stretch.size or stretch.min() <= 0:
         return None
     shape = stretch - stretch**-2
     return float(np.dot(stress, shape) / np.dot(shape, shape)) if np.any(shape) else None

@@ -13,19 +13,24 @@ from tissue_sim.recording.recording import Recording
 
 #: A travel that begins farther from zero than this share of itself counts from a zero of the machine.
 _AWAY = 0.02
+#: Motion up to which the specimen is at rest, as a fraction of the largest motion.
+_FROM_REST = 0.05
 
 
-def oriented(columns: Sequence[ColumnGuess], recordings: Sequence[Recording], kind: str | None,
-             stated: Collection[str]) -> tuple[ColumnGuess, ...]:
+def oriented(columns: Sequence[ColumnGuess], recordings: Sequence[Recording], starts: Sequence[float | None],
+             kind: str | None, stated: Collection[str]) -> tuple[ColumnGuess, ...]:
     """Columns with signs and zeros by which travel and force grow under load, and stretch and stress carry their sign.
 
     Args:
-        columns: as the file has them. recordings: read so. kind: of test. stated: channels whose sign a person states.
+        columns: as the file has them. recordings: read so, without outliers.
+        starts: displacement of each recording at its first sample, m, also where that sample is an outlier; None: no
+            displacement, or it is not known.
+        kind: of test. stated: channels whose sign a person states.
     """
     turned: dict[str, ColumnGuess] = {}
     for column in columns:
         if column.channel == "displacement":
-            column = _travel(column, recordings, stated)
+            column = _travel(column, recordings, starts, stated)
         elif column.channel == "stretch" and column.role != "stretch" and kind == "lubricated_compression" \
                 and "stretch" not in stated \
                 and _most(each.channel("stretch").max() - 1.0 > 1.0 - each.channel("stretch").min()
@@ -34,11 +39,12 @@ def oriented(columns: Sequence[ColumnGuess], recordings: Sequence[Recording], ki
         turned[column.channel] = column
     for channel in ("force", "nominal stress"):
         if channel in turned and channel not in stated:
-            turned[channel] = _load(turned[channel], recordings, turned)
+            turned[channel] = _load(turned[channel], recordings, starts, turned)
     return tuple(turned.values())
 
 
-def _travel(column: ColumnGuess, recordings: Sequence[Recording], stated: Collection[str]) -> ColumnGuess:
+def _travel(column: ColumnGuess, recordings: Sequence[Recording], starts: Sequence[float | None],
+            stated: Collection[str]) -> ColumnGuess:
     ways = [each.channel("displacement") for each in recordings]
     static = [offset for each in recordings if (offset := _static_offset(each)) is not None]
     if 2 * len(static) > len(recordings):
@@ -46,7 +52,8 @@ def _travel(column: ColumnGuess, recordings: Sequence[Recording], stated: Collec
             column, sign=-1, reason=f"{column.reason}; it oscillates around a negative offset, so turned")
     if "displacement" not in stated and _most(largest_excursion(way) < 0 for way in ways):
         column = replace(column, sign=-1, reason=f"{column.reason}; it falls under load, so turned")
-    if any(abs(way[0]) > _AWAY * np.ptp(way) for way in ways):
+    begins = [float(way[0]) if start is None else start for way, start in zip(ways, starts, strict=True)]
+    if any(abs(start) > _AWAY * np.ptp(way) for way, start in zip(ways, begins, strict=True)):
         column = replace(column, offset="start", reason=f"{column.reason}; begins away from zero, so counted from the "
                                                         "first sample")
     return column
@@ -68,19 +75,23 @@ def _static_offset(recording: Recording) -> float | None:
     return found.mean if abs(found.mean) > found.amplitude else 0.0
 
 
-def _load(column: ColumnGuess, recordings: Sequence[Recording], columns: Mapping[str, ColumnGuess]) -> ColumnGuess:
+def _load(column: ColumnGuess, recordings: Sequence[Recording], starts: Sequence[float | None],
+          columns: Mapping[str, ColumnGuess]) -> ColumnGuess:
     """Loads go with their motion, out of rest: one that goes against it is turned."""
     rest = {"stretch": 1.0, "shear strain": 0.0}
     # Without a column of the motion, the displacement is that of a constant speed.
     motion = next((name for name in ("displacement", "stretch", "shear strain") if name in columns), "displacement")
     direction = columns[motion].sign if motion in columns else 1
 
-    def against(recording: Recording) -> bool:
+    def against(recording: Recording, start: float | None) -> bool:
         way, load = recording.channel(motion), recording.channel(column.channel)
-        way = direction * (way - rest.get(motion, way[0]))
-        return float(np.sum(way * (load - load[np.argmin(np.abs(way))]))) < 0
+        way = direction * (way - rest.get(motion, way[0] if start is None else start))
+        nearest = int(np.argmin(np.abs(way)))
+        # A recording that begins far from rest, after a lost first sample, does not show its load at rest.
+        at_rest = float(load[nearest]) if abs(way[nearest]) <= _FROM_REST * float(np.abs(way).max()) else 0.0
+        return float(np.sum(way * (load - at_rest))) < 0
 
-    if _most(against(recording) for recording in recordings):
+    if _most(against(recording, start) for recording, start in zip(recordings, starts, strict=True)):
         return replace(column, sign=-1, reason=f"{column.reason}; against the motion, so turned")
     return column
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from tissue_sim.errors import InputError, located
 from tissue_sim.frozen_mapping import read_only
-from tissue_sim.recording.cleaning import clean, counted_from_kept
+from tissue_sim.recording.cleaning import clean, counted_from_start, start_of
 from tissue_sim.recording.formats.columns import MarkedRecording
 from tissue_sim.recording.formats.decimal_mark import NumberMarks, find_marks, marks_beside
 from tissue_sim.recording.formats.guesses import ColumnGuess, Reading, Stated, Understanding
@@ -35,7 +35,6 @@ from tissue_sim.recording.formats.statements import listed_sizes, merged, table_
 from tissue_sim.recording.formats.sweeps import is_sweep, sweep_sentence
 from tissue_sim.recording.formats.table_reader import TableReader
 from tissue_sim.recording.formats.vocabulary import MACHINES, Machine, find_machine
-from tissue_sim.recording.recording import Recording
 
 #: Rows of a table from which the decimal mark of the lines around it is taken.
 _MARKED_ROWS = 2000
@@ -173,8 +172,9 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
     if marks.thousands or (marks.example and not marks.is_certain):
         options["decimal"] = marks.decimal
     recordings = tuple(each.recording for each in marked)
-    cleaned, before = _cleaned(recordings), recordings
-    kind = guess_kind(cleaned, columns, _hints(source, first, columns, titles), machine, stated.kind)
+    screened, before = [clean(each) for each in recordings], recordings
+    kind = guess_kind([rest for rest, _ in screened], columns, _hints(source, first, columns, titles), machine,
+                      stated.kind)
     if kind.is_stated and kind.against:
         remarks = (*remarks, f"kind of test as stated ({kind.kind}), though {'; '.join(kind.against)}")
     elif not kind.is_stated and not stated.any_test:
@@ -186,11 +186,15 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
         recordings = reader.recordings(_checked_shear(columns))
     signed = {column.channel for column in columns if stated.signs.keys() & {column.channel, column.role}}
     columns, recordings, rivals, compared = settle_rivals(reader.recordings, columns, recordings, first.rivals)
-    turned = oriented(columns, cleaned if recordings is before else _cleaned(recordings), kind.kind, signed)
+    # No sign and no zero depends on outliers or saturated samples.
+    screened = screened if recordings is before else [clean(each) for each in recordings]
+    turned = oriented(columns, [rest for rest, _ in screened],
+                      [start_of(each, found, "displacement") if "displacement" in each else None
+                       for each, (_, found) in zip(recordings, screened, strict=True)], kind.kind, signed)
     recordings = reader.turned(recordings, columns, turned)
     columns, zeroed = turned, [column.channel for column in turned if column.offset == "start"]
-    recordings = tuple(counted_from_kept(each, zeroed) for each in recordings)
-    moved = () if first.speed is None else (speed_assumption(first.speed, recordings),)
+    recordings = tuple(counted_from_start(each, zeroed) for each in recordings)
+    moved = () if first.speed is None else (speed_assumption(first.speed, [rest for rest, _ in screened]),)
     remarks = (*remarks, *(sentence for each in moved for sentence in each.against))
     assumptions = (*column_assumptions(reader.recordings, columns, recordings, first.rivals, stated), *moved, *rivals,
                    kind_assumption(kind))
@@ -262,11 +266,6 @@ def _unused(numbers: Numbers, tables: Sequence[Group]) -> tuple[str, ...]:
     """Headers of the columns that no recording reads, places where there is none."""
     used = {column.place for group in tables if group.numbers is numbers for column in group.columns}
     return tuple(numbers.name(place) or str(place + 1) for place in numbers.columns if place + 1 not in used)
-
-
-def _cleaned(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
-    """The recordings without outliers and saturated samples, on which no sign and no zero may depend."""
-    return tuple(clean(each)[0] for each in recordings)
 
 
 def _told_apart(groups: Sequence[Group]) -> bool:
