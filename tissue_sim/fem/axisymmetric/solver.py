@@ -17,7 +17,7 @@ from tissue_sim.fem.axisymmetric.predictor import extrapolation
 from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, realtime_rungs
 from tissue_sim.fem.axisymmetric.state import SavedState
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface, deformed_surface
-from tissue_sim.fem.axisymmetric.touch import bring_down
+from tissue_sim.fem.axisymmetric.touch import bind_ahead, bring_down
 from tissue_sim.fem.free_tool import AT_REST
 from tissue_sim.fem.inertia import Motion
 from tissue_sim.fem.solver import Comparison, Neighbours, OwnStiffness, Rung, Solver, Step, StepStatus
@@ -210,7 +210,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
                 or surface.spans[own, STAYS].any()):
             return None
         place = surface.positions(self.committed.latest[: 2 * len(self.mesh.nodes)].reshape(-1, 2))
-        place[own, 1] += pose.depth
+        place[own, 1] += pose.depth - self.datum
         return float(surface.gaps(place)[own].min())
 
     def move_in_air(self, pose: Pose) -> None:
@@ -226,6 +226,12 @@ class AxisymmetricSolver(KernelOwner, Solver):
         else:
             self.move_in_air(pose)
         return begins
+
+    def meet(self, pose: Pose) -> None:
+        """See `FreeTool.meet`; of the points that touch in the first half of the increment."""
+        committed = self.committed
+        bind_ahead(self.equations.surface, committed.latest[: 2 * len(self.mesh.nodes)].reshape(-1, 2),
+                   committed.depths[0] - self.datum, pose.depth - committed.depths[0])
 
     def stand_still(self) -> None:
         """See `FreeTool.stand_still`."""
