@@ -38,6 +38,9 @@ _ROUNDING = 1e-9
 _SMALLEST_CUT = 2.0**-8
 #: Late ticks are merged if their poses are on one line up to this fraction of the largest part.
 _STRAIGHT = 2.0**-8
+#: Force of waves over the largest force so far above which an equilibrium of merged ticks is not CONVERGED; about the
+#: error of the coarsest mesh for real time.
+_WAVE = 0.02
 #: Below this fraction of the largest part the tissue creeps past a part that fails.
 _CREEPS = 0.5
 #: Linear solutions of a step of a creep.
@@ -91,6 +94,7 @@ class PathFollower:
     _keeps_path: bool
     _pulls: bool
     _leaps: bool
+    _is_long: bool
     _begins: bool
     _has_warned: bool
     _extrapolates: bool
@@ -140,8 +144,10 @@ class PathFollower:
             assert tool.pose is not None
             self._pose = tool.seen_by(solver, tool.pose)
             if not begins:
+                # The tissue relaxes or swings until the touch without the tool.
+                solver.move_in_air(self._pose)
                 depends_on_time = solver.relaxes or self._counts_mass
-                self._pending.extend_to_touch(solver.pose, until * dt if depends_on_time else 0.0)
+                self._pending.extend_to_touch(self._pose, until * dt if depends_on_time else 0.0)
             return (1.0 - until) * dt
         solver.move_in_air(target)
         self._pose = target
@@ -171,11 +177,22 @@ class PathFollower:
             return
         until = fraction_in_air(solver, here, first.pose)
         begins = solver.approach(between(here, first.pose, until))
+        if not begins:
+            solver.move_in_air(here)
         if begins or not (inertial or solver.relaxes):
             pending.ticks[0] = replace(first, dt=(1.0 - until) * first.dt)
             pending.meets = not begins
         else:
-            pending.split_first(solver.pose, until)
+            pending.split_first(here, until)
+
+    def _move_to_touch(self) -> Pose:
+        """Take a tool in the air to where it meets the tissue in the next tick, and answer its pose."""
+        solver, end = self._solver, self._pending.ticks[0].pose
+        here = solver.pose
+        clearance, before = solver.clearance(end), solver.clearance(here)
+        if clearance is not None and before is not None and clearance <= 0.0 < before:
+            solver.move_in_air(between(here, end, fraction_in_air(solver, here, end)))
+        return solver.pose
 
     def _follow(self, pose: Pose, tick: float, began: float, is_behind: bool) -> ToolForce:
         """Step to a pose in as many parts as needed; the next step is assumed to be as long as `tick`, s. If the step
@@ -189,8 +206,10 @@ class PathFollower:
                 if allowance.fitting() < LEAST_SOLVES * len(pending.ticks):
                     pending.merge(here, self._radius, self._straightness(inertial), LINGERS,
                                   timed=inertial or solver.relaxes)
-                if is_behind:
+                if is_behind and not pending.meets:
                     self._touch_late(inertial)
+                if pending.meets:
+                    here = self._move_to_touch()
             first = pending.ticks[0]
             way, part = self._distance(here, first.pose), self._share * self._largest_part
             # Parts of one length: the mass of the tissue resists a short one as a blow.
@@ -199,6 +218,9 @@ class PathFollower:
             target, dt = between(here, first.pose, share), 0.0 if self._leaps else share * first.dt
             if (attempt := self._attempt) is not None:
                 target, dt = attempt.pose, attempt.dt
+            elif creep is None and not solver.takes(target):
+                status, outside = ForceStatus.STOPPED, True
+                break
             weighs = inertial and dt > 0.0 and creep is None
             if attempt is None and creep is None and pending.meets:
                 solver.meet(target)
@@ -231,19 +253,21 @@ class PathFollower:
                 continue
             attempt, self._attempt = replace(attempt, spent=attempt.spent + step.iterations), None
             if step.status is StepStatus.CONVERGED:
+                carried = self._carried_on(self._equilibrium.wrench, motion(here, target))
                 self._take(step, dt, weighs)
+                if weighs and first.is_merged:
+                    self._doubt_long_step(carried)
                 self._share, self._extrapolates = min(1.0, 2.0 * self._share), True
                 is_timed = inertial or solver.relaxes
-                arrives = target == first.pose and (self._leaps or not is_timed or first.dt - dt <= _ROUNDING * first.dt)
+                is_over = self._leaps or not is_timed or first.dt - dt <= _ROUNDING * first.dt
+                arrives = is_over and target == first.pose
                 pending.advance(dt, arrives=arrives, timed=is_timed)
                 if arrives and self._begins:
                     # The motion to the first pose is unknown: the tissue is at rest there.
                     solver.stand_still()
                     self._begins = False
                 if not pending.ticks:
-                    self._leaps, self._anew = False, not self._bonded
-                    # The force of a wave depends on the length of the time step; the next step damps the difference.
-                    status = ForceStatus.LATE if inertial and first.is_merged else ForceStatus.CONVERGED
+                    self._leaps, self._anew, status = False, not self._bonded, ForceStatus.CONVERGED
             elif creep is None and step.status is StepStatus.SLOW and allowed < most:
                 # The next step continues this iteration, and then the rest of the path.
                 self._attempt, status = attempt, ForceStatus.LATE
@@ -278,6 +302,16 @@ class PathFollower:
             pending.give_up()
         return self._answered(pose, tick, status, outside, solves, residual, began)
 
+    def _doubt_long_step(self, carried: Screw) -> None:
+        """Estimate the error of a step of tissue with mass in which ticks were merged.
+
+        The force of a wave depends on the length of the time step. The part of the force that the last force and the
+        tissue's own stiffness do not explain (`carried`, N) is that of the waves, and bounds the error.
+        """
+        wave = math.dist(self._equilibrium.wrench[:3], carried[:3])
+        self.error = wave + (self.error or 0.0)
+        self._is_long = wave > _WAVE * self._largest_force
+
     def _straightness(self, inertial: bool) -> float:
         """How far late poses of the tool may be from one line that replaces them, m."""
         if inertial or self._solver.relaxes or self._keeps_path:
@@ -308,7 +342,7 @@ class PathFollower:
         if status is ForceStatus.CONVERGED:
             ahead = self._ahead(tick) if self.looks_ahead and at.inertial and tick > 0.0 else None
             within = at.step_stiffness
-            if self._pending.lost > 0.0 or not is_known_well(wrench, self.error, self._error_floor):
+            if self._pending.lost > 0.0 or self._is_long or not is_known_well(wrench, self.error, self._error_floor):
                 status = ForceStatus.LATE
         elif not outside:
             # Mass resists the acceleration within a step, not a steady motion.
@@ -333,6 +367,7 @@ class PathFollower:
 
     def _take(self, step: Step, dt: float, inertial: bool) -> None:
         """Keep the answer of an equilibrium."""
+        self._is_long = False
         left = self._left = self._reduced.go(self._solver.pose.depth, dt)
         at = self._equilibrium = self._equilibrium.followed_by(step, self._solver.pose, left, inertial, dt)
         x, y, z, *_ = at.wrench

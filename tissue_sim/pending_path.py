@@ -23,7 +23,7 @@ class Tick:
     Attributes:
         pose: where it ends.
         dt: its time, s.
-        touches: whether the tool meets tissue there after it was in the air; see `FreeTool.meet`.
+        touches: whether the tool is in the air until then and meets tissue in the next tick; see `FreeTool.meet`.
         is_merged: whether it replaces several ticks.
     """
 
@@ -72,17 +72,17 @@ class PendingPath:
         self.lost = max(0.0, self.lost - dt)
 
     def extend_to_touch(self, pose: Pose, dt: float) -> None:
-        """Append the part of a tick, s, in which a tool that comes back has yet to reach the tissue at a pose."""
+        """Append the part of a tick, s, in which a tool that comes back from a pose has yet to reach the tissue."""
         if dt > 0.0:
             self.ticks.append(Tick(pose, dt, touches=True))
         else:
             self.meets = True
 
-    def split_first(self, touch: Pose, fraction: float) -> None:
-        """Split the first tick where a tool that comes back touches, after this fraction of it."""
+    def split_first(self, start: Pose, fraction: float) -> None:
+        """Split the first tick where a tool that comes back from a pose touches, after this fraction of the tick."""
         first, self.ticks = self.ticks[0], self.ticks[1:]
         rest = replace(first, dt=(1.0 - fraction) * first.dt)
-        air = Tick(touch, fraction * first.dt, touches=True)
+        air = Tick(start, fraction * first.dt, touches=True)
         self.meets = air.dt == 0.0
         self.ticks[:0] = [rest] if self.meets else [air, rest]
 
@@ -116,7 +116,8 @@ class PendingPath:
 
     def _straight(self, start: Pose, radius: float, tolerance: float, timed: bool) -> int:
         """Number of the first ticks in which the tool moves along one line."""
-        count, passed, before = 1, [], start
+        count, before = 1, start
+        passed: list[float] = []
         for number, tick in enumerate(self.ticks):
             length = tick.dt if timed else _distance(before, tick.pose, radius)
             passed.append(length + (passed[-1] if passed else 0.0))

@@ -139,6 +139,8 @@ class Simulator(PathFollower, KernelOwner):
         self._pending, self._lingers, self._share = PendingPath(), math.inf, 1.0
         # Whether the tool is pressed on again after no other way was left: until then no time passes.
         self._leaps = False
+        # Whether the last equilibrium is one of merged ticks of tissue that swings.
+        self._is_long = False
         # An iteration to go on with; whether one may begin with an extrapolation; and whether the tool may be pressed
         # anew where no other way is left.
         self._attempt: Attempt | None = None
@@ -314,7 +316,7 @@ class Simulator(PathFollower, KernelOwner):
         self._pending, self._lingers, self._share = state.pending.copy(), state.lingers, state.share
         self._begins, self._largest_force = state.begins, state.largest_force
         self._motion_check, self._reduced.history = state.motion_check.copy(), state.history
-        self._attempt, self._extrapolates, self._anew = None, True, not self._bonded
+        self._attempt, self._extrapolates, self._anew, self._is_long = None, True, not self._bonded, False
 
     @exclusive
     def clone(self) -> Simulator:

@@ -31,6 +31,11 @@ from tissue_sim.tool_force import NextForce, axial_stiffness, axial_wrench, dept
 if TYPE_CHECKING:
     from tissue_sim.fem.axisymmetric.sensitivity import Sensitivity
 
+#: Largest depth of the tool over the height of the specimen. At a stretch of 0.444 a free surface of compressed
+#: incompressible neo-Hookean tissue folds; beyond it there are several equilibria, and a mesh finds any of them.
+#: Source: Biot, Appl. Sci. Res. A 12 (1963) 168.
+DEEPEST = 1.0 - 0.444
+
 _STATUSES = {int(status): status for status in StepStatus}
 
 
@@ -78,6 +83,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         self.datum = equations.settings[newton.TOUCH] = 0.0 if contact is None else bring_down(
             mesh, contact, equations.surface, equations.start.reshape(-1, 2))
         self.committed.note_bonds()
+        self._deepest = DEEPEST * float(np.ptp(mesh.nodes[:, 1]))
         self._holds = any(mesh.sets[name].size for name in tool)
 
     def set_material(self, material: Material) -> None:
@@ -97,6 +103,10 @@ class AxisymmetricSolver(KernelOwner, Solver):
         if x == y == 0.0 and pose.orientation == NO_ROTATION:
             return pose
         return Pose((0.0, 0.0, z))
+
+    def takes(self, pose: Pose) -> bool:
+        """Whether the tool is above the depth at which compressed tissue loses its one equilibrium; see `DEEPEST`."""
+        return pose.depth <= self._deepest
 
     def step(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
@@ -230,6 +240,8 @@ class AxisymmetricSolver(KernelOwner, Solver):
     def meet(self, pose: Pose) -> None:
         """See `FreeTool.meet`; of the points that touch in the first half of the increment."""
         committed = self.committed
+        if committed.motion is not None:
+            committed.motion.restart()
         bind_ahead(self.equations.surface, committed.latest[: 2 * len(self.mesh.nodes)].reshape(-1, 2),
                    committed.depths[0] - self.datum, pose.depth - committed.depths[0])
 

@@ -49,7 +49,8 @@ def bind_ahead(surface: ContactPoints, displacement: np.ndarray, lift: float, de
     free = (surface.anchors[:, 0] == contact_kernels.FREE) & surface.moves & surface.friction.any(axis=1)
     if descent <= 0.0 or not free.any():
         return
-    place = surface.positions(displacement) + [0.0, lift]
+    place = surface.positions(displacement)
+    place[:, 1] += lift
     gap = np.maximum(surface.gaps(place), 0.0)
     # A point does not get past the nearest face within half of its gap, so that an edge does not matter.
     ahead = place.copy()
