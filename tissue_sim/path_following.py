@@ -203,7 +203,7 @@ class PathFollower:
         while status is None:
             started, creep, here, inertial = time.perf_counter(), self._creep, solver.pose, self._counts_mass
             if creep is None and self._attempt is None:
-                if allowance.fitting() < LEAST_SOLVES * len(pending.ticks):
+                if len(pending.ticks) > 1 and allowance.fitting() < LEAST_SOLVES * len(pending.ticks):
                     pending.merge(here, self._radius, self._straightness(inertial), LINGERS,
                                   timed=inertial or solver.relaxes)
                 if is_behind and not pending.meets:
@@ -253,10 +253,10 @@ class PathFollower:
                 continue
             attempt, self._attempt = replace(attempt, spent=attempt.spent + step.iterations), None
             if step.status is StepStatus.CONVERGED:
-                carried = self._carried_on(self._equilibrium.wrench, motion(here, target))
+                before = self._equilibrium
                 self._take(step, dt, weighs)
                 if weighs and first.is_merged:
-                    self._doubt_long_step(carried)
+                    self._doubt_long_step(carried_on(before.wrench, before.stiffness, motion(here, target)))
                 self._share, self._extrapolates = min(1.0, 2.0 * self._share), True
                 is_timed = inertial or solver.relaxes
                 is_over = self._leaps or not is_timed or first.dt - dt <= _ROUNDING * first.dt
