@@ -247,7 +247,8 @@ def foreign_state(chance: np.random.Generator, scene: Scene) -> Motion:
     if scene.shape != "plate":
         others.append(replace(scene, radius=scene.radius * float(chance.choice([0.98, 1.03])),
                               tool_options=tuple((name, 0.9 * value) for name, value in scene.tool_options)))
-    if scene.resolution == "realtime_20":
+    # Specimens between frictionless plates deform homogeneously, and have the same mesh at every resolution.
+    if scene.resolution == "realtime_20" and not (scene.shape == "plate" and scene.friction == "frictionless"):
         others.append(replace(scene, resolution="realtime_35"))
     other = others[int(chance.integers(len(others)))]
     operations = (*moves(poses[:at], dt), ForeignState(other, 0.5 * scene.depth), *moves(poses[at:], dt))
@@ -273,8 +274,10 @@ def refused_parameters(chance: np.random.Generator, scene: Scene) -> Motion:
     dt = tick_length(scene, chance)
     poses = profile(scene, chance, dt)
     at = a_third(poses, chance)
-    name = scene.parameters[0][0]
-    wrong = [(name, NAN), (name, -1.0), (name, INF), ("C99", 1.0), (name, 1e30), (name, 0.0)]
+    name, value = scene.parameters[0]
+    # A law with two moduli remains one of tissue if one of them is zero or slightly negative: only their sum counts.
+    other = sum(each for _, each in scene.parameters[1:]) if scene.law == "mooney_rivlin" else 0.0
+    wrong = [(name, NAN), (name, -value - other), (name, INF), ("C99", 1.0), (name, 1e30), (name, -other)]
     given = wrong[int(chance.integers(len(wrong)))]
     return Motion("refused parameters", scene,
                   (*moves(poses[:at], dt), RefusedParameters((given,)), *moves(poses[at:], dt)))

@@ -132,7 +132,7 @@ class _Reference:
             if self._has_mass:
                 self._step(pose, tick.dt)
             return NOTHING
-        if self._has_mass and before is not None:
+        if self._has_mass:
             self._has_touched = True
             self._step(pose, tick.dt)
             return self._truth(tick.factor)

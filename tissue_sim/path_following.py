@@ -9,9 +9,10 @@ from dataclasses import replace
 from tissue_sim.explicit_coupling import MotionCheck, least_tool_mass, warn_of_light_tool
 from tissue_sim.fem.solver import OwnStiffness, Solver, Step, StepStatus
 from tissue_sim.material.effect import ReducedForce
+from tissue_sim.pending_path import PendingPath
 from tissue_sim.pose import Pose, Screw, between, motion, raised
 from tissue_sim.simulator_state import AT_REST, Attempt, Creep, Equilibrium
-from tissue_sim.step_clock import Allowance, StepClock, solves_in
+from tissue_sim.step_clock import LEAST_SOLVES, Allowance, StepClock, solves_in
 from tissue_sim.tool_force import (
     ForceStatus,
     NextForce,
@@ -21,7 +22,7 @@ from tissue_sim.tool_force import (
     is_known_well,
     shortened,
 )
-from tissue_sim.tool_track import ToolTrack
+from tissue_sim.tool_track import ToolTrack, fraction_in_air
 
 #: Linear solutions of a part of a step that begins with an extrapolation (True) or without one.
 _MOST_SOLVES = {True: 6, False: 30}
@@ -35,6 +36,11 @@ LARGEST_PART = 0.0625
 _ROUNDING = 1e-9
 #: Fraction of the largest part to which a part is cut at most.
 _SMALLEST_CUT = 2.0**-8
+#: Late ticks are merged if their poses are on one line up to this fraction of the largest part.
+_STRAIGHT = 2.0**-8
+#: Force of waves over the largest force so far above which an equilibrium of merged ticks is not CONVERGED; about the
+#: error of the coarsest mesh for real time.
+_WAVE = 0.02
 #: Below this fraction of the largest part the tissue creeps past a part that fails.
 _CREEPS = 0.5
 #: Linear solutions of a step of a creep.
@@ -76,7 +82,7 @@ class PathFollower:
     _solve: float | None
     _radius: float
     _largest_part: float
-    _waiting: float
+    _pending: PendingPath
     _lingers: float
     _share: float
     _left: float
@@ -85,8 +91,10 @@ class PathFollower:
     _stiffness_lasts: int
     _weighs: bool
     _bonded: bool
+    _keeps_path: bool
     _pulls: bool
     _leaps: bool
+    _is_long: bool
     _begins: bool
     _has_warned: bool
     _extrapolates: bool
@@ -114,10 +122,14 @@ class PathFollower:
 
     @property
     def _is_free(self) -> bool:
+        """Whether the tool may have lifted off, and the last equilibrium is that of its last pose."""
+        return self._is_unloaded and self._attempt is None and self._creep is None and self._pending.is_empty
+
+    @property
+    def _is_unloaded(self) -> bool:
         """Whether the tool may have lifted off at the last equilibrium."""
         x, y, z, *_ = self._equilibrium.wrench
-        return (not self._pulls and abs(x) + abs(y) + abs(z) <= _FREE * self._largest_force
-                and self._attempt is None and self._creep is None and self._waiting == 0.0)
+        return not self._pulls and abs(x) + abs(y) + abs(z) <= _FREE * self._largest_force
 
     def _step_in_air(self, pose: Pose, target: Pose, dt: float, began: float) -> ToolForce | float:
         """A step of a tool that has lifted off. If the step has to be followed, because the tool touches, or because
@@ -128,10 +140,15 @@ class PathFollower:
         if clearance is None:
             return dt
         if clearance <= 0.0:
-            spent = tool.contact_again(solver, pose, dt)
+            until, begins = tool.contact_again(solver, pose)
             assert tool.pose is not None
             self._pose = tool.seen_by(solver, tool.pose)
-            return spent
+            if not begins:
+                # The tissue relaxes or swings until the touch without the tool.
+                solver.move_in_air(self._pose)
+                depends_on_time = solver.relaxes or self._counts_mass
+                self._pending.extend_to_touch(self._pose, until * dt if depends_on_time else 0.0)
+            return (1.0 - until) * dt
         solver.move_in_air(target)
         self._pose = target
         if solver.relaxes or self._counts_mass:
@@ -149,21 +166,65 @@ class PathFollower:
         x, y, z, a, b, c = motion(start, end)
         return math.hypot(x, y, z) + self._radius * math.hypot(a, b, c)
 
-    def _follow(self, pose: Pose, tick: float, began: float) -> ToolForce:
-        """Step to a pose in as many parts as needed; the next step is assumed to be as long as `tick`, s."""
+    def _touch_late(self, inertial: bool) -> None:
+        """Let the next tick begin at the touch if the tool comes back in it, as `_step_in_air` does in time."""
+        solver, pending, here = self._solver, self._pending, self._solver.pose
+        first = pending.ticks[0]
+        if not self._is_unloaded or solver.ignores_twist or here == first.pose:
+            return
+        clearance, before = solver.clearance(first.pose), solver.clearance(here)
+        if clearance is None or before is None or clearance > 0.0 or before <= 0.0:
+            return
+        until = fraction_in_air(solver, here, first.pose)
+        begins = solver.approach(between(here, first.pose, until))
+        if not begins:
+            solver.move_in_air(here)
+        if begins or not (inertial or solver.relaxes):
+            pending.ticks[0] = replace(first, dt=(1.0 - until) * first.dt)
+            pending.meets = not begins
+        else:
+            pending.split_first(here, until)
+
+    def _move_to_touch(self) -> Pose:
+        """Take a tool in the air to where it meets the tissue in the next tick, and answer its pose."""
+        solver, end = self._solver, self._pending.ticks[0].pose
+        here = solver.pose
+        clearance, before = solver.clearance(end), solver.clearance(here)
+        if clearance is not None and before is not None and clearance <= 0.0 < before:
+            solver.move_in_air(between(here, end, fraction_in_air(solver, here, end)))
+        return solver.pose
+
+    def _follow(self, pose: Pose, tick: float, began: float, is_behind: bool) -> ToolForce:
+        """Step to a pose in as many parts as needed; the next step is assumed to be as long as `tick`, s. If the step
+        `is_behind`, ticks of earlier steps have yet to be followed."""
         solver, status, solves, residual, outside = self._solver, None, 0, self._answer.residual, False
-        inertial = self._counts_mass
+        pending = self._pending
         allowance = Allowance(self._clock, self.max_solves, None if self.budget is None else began + self.budget)
         while status is None:
-            started, creep, here = time.perf_counter(), self._creep, solver.pose
-            way, part = self._distance(here, pose), self._share * self._largest_part
+            started, creep, here, inertial = time.perf_counter(), self._creep, solver.pose, self._counts_mass
+            if creep is None and self._attempt is None:
+                if len(pending.ticks) > 1 and allowance.fitting() < LEAST_SOLVES * len(pending.ticks):
+                    pending.merge(here, self._radius, self._straightness(inertial), LINGERS,
+                                  timed=inertial or solver.relaxes)
+                if is_behind and not pending.meets:
+                    self._touch_late(inertial)
+                if pending.meets:
+                    here = self._move_to_touch()
+            first = pending.ticks[0]
+            way, part = self._distance(here, first.pose), self._share * self._largest_part
             # Parts of one length: the mass of the tissue resists a short one as a blow.
             share = 1.0 / max(1, math.ceil(way / part - _ROUNDING)) if way else 1.0
             # Without rounding the last part ends where the tool is.
-            target, dt = between(here, pose, share), 0.0 if self._leaps else share * self._waiting
+            target, dt = between(here, first.pose, share), 0.0 if self._leaps else share * first.dt
             if (attempt := self._attempt) is not None:
                 target, dt = attempt.pose, attempt.dt
+            elif creep is None and not solver.takes(target):
+                status, outside = ForceStatus.STOPPED, True
+                break
             weighs = inertial and dt > 0.0 and creep is None
+            if attempt is None and creep is None and pending.meets:
+                solver.meet(target)
+                pending.meets = False
             if attempt is None:
                 # Across a change of contact extrapolation leads astray, but less so where mass is in the way.
                 order = min(solver.highest_order, max(solver.unchanged, weighs)) if self._extrapolates else 0
@@ -192,16 +253,21 @@ class PathFollower:
                 continue
             attempt, self._attempt = replace(attempt, spent=attempt.spent + step.iterations), None
             if step.status is StepStatus.CONVERGED:
+                before = self._equilibrium
                 self._take(step, dt, weighs)
-                self._waiting = max(0.0, self._waiting - dt)
+                if weighs and first.is_merged:
+                    self._doubt_long_step(carried_on(before.wrench, before.stiffness, motion(here, target)))
                 self._share, self._extrapolates = min(1.0, 2.0 * self._share), True
-                if target == pose and (creep is not None or share == 1.0 or self._waiting == 0.0):
-                    self._waiting, self._leaps, self._anew = 0.0, False, not self._bonded
-                    if self._begins:
-                        # The motion to the first pose is unknown: the tissue is at rest there.
-                        solver.stand_still()
-                        self._begins = False
-                    status = ForceStatus.CONVERGED
+                is_timed = inertial or solver.relaxes
+                is_over = self._leaps or not is_timed or first.dt - dt <= _ROUNDING * first.dt
+                arrives = is_over and target == first.pose
+                pending.advance(dt, arrives=arrives, timed=is_timed)
+                if arrives and self._begins:
+                    # The motion to the first pose is unknown: the tissue is at rest there.
+                    solver.stand_still()
+                    self._begins = False
+                if not pending.ticks:
+                    self._leaps, self._anew, status = False, not self._bonded, ForceStatus.CONVERGED
             elif creep is None and step.status is StepStatus.SLOW and allowed < most:
                 # The next step continues this iteration, and then the rest of the path.
                 self._attempt, status = attempt, ForceStatus.LATE
@@ -225,13 +291,32 @@ class PathFollower:
                     # Press again from above this pose; what friction remembers begins there.
                     solver.lift_off()
                     solver.move_in_air(raised(pose, -solver.height_above(pose)))
+                    pending.restart(pose)
                     self._share, self._leaps, self._anew = 1.0, True, False
                 elif self._share < _SMALLEST_CUT:
                     self._share, self._anew, status = _SMALLEST_CUT, not self._bonded, ForceStatus.STOPPED
         if status is ForceStatus.LATE and not solver.takes(pose):
             # Extrapolate to the last pose that the tool may have; no force is estimated beyond it.
             status, outside = ForceStatus.STOPPED, True
+        if status is ForceStatus.STOPPED:
+            pending.give_up()
         return self._answered(pose, tick, status, outside, solves, residual, began)
+
+    def _doubt_long_step(self, carried: Screw) -> None:
+        """Estimate the error of a step of tissue with mass in which ticks were merged.
+
+        The force of a wave depends on the length of the time step. The part of the force that the last force and the
+        tissue's own stiffness do not explain (`carried`, N) is that of the waves, and bounds the error.
+        """
+        wave = math.dist(self._equilibrium.wrench[:3], carried[:3])
+        self.error = wave + (self.error or 0.0)
+        self._is_long = wave > _WAVE * self._largest_force
+
+    def _straightness(self, inertial: bool) -> float:
+        """How far late poses of the tool may be from one line that replaces them, m."""
+        if inertial or self._solver.relaxes or self._keeps_path:
+            return _STRAIGHT * self._largest_part
+        return math.inf
 
     def _stiffness_request(self, allowance: Allowance, allowed: int) -> OwnStiffness:
         """Whether a part that may take so many linear solves also finds the stiffness without mass."""
@@ -252,12 +337,12 @@ class PathFollower:
     def _answered(self, pose: Pose, tick: float, status: ForceStatus, outside: bool, solves: int, residual: float,
                   began: float) -> ToolForce:
         """The answer of a step to a pose of the solver."""
-        at, tool = self._equilibrium, self._tool
+        at, tool, waiting = self._equilibrium, self._tool, self._pending.time
         wrench, ahead, within = at.wrench, None, None
         if status is ForceStatus.CONVERGED:
             ahead = self._ahead(tick) if self.looks_ahead and at.inertial and tick > 0.0 else None
             within = at.step_stiffness
-            if not is_known_well(wrench, self.error, self._error_floor):
+            if self._pending.lost > 0.0 or self._is_long or not is_known_well(wrench, self.error, self._error_floor):
                 status = ForceStatus.LATE
         elif not outside:
             # Mass resists the acceleration within a step, not a steady motion.
@@ -266,8 +351,8 @@ class PathFollower:
                 wrench = shortened(wrench, self._largest_force + force_of_increment(at.stiffness, self._largest_part))
         error = self.error if status is not ForceStatus.STOPPED else None
         return ToolForce(wrench, at.stiffness, status, solves, residual, time.perf_counter() - began, at.inertial,
-                         self._waiting, at.pose if tool.twist is None else tool.given(at.pose), ahead, within,
-                         at.stiffness_time + self._waiting, error, self._waiting, True,
+                         waiting, at.pose if tool.twist is None else tool.given(at.pose), ahead, within,
+                         at.stiffness_time + waiting, error, waiting, True,
                          least_tool_mass(at.stiffness, at.step_stiffness, tick))
 
     def _ahead(self, tick: float) -> NextForce | None:
@@ -282,6 +367,7 @@ class PathFollower:
 
     def _take(self, step: Step, dt: float, inertial: bool) -> None:
         """Keep the answer of an equilibrium."""
+        self._is_long = False
         left = self._left = self._reduced.go(self._solver.pose.depth, dt)
         at = self._equilibrium = self._equilibrium.followed_by(step, self._solver.pose, left, inertial, dt)
         x, y, z, *_ = at.wrench

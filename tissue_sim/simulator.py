@@ -22,6 +22,7 @@ from tissue_sim.model import Model
 from tissue_sim.motion_limits import LimitError, MotionLimits, checked_pose
 from tissue_sim.parameters import with_values
 from tissue_sim.path_following import LARGEST_PART, PathFollower
+from tissue_sim.pending_path import PendingPath
 from tissue_sim.pose import Pose
 from tissue_sim.realtime_ladder import choose, measure_tick
 from tissue_sim.simulator_state import AT_REST, NEVER, Attempt, Creep, SimulatorState, StateOrigin
@@ -117,6 +118,8 @@ class Simulator(PathFollower, KernelOwner):
         # Whether the tool stays on the tissue, and whether the tissue can pull at it.
         self._bonded = model.experiment.friction == "bonded"
         self._pulls = self._bonded or bool(model.experiment.acting_laws)
+        # Whether the force depends on the path of the tool even if time does not count.
+        self._keeps_path = model.experiment.depends_on_way or model.material.remembers
         # A turn counts as the way of a point at the edge of the contact.
         self._radius = model.experiment.contact_radius
         self._largest_part = LARGEST_PART * self._radius
@@ -132,10 +135,12 @@ class Simulator(PathFollower, KernelOwner):
         # Where the tool is, and whether it has touched; whether its first pose in the tissue has yet to be reached.
         self._tool, self._begins, self._largest_force = ToolTrack(), False, 0.0
         self._pose, self._motion_check, self._has_warned = self._solver.pose, MotionCheck(), False
-        # Time since the last equilibrium and since the last fast motion, s; fraction of the largest part that works.
-        self._waiting, self._lingers, self._share = 0.0, math.inf, 1.0
-        # Whether a step without time has yet to arrive: on the way tissue has no mass, however many ticks it takes.
+        # Path since the last equilibrium; time since the last fast motion, s; fraction of the largest part that works.
+        self._pending, self._lingers, self._share = PendingPath(), math.inf, 1.0
+        # Whether the tool is pressed on again after no other way was left: until then no time passes.
         self._leaps = False
+        # Whether the last equilibrium is one of merged ticks of tissue that swings.
+        self._is_long = False
         # An iteration to go on with; whether one may begin with an extrapolation; and whether the tool may be pressed
         # anew where no other way is left.
         self._attempt: Attempt | None = None
@@ -250,7 +255,7 @@ class Simulator(PathFollower, KernelOwner):
         on_axis = target is seen or is_on_axis(pose, target, self._radius)
         if not on_axis and self.strict_axis:
             return replace(self._refused(began), is_on_axis=False)
-        tick = dt
+        tick, is_behind = dt, not self._pending.is_empty
         if not tool.touch.has_touched:
             first = tool.touch.height is None or tool.touch.height <= 0.0
             spent, is_possible = tool.first_contact(solver, pose, dt)
@@ -270,8 +275,8 @@ class Simulator(PathFollower, KernelOwner):
             target = tool.seen_by(solver, pose)
         self._note_motion(target, tick)
         tool.pose, self._pose = pose, target
-        self._waiting, self._leaps = self._waiting + dt, self._leaps or tick == 0.0
-        answer = self._follow(target, tick, began)
+        self._pending.extend(target, dt)
+        answer = self._follow(target, tick, began, is_behind)
         self._answer = answer if on_axis else replace(answer, is_on_axis=False)
         return self._answer
 
@@ -289,7 +294,7 @@ class Simulator(PathFollower, KernelOwner):
         """State on which the next step depends, without the parameters. A creep is stopped and starts again."""
         self._stop_creeping()
         return SimulatorState(self._origin, self._solver.save(), self._answer, self._equilibrium, self._tool.copy(),
-                              self._pose, self._leaps, self._waiting, self._lingers, self._share, self._begins,
+                              self._pose, self._leaps, self._pending.copy(), self._lingers, self._share, self._begins,
                               self._largest_force, self._motion_check.copy(), self._reduced.history, self.error)
 
     @exclusive
@@ -308,10 +313,10 @@ class Simulator(PathFollower, KernelOwner):
         self._solver.restore(state.solver)
         self.error, self._answer, self._equilibrium = state.error, state.answer, state.equilibrium
         self._tool, self._pose, self._leaps = state.tool.copy(), state.pose, state.leaps
-        self._waiting, self._lingers, self._share = state.waiting, state.lingers, state.share
+        self._pending, self._lingers, self._share = state.pending.copy(), state.lingers, state.share
         self._begins, self._largest_force = state.begins, state.largest_force
         self._motion_check, self._reduced.history = state.motion_check.copy(), state.history
-        self._attempt, self._extrapolates, self._anew = None, True, not self._bonded
+        self._attempt, self._extrapolates, self._anew, self._is_long = None, True, not self._bonded, False
 
     @exclusive
     def clone(self) -> Simulator:

@@ -12,6 +12,7 @@ from tissue_sim.explicit_coupling import MotionCheck
 from tissue_sim.fem.solver import Step
 from tissue_sim.material.effect import ToolHistory
 from tissue_sim.model import Model
+from tissue_sim.pending_path import PendingPath
 from tissue_sim.pose import Pose, Screw, scaled
 from tissue_sim.tool_force import Matrix, ToolForce, axial_stiffness, axial_wrench, scaled_matrix
 from tissue_sim.tool_track import ToolTrack
@@ -168,7 +169,7 @@ class SimulatorState:
     tool: ToolTrack
     pose: Pose
     leaps: bool
-    waiting: float
+    pending: PendingPath
     lingers: float
     share: float
     begins: bool

@@ -81,27 +81,32 @@ class ToolTrack:
         self.touch = TouchState(False, height)
         return spent, False
 
-    def contact_again(self, solver: Solver, pose: Pose, dt: float) -> float:
+    def contact_again(self, solver: Solver, pose: Pose) -> tuple[float, bool]:
         """Take a tool that has lifted off, in the air, to where it touches on its straight path to a pose.
 
         Args:
             solver: on tissue that the tool has left.
             pose: end of the step, as it was given.
-            dt: s.
 
         Returns:
-            Time of the step in which the tissue is stepped, s: the time in contact if the touch begins as a first
-            touch, otherwise the whole step, in which the tissue relaxes or swings.
+            Fraction of the step until the touch; and whether the touch begins as a first touch. If it does not, the
+            tissue relaxes or swings until then.
         """
         assert self.pose is not None
-        before, low, high = self.pose, 0.0, 1.0
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            clearance = solver.clearance(solver.follow(between(before, pose, middle)))
-            low, high = (middle, high) if clearance is not None and clearance > 0.0 else (low, middle)
-        start = between(before, pose, low)
+        until = fraction_in_air(solver, self.pose, pose)
+        start = between(self.pose, pose, until)
         self.twist = twist_about_axis(start.orientation) if solver.ignores_twist else None
-        return (1.0 - low) * dt if solver.approach(self.seen_by(solver, start)) else dt
+        return until, solver.approach(self.seen_by(solver, start))
+
+
+def fraction_in_air(solver: Solver, before: Pose, pose: Pose) -> float:
+    """Fraction of a straight path in which a tool in the air does not touch the tissue as it stands."""
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        clearance = solver.clearance(solver.follow(between(before, pose, middle)))
+        low, high = (middle, high) if clearance is not None and clearance > 0.0 else (low, middle)
+    return low
 
 
 def is_on_axis(pose: Pose, seen: Pose, radius: float) -> bool:

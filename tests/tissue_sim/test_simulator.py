@@ -136,7 +136,8 @@ def test_a_late_step_answers_the_local_model_and_the_next_one_catches_up():
     sim.budget = None
     caught = sim.step(1.3e-3, 0.1)
     sim.restore(saved)
-    assert caught.force == pytest.approx(sim.step(1.3e-3, 0.2).force, rel=1e-6), "nothing was committed, no time lost"
+    sim.step(1.2e-3, 0.1)
+    assert caught.force == pytest.approx(sim.step(1.3e-3, 0.1).force, rel=1e-6), "the late tick was followed, too"
     assert caught.age == 0.0
 
 

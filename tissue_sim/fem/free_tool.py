@@ -76,6 +76,13 @@ class FreeTool:
         self.move_in_air(pose)
         return False
 
+    def meet(self, pose: Pose) -> None:
+        """Let the tissue that a tool meets on its way down to a pose stick or rub from the touch on.
+
+        Called before the first increment of a touch that does not begin as a first one (`approach`). Otherwise the
+        tissue that touches in an increment slides without friction until its end. Tissue with mass is hit there.
+        """
+
     def stand_still(self) -> None:
         """Set the velocity of the tissue to zero."""
 

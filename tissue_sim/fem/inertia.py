@@ -99,6 +99,10 @@ class Motion:
         change -= self._acceleration
         return weighted @ change, weighted @ direction * (rate - self._rate)
 
+    def restart(self) -> None:
+        """Let the next step be of first order: a difference of second order across an impact has no meaning."""
+        self._before[:] = 0.0
+
     def stop(self) -> None:
         """Stand still."""
         self.velocity[:], self._before[:] = 0.0, 0.0

@@ -99,8 +99,15 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
             for a in range(shapes.shape[1]):
                 ur += shapes[i, a] * x[2 * nodes[i, a]]
                 uz += shapes[i, a] * x[2 * nodes[i, a] + 1]
-            gap, nr, nz, curved, line = nearest(places[i, 0] + ur, places[i, 1] + uz, i, depth, spans, vertices,
-                                                rounding)
+            bound = held[i, 0]
+            # A point without slip that has touched but is not held yet stays at the face that it touched: at an edge
+            # another face may be nearer to where it is before the iteration converges.
+            clings = bound == TOUCHED and friction[i, 0] < 0.0
+            gap, nr, nz, curved, line = nearest(places[i, 0] + (held[i, 1] if clings else ur),
+                                                places[i, 1] + (held[i, 2] if clings else uz), i, depth, spans,
+                                                vertices, rounding)
+            if clings:
+                gap, curved = (ur - held[i, 1]) * nr + (uz - held[i, 2]) * nz, 0.0
             # What is rounded belongs to the face.
             mu = friction[i, 0] if curved > 0.0 or line < spans[i, SHAFT] else friction[i, 1]
             spring = springs[i]
@@ -112,10 +119,13 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
             trial = normal + TRIAL * spring * gap
             acting = 0.0
             fr, fz, krr, krz, kzr, kzz, missed_r, missed_z = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            bound = held[i, 0]
             drawn = changeable == ALL or (changeable > 0 and (7 * i + 5 * changeable) % DRAWN == 0)
             if changeable > 0 and bound != HELD:
                 presses = 1.0 if trial < 0.0 or gap < slack or spans[i, STAYS] == 1 else 0.0
+                if ti.static(not has_laws):
+                    if pending == 1 and bound == TOUCHED and mu != 0.0:
+                        # The tool is about to reach it.
+                        presses = 1.0
                 if presses != pressed[i]:
                     if drawn:
                         switched += 1
@@ -144,14 +154,15 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                 if mu != 0.0:
                     met[i, 0] = HELD if mu < 0.0 else TOUCHED
                     met[i, 1], met[i, 2] = ur - gap * nr, uz - gap * nz
-                # Friction too small to count would only chatter.
-                weighty = mu * ti.max(-trial, 0.0) > negligible or pending == 1
-                if mu > 0.0 and bound == TOUCHED and weighty:
-                    acting = mu
+                # Friction too small to count would only chatter. A point without slip that has touched but is not held
+                # yet sticks from the beginning of the increment.
+                weighty = mu < 0.0 or mu * ti.max(-trial, 0.0) > negligible or pending == 1
+                if mu != 0.0 and bound == TOUCHED and weighty:
+                    acting = ti.max(mu, 0.0)
                     slip = (ur - held[i, 1]) * tr + (uz - held[i, 2]) * tz
                     drag, limit = along, mu * ti.max(-normal, 0.0)
                     way = ways[i]
-                    if changeable > 0:
+                    if changeable > 0 and mu > 0.0:
                         tried = drag + TRIAL * spring * slip
                         # What slips one way has to stick before it slips the other way, else it would jump to and fro.
                         if way != 0.0:

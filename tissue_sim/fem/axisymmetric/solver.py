@@ -17,7 +17,7 @@ from tissue_sim.fem.axisymmetric.predictor import extrapolation
 from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, realtime_rungs
 from tissue_sim.fem.axisymmetric.state import SavedState
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface, deformed_surface
-from tissue_sim.fem.axisymmetric.touch import bring_down
+from tissue_sim.fem.axisymmetric.touch import bind_ahead, bring_down
 from tissue_sim.fem.free_tool import AT_REST
 from tissue_sim.fem.inertia import Motion
 from tissue_sim.fem.solver import Comparison, Neighbours, OwnStiffness, Rung, Solver, Step, StepStatus
@@ -30,6 +30,11 @@ from tissue_sim.tool_force import NextForce, axial_stiffness, axial_wrench, dept
 
 if TYPE_CHECKING:
     from tissue_sim.fem.axisymmetric.sensitivity import Sensitivity
+
+#: Largest depth of the tool over the height of the specimen. At a stretch of 0.444 a free surface of compressed
+#: incompressible neo-Hookean tissue folds; beyond it there are several equilibria, and a mesh finds any of them.
+#: Source: Biot, Appl. Sci. Res. A 12 (1963) 168.
+DEEPEST = 1.0 - 0.444
 
 _STATUSES = {int(status): status for status in StepStatus}
 
@@ -78,6 +83,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         self.datum = equations.settings[newton.TOUCH] = 0.0 if contact is None else bring_down(
             mesh, contact, equations.surface, equations.start.reshape(-1, 2))
         self.committed.note_bonds()
+        self._deepest = DEEPEST * float(np.ptp(mesh.nodes[:, 1]))
         self._holds = any(mesh.sets[name].size for name in tool)
 
     def set_material(self, material: Material) -> None:
@@ -97,6 +103,10 @@ class AxisymmetricSolver(KernelOwner, Solver):
         if x == y == 0.0 and pose.orientation == NO_ROTATION:
             return pose
         return Pose((0.0, 0.0, z))
+
+    def takes(self, pose: Pose) -> bool:
+        """Whether the tool is above the depth at which compressed tissue loses its one equilibrium; see `DEEPEST`."""
+        return pose.depth <= self._deepest
 
     def step(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
@@ -210,7 +220,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
                 or surface.spans[own, STAYS].any()):
             return None
         place = surface.positions(self.committed.latest[: 2 * len(self.mesh.nodes)].reshape(-1, 2))
-        place[own, 1] += pose.depth
+        place[own, 1] += pose.depth - self.datum
         return float(surface.gaps(place)[own].min())
 
     def move_in_air(self, pose: Pose) -> None:
@@ -226,6 +236,14 @@ class AxisymmetricSolver(KernelOwner, Solver):
         else:
             self.move_in_air(pose)
         return begins
+
+    def meet(self, pose: Pose) -> None:
+        """See `FreeTool.meet`; of the points that touch in the first half of the increment."""
+        committed = self.committed
+        if committed.motion is not None:
+            committed.motion.restart()
+        bind_ahead(self.equations.surface, committed.latest[: 2 * len(self.mesh.nodes)].reshape(-1, 2),
+                   committed.depths[0] - self.datum, pose.depth - committed.depths[0])
 
     def stand_still(self) -> None:
         """See `FreeTool.stand_still`."""

@@ -34,6 +34,35 @@ def bring_down(mesh: Mesh, contact: Contact, surface: ContactPoints, displacemen
     return datum
 
 
+def bind_ahead(surface: ContactPoints, displacement: np.ndarray, lift: float, descent: float) -> None:
+    """Bind the points with friction or without slip that the tool meets in the first half of an increment.
+
+    A point is bound to the place of the tool that would reach it if the tissue stood still. Points that the tool
+    reaches later slide freely until the end of the increment, so that the errors of both halves have opposite signs.
+
+    Args:
+        surface: its points; `anchors` are changed.
+        displacement: of the nodes at the beginning of the increment, m, shape (n, 2).
+        lift: what is added to z in the frame of the tool there, m.
+        descent: of the tool in the increment, m.
+    """
+    free = (surface.anchors[:, 0] == contact_kernels.FREE) & surface.moves & surface.friction.any(axis=1)
+    if descent <= 0.0 or not free.any():
+        return
+    place = surface.positions(displacement)
+    place[:, 1] += lift
+    gap = np.maximum(surface.gaps(place), 0.0)
+    # A point does not get past the nearest face within half of its gap, so that an edge does not matter.
+    ahead = place.copy()
+    ahead[:, 1] += 0.5 * gap
+    closes = gap - surface.gaps(ahead)
+    needed = np.where(gap > 0.0, 0.5 * gap**2 / np.maximum(closes, 1e-3 * gap + np.finfo(float).tiny), 0.0)
+    meets = free & (needed <= 0.5 * descent)
+    place[meets, 1] += needed[meets]
+    surface.anchors[meets, 0] = contact_kernels.TOUCHED
+    surface.anchors[meets, 1:] = (place - surface.places)[meets]
+
+
 def _level(mesh: Mesh, surface: ContactPoints, displacement: np.ndarray, place: np.ndarray, datum: float) -> None:
     """Let a plate meet a top that has settled unevenly all at once, as if the top had been cut level as it stands.
 

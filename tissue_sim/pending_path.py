@@ -1,0 +1,154 @@
+"""Path of the tool that the tissue has yet to follow, tick by tick.
+
+A step that is late leaves its tick to the next steps. Tissue that has mass or memory, or rubs, feels the whole path: if
+the late ticks were replaced by one straight line, the force after a turn of the tool would be that of another motion.
+Ticks are merged only if the tool moves evenly along one line.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from tissue_sim.pose import Pose, between, motion
+
+#: Largest number of ticks that are followed one by one. The oldest ones beyond it are merged.
+MOST_TICKS = 32
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """A part of the path.
+
+    Attributes:
+        pose: where it ends.
+        dt: its time, s.
+        touches: whether the tool is in the air until then and meets tissue in the next tick; see `FreeTool.meet`.
+        is_merged: whether it replaces several ticks.
+    """
+
+    pose: Pose
+    dt: float
+    touches: bool = False
+    is_merged: bool = False
+
+
+class PendingPath:
+    """Ticks between the pose of the last equilibrium and that of the tool.
+
+    Attributes:
+        ticks: in their order.
+        meets: whether the tool meets tissue in the next increment; see `FreeTool.meet`.
+        lost: time for which an equilibrium is not that of the tool's own motion, since ticks that were not on one line
+            were merged, s.
+    """
+
+    __slots__ = ("_spare", "lost", "meets", "ticks")
+
+    def __init__(self) -> None:
+        self.ticks: list[Tick] = []
+        self.meets, self.lost, self._spare = False, 0.0, 0.0
+
+    def copy(self) -> PendingPath:
+        """An independent copy, for saved states."""
+        other = PendingPath()
+        other.ticks, other.meets, other.lost, other._spare = list(self.ticks), self.meets, self.lost, self._spare
+        return other
+
+    @property
+    def time(self) -> float:
+        """Time since the last equilibrium, s."""
+        return self._spare + sum(tick.dt for tick in self.ticks)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether the last equilibrium is that of the last pose."""
+        return not self.ticks and self._spare == 0.0
+
+    def extend(self, pose: Pose, dt: float) -> None:
+        """Append a tick that lasts dt, s."""
+        self.ticks.append(Tick(pose, self._spare + dt))
+        self._spare = 0.0
+        self.lost = max(0.0, self.lost - dt)
+
+    def extend_to_touch(self, pose: Pose, dt: float) -> None:
+        """Append the part of a tick, s, in which a tool that comes back from a pose has yet to reach the tissue."""
+        if dt > 0.0:
+            self.ticks.append(Tick(pose, dt, touches=True))
+        else:
+            self.meets = True
+
+    def split_first(self, start: Pose, fraction: float) -> None:
+        """Split the first tick where a tool that comes back from a pose touches, after this fraction of the tick."""
+        first, self.ticks = self.ticks[0], self.ticks[1:]
+        rest = replace(first, dt=(1.0 - fraction) * first.dt)
+        air = Tick(start, fraction * first.dt, touches=True)
+        self.meets = air.dt == 0.0
+        self.ticks[:0] = [rest] if self.meets else [air, rest]
+
+    def give_up(self) -> None:
+        """Leave out the poses of all ticks, which cannot be reached; their time is added to the next tick."""
+        self._spare, self.ticks = self.time, []
+
+    def restart(self, pose: Pose) -> None:
+        """Replace all ticks by one that leads to a pose in the same time."""
+        self._spare, self.ticks = 0.0, [Tick(pose, self.time)]
+
+    def merge(self, start: Pose, radius: float, tolerance: float, lasts: float, *, timed: bool) -> None:
+        """Merge the first ticks as far as the tool moves along one line, and the oldest if there are too many.
+
+        Args:
+            start: pose of the last equilibrium.
+            radius: of the contact, m: a rotation counts as the motion of its edge.
+            tolerance: largest distance of a tick's end from the line, m; infinite if the tissue does not depend on the
+                path.
+            timed: whether the tool must also move evenly, since time counts.
+            lasts: time for which the tissue remembers a path that was merged although it was not straight, s.
+        """
+        if len(self.ticks) < 2:
+            return
+        count = self._straight(start, radius, tolerance, timed)
+        if len(self.ticks) - count >= MOST_TICKS:
+            count, self.lost = len(self.ticks) - MOST_TICKS + 1, lasts
+        if count > 1:
+            merged = self.ticks[:count]
+            self.ticks[:count] = [replace(merged[-1], dt=sum(tick.dt for tick in merged), is_merged=True)]
+
+    def _straight(self, start: Pose, radius: float, tolerance: float, timed: bool) -> int:
+        """Number of the first ticks in which the tool moves along one line."""
+        count, before = 1, start
+        passed: list[float] = []
+        for number, tick in enumerate(self.ticks):
+            length = tick.dt if timed else _distance(before, tick.pose, radius)
+            passed.append(length + (passed[-1] if passed else 0.0))
+            before, total = tick.pose, passed[-1]
+            if number and self.ticks[number - 1].touches:
+                break
+            away = max(_distance(between(start, tick.pose, at / total if total else 0.0), skipped.pose, radius)
+                       for at, skipped in zip(passed, self.ticks, strict=False))
+            if away > tolerance:
+                break
+            count = number + 1
+        return count
+
+    def advance(self, dt: float, *, arrives: bool, timed: bool) -> None:
+        """Take an equilibrium off the first tick.
+
+        Args:
+            dt: time of the step, s.
+            arrives: whether the step ended at the end of the tick, and no time is left to be followed.
+            timed: whether time counts. Otherwise ticks in which the tool rests need no step.
+        """
+        first = self.ticks[0]
+        if arrives:
+            self.meets = first.touches
+            del self.ticks[0]
+            while self.ticks and not timed and self.ticks[0].pose == first.pose:
+                del self.ticks[0]
+        else:
+            self.ticks[0] = replace(first, dt=max(0.0, first.dt - dt))
+
+
+def _distance(one: Pose, other: Pose, radius: float) -> float:
+    x, y, z, a, b, c = motion(one, other)
+    return math.hypot(x, y, z) + radius * math.hypot(a, b, c)
