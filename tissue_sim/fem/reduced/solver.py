@@ -219,7 +219,7 @@ class ReducedSolver(PlacedReduced):
             if self._asked:
                 age = elements.stiffness_age(here)
                 if age == 0.0:
-                    # No time passes in a step that can go anywhere: no age would state that the stiffness is an old one.
+                    # No time passed, so no age would state that the stiffness is that of another state.
                     elements.evaluate(here, not np.array_equal(here, looked), _GROUPS)
                     looked, forces = here, elements.forces.copy()
                     response = Response(elements.tangent + rates, contact, lifted, free, residual)
