@@ -18,9 +18,9 @@ class LinearisationError:
 
     The first term is the error of the newest model at its own pose. Models follow each other by single Newton steps, so
     that the newest one is not yet in equilibrium. If each step reduces the error at least by half, the error that is
-    left is at most the difference `base` of the last two models at the pose of the tool. Tissue that relaxes changes by
-    this difference in the time `interval` between the two models, so the term grows in proportion to the age of a
-    model that is older.
+    left is at most the difference of the last two models at the pose of the tool. A step to another pose adds the
+    square of its length times `growth`. `base` is the sum of both. Tissue that relaxes changes by this amount in the
+    time `interval` between the two models, so the term grows in proportion to the age of a model that is older.
 
     The second term is the error by linearisation. The difference of two models at the pose of the tool, divided by the
     square of the distance to the pose of the first model, gives `growth`. It describes the tissue between the poses of
@@ -28,20 +28,25 @@ class LinearisationError:
     two models of the deformed tissue have come, the error is unknown. Two models of the undeformed tissue are equal;
     their difference contains no information and must not be passed to `learn`.
 
+    Two models can agree at one pose by chance. `growth` is therefore never below the shear modulus: under a ball of
+    radius R at depth d it is 2 mu sqrt(R / d) (second derivative of Hertz's force, halved), and d is below R.
+
     Args:
         radius: of the contact, m.
+        shear_modulus: of the tissue, Pa.
 
     Attributes:
-        base: difference of the last two models at the pose of the tool, N.
+        base: error of the newest model at its own pose, N.
         interval: time between these two models, s.
-        growth: error over the square of the distance, N/m2.
+        growth: error over the square of the distance, N/m2, as it was learned.
+        shear_modulus: smallest growth that is used, N/m2.
         reach: distance between the models from which `growth` was learned, m.
         time: of the newest model from which it was learned, s; minus infinity: nothing was learned.
         short: `SHORT` times the radius, m.
     """
 
-    def __init__(self, radius: float):
-        self.short = SHORT * radius
+    def __init__(self, radius: float, shear_modulus: float = 0.0):
+        self.short, self.shear_modulus = SHORT * radius, shear_modulus
         self.forget()
 
     def forget(self) -> None:
@@ -49,9 +54,11 @@ class LinearisationError:
         self.growth, self.reach, self.time = 0.0, 0.0, -math.inf
         self.base, self.interval = 0.0, 0.0
 
-    def scale(self, factor: float) -> None:
-        """Multiply all forces of the estimate by a factor, after a change of the tissue's stiffness."""
-        self.base, self.growth = factor * self.base, factor * self.growth
+    def change_modulus(self, shear_modulus: float) -> None:
+        """Use the estimate for tissue of another shear modulus, Pa; what was learned grows with it, and stays where it
+        becomes smaller."""
+        factor = max(1.0, shear_modulus / self.shear_modulus) if self.shear_modulus > 0.0 else 1.0
+        self.base, self.growth, self.shear_modulus = factor * self.base, factor * self.growth, shear_modulus
 
     def learn(self, missed: float, distance: float, between: float, time: float, interval: float = 0.0) -> None:
         """Update the estimate with the difference of two successive models.
@@ -63,11 +70,16 @@ class LinearisationError:
             time: at which the second one was made, s.
             interval: time between the two, s.
         """
-        self.base, self.interval = missed, interval
         # Two models of nearly the same pose say nothing about larger distances: they raise the estimate only.
         memory = _MEMORY if between >= self.short else 1.0
         self.growth = max(memory * self.growth, missed / max(distance, self.short) ** 2)
         self.reach, self.time = max(memory * self.reach, between), time
+        self.base, self.interval = missed + self._steepest * between**2, interval
+
+    @property
+    def _steepest(self) -> float:
+        """Growth that is used, N/m2."""
+        return max(self.growth, self.shear_modulus)
 
     def is_valid(self, distance: float) -> bool:
         """Whether the error at a distance, m, from the pose of a model is known."""
@@ -78,4 +90,4 @@ class LinearisationError:
         if not self.is_valid(distance):
             return math.inf
         longer = max(1.0, age / self.interval) if self.interval > 0.0 else 1.0
-        return self.base * longer + self.growth * distance**2
+        return self.base * longer + self._steepest * distance**2

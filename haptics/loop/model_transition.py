@@ -29,6 +29,7 @@ class ModelTransition:
 
     Args:
         stepper: of the contact; its model is the newest one.
+        shear_modulus: of the tissue, Pa.
 
     Attributes:
         offset: rest of the differences of the models so far, N and N m; it is part of the wrench that is answered.
@@ -36,9 +37,9 @@ class ModelTransition:
         free: last pose of the tool without a contact force, near the surface or above.
     """
 
-    def __init__(self, stepper: CondensedStepper):
+    def __init__(self, stepper: CondensedStepper, shear_modulus: float):
         self._stepper, radius = stepper, stepper.surface.radius
-        self._drift, self.estimate = ModelDrift(radius), LinearisationError(radius)
+        self._drift, self.estimate = ModelDrift(radius), LinearisationError(radius, shear_modulus)
         self.reset(stepper.surface.start)
 
     def reset(self, pose: Pose) -> None:

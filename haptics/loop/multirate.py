@@ -147,7 +147,7 @@ class MultiRateTissue(KernelOwner):
         surface = self._link.surface
         self._stepper = CondensedStepper(surface)
         self._stepper.adopt(self._first)
-        self._transition = ModelTransition(self._stepper)
+        self._transition = ModelTransition(self._stepper, self.model.material.mu0)
         x, y, z = surface.start.position
         # Touch, so that all that a tick needs is there, and go back.
         for depth in _TOUCHES:
@@ -366,7 +366,7 @@ class MultiRateTissue(KernelOwner):
             raise InputError(f"the process of the bulk has ended ({error}); make another MultiRateTissue",
                              field="material") from None
         self._material += 1
-        self._transition.estimate.scale(max(1.0, material.mu0 / self.model.material.mu0))
+        self._transition.estimate.change_modulus(material.mu0)
         self.model = replace(self.model, material=material)
         history = self._reduced.history
         self._reduced = ReducedForce(material.reduced_effects(plate=self.model.experiment.tool.is_plate))
