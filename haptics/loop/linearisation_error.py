@@ -14,13 +14,13 @@ _VALID = 3.0
 
 
 class LinearisationError:
-    """Estimated error of the force on a linearised bulk: ``base * max(1, age / interval) + growth * distance**2``.
+    """Estimated error of the force on a linearised bulk: ``base * max(1, age / (2 interval)) + growth * distance**2``.
 
     The first term is the error of the newest model at its own pose. Models follow each other by single Newton steps, so
     that the newest one is not yet in equilibrium. If each step reduces the error at least by half, the error that is
-    left is at most the difference of the last two models at the pose of the tool. A step to another pose adds the
-    square of its length times `growth`. `base` is the sum of both. Tissue that relaxes changes by this amount in the
-    time `interval` between the two models, so the term grows in proportion to the age of a model that is older.
+    left is at most the difference `base` of the last two models at the pose of the tool. Tissue that relaxes changes by
+    this difference in the time `interval` between the two models. Models are used until they are one to two intervals
+    old, so the term grows in proportion to the age of a model that is older.
 
     The second term is the error by linearisation. The difference of two models at the pose of the tool, divided by the
     square of the distance to the pose of the first model, gives `growth`. It describes the tissue between the poses of
@@ -74,7 +74,7 @@ class LinearisationError:
         memory = _MEMORY if between >= self.short else 1.0
         self.growth = max(memory * self.growth, missed / max(distance, self.short) ** 2)
         self.reach, self.time = max(memory * self.reach, between), time
-        self.base, self.interval = missed + self._steepest * between**2, interval
+        self.base, self.interval = missed, interval
 
     @property
     def _steepest(self) -> float:
@@ -89,5 +89,5 @@ class LinearisationError:
         """Estimated error, N, at a distance, m, from the pose of a model of this age, s; infinite if it is unknown."""
         if not self.is_valid(distance):
             return math.inf
-        longer = max(1.0, age / self.interval) if self.interval > 0.0 else 1.0
+        longer = max(1.0, age / (2.0 * self.interval)) if self.interval > 0.0 else 1.0
         return self.base * longer + self._steepest * distance**2
