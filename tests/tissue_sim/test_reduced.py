@@ -139,8 +139,8 @@ class TestForces:
         assert resting[-1].stiffness_age == 0.0
         assert abs(resting[-1].stiffness - moving[-1].stiffness) > 0.01 * resting[-1].stiffness, "the old one was old"
         saved = simulator.save()
-        beside = [(simulator.restore(saved), simulator.step(depth, 0.0).force)[1] for depth in (2.52e-3, 2.48e-3)]
-        assert resting[-1].stiffness == pytest.approx((beside[0] - beside[1]) / 4e-5, rel=0.01)
+        nearby = [(simulator.restore(saved), simulator.step(depth, 0.0).force)[1] for depth in (2.52e-3, 2.48e-3)]
+        assert resting[-1].stiffness == pytest.approx((nearby[0] - nearby[1]) / 4e-5, rel=0.01)
         simulator.restore(saved)
         sudden = simulator.step(0.5e-3, 0.0)
         assert sudden.stiffness_age == 0.0
