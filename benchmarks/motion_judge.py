@@ -344,7 +344,8 @@ def _interrupt(number: int, frame: Any) -> None:
 def _is_refusal(scene: Scene, operation: Fork, error: Exception) -> bool:
     """Whether an exception refuses a copy in a sentence; that of a simulator must name `save`."""
     if scene.solver == "multirate":
-        return isinstance(error, ts.InputError | TypeError) and "cannot be copied" in str(error)
+        refusal = "cannot be cloned" if operation.how == "clone" else "cannot be copied"
+        return isinstance(error, ts.InputError | TypeError) and refusal in str(error)
     return operation.how != "clone" and "save()" in str(error)
 
 

@@ -57,7 +57,7 @@ class Equilibrium:
         if own is None:
             return Equilibrium(pose, wrench, self.stiffness, inertial, self.stiffness_age + 1, within,
                                self.stiffness_time + dt)
-        return Equilibrium(pose, wrench, own, inertial, 0, within)
+        return Equilibrium(pose, wrench, own, inertial, 0, within, step.stiffness_age)
 
     @classmethod
     def in_air(cls, pose: Pose) -> Equilibrium:

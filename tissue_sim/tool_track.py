@@ -26,19 +26,23 @@ class ToolTrack:
         touch: whether it has touched; see `TouchState`.
         pose: last accepted pose, as it was given; None before the first step.
         twist: rotation about its axis at the last touch, which is removed from the poses of the solver; None: none.
+        is_refused: whether the tool entered the tissue at a pose at which the solver cannot let it begin, and has not
+            left the tissue since.
     """
 
-    __slots__ = ("pose", "touch", "twist")
+    __slots__ = ("is_refused", "pose", "touch", "twist")
 
     def __init__(self) -> None:
         self.touch = TouchState()
         self.twist: Quaternion | None = None
         self.pose: Pose | None = None
+        self.is_refused = False
 
     def copy(self) -> ToolTrack:
         """An independent copy, for saved states."""
         other = ToolTrack()
         other.touch, other.twist, other.pose = self.touch.copy(), self.twist, self.pose
+        other.is_refused = self.is_refused
         return other
 
     def untwisted(self, pose: Pose) -> Pose:
@@ -63,13 +67,18 @@ class ToolTrack:
 
         Returns:
             Time of the step in contact, s, or None while the tool is in the air; and whether the solver can let the
-            tool begin there. If it cannot, the tool counts as not having touched.
+            tool begin there. If it cannot, the tool counts as not having touched, and cannot begin until it has left
+            the tissue: the tissue that it moves inside belongs to the place where it entered.
         """
         before = self.touch.height
         height = solver.height_above(pose)
         spent = self.touch.advance(height, dt)
         if spent is None:
+            self.is_refused = False
             return None, True
+        if self.is_refused:
+            self.touch = TouchState(False, height)
+            return spent, False
         start = raised(pose, -height)
         if before is not None and before > 0.0 and self.pose is not None:
             start = between(self.pose, pose, before / (before - height))
@@ -78,7 +87,7 @@ class ToolTrack:
         if solver.place_tool(without_twist(start, twist)):
             self.twist = twist
             return spent, True
-        self.touch = TouchState(False, height)
+        self.touch, self.is_refused = TouchState(False, height), True
         return spent, False
 
     def contact_again(self, solver: Solver, pose: Pose) -> tuple[float, bool]:

@@ -14,33 +14,53 @@ _VALID = 3.0
 
 
 class LinearisationError:
-    """Estimated error of the force on a linearisation, `growth` times the square of the distance to its pose.
+    """Estimated error of the force on a linearised bulk: ``base * max(1, age / (2 interval)) + growth * distance**2``.
 
-    Two successive models differ at the pose of the tool by the error of the first one. This difference, divided by the
+    The first term is the error of the newest model at its own pose. Models follow each other by single Newton steps, so
+    that the newest one is not yet in equilibrium. If each step reduces the error at least by half, the error that is
+    left is at most the difference `base` of the last two models at the pose of the tool. Tissue that relaxes changes by
+    this difference in the time `interval` between the two models. Models are used until they are one to two intervals
+    old, so the term grows in proportion to the age of a model that is older.
+
+    The second term is the error by linearisation. The difference of two models at the pose of the tool, divided by the
     square of the distance to the pose of the first model, gives `growth`. It describes the tissue between the poses of
     the two models, so the estimate is valid up to `_VALID` times the distance between these poses. Beyond, and before
     two models of the deformed tissue have come, the error is unknown. Two models of the undeformed tissue are equal;
     their difference contains no information and must not be passed to `learn`.
 
+    Two models can agree at one pose by chance. `growth` is therefore never below the shear modulus: under a ball of
+    radius R at depth d it is 2 mu sqrt(R / d) (second derivative of Hertz's force, halved), and d is below R.
+
     Args:
         radius: of the contact, m.
+        shear_modulus: of the tissue, Pa.
 
     Attributes:
-        growth: error over the square of the distance, N/m2.
+        base: error of the newest model at its own pose, N.
+        interval: time between these two models, s.
+        growth: error over the square of the distance, N/m2, as it was learned.
+        shear_modulus: smallest growth that is used, N/m2.
         reach: distance between the models from which `growth` was learned, m.
         time: of the newest model from which it was learned, s; minus infinity: nothing was learned.
         short: `SHORT` times the radius, m.
     """
 
-    def __init__(self, radius: float):
-        self.short = SHORT * radius
+    def __init__(self, radius: float, shear_modulus: float = 0.0):
+        self.short, self.shear_modulus = SHORT * radius, shear_modulus
         self.forget()
 
     def forget(self) -> None:
         """Discard the estimate: the error is unknown until the next call of `learn`."""
         self.growth, self.reach, self.time = 0.0, 0.0, -math.inf
+        self.base, self.interval = 0.0, 0.0
 
-    def learn(self, missed: float, distance: float, between: float, time: float) -> None:
+    def change_modulus(self, shear_modulus: float) -> None:
+        """Use the estimate for tissue of another shear modulus, Pa; what was learned grows with it, and stays where it
+        becomes smaller."""
+        factor = max(1.0, shear_modulus / self.shear_modulus) if self.shear_modulus > 0.0 else 1.0
+        self.base, self.growth, self.shear_modulus = factor * self.base, factor * self.growth, shear_modulus
+
+    def learn(self, missed: float, distance: float, between: float, time: float, interval: float = 0.0) -> None:
         """Update the estimate with the difference of two successive models.
 
         Args:
@@ -48,16 +68,26 @@ class LinearisationError:
             distance: of the tool from the pose of the first model, m.
             between: distance between the poses of the two models, m.
             time: at which the second one was made, s.
+            interval: time between the two, s.
         """
         # Two models of nearly the same pose say nothing about larger distances: they raise the estimate only.
         memory = _MEMORY if between >= self.short else 1.0
         self.growth = max(memory * self.growth, missed / max(distance, self.short) ** 2)
         self.reach, self.time = max(memory * self.reach, between), time
+        self.base, self.interval = missed, interval
+
+    @property
+    def _steepest(self) -> float:
+        """Growth that is used, N/m2."""
+        return max(self.growth, self.shear_modulus)
 
     def is_valid(self, distance: float) -> bool:
         """Whether the error at a distance, m, from the pose of a model is known."""
         return math.isfinite(self.time) and distance <= max(self.short, _VALID * self.reach)
 
-    def at(self, distance: float) -> float:
-        """Estimated error, N, at a distance, m, from the pose of a model; infinite where it is unknown."""
-        return self.growth * distance**2 if self.is_valid(distance) else math.inf
+    def at(self, distance: float, age: float = 0.0) -> float:
+        """Estimated error, N, at a distance, m, from the pose of a model of this age, s; infinite if it is unknown."""
+        if not self.is_valid(distance):
+            return math.inf
+        longer = max(1.0, age / (2.0 * self.interval)) if self.interval > 0.0 else 1.0
+        return self.base * longer + self._steepest * distance**2

@@ -24,8 +24,12 @@ _NO_WRENCH: Screw = (0.0,) * 6
 class ModelTransition:
     """Keeps the wrench continuous when a model of the bulk comes, and learns from the difference.
 
+    A model of another material is used at once, as in a `Simulator`: the parameters were changed in one step, so the
+    force is, too.
+
     Args:
         stepper: of the contact; its model is the newest one.
+        shear_modulus: of the tissue, Pa.
 
     Attributes:
         offset: rest of the differences of the models so far, N and N m; it is part of the wrench that is answered.
@@ -33,9 +37,9 @@ class ModelTransition:
         free: last pose of the tool without a contact force, near the surface or above.
     """
 
-    def __init__(self, stepper: CondensedStepper):
+    def __init__(self, stepper: CondensedStepper, shear_modulus: float):
         self._stepper, radius = stepper, stepper.surface.radius
-        self._drift, self.estimate = ModelDrift(radius), LinearisationError(radius)
+        self._drift, self.estimate = ModelDrift(radius), LinearisationError(radius, shear_modulus)
         self.reset(stepper.surface.start)
 
     def reset(self, pose: Pose) -> None:
@@ -72,25 +76,33 @@ class ModelTransition:
             pose: of the tool. after: the step there on the new model.
         """
         new, drift = self._newest, self._drift
+        if new.material != old.material:
+            self.settle()
+            return
         slope = np.array(before.stiffness_matrix) @ np.array(motion(last, pose))
         went_on = cast("Screw", tuple((np.array(before.wrench) - slope).tolist()))
         missed, expected = added(after.wrench, scaled(-1.0, went_on)), drift.beyond(old.pose, pose)
-        if new.material == old.material and any(after.wrench):
+        if any(after.wrench):
             drift.learn(missed, old.pose, new.pose)
-            self.learn(math.dist(expected[:3], missed[:3]), old, last)
+            self.learn(added(expected, scaled(-1.0, missed)), old, last)
         else:
             drift.forget()
         for part in (expected, scaled(-1.0, missed), scaled(-1.0, drift.beyond(new.pose, pose))):
             self.offset = added(self.offset, part)
 
-    def learn(self, missed: float, old: CondensedContact, pose: Pose) -> None:
-        """Update the error estimate with the force, N, by which the newest model differs from the one before at a pose.
+    def learn(self, missed: Screw, old: CondensedContact, pose: Pose) -> None:
+        """Update the error estimate with the wrench by which the newest model differs from the one before at a pose.
 
         Models of the undeformed tissue and models of different materials teach nothing.
         """
         new = self._newest
         if new.has_contact and new.material == old.material:
-            self.estimate.learn(missed, self.distance(old, pose), self.distance(old, new.pose), new.time)
+            self.estimate.learn(self._size(missed), self.distance(old, pose), self.distance(old, new.pose), new.time,
+                                new.time - old.time)
+
+    def _size(self, wrench: Screw) -> float:
+        """Force of a wrench, or its torque over the contact radius if that is larger, N."""
+        return max(math.hypot(*wrench[:3]), math.hypot(*wrench[3:]) / self._stepper.surface.radius)
 
     def settle(self) -> None:
         """Let the wrench be that of the newest model at once."""
@@ -110,19 +122,25 @@ class ModelTransition:
                 stiffness)
         return added(wrench, self.offset), stiffness
 
-    def error(self, step: ContactStep, pose: Pose) -> tuple[float, float]:
-        """Estimated error of the force of a step at a pose, and the error by which its status is judged, N.
+    def error(self, step: ContactStep, pose: Pose, age: float) -> tuple[float, float]:
+        """Estimated error of the wrench of a step at a pose, and the error by which its status is judged, N.
 
-        The first is infinite while it is unknown. The second is then only that of the offset, if the tool is within
-        the short distance at which a model is trusted without an estimate. Without a force deep in the tissue both are
-        infinite: the newest model is then one of a tissue that is deformed more.
+        Both are errors of the force, or of the torque over the contact radius where that is larger. The first is
+        infinite while it is unknown. The second is then only that of the offset, if the tool is within the short
+        distance at which a model is trusted without an estimate. Without a force deep in the tissue both are infinite:
+        the newest model is then one of a tissue that is deformed more.
+
+        Args:
+            step: on the newest model.
+            pose: of the tool.
+            age: of the model, s.
         """
         is_loaded = any(step.wrench)
         if not (is_loaded or self.is_near_surface(pose)):
             return math.inf, math.inf
         distance = self.distance(self._newest, pose) if is_loaded else 0.0
-        offset = math.hypot(*self.offset[:3])
-        error = self.estimate.at(distance) + offset
+        offset = self._size(self.offset)
+        error = self.estimate.at(distance, age) + offset
         return error, offset if math.isinf(error) and distance <= self.estimate.short else error
 
     @property

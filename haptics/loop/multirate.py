@@ -23,7 +23,7 @@ from tissue_sim.material.material import BULK_RATIOS
 from tissue_sim.model import Model
 from tissue_sim.motion_limits import LimitError, MotionLimits, checked_pose
 from tissue_sim.parameters import with_values
-from tissue_sim.pose import Pose, scaled
+from tissue_sim.pose import Pose, added, scaled
 from tissue_sim.simulator import Simulator
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import (
@@ -147,7 +147,7 @@ class MultiRateTissue(KernelOwner):
         surface = self._link.surface
         self._stepper = CondensedStepper(surface)
         self._stepper.adopt(self._first)
-        self._transition = ModelTransition(self._stepper)
+        self._transition = ModelTransition(self._stepper, self.model.material.mu0)
         x, y, z = surface.start.position
         # Touch, so that all that a tick needs is there, and go back.
         for depth in _TOUCHES:
@@ -295,7 +295,7 @@ class MultiRateTissue(KernelOwner):
             self._adopt(model)
             before, step = step, stepper.step(pose)
             missed = math.dist(before.wrench[:3], step.wrench[:3])
-            self._transition.learn(missed, old, pose)
+            self._transition.learn(added(step.wrench, scaled(-1.0, before.wrench)), old, pose)
             if (model.time >= self._time and model.material == self._material and step.converged
                     and missed <= max(_SETTLED_FLOOR, _SETTLED * math.hypot(*step.wrench[:3]))):
                 self._settled = True
@@ -314,11 +314,12 @@ class MultiRateTissue(KernelOwner):
         assert stepper is not None and stepper.model is not None
         model = stepper.model
         wrench, stiffness = transition.answer(step, here)
-        self.error, judged = transition.error(step, here)
         age = self._time - self._made
+        self.error, judged = transition.error(step, here, age)
+        if model.material != self._material and self.has_touched:
+            self.error = judged = math.inf
         good = (step.converged and self._settled and self._link.alive and age <= self.oldest
-                and not stepper.leaves(here) and is_known_well(wrench, judged)
-                and (model.material == self._material or not self.has_touched))
+                and not stepper.leaves(here) and is_known_well(wrench, judged))
         self._left = self._reduced.go(pose.depth, dt)
         if self._left != 1.0:
             wrench, stiffness = scaled(self._left, wrench), scaled_matrix(self._left, stiffness)
@@ -365,7 +366,7 @@ class MultiRateTissue(KernelOwner):
             raise InputError(f"the process of the bulk has ended ({error}); make another MultiRateTissue",
                              field="material") from None
         self._material += 1
-        self._transition.estimate.forget()
+        self._transition.estimate.change_modulus(material.mu0)
         self.model = replace(self.model, material=material)
         history = self._reduced.history
         self._reduced = ReducedForce(material.reduced_effects(plate=self.model.experiment.tool.is_plate))

@@ -130,6 +130,23 @@ class TestForces:
             wrenches.append(simulator.step(ts.Pose.at_depth(depth), tolerance=1e-10).force)
         assert step.stiffness == pytest.approx((wrenches[0] - wrenches[1]) / (2 * width), rel=bound)
 
+    def test_the_age_of_the_stiffness_is_that_of_its_oldest_part(self, held):
+        """A step computes one of eight parts of the stiffness; a tool at rest and a step without time get all of it."""
+        simulator = ts.Simulator(held.model, solver="reduced", mesh=held, inertia="off")
+        moving = [simulator.step(depth, 2e-3) for depth in np.linspace(0.0, 2.5e-3, 20).tolist()]
+        assert 2e-3 <= moving[-1].stiffness_age <= 14e-3 + 1e-9
+        resting = [simulator.step(2.5e-3, 2e-3) for _ in range(8)]
+        assert resting[-1].stiffness_age == 0.0
+        assert abs(resting[-1].stiffness - moving[-1].stiffness) > 0.01 * resting[-1].stiffness, "the old one was old"
+        saved = simulator.save()
+        nearby = [(simulator.restore(saved), simulator.step(depth, 0.0).force)[1] for depth in (2.52e-3, 2.48e-3)]
+        assert resting[-1].stiffness == pytest.approx((nearby[0] - nearby[1]) / 4e-5, rel=0.01)
+        simulator.restore(saved)
+        sudden = simulator.step(0.5e-3, 0.0)
+        assert sudden.stiffness_age == 0.0
+        fresh = ts.Simulator(held.model, solver="reduced", mesh=held, inertia="off")
+        assert sudden.stiffness == pytest.approx(fresh.step(0.5e-3, 0.0).stiffness, rel=0.01)
+
     def test_what_has_slipped_is_as_stiff_when_the_tool_stands(self, touched):
         """Nodes at the limit of friction would slip on, and do not hold the tissue as if it turned round."""
         solver = ReducedSolver(touched, MATERIAL)
@@ -258,6 +275,23 @@ class TestBox:
         again = simulator.step(ts.Pose((1e-3, 0.0, -1e-3)), 1e-3)
         assert again.status is ts.ForceStatus.CONVERGED
         np.testing.assert_allclose(again.wrench[:3], inside.wrench[:3], rtol=1e-3, atol=1e-5)
+
+    def test_a_tool_that_entered_elsewhere_does_not_begin_inside(self, held):
+        """It holds the tissue where it entered, which the modes cannot represent, until it leaves the tissue."""
+        simulator = ts.Simulator(held.model, solver="reduced", mesh=held)
+        inside = [(1e-3, 0.0, -1e-4), (5e-4, 0.0, -1e-3), (0.0, 0.0, -1e-3), (0.0, 0.0, -2e-3)]
+        simulator.step(ts.Pose((1e-3, 0.0, 1e-4)), 1e-3)
+        for place in inside:
+            answer = simulator.step(ts.Pose(place), 1e-3)
+            assert answer.status is ts.ForceStatus.STOPPED and answer.wrench == (0.0,) * 6
+        saved = simulator.save()
+        simulator.reset()
+        simulator.restore(saved)
+        assert simulator.clone().step(ts.Pose.at_depth(1e-3), 1e-3).status is ts.ForceStatus.STOPPED
+        for height in (1e-3, -1e-4, -1e-3):
+            answer = simulator.step(ts.Pose((0.0, 0.0, height)), 1e-3)
+            assert answer.status is ts.ForceStatus.CONVERGED
+        assert answer.force > 0.1
 
     def test_without_time_it_stops_there_too(self, held):
         """A step whose time is over carries the force on, but to nowhere that the box does not hold."""

@@ -78,6 +78,8 @@ class Step:
         dissipated: by the drag of a step that crept, J.
         step_stiffness_matrix: the same within an inertial step, which its mass resists; None: no other.
         force_error: estimate of how far the force may be off, N; None: the solver has none.
+        stiffness_age: time between the oldest state from which a part of `stiffness_matrix` was computed and this one,
+            s; 0 if all of it belongs to this state.
     """
 
     status: StepStatus
@@ -90,6 +92,7 @@ class Step:
     dissipated: float = 0.0
     step_stiffness_matrix: Matrix | None = None
     force_error: float | None = None
+    stiffness_age: float = 0.0
 
     @classmethod
     def axial(cls, status: StepStatus, iterations: int, residual: float, force: float, violation: float = 0.0,

@@ -50,11 +50,6 @@ def asked(session, command, **values):
     return frame
 
 
-def is_settled(frame):
-    """Whether the force is one of an equilibrium; the flat sides of the coarse mesh make that of a ball inaccurate."""
-    return frame.readouts.status in ("in equilibrium", "inaccurate")
-
-
 def at(place):
     def there(frame):
         return np.abs(np.array(frame.snapshot.pose.position) - place).max() < 1e-7
@@ -73,7 +68,7 @@ def test_the_tool_goes_along_its_axis_and_aside_and_back(session, scene, until):
         asked(session, "aim", depth=stage)
         frame = until(session.frame, at(approach.pose(stage).position))
     assert frame.snapshot.pose.orientation == approach.pose(depth).orientation
-    frame = until(session.frame, is_settled)
+    frame = until(session.frame, lambda frame: frame.readouts.status == "in equilibrium")
     assert frame.readouts.depth == pytest.approx(depth, abs=1e-6), "along the axis, as displacements are"
     # The same way in a simulation: the force of the whole test at that displacement.
     model = ts.Model(replace(scene.experiment, protocol=ts.Protocol.ramp(depth, STAGES + 1)), scene.material)
@@ -86,7 +81,7 @@ def test_the_tool_goes_along_its_axis_and_aside_and_back(session, scene, until):
     asked(session, "aim", across=(OFFSET - 0.4e-3, 0.5e-3))
     frame = until(session.frame, at(moved + np.array([-0.4e-3, 0.5e-3, 0.0])))
     assert frame.across == pytest.approx((OFFSET - 0.4e-3, 0.5e-3)) and frame.target == depth, "as deep as it was"
-    frame = until(session.frame, is_settled)
+    frame = until(session.frame, lambda frame: frame.readouts.status == "in equilibrium")
     assert frame.readouts.across[1] < 0.0, "the tissue holds back what is dragged towards +y"
     asked(session, "reset")
     frame = until(session.frame, at((OFFSET, 0.0, 0.0)))

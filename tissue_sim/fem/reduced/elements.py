@@ -14,6 +14,10 @@ from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 
+#: Change of the amplitudes over their size up to which a stiffness counts as that of the present state. Under a needle
+#: the stiffness changes by 0.4 times this ratio.
+SAME_STATE = 0.01
+
 
 class SampledElements:
     """What some elements, each standing for several of its kind, answer to amplitudes of modes.
@@ -80,6 +84,10 @@ class SampledElements:
         self._wanted, self._tangents = np.zeros(groups), np.zeros((groups, modes, modes))
         # The group whose turn is next; below 0 all are due.
         self._next = -1
+        #: Amplitudes and time, s, for which the stiffness of each group was computed; time of the last committed step
+        #: and of the one that is computed, s.
+        self._computed_at, self._computed = np.zeros((groups, modes)), np.zeros(groups)
+        self._time = self._now = 0.0
         self._tangent: np.ndarray | None = None
         #: Shear moduli in the lanes, Pa.
         self._moduli = np.zeros((count, LANES))
@@ -121,13 +129,28 @@ class SampledElements:
 
     def prepare(self, dt: float) -> None:
         """Before a step; see `Memory.prepare`."""
+        self._now = self._time + dt
         for region in self._regions:
             region.memory.prepare(dt)
 
     def commit(self) -> None:
         """After a step that converged."""
+        self._time = self._now
         for region in self._regions:
             region.memory.commit()
+
+    def stiffness_age(self, amplitudes: np.ndarray) -> float | None:
+        """Time since the oldest group of the stiffness was computed, s, in the step that is computed.
+
+        Args:
+            amplitudes: of the equilibrium of the step, shape (modes,).
+
+        Returns:
+            None if all groups are of this state: their amplitudes differ by at most `SAME_STATE` of their size.
+        """
+        changes = np.linalg.norm(self._computed_at - amplitudes, axis=1)
+        is_old = changes > SAME_STATE * np.linalg.norm(amplitudes)
+        return float((self._now - self._computed)[is_old].max()) if is_old.any() else None
 
     def set_material(self, material: Material, bulk_ratio: float) -> np.ndarray:
         """Take over laws, their parameters and what they remember, with bulk moduli of at most so many times the shear
@@ -189,6 +212,7 @@ class SampledElements:
         self._forces -= self._borne
         for group in wanted:
             self._tangent = None
+            self._computed_at[group], self._computed[group] = amplitudes, self._now
             lanes = self._lanes[self._ends[group] : self._ends[group + 1]]
             pushed = np.matmul(self._blocks[self._ends[group] : self._ends[group + 1]], lanes)
             flat = lanes.reshape(-1, self.modes)
@@ -200,6 +224,7 @@ class SampledElements:
             return
         self.pressures[:], self._borne[:] = self.rest_pressures, 0.0
         self.prepare(np.inf)
+        self._now = self._time
         self.evaluate(np.zeros(self.modes), False, 0)
         self._borne[:] = self._forces
         self.commit()

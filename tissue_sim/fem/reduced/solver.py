@@ -204,7 +204,7 @@ class ReducedSolver(PlacedReduced):
                     status = StepStatus.CONVERGED
         self.amplitudes[:] = here
         self._strange = max(0, self._strange - _OLDEST) if status is StepStatus.CONVERGED else _GROUPS
-        stiffness, error, wrench = None, None, np.zeros(6)
+        stiffness, error, wrench, stiffness_age = None, None, np.zeros(6), 0.0
         if status is StepStatus.CONVERGED:
             lifted = self._lifted.rates(frame)
             wrench = contact.wrench - lifted.T @ residual[:held]
@@ -217,7 +217,13 @@ class ReducedSolver(PlacedReduced):
             if self.reduced.watched:
                 error = response.force_error(self.reduced.error_factors, wrench[:3])
             if self._asked:
-                stiffness = response.stiffness(self.reduced.box)
+                age = elements.stiffness_age(here)
+                if age == 0.0:
+                    # No time passed, so no age would state that the stiffness is that of another state.
+                    elements.evaluate(here, not np.array_equal(here, looked), _GROUPS)
+                    looked, forces = here, elements.forces.copy()
+                    response = Response(elements.tangent + rates, contact, lifted, free, residual)
+                stiffness, stiffness_age = response.stiffness(self.reduced.box), age or 0.0
             contact.commit()
             elements.commit()
             self._committed, self._known, self._forces = (here.copy(), elements.pressures.copy()), looked, forces
@@ -225,7 +231,7 @@ class ReducedSolver(PlacedReduced):
             self._largest_force = max(self._largest_force, balanced)
         return Step(status, iterations, ratio, cast("Screw", tuple(wrench.tolist())),
                     None if stiffness is None else cast("Matrix", tuple(map(tuple, stiffness.tolist()))),
-                    contact.violation, contact.slipping, force_error=error)
+                    contact.violation, contact.slipping, force_error=error, stiffness_age=stiffness_age)
 
     def _rest(self, pose: Pose) -> Step:
         """Elastic tissue that nothing touches, in a tick that has time to compute some of the stiffness at rest."""

@@ -1,0 +1,75 @@
+"""Estimated error of a linearised bulk: the newest model's own error, its age, the distance, and the torque."""
+
+import math
+
+import pytest
+
+import tissue_sim as ts
+from haptics.loop.bulk_link import DelayedBulk
+from haptics.loop.linearisation_error import LinearisationError
+from haptics.loop.multirate import MultiRateTissue
+from tissue_sim.fem.solid.discretisation import make_solver
+from tissue_sim.fem.solid.linearisation import SolidLinearisation
+from tissue_sim.mesh.hexahedra import HEX8P0
+from tissue_sim.mesh.solid import needle_solid
+from tissue_sim.pose import Pose
+
+RADIUS, MODULUS = 8e-3, 4000.0
+
+
+def learned(missed=0.02, distance=2e-3, between=1e-3, interval=0.05):
+    estimate = LinearisationError(RADIUS, MODULUS)
+    estimate.learn(missed, distance, between, 1.0, interval)
+    return estimate
+
+
+def test_nothing_is_known_before_two_models():
+    assert math.isinf(LinearisationError(RADIUS, MODULUS).at(0.0))
+
+
+def test_the_newest_model_errs_at_its_own_pose_and_with_its_age():
+    estimate = learned()
+    growth = 0.02 / 2e-3**2
+    assert estimate.at(0.0) == pytest.approx(0.02)
+    assert estimate.at(0.0, 0.1) == estimate.at(0.0) and estimate.at(0.0, 0.3) == pytest.approx(3 * estimate.at(0.0))
+    assert estimate.at(1e-3) == pytest.approx(estimate.at(0.0) + growth * 1e-3**2)
+    assert math.isinf(estimate.at(3.1e-3)), "far beyond the two models"
+
+
+def test_models_that_agree_by_chance_leave_the_curvature_of_a_contact():
+    assert learned(missed=0.0).at(2e-3) == pytest.approx(MODULUS * 2e-3**2)
+
+
+def test_a_stiffer_material_raises_what_was_learned():
+    estimate, before = learned(), learned().at(1e-3)
+    estimate.change_modulus(2 * MODULUS)
+    assert estimate.at(1e-3) == pytest.approx(2 * before)
+    estimate.change_modulus(MODULUS)
+    assert estimate.at(1e-3) == pytest.approx(2 * before), "a softer one does not lower it"
+
+
+def bonded():
+    """A bonded needle on a coarse solid whose models come 6 ms after they were asked for, tangents 30 ms."""
+    material = ts.Material("neo_hooke", {"C10": 2000.0}, ts.Bulk("bulk_ratio", 1e3))
+    experiment = ts.Experiment(ts.Specimen(0.030, 0.020), ts.Protocol.ramp(2e-3, 2), friction="bonded",
+                               tool=ts.Tool("flat", radius=RADIUS))
+    model = ts.Model(experiment, material)
+    mesh = needle_solid(0.030, 0.020, RADIUS, HEX8P0, smallest=0.45 * RADIUS, growth=2.4, largest=3.0 * RADIUS,
+                        around=2)
+    bulk = SolidLinearisation(make_solver(model, mesh=mesh))
+    return MultiRateTissue(model, link=DelayedBulk(bulk, 6e-3, 30e-3))
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_the_first_converged_force_of_another_material_is_right(factor):
+    """All moduli times a factor: the elastic force, too, in the tick in which the first model of it comes."""
+    tissue = bonded()
+    for tick in range(101):
+        tissue.step(Pose((0.0, 0.0, -1e-5 * tick)), 1e-3)
+    before = [tissue.step(Pose((0.0, 0.0, -1e-3)), 1e-3) for _ in range(60)][-1]
+    tissue.set_parameters(C10=2000.0 * factor)
+    answers = [tissue.step(Pose((0.0, 0.0, -1e-3)), 1e-3) for _ in range(30)]
+    assert answers[0].status is ts.ForceStatus.LATE and answers[0].force_error is None
+    converged = [answer for answer in answers if answer.status is ts.ForceStatus.CONVERGED]
+    assert len(converged) > 10
+    assert [answer.force for answer in converged] == pytest.approx([factor * before.force] * len(converged), rel=0.01)
