@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from haptics.devices.contracts import DeviceError, ForceSample, ForceSensor, SampleStatus
-from haptics.devices.settings import read_settings, split_place, take_words
+from haptics.devices.settings import read_choices, read_settings, split_target
 from haptics.protocols.ati_calibration import LARGEST, AtiCalibration, read_calibration
 from haptics.protocols.ati_serial import CHANNELS
 from tissue_sim.errors import InputError
@@ -194,8 +194,8 @@ def open_ati_daq(text: str) -> AtiDaqSensor:
 
     ``range_V`` is what the board reads at most, in both directions; 0: as the calibration file says.
     """
-    file, rest = split_place(text, "the calibration file", _EXAMPLE)
-    words, rest = take_words(rest, volts=("",))
+    file, rest = split_target(text, "the calibration file", _EXAMPLE)
+    words, rest = read_choices(rest, volts=("",))
     given = read_settings(rest, rate_hz=1000.0, range_V=0.0)
     calibration = read_calibration(read_bytes(file, "the .cal file of an ATI sensor", LARGEST), file)
     reach = given["range_V"]

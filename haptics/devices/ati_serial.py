@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from haptics.devices.contracts import DeviceError, ForceSample, ForceSensor, SampleStatus
 from haptics.devices.serial_line import SerialLine
-from haptics.devices.settings import read_settings, split_place, take_words
+from haptics.devices.settings import read_choices, read_settings, split_target
 from haptics.protocols.ati_serial import (
     BINARY_LENGTH,
     CHANNELS,
@@ -383,8 +383,8 @@ def open_ati_serial(text: str) -> AtiSerialSensor:
     The counts per unit are those of the calibration and have to be given; a ``rate_hz`` of 0 is measured.
     """
     example = "ati-serial:/dev/ttyUSB0,counts_per_N=100,counts_per_Nm=4000"
-    port, rest = split_place(text, "the port of the controller", example)
-    words, rest = take_words(rest, mode=MODES)
+    port, rest = split_target(text, "the port of the controller", example)
+    words, rest = read_choices(rest, mode=MODES)
     given = read_settings(rest, counts_per_N=0.0, counts_per_Nm=0.0, baud=9600, rate_hz=0.0, average=0)
     return AtiSerialSensor(port, given["counts_per_N"], given["counts_per_Nm"], int(given["baud"]), words["mode"],
                            given["rate_hz"] or None, int(given["average"]))

@@ -12,7 +12,7 @@ import time
 from typing import Any
 
 from haptics.devices.contracts import DeviceError, SampleStatus, Stage, StageLimits, StageSample
-from haptics.devices.settings import read_settings, split_place
+from haptics.devices.settings import read_settings, split_target
 from tissue_sim.errors import InputError
 
 #: How long the controller may take to answer at the start, ms (the library advises at least 1000).
@@ -254,12 +254,12 @@ def open_phidget(text: str) -> PhidgetStage:
     The serial number may be ``any``; ``steps_per_mm`` has to be given; a ``current_A`` of 0 is as the controller has
     it.
     """
-    place, rest = split_place(text, "the serial number of the controller, or 'any',", _EXAMPLE)
+    place, rest = split_target(text, "the serial number of the controller, or 'any',", _EXAMPLE)
     if place != "any" and not (place.isascii() and place.isdigit()):
         raise InputError(f"{place!r} is no serial number; give that of the controller, or 'any', as in {_EXAMPLE}",
                          field="serial")
     given = read_settings(rest, steps_per_mm=0.0, lowest_mm=0.0, highest_mm=50.0, top_speed_mm_s=5.0,
                           acceleration_mm_s2=50.0, microsteps=16, current_A=0.0)
-    limits = StageLimits.of(given)
+    limits = StageLimits.from_settings(given)
     return PhidgetStage(None if place == "any" else int(place), given["steps_per_mm"], limits,
                         given["acceleration_mm_s2"] * 1e-3, int(given["microsteps"]), given["current_A"] or None)

@@ -11,9 +11,9 @@ import time
 from typing import Any
 
 from haptics.devices.contracts import DeviceError, SampleStatus, Stage, StageLimits, StageSample
+from haptics.devices.controller_identification import identify_controller
 from haptics.devices.serial_line import SerialLine
 from haptics.devices.settings import read_settings
-from haptics.devices.who_answers import who_answers
 from haptics.protocols import tic
 from haptics.protocols.tic import Command, Errors, Flags, Planning, Setting, State, Variable
 from tissue_sim.errors import InputError
@@ -116,7 +116,7 @@ class TicStage(Stage):
             answers = self._setting(Setting.CRC, 1)
             self._status()
         except DeviceError as error:
-            other = who_answers(line)
+            other = identify_controller(line)
             raise DeviceError(f"{error}; baud, device, crc and response_crc must be as the Tic Control Center shows "
                               f"them{other}") from None
         if answers & tic.ANSWERS_OF_7_BITS or bool(answers & tic.ANSWERS_CHECKED) != self._response_crc:
@@ -327,7 +327,7 @@ def open_tic(text: str) -> TicStage:
     port, _, settings = text.partition(",")
     given = read_settings(settings, steps_per_mm=0.0, lowest_mm=0.0, highest_mm=50.0, top_speed_mm_s=5.0, baud=9600,
                           device=-1, crc=0, response_crc=0, ramp_ms=100.0)
-    limits = StageLimits.of(given)
+    limits = StageLimits.from_settings(given)
     return TicStage(port.strip(), limits, given["steps_per_mm"] * 1e3, int(given["baud"]),
                     None if given["device"] == -1 else int(given["device"]), bool(given["crc"]),
                     bool(given["response_crc"]), given["ramp_ms"] * 1e-3)

@@ -29,7 +29,7 @@ def test_what_opens_says_what_it_is_and_the_rest_why_not(capsys):
 
 def test_the_list_names_every_back_end(capsys, monkeypatch):
     monkeypatch.setattr("haptics.devices.discovery.serial_ports", lambda: [])
-    monkeypatch.setattr("haptics.devices.discovery._USUAL", {"virtual": ""})
+    monkeypatch.setattr("haptics.devices.discovery._DEFAULT_ADDRESSES", {"virtual": ""})
     assert main(["devices"]) == 0
     said = capsys.readouterr().out
     for name in ("virtual:", "rdt:", "ati-serial:", "ati-daq:", "replay:", "tic:", "grbl:", "phidget:", "haply:"):

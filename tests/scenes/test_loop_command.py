@@ -272,7 +272,7 @@ def test_the_live_line_is_read_from_the_ring(tmp_path):
     (["--motion", "sine:frequency_hz=fast"], "sine.frequency_hz: 'fast' is not a number"),
     (["--motion", "sine:frequncy_hz=2"], "sine.frequncy_hz: unknown setting; did you mean 'frequency_hz'?"),
     (["--motion", "random:seed=1.5"], "random.seed: '1.5' is not a whole number"),
-    (["--motion", "sine:deep"], "sine.settings: 'deep' sets nothing; give NAME=NUMBER"),
+    (["--motion", "sine:deep"], "sine.settings: must be NAME=NUMBER"),
     (["--device", "jump:0"], "unknown haptic device 'jump'; known: virtual"),
     (["--device", "virtual:sine:deep=3"], "virtual.sine.deep: unknown setting; known: depth_mm, lift, frequency_hz"),
     (["--device", "virtual:", "--motion", "sine"], "--motion: a device brings its motion with it"),

@@ -4,6 +4,7 @@ import math
 import pickle
 import threading
 import time
+from dataclasses import replace
 
 import pytest
 import serial
@@ -11,7 +12,7 @@ from device_contracts import StageContract
 from stepper_benches import Clock, bench, port_that_answers, wait_for
 
 from haptics.devices import grbl as grbl_stage
-from haptics.devices import grbl_talk
+from haptics.devices import grbl_connection
 from haptics.devices.back_ends import open_stage
 from haptics.devices.contracts import DeviceError, SampleStatus
 from haptics.devices.grbl import open_grbl
@@ -40,8 +41,8 @@ def pass_time(emulator, stage, clock, seconds):
             seconds -= _TICK
         else:
             time.sleep(0.5e-3)
-        if stage._talk is not None:
-            stage._asked_for = time.monotonic()  # as one who asks for the position would
+        if stage._connection is not None:
+            stage._last_call = time.monotonic()  # as a call of `position` would do
 
 
 class TestGrbl(StageContract):
@@ -108,10 +109,10 @@ def test_no_more_than_a_tenth_of_a_second_is_ever_queued(emulator, clock):
 
 
 def test_a_program_that_hangs_feeds_no_more(emulator, clock, monkeypatch):
-    monkeypatch.setattr(grbl_stage, "_SILENCE", 0.2)
+    monkeypatch.setattr(grbl_stage, "JOGS", replace(grbl_stage.JOGS, silence=0.2))
     stage = homed(emulator, clock)
     stage.move(0.008, 0.004)
-    wait_for(lambda: time.monotonic() - stage._asked_for > 0.3, what="the silence")
+    wait_for(lambda: time.monotonic() - stage._last_call > 0.3, what="the silence")
     for _ in range(500):
         clock.now += 0.01
     stood = emulator._stage.position()
@@ -137,7 +138,7 @@ def test_a_halt_while_homing_leaves_the_zero_unknown(clock):
         clock.now += 10.0
         sample = stage.position()
         assert not sample.homed and not sample.moving and sample.status & SampleStatus.FAULT
-        with pytest.raises(DeviceError, match="alarm 6: homing was broken off"):
+        with pytest.raises(DeviceError, match="alarm 6: homing was interrupted"):
             stage.move(0.001, 0.001)
         home(stage, clock)
         stage.stop()
@@ -170,7 +171,7 @@ def test_a_halt_from_another_thread_stops_it(emulator, clock):
 
 
 @pytest.mark.parametrize(("number", "words"), [(1, r"alarm 1: a limit switch was hit.*free the axis, reset it and"),
-                                               (3, "alarm 3: it was reset while it moved.*home it")])
+                                               (3, "alarm 3: the machine was reset during a motion.*home it")])
 def test_an_alarm_is_a_status_and_then_a_sentence(emulator, clock, number, words):
     stage = homed(emulator, clock)
     stage.move(0.008, 0.004)
@@ -215,7 +216,7 @@ def test_a_jog_that_is_refused_is_said_once_and_it_stands(emulator, clock):
     stage = homed(emulator, clock)
     emulator._settings[132] = 3.0  # somebody has changed its travel since
     stage.move(0.008, 0.004)
-    with pytest.raises(DeviceError, match="refused a motion with error 15: the way ends beyond its travel"):
+    with pytest.raises(DeviceError, match="refused a motion with error 15: the target is outside the travel"):
         while True:
             pass_time(emulator, stage, clock, 0.02)
             stage.position()
@@ -249,20 +250,20 @@ def test_a_jog_that_somebody_has_left_is_given_up(emulator, clock):
     stage = homed(emulator, clock)
     stage.move(0.008, 0.004)
     wait_for(lambda: emulator.queued > 0.05)
-    talk, stage._talk = stage._talk, None
-    talk.close()  # as if the program had died
+    connection, stage._connection = stage._connection, None
+    connection.close()  # as if the program had died
     again = open_stage(emulator.address)
     again.start()
     wait_for(lambda: not again.position().moving)
-    assert not emulator._legs
+    assert not emulator._motions
     again.stop()
 
 
 @pytest.mark.parametrize(("settings", "words"), [
     ("13=1", "reports inches; set .13=0"), ("22=0", "cannot home.*set .22=1"),
-    ("132=8", "reaches 7 mm, not 10; lower highest_mm, or correct .132"),
-    ("112=60", "makes 1 mm/s, not 4; lower top_speed_mm_s, or raise .112"),
-    ("122=10", "reaches 0.8 mm/s, not 4; lower top_speed_mm_s, or raise .122"),
+    ("132=8", "is 7 mm, less than 10 mm; lower highest_mm, or correct .132"),
+    ("112=60", "is 1 mm/s, less than 4 mm/s; lower top_speed_mm_s, or raise .112"),
+    ("122=10", "is 0.8 mm/s, less than 4 mm/s; lower top_speed_mm_s, or raise .122"),
 ])
 def test_limits_beyond_those_of_the_machine_are_refused(clock, settings, words):
     with open_emulator("grbl:" + settings, bench(clock=clock)) as emulator:
@@ -276,14 +277,14 @@ def test_limits_beyond_those_of_the_machine_are_refused(clock, settings, words):
 
 def test_another_version_is_refused(clock):
     with GrblEmulator(bench(clock=clock), Faults(), version="0.9j.20160303") as emulator, pytest.raises(
-            DeviceError, match=r"tells 0\.9; install Grbl 1.1"):
+            DeviceError, match=r"reports 0\.9; install Grbl 1.1"):
         open_stage(emulator.address).start()
 
 
 def test_one_that_is_busy_for_somebody_else_is_left_alone(clock):
     with GrblEmulator(bench(clock=clock), Faults()) as emulator:
         emulator._alarm, emulator._held = False, True
-        with pytest.raises(DeviceError, match="in the state Hold for somebody else; end that"):
+        with pytest.raises(DeviceError, match="in the state Hold because of another program; end that"):
             open_stage(emulator.address).start()
 
 
@@ -310,18 +311,18 @@ def test_a_port_without_permission_is_said(emulator, monkeypatch):
 
 
 @pytest.mark.parametrize(("answer", "words"), [
-    (lambda data: b"\xf8\x3c\x1f\x80\xe0", "no Grbl, or is read at another baud rate than 115200.*check the baud rate"),
+    (lambda data: b"\xf8\x3c\x1f\x80\xe0", "no Grbl, or its baud rate is not 115200.*check the baud rate"),
     (lambda data: b"\r\n>" if data.endswith(b"\r") else b"", "an ATI controller answers there: name it ati-serial:"),
     (lambda data: b"", r"nothing answers .* check that the Grbl has power, the cable and the baud rate"),
 ])
 def test_garbage_another_device_or_none_is_said(answer, words, monkeypatch):
-    monkeypatch.setattr(grbl_talk, "_BOOT", 0.5)
+    monkeypatch.setattr(grbl_connection, "TIMING", replace(grbl_connection.TIMING, boot=0.5))
     with port_that_answers(answer) as port, pytest.raises(DeviceError, match=words):
         open_grbl(port).start()
 
 
 def test_a_tic_where_a_grbl_was_expected_is_named(clock, monkeypatch):
-    monkeypatch.setattr(grbl_talk, "_BOOT", 0.5)
+    monkeypatch.setattr(grbl_connection, "TIMING", replace(grbl_connection.TIMING, boot=0.5))
     with open_emulator("tic:", bench(clock=clock)) as emulator, pytest.raises(DeviceError, match="name it tic:"):
         open_grbl(emulator.path).start()
 
@@ -330,7 +331,7 @@ def test_a_line_that_falls_silent_is_said_and_no_more_is_queued(clock):
     with GrblEmulator(bench(clock=clock), Faults(disconnect_after=1.0)) as emulator:
         stage = homed(emulator, clock)
         stage.move(0.008, 0.004)
-        with pytest.raises(DeviceError, match="reports nothing for 1 s; check that it has power, the cable"):
+        with pytest.raises(DeviceError, match="has sent no report for 1 s; check that it has power, the cable"):
             while True:
                 stage.position()
         assert emulator.most_queued <= 0.1 + 1e-3

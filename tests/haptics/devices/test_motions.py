@@ -91,7 +91,7 @@ def test_a_hand_is_no_faster_than_it_may_be():
     hand.aim(0.02)
     way = depths(hand, np.arange(0.0, 1.0, 1e-3))
     assert np.diff(way).max() == pytest.approx(0.05e-3) and way[-1] == pytest.approx(0.02) and way.max() < 0.0201
-    with pytest.raises(InputError, match="nan is not a depth"):
+    with pytest.raises(InputError, match="depth: must be a finite number; got nan"):
         hand.aim(math.nan)
 
 
@@ -183,10 +183,10 @@ def test_a_walk_in_space_depends_on_seed_and_time_alone():
 def test_motions_by_name_go_along_the_approach_of_the_tool(name):
     """Off the axis, leaning: the same way from the approach's touch on; and whoever has an approach keeps it."""
     approach, plain, leaning = ts.Approach(12e-3, math.radians(20.0)), open_motion(name), open_motion(name)
-    leaning.go_along(approach)
-    leaning.go_along(ts.Approach(-12e-3))
+    leaning.set_approach(approach)
+    leaning.set_approach(ts.Approach(-12e-3))
     followed = VirtualHand(open_motion(name), grip=400.0)
-    followed.go_along(approach)
+    followed.set_approach(approach)
     assert followed.pose(0.0).position == pytest.approx(leaning.pose(0.0).position, abs=1e-15)
     for time in (0.0, 0.31, 0.8, 2.0):
         x, y, z = plain.pose(time).position
@@ -223,7 +223,7 @@ def test_a_hand_goes_along_the_axis_of_its_approach_and_sideways():
     hand.aim(3e-3)
     way = hand.pose(3.0).position
     np.testing.assert_allclose(way[1], -4e-3, atol=1e-8)
-    with pytest.raises(InputError, match="is no place"):
+    with pytest.raises(InputError, match="across: must be two finite numbers"):
         hand.aim(1e-3, (math.nan, 0.0))
 
 

@@ -11,7 +11,8 @@ def test_numbers_come_by_name_and_what_is_left_out_is_as_before():
 
 
 @pytest.mark.parametrize(("text", "field", "words"), [
-    ("rate_hz", "settings", "sets nothing"), ("rate=5", "rate", "rate_hz"), ("count=1.5", "count", "whole number"),
+    ("rate_hz", "settings", "must be NAME=NUMBER"), ("rate=5", "rate", "rate_hz"),
+    ("count=1.5", "count", "whole number"),
     ("rate_hz=inf", "rate_hz", "finite"), ("rate_hz=nan", "rate_hz", "finite"),
     ("count=" + "9" * 400, "count", "finite"), ("count=" + "9" * 9999, "count", "whole number"),
 ])

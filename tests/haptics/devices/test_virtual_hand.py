@@ -111,7 +111,7 @@ def test_hands_that_make_no_sense_are_refused(wrong, field):
 
 def test_only_a_hand_that_follows_a_steered_motion_is_steered():
     open_haptic("virtual:").aim(1e-3)
-    with pytest.raises(InputError, match="a SineMotion goes where it likes"):
+    with pytest.raises(InputError, match="requires a steerable motion; got a SineMotion"):
         open_haptic("virtual:sine").aim(1e-3)
     assert "virtual" in HAPTIC_DEVICES
 

@@ -7,7 +7,7 @@ from device_contracts import ForceSensorContract, StageContract
 import tissue_sim as ts
 from haptics.devices.contracts import StageLimits
 from haptics.devices.virtual.faults import Faults, read_faults
-from haptics.devices.virtual.rig import ElasticSpecimen, RememberingSpecimen, VirtualRig
+from haptics.devices.virtual.rig import ElasticSpecimen, HistoryDependentSpecimen, VirtualRig
 from tissue_sim.errors import InputError
 
 SURFACE, STIFFNESS = 2e-3, 300.0
@@ -80,7 +80,7 @@ def pressed():
                 clock.now += 0.01
                 for sample in sensor.read():
                     taken = 50.0 + (sample.sequence + 1) / 100.0
-                    rows.append((taken, stage.tool_place(taken), sample.values[0]))
+                    rows.append((taken, stage.tool_position(taken), sample.values[0]))
         return np.array(rows).T
 
     return pressed
@@ -157,18 +157,18 @@ def test_an_elastic_specimen_is_its_simulation():
 
 def test_what_remembers_is_stepped():
     model = needle(2e-3, viscoelastic=ts.Prony((ts.PronyTerm(0.4, 0.5),)))
-    with pytest.raises(InputError, match="make a RememberingSpecimen"):
+    with pytest.raises(InputError, match="make a HistoryDependentSpecimen"):
         ElasticSpecimen(model, 2e-3)
-    specimen = RememberingSpecimen(model)
+    specimen = HistoryDependentSpecimen(model)
     way_in = [specimen.force(0.01 * step, 1e-4 * step) for step in range(11)]
     held = [specimen.force(0.1 + 0.05 * step, 1e-3) for step in range(1, 60)]
     assert way_in[-1] > 0 and held[-1] < 0.75 * way_in[-1] and (np.diff(held) < 1e-9).all()
     with pytest.raises(InputError, match="compliance"):
-        RememberingSpecimen(ts.with_values(model, {"rig.compliance": 1e-3}))
+        HistoryDependentSpecimen(ts.with_values(model, {"rig.compliance": 1e-3}))
 
 
 def test_a_rig_that_a_bench_does_not_have_is_refused():
     with pytest.raises(InputError, match="no sampling rate"):
         rig_of(Clock(), ts.Rig(sampling_rate=100.0))
-    with pytest.raises(InputError, match="name Fz"):
+    with pytest.raises(InputError, match="must contain Fz"):
         rig_of(Clock(), channels=("Fx",))

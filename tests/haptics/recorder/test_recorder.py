@@ -19,9 +19,9 @@ def state_of(bench):
 
 def stands_still(bench):
     """Whether the tool stays where it is from now on."""
-    before = bench.virtual.stage.tool_place(bench.clock())
+    before = bench.virtual.stage.tool_position(bench.clock())
     bench.clock.now += 10.0
-    return bench.virtual.stage.tool_place(bench.clock()) == before
+    return bench.virtual.stage.tool_position(bench.clock()) == before
 
 
 def test_a_run_records_what_was_planned(bench):
@@ -148,7 +148,7 @@ def test_who_asks_is_heard_at_once(bench):
 def test_it_stands_or_goes_back_as_stated(bench, retracts, place):
     with pytest.raises(StoppedError):
         bench.run(limits=bench.limits(force=0.8, retracts=retracts))
-    tool = bench.virtual.stage.tool_place(bench.clock())
+    tool = bench.virtual.stage.tool_position(bench.clock())
     assert tool == pytest.approx(place, abs=2e-5) if retracts else tool > SURFACE + 1e-3
 
 
@@ -175,7 +175,7 @@ def test_what_is_glued_is_not_pulled_after_a_stop(bench):
     with pytest.raises(StoppedError):
         bench.run(plan=bench.plan(contact="here"), limits=bench.limits(force=0.8, retracts=True),
                   rig=bench.rig(Glued(), surface=0.0, start_at=0.0))
-    assert bench.virtual.stage.tool_place(bench.clock()) == pytest.approx(0.0, abs=3e-5)
+    assert bench.virtual.stage.tool_position(bench.clock()) == pytest.approx(0.0, abs=3e-5)
 
 
 class Grows(Spring):
