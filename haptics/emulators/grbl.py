@@ -1,4 +1,4 @@
-"""Emulator of Grbl 1.1 on a pseudo-terminal. A stage backs one axis; it moves at constant speed instead of with ramps.
+"""Emulator of Grbl 1.1 on a pseudo-terminal. One axis is a stage that moves at constant speed, without ramps.
 
 Supports jogs, homing, settings, reports and alarms; no G-code. Source: Grbl 1.1 documentation, doc/markdown of
 github.com/gnea/grbl. At power-on the stage is homed.

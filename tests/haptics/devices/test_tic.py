@@ -4,12 +4,14 @@ import itertools
 import math
 import pickle
 import threading
+from dataclasses import replace
 
 import pytest
 import serial
 from device_contracts import StageContract
 from stepper_benches import Clock, bench, port_that_answers, wait_for
 
+from haptics.devices import tic as tic_stage
 from haptics.devices.back_ends import open_stage
 from haptics.devices.contracts import DeviceError, SampleStatus, StageLimits
 from haptics.devices.tic import TicStage, open_tic
@@ -208,7 +210,7 @@ def test_without_a_limit_switch_it_says_that_it_does_not_home(emulator, clock):
 
 
 def test_homing_that_never_ends_is_said_and_stops(clock, monkeypatch):
-    monkeypatch.setattr("haptics.devices.tic._HOMING_MORE", -1e6)
+    monkeypatch.setattr(tic_stage, "TIMING", replace(tic_stage.TIMING, homing_margin=-1e6))
     with TicEmulator(bench(start_at=0.008, clock=clock), Faults()) as emulator:
         stage = open_stage(emulator.address)
         stage.start()
@@ -241,9 +243,9 @@ def test_a_halt_from_another_thread_stops_a_move_that_is_being_sent(emulator, cl
     ("timeout_ms=0", "command timeout.*switched off.*set it to 1 s or less"),
     ("timeout_ms=1500", "command timeout.*is 1.5 s.*set it to 1 s or less"),
     ("control_mode=1", "control mode 1.*Serial / I2C / USB"),
-    ("soft_error_response=3", "goes to a position.*Decelerate to hold"),
+    ("soft_error_response=3", "move to a position.*Decelerate to hold"),
     ("crc=1", "answered 0 of 14 bytes.*crc"),
-    ("response_crc=1", "answer in another form|no Tic, or is read at another.*response_crc"),
+    ("response_crc=1", "another form of answers|no Tic, or its baud rate is not.*response_crc"),
 ])
 def test_settings_that_do_not_fit_are_refused_before_anything_moves(clock, settings, words):
     with open_emulator("tic:" + settings, bench(clock=clock)) as emulator:
@@ -290,7 +292,7 @@ def test_a_port_without_permission_is_said(emulator, monkeypatch):
 def test_garbage_of_a_wrong_baud_rate_is_said():
     rows = itertools.cycle([bytes([0xF8, 0x3C, 0x80, 0x1F] * 8)])
     with port_that_answers(lambda data: next(rows)) as port, pytest.raises(
-            DeviceError, match="no Tic, or is read at another baud rate than 9600; check the baud rate"):
+            DeviceError, match="no Tic, or its baud rate is not 9600; check the baud rate"):
         open_tic(port + ",steps_per_mm=800").start()
 
 
@@ -350,7 +352,7 @@ def test_garbled_answers_never_pass_the_check(clock):
             try:
                 assert stage.position().position == pytest.approx(0.005, abs=1e-9)
             except DeviceError as error:
-                assert "check of an answer" in str(error)
+                assert "has a wrong checksum" in str(error)
                 refused += 1
         assert 5 < refused < 25
         stage.stop()

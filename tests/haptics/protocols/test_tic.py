@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from haptics.protocols import tic
-from haptics.protocols.tic import Command, Errors, Flags, Order, Orders, Planning, State, Variable
+from haptics.protocols.tic import Command, CommandParser, Errors, Flags, Planning, ReceivedCommand, State, Variable
 
 CASES = int(os.environ.get("TISSUE_SIM_FUZZ_CASES", "500"))
 WIDE = [command for command in Command if 0xE0 <= command <= 0xEC]
@@ -56,9 +56,9 @@ def test_commands_are_those_of_ticlib_and_come_back(command, value, device, crc)
     getattr(foreign, name)(value)
     message = tic.encode(command, value, device=device, crc=crc)
     assert message == bytes(sent)
-    orders = Orders(14 if device is None else device, crc)
-    assert orders.feed(message) == [Order(command, value & 0xFFFFFFFF)] and orders.bad == 0
-    assert tic.signed(value & 0xFFFFFFFF) == value
+    parser = CommandParser(14 if device is None else device, crc)
+    assert parser.feed(message) == [ReceivedCommand(command, value & 0xFFFFFFFF)] and parser.bad == 0
+    assert tic.to_signed(value & 0xFFFFFFFF) == value
 
 
 @given(st.sampled_from(list(Command)), st.integers(0, 255), st.integers(1, 15), st.booleans(), st.data())
@@ -67,9 +67,9 @@ def test_every_command_comes_back_in_any_pieces(command, value, length, crc, dat
     number = value if 0xE0 <= command <= 0xEC or command in (0xA1, 0xA2, 0xA8) else value & 0x7F
     message = tic.encode(command, number, length, crc=crc)
     cut = data.draw(st.integers(0, len(message)))
-    orders = Orders(crc=crc)
-    got = orders.feed(message[:cut]) + orders.feed(message[cut:])
-    assert len(got) == 1 and got[0].command == command and orders.bad == 0
+    parser = CommandParser(crc=crc)
+    got = parser.feed(message[:cut]) + parser.feed(message[cut:])
+    assert len(got) == 1 and got[0].command == command and parser.bad == 0
     if len(message) - crc > 1:
         assert got[0].value == number
 
@@ -77,11 +77,11 @@ def test_every_command_comes_back_in_any_pieces(command, value, length, crc, dat
 @given(st.binary(max_size=60), st.booleans())
 @settings(max_examples=CASES, deadline=None)
 def test_any_bytes_leave_the_parser_alive(data, crc):
-    orders = Orders(crc=crc)
-    for order in orders.feed(data):
-        assert order.command in set(Command) and 0 <= order.value <= 0xFFFFFFFF and 0 <= order.length <= 15
-    orders.feed(tic.encode(Command.HALT_AND_HOLD, crc=crc))  # ends what had begun
-    assert orders.feed(tic.encode(Command.GO_HOME, 1, crc=crc)) == [Order(Command.GO_HOME, 1)]
+    parser = CommandParser(crc=crc)
+    for received in parser.feed(data):
+        assert received.command in set(Command) and 0 <= received.value <= 0xFFFFFFFF and 0 <= received.length <= 15
+    parser.feed(tic.encode(Command.HALT_AND_HOLD, crc=crc))  # discards an incomplete command
+    assert parser.feed(tic.encode(Command.GO_HOME, 1, crc=crc)) == [ReceivedCommand(Command.GO_HOME, 1)]
 
 
 @given(st.sampled_from(WIDE), st.integers(0, 0xFFFFFFFF), st.integers(0, 6), st.integers(1, 127))
@@ -89,19 +89,19 @@ def test_any_bytes_leave_the_parser_alive(data, crc):
 def test_a_wrong_byte_never_passes_the_check(command, value, at, flip):
     message = bytearray(tic.encode(command, value, crc=True))
     message[at] ^= flip
-    assert Order(command, value) not in Orders(crc=True).feed(bytes(message))
+    assert ReceivedCommand(command, value) not in CommandParser(crc=True).feed(bytes(message))
     # One wrong byte is a burst of at most 7 bits: a check of 7 bits sees every one.
-    assert Orders(crc=True).feed(bytes(message)) == [] or at == 0
+    assert CommandParser(crc=True).feed(bytes(message)) == [] or at == 0
 
 
 @given(st.binary(min_size=0, max_size=20))
 @settings(max_examples=CASES, deadline=None)
 def test_a_status_is_whole_and_possible_or_none(block):
-    status, place = tic.parse_status(block), tic.parse_place(block)
+    status, motion = tic.parse_status(block), tic.parse_motion_state(block)
     if status is not None:
         assert len(block) == tic.STATUS_SIZE and block[0] in set(State) and not block[3] & 0xFE
-    if place is not None:
-        assert len(block) == tic.PLACE_SIZE and abs(place.velocity) <= tic.TOP_SPEED
+    if motion is not None:
+        assert len(block) == tic.MOTION_STATE_SIZE and abs(motion.velocity) <= tic.TOP_SPEED
 
 
 @given(st.sampled_from(list(State)), st.integers(0, 31), st.integers(0, 0x1FF), st.integers(0, 0x1FFFFF),
