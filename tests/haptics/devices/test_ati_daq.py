@@ -157,12 +157,12 @@ def broken():
 @pytest.mark.parametrize(("read_volts", "sentence"), [
     (broken, r"^broken, which reads the voltages, failed \(OSError: the board was unplugged\); check the board, and "
              r"start"),
-    (lambda: None, "returned a NoneType, not an array"),
-    (lambda: [1.0] * 6, r"returned a list, not an array \(n, 6\) of volts; return the samples since its last call"),
-    (lambda: np.zeros((6, 3)), r"returned shape \(6, 3\), not an array"),
-    (lambda: [["a"] * 6], "returned a list, not an array"),
-    (lambda: [[0.0] * 6, [0.0] * 5], "returned a list, not an array"),
-    (lambda: [[0.0] * 5 + [math.nan]], "returned a voltage that is not finite; check the board"),
+    (lambda: None, r"must return an array \(n, 6\) of volts; got a NoneType"),
+    (lambda: [1.0] * 6, r"must return an array \(n, 6\) of volts; got a list\. Return the samples since the last call"),
+    (lambda: np.zeros((6, 3)), r"must return an array \(n, 6\) of volts; got shape \(6, 3\)"),
+    (lambda: [["a"] * 6], r"must return an array \(n, 6\) of volts; got a list"),
+    (lambda: [[0.0] * 6, [0.0] * 5], r"must return an array \(n, 6\) of volts; got a list"),
+    (lambda: [[0.0] * 5 + [math.nan]], r"must return finite voltages; got NaN or infinity\. Check the board"),
 ])
 def test_a_function_that_gives_something_else(read_volts, sentence):
     sensor = AtiDaqSensor(CALIBRATION, read_volts)
@@ -188,8 +188,8 @@ def test_a_board_that_falls_silent(monkeypatch):
 def test_without_a_function_it_says_how_to_give_one(tmp_path):
     (tmp_path / "FT7.cal").write_text(FILE, encoding="utf-8")
     sensor = open_sensor(f"ati-daq:{tmp_path / 'FT7.cal'}")
-    with pytest.raises(DeviceError, match=r"^the ATI sensor FT7 has nothing that reads its voltages; give a function "
-                                          r"that returns the new samples, an array \(n, 6\) of volts, as in "
+    with pytest.raises(DeviceError, match=r"^the ATI sensor FT7 has no function that reads its voltages; give one that "
+                                          r"returns the new samples as an array \(n, 6\) of volts, as in "
                                           r"ati-daq:FT01234\.cal,volts=my_board:read_volts$"):
         sensor.start()
 
@@ -199,7 +199,7 @@ def test_without_a_function_it_says_how_to_give_one(tmp_path):
                                  "named"),
     ("math:read_volts", "math:read_volts, which reads the voltages, cannot be imported .module 'math' has no "
                         "attribute"),
-    ("math:pi", "math:pi is a float and no function; give one that returns an array"),
+    ("math:pi", r"math:pi must be a function; got a float\. Give a function that returns an array"),
 ])
 def test_a_function_that_is_not_there(place, sentence):
     with pytest.raises(DeviceError, match=sentence):
@@ -207,9 +207,9 @@ def test_a_function_that_is_not_there(place, sentence):
 
 
 @pytest.mark.parametrize(("settings", "sentence"), [
-    (",volts=reader", r"volts: 'reader' is no function; give package\.module:function"),
-    (",rate_hz=0", "rate_hz: 0 Hz; give the rate that the board is set to"),
-    (",range_V=-5", "range_V: 5 to -5 V is no range"),
+    (",volts=reader", r"volts: must be package\.module:function, .*; got 'reader'"),
+    (",rate_hz=0", r"rate_hz: must be above 0; got 0 Hz\. Give the sampling rate of the board"),
+    (",range_V=-5", "range_V: must give a range of voltages; got 5 to -5 V"),
     (",range=5", "range: unknown setting; did you mean 'range_V'"),
 ])
 def test_settings_that_make_no_sense(tmp_path, settings, sentence):
@@ -223,7 +223,7 @@ def test_a_file_that_is_not_there_or_cut_off(tmp_path):
                                          r"name"):
         open_sensor(f"ati-daq:{tmp_path / 'FT8.cal'}")
     (tmp_path / "FT7.cal").write_text(FILE[:-40], encoding="utf-8")
-    with pytest.raises(InputError, match=r"FT7\.cal: .*is no whole XML .*cut off or damaged; copy the \.cal file"):
+    with pytest.raises(InputError, match=r"FT7\.cal: .*is not valid XML .*incomplete or damaged; copy the \.cal file"):
         open_sensor(f"ati-daq:{tmp_path / 'FT7.cal'}")
     with pytest.raises(InputError, match=r"the calibration file is missing; give it first, as in ati-daq:FT01234"):
         open_sensor("ati-daq:volts=a:b")

@@ -2,6 +2,7 @@
 
 import sys
 import time
+from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -60,11 +61,10 @@ def read_some(sensor, count=1):
 
 @pytest.fixture(autouse=True)
 def patience(monkeypatch):
-    """On a busy machine the emulator, too, may stand for a second; ``patience(seconds)`` is that of a test that waits
-    until it ends."""
+    """Long waits by default, because the emulator may pause for a second on a busy machine; ``patience(seconds)`` sets
+    the wait of a test that expects it to end."""
     def patience(seconds):
-        monkeypatch.setattr(ati_serial, "_PATIENCE", seconds)
-        monkeypatch.setattr(ati_serial, "_SILENCE", seconds)
+        monkeypatch.setattr(ati_serial, "TIMING", replace(ati_serial.TIMING, patience=seconds, silence=seconds))
 
     patience(LONG)
     return patience
@@ -88,9 +88,9 @@ class OverASerialLine(ForceSensorContract):
 
     def pass_time(self, seconds):
         """As many records as that takes."""
-        running = self.sensor_here._running
+        receiver = self.sensor_here._receiver
         count = max(round(seconds * self.sensor_here.rate), 1)
-        wait_until(lambda: len(running._waiting) >= count)
+        wait_until(lambda: len(receiver._waiting) >= count)
 
     def now(self):
         return time.monotonic()
@@ -128,7 +128,7 @@ def test_the_records_leave_as_fast_as_the_line_carries_them(monkeypatch):
         emulator = AtiSerialEmulator(sensor, padded=padded)
         emulator.begin()
         clock[0] += 0.1
-        monkeypatch.setattr(emulator, "_is_its_baud", lambda: True)
+        monkeypatch.setattr(emulator, "_has_matching_baud", lambda: True)
         emulator.received(mode + b"\rQS\r")
         sent = []
         for _ in range(200):
@@ -284,13 +284,13 @@ def test_a_busy_port(emulator):
 
 @pytest.mark.parametrize("mode", ["ascii", "binary"])
 def test_a_wrong_baud_rate(emulator, mode):
-    with pytest.raises(DeviceError, match=r"^what comes from \S+ is no text at 38400 baud; give the baud rate of the "
+    with pytest.raises(DeviceError, match=r"^the bytes from \S+ are no text at 38400 baud; give the baud rate of the "
                                           "ATI controller, which its display shows at power on, as in baud=38400$"):
         sensor_at(emulator.path, baud=38400, mode=mode).start()
 
 
 class Talker(TerminalEmulator):
-    """Some other device: answers each carriage return with the same."""
+    """Another device: sends the same answer to each carriage return."""
 
     name = "other device"
 
@@ -320,10 +320,10 @@ class Talker(TerminalEmulator):
 
 
 @pytest.mark.parametrize(("answer", "unasked", "sentence"), [
-    (b"", (), r"^nobody answers at \S+; check that the ATI controller has power, the cable, and the baud rate \(here "
+    (b"", (), r"^nothing answers at \S+; check that the ATI controller has power, the cable, and the baud rate \(here "
               r"9600"),
     (b"ok\r\n", (b"\r\nGrbl 1.1h ['$' for help]\r\n",),
-     r"^what answers at \S+ is not an ATI controller \(it says '.*ok' and no prompt '>'\); give the port of the "
+     r"^the device at \S+ is not an ATI controller \(it sent '.*ok' and no prompt '>'\); give the port of the "
      r"controller$"),
     (b"?\r\r>", (), r"^the ATI controller at \S+ sends no records of a flag and six counts \('\?'\); select all six"),
     (b"0,1,2,3,4\r\n>", (), r"sends no records of a flag and six counts \(.*0,1,2,3,4'\); select all six components "
@@ -331,7 +331,7 @@ class Talker(TerminalEmulator):
 ])
 @pytest.mark.parametrize("mode", ["ascii", "binary"])
 def test_another_device_at_the_port(answer, unasked, sentence, mode, patience):
-    """Nobody, as a Tic that waits for its own bytes; a Grbl; something with the same prompt; four components."""
+    """No answer (as of a Tic); a Grbl; a device with the same prompt; a controller that sends four components."""
     patience(1.0)
     with Talker(answer, unasked) as other:
         sensor = sensor_at(other.path, mode=mode)
@@ -339,7 +339,7 @@ def test_another_device_at_the_port(answer, unasked, sentence, mode, patience):
             sentence = "sends no records of a flag and six counts"
         with pytest.raises(DeviceError, match=sentence):
             sensor.start()
-        # The port is free again.
+        # Checks that the port was closed.
         SerialLine(other.path, 9600, "the test").close()
 
 
@@ -347,7 +347,7 @@ def test_a_controller_that_does_not_end_its_answer(emulator, monkeypatch, patien
     patience(1.0)
     answer = emulator._answer
     monkeypatch.setattr(emulator, "_answer", lambda command: None if command == b"CD R" else answer(command))
-    with pytest.raises(DeviceError, match=r"did not end its answer to 'CD R' \(nothing came\) with its prompt '>'; "
+    with pytest.raises(DeviceError, match=r"did not end its answer to 'CD R' \(nothing arrived\) with its prompt '>'; "
                                           r"switch it off and on"):
         sensor_at(emulator.path).start()
 
@@ -357,7 +357,7 @@ def test_a_controller_that_falls_silent(emulator, monkeypatch, mode):
     sensor = open_sensor(emulator.address.replace("ascii", mode))
     sensor.start()
     assert read_some(sensor)
-    sensor._running._silence = 1.0
+    sensor._receiver._silence = 1.0
     monkeypatch.setattr(emulator, "due", lambda: [])
     with pytest.raises(DeviceError, match=r"has sent nothing for 1 s; check its power, its sensor and the cable, and"):
         wait_until(lambda: sensor.read() and None)
@@ -367,13 +367,14 @@ def test_a_controller_that_falls_silent(emulator, monkeypatch, mode):
 
 
 def test_a_controller_that_speaks_instead_of_sending_records(emulator, monkeypatch):
-    """As of a sensor that is saturated or not connected, where it tells so in words."""
+    """Some controllers report a saturated or disconnected sensor in words."""
     sensor = open_sensor(emulator.address)
     sensor.start()
     assert read_some(sensor)
-    sensor._running._silence = 1.0
+    sensor._receiver._silence = 1.0
     monkeypatch.setattr(emulator, "_record", lambda: b"saturation error\r\n")
-    with pytest.raises(DeviceError, match=r"has sent no whole record \('saturation error'\) for 1 s; check its power"):
+    with pytest.raises(DeviceError, match=r"has sent no complete record \('saturation error'\) for 1 s; check its "
+                                          r"power"):
         wait_until(lambda: sensor.read() and None)
     assert sensor.describe()["garbled_records"] > 0
     sensor.stop()
@@ -383,7 +384,7 @@ def test_a_cable_that_is_pulled(emulator):
     sensor = open_sensor(emulator.address)
     sensor.start()
     emulator.stop()
-    with pytest.raises(DeviceError, match=r"the ATI controller at \S+ is gone .*; plug it in again and start anew"):
+    with pytest.raises(DeviceError, match=r"the ATI controller at \S+ is gone .*; plug it in again and start again"):
         wait_until(lambda: sensor.read() and None)
     sensor.stop()
     emulator.start()
@@ -397,7 +398,7 @@ def test_who_does_not_read_loses_the_oldest_and_sees_it(emulator, monkeypatch):
     sensor = open_sensor(emulator.address)
     sensor.start()
     read_some(sensor)
-    waiting = sensor._running._waiting
+    waiting = sensor._receiver._waiting
     wait_until(lambda: len(waiting) >= 3)
     waiting.popleft()  # as the full queue does
     first, *others = sensor.read()
@@ -408,14 +409,16 @@ def test_who_does_not_read_loses_the_oldest_and_sees_it(emulator, monkeypatch):
 @pytest.mark.parametrize(("name", "sentence"), [
     ("ati-serial:", r"^ati-serial\.name: the port of the controller is missing; give it first, as in ati-serial:/dev"),
     ("ati-serial:baud=9600", "the port of the controller is missing"),
-    ("ati-serial:/dev/ttyUSB0", r"counts_per_N: 0 counts; give the counts per unit of the sensor's calibration sheet"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=100", "counts_per_Nm: 0 counts"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,mode=binry", "mode: 'binry' is none of them; did you mean "
-                                                                          "'bin"),
+    ("ati-serial:/dev/ttyUSB0", r"counts_per_N: must be above 0; got 0\. Give the counts per unit of the sensor's "
+                                r"calibration sheet"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=100", "counts_per_Nm: must be above 0; got 0"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,mode=binry", "mode: must be one of ascii, binary; got "
+                                                                          "'binry'; did you mean 'binary'"),
     ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,bawd=1", "bawd: unknown setting; did you mean 'baud'"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,baud=-1", "baud: -1 baud"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,rate_hz=-1", "rate_hz: -1 Hz"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,average=300", "average: 300; give 0 to 255"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,baud=-1", "baud: must be above 0; got -1"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,rate_hz=-1", "rate_hz: must be above 0; got -1 Hz"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,average=300", "average: must be 0 to 255 samples; got "
+                                                                           "300"),
 ])
 def test_settings_that_make_no_sense(name, sentence):
     with pytest.raises(InputError, match=sentence):
@@ -423,10 +426,10 @@ def test_settings_that_make_no_sense(name, sentence):
 
 
 def test_settings_of_the_emulator_that_make_no_sense():
-    for name, sentence in (("ati-serial:mode=hex", "mode: 'hex' is "
-                                                   "none"), ("ati-serial:baud=0", "baud: 0; give a number"),
-                           ("ati-serial:counts_per_N=-1", "counts_per_N: -1")):
+    for name, sentence in (("ati-serial:mode=hex", "mode: must be one of ascii, binary; got 'hex'"),
+                           ("ati-serial:baud=0", "baud: must be above 0; got 0"),
+                           ("ati-serial:counts_per_N=-1", "counts_per_N: must be above 0; got -1")):
         with pytest.raises(InputError, match=sentence):
             open_emulator(name, bench())
-    with pytest.raises(InputError, match="no mode"):
+    with pytest.raises(InputError, match="mode: must be ascii or binary; got 'hex'"):
         AtiSerialSensor("/dev/ttyUSB0", 1.0, 1.0, mode="hex")

@@ -12,11 +12,11 @@ from device_contracts import HapticDeviceContract
 
 from haptics.devices.back_ends import open_haptic
 from haptics.devices.contracts import DeviceError
-from haptics.devices.haply import STALE, HaplyDevice
+from haptics.devices.haply import TIMING, HaplyDevice
 from haptics.devices.virtual.faults import Faults
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.emulators.emulator import open_emulator
-from haptics.emulators.haply import LETS_GO, START, HaplyEmulator, emulate_haply
+from haptics.emulators.haply import RELEASE_TIME, START, HaplyEmulator, emulate_haply
 from haptics.protocols.haply import HapticState, read_force, state_message
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
@@ -121,8 +121,8 @@ def test_the_tool_turns_with_the_grip_about_the_axes_of_the_scene():
     s = math.sqrt(0.5)
     # From a quarter turn about x to that, then a quarter turn about the device's z: the scene's y.
     first, now = (s, s, 0.0, 0.0), (0.5, 0.5, 0.5, 0.5)
-    assert device._turned(now, first) == pytest.approx((s, 0.0, s, 0.0))
-    assert device._turned(first, first) == pytest.approx((1.0, 0.0, 0.0, 0.0))
+    assert device._rotation_since_start(now, first) == pytest.approx((s, 0.0, s, 0.0))
+    assert device._rotation_since_start(first, first) == pytest.approx((1.0, 0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize(("text", "field"), [
@@ -176,9 +176,9 @@ def said_first(message):
 
 
 @pytest.mark.parametrize(("first", "sentence"), [
-    ('{"session_id": 1, "inverse3": []}', "knows no Inverse3; connect the device"),
-    ("garbage", r"does not understand \(no JSON\); it needs version 3.1"),
-    ('{"inverse3": [{"device_id": "1", "state": {}}]}', r"does not understand \(no cursor_position\)"),
+    ('{"session_id": 1, "inverse3": []}', "has no Inverse3; connect the device"),
+    ("garbage", r"unknown message \(not valid JSON\); install version 3.1"),
+    ('{"inverse3": [{"device_id": "1", "state": {}}]}', r"unknown message \(cursor_position is missing\)"),
     (state_message(HapticState("04BA", (0.0, 0.0, 0.1), status={"power_supply": False}), (0.0, 0.0, 0.0)),
      "04BA has no power for its motors; plug")])
 def test_a_service_without_a_device_that_can_be_used(first, sentence):
@@ -245,7 +245,7 @@ def test_a_slow_service_does_not_hold_the_loop_up():
         passed = time.monotonic() - began
         device.stop()
     # A wait for an answer in each tick would make 20 s.
-    assert none > 0 and passed < 10.0 and STALE < 0.2
+    assert none > 0 and passed < 10.0 and TIMING.stale < 0.2
 
 
 def test_forces_do_not_queue_up_at_a_service_that_is_slow():
@@ -298,7 +298,7 @@ def test_the_emulator_lets_go_when_nobody_speaks(service):
         client.send(force_message(first.device_id, (0.0, 0.0, 3.0)))
         assert read_state(client.recv()).device_id == "049D" and service.force == (0.0, 0.0, 3.0)
         with pytest.raises(TimeoutError):
-            client.recv(timeout=2 * LETS_GO)  # it says nothing unasked
+            client.recv(timeout=2 * RELEASE_TIME)  # the service sends nothing unrequested
         wait_for(lambda: service.force == (0.0, 0.0, 0.0))
         client.send("nonsense")
         assert read_state(client.recv()).device_id == "049D", "each message has one answer"
@@ -317,7 +317,7 @@ def test_the_emulated_hand_gives_way():
             return pose is not None and abs(pose.position[2] - 10e-3) < 0.1e-3
 
         wait_for(rises)
-        assert service.place() == pytest.approx((START[0], START[1], START[2] + 10e-3), abs=0.2e-3)
+        assert service.cursor_position() == pytest.approx((START[0], START[1], START[2] + 10e-3), abs=0.2e-3)
         device.stop()
 
 

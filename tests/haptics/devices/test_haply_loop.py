@@ -88,7 +88,7 @@ def test_a_service_that_dies_leaves_no_force_and_the_loop_goes_on(other_process)
             wait_for(lambda: ring.latest()["tick"] > tick + 20)
         report = loop.stop()
     assert report.ended_by == "stop" and report.flagged["lost_pose"] > 0
-    assert "has gone" in report.device["trouble"] and other_process.address[6:] in report.device["trouble"]
+    assert "is gone" in report.device["trouble"] and other_process.address[6:] in report.device["trouble"]
 
 
 def test_a_service_that_has_gone_is_named_when_the_device_is_stopped(other_process):
@@ -98,7 +98,7 @@ def test_a_service_that_has_gone_is_named_when_the_device_is_stopped(other_proce
     other_process.kill()
     other_process.wait()
     device.stop()
-    assert "has gone" in device.describe()["trouble"] and device.pose(0.0) is None
+    assert "is gone" in device.describe()["trouble"] and device.pose(0.0) is None
 
 
 def test_a_loop_without_a_service_does_not_begin():

@@ -204,8 +204,8 @@ def test_who_is_silent_for_half_a_second_loses_the_motor_and_the_zero(stage):
     stage.home()
     stage.move(0.010, 0.005)
     Stepper.now += 0.6
-    with pytest.raises(DeviceError, match=r"^the Phidget stepper has let its motor go, because this program was silent "
-                                          r"for 0\.5 s; stop it, start it and home it again$"):
+    with pytest.raises(DeviceError, match=r"^the Phidget stepper has switched its motor off, because this program did "
+                                          r"not communicate for 0\.5 s; stop it, start it and home it again$"):
         stage.position()
     motor, = Stepper.made
     assert motor._place == pytest.approx(0.5 * 5 * 25 * 16) and not motor.engaged
@@ -249,8 +249,8 @@ def test_what_the_library_refuses_is_passed_on(stage, monkeypatch):
 
     stage.home()
     monkeypatch.setattr(Stepper, "setTargetPosition", refuse)
-    with pytest.raises(DeviceError, match=r"refuses \(The power supply of your device is outside the acceptable "
-                                          r"range\); check its power"):
+    with pytest.raises(DeviceError, match=r"reports an error \(The power supply of your device is outside the "
+                                          r"acceptable range\); check its power"):
         stage.move(0.001, 0.001)
 
 
@@ -268,7 +268,7 @@ def test_a_halt_without_an_answer_takes_the_current_away(stage, monkeypatch):
 
 def test_a_speed_that_the_controller_would_round_to_nothing(stage):
     stage.home()
-    with pytest.raises(InputError, match=r"speed: 1e-06 m/s is less than the slowest speed, 2\.5e-06 m/s"):
+    with pytest.raises(InputError, match=r"speed: must be at least 2\.5e-06 m/s; got 1e-06 m/s"):
         stage.move(0.001, 1e-6)
 
 
@@ -278,7 +278,7 @@ def test_what_a_start_that_fails_leaves_behind(library, monkeypatch):
 
     monkeypatch.setattr(Stepper, "setAcceleration", refuse)
     stage = open_stage("phidget:123,steps_per_mm=25")
-    with pytest.raises(DeviceError, match=r"refuses \(Out of range\)"):
+    with pytest.raises(DeviceError, match=r"reports an error \(Out of range\)"):
         stage.start()
     assert not Stepper.made[0].open
     with pytest.raises(DeviceError, match="not started"):
@@ -295,23 +295,23 @@ def test_no_controller(library):
 
 
 def test_a_speed_that_the_motor_does_not_reach(library):
-    with pytest.raises(DeviceError, match=r"reaches 625 mm/s at 25 steps per mm; give top_speed_mm_s=625 or less"):
+    with pytest.raises(DeviceError, match=r"is 625 mm/s at 25 steps per mm; give top_speed_mm_s=625 or less"):
         open_stage("phidget:123,steps_per_mm=25,top_speed_mm_s=700").start()
 
 
 def test_without_the_package(library, monkeypatch):
     for name in library:
         monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(DeviceError, match=r"^the package phidget22 is missing, which a Phidget needs; install it with "
-                                          r"pip install 'tissue-sim\[phidget\]'$"):
+    with pytest.raises(DeviceError, match=r"^a Phidget requires the package phidget22, which is missing; install it "
+                                          r"with pip install 'tissue-sim\[phidget\]'$"):
         open_stage("phidget:123,steps_per_mm=25").start()
 
 
 @pytest.mark.parametrize(("error", "sentence"), [
     ("libusb-1.0.so.0: cannot open shared object file: No such file or directory",
-     r"^the library libusb-1\.0 is missing, which a Phidget needs; install it, .* sudo apt install libusb-1\.0-0$"),
-    ("wrong ELF "
-     "class", r"^the library of the package phidget22 cannot be loaded \(wrong ELF class\); install that package"),
+     r"^a Phidget requires the library libusb-1\.0, which is missing; install it, .* sudo apt install libusb-1\.0-0$"),
+    ("wrong ELF class",
+     r"^the library of the package phidget22 cannot be loaded \(wrong ELF class\); install the package again"),
 ])
 def test_without_its_library(library, monkeypatch, error, sentence):
     def refuse():
@@ -331,7 +331,7 @@ def test_the_real_package_without_a_controller(capfd, monkeypatch):
     with pytest.raises(DeviceError) as caught:
         open_stage("phidget:1,steps_per_mm=25").start()
     there = ctypes.util.find_library("usb-1.0")
-    wanted = "no Phidget stepper 1 answers" if there else "the library libusb-1.0 is missing"
+    wanted = "no Phidget stepper 1 answers" if there else "a Phidget requires the library libusb-1.0"
     assert str(caught.value).startswith(wanted)
     assert capfd.readouterr().err == ""
 
@@ -340,11 +340,11 @@ def test_the_real_package_without_a_controller(capfd, monkeypatch):
     ("phidget:", r"phidget\.name: the serial number of the controller, or 'any', is missing; give it first, as in "
                  r"phidget:1"),
     ("phidget:steps_per_mm=25", "the serial number of the controller, or 'any', is missing"),
-    ("phidget:mine,steps_per_mm=25", "serial: 'mine' is no serial number; give that of the controller, or 'any'"),
-    ("phidget:123", "steps_per_mm: 0; give a number that is not zero, as in phidget:123456,steps_per_mm=25"),
-    ("phidget:123,steps_per_mm=25,microsteps=0", "microsteps: 0; give a number that is not zero"),
-    ("phidget:123,steps_per_mm=25,top_speed_mm_s=-1", "top_speed_mm_s: -0.001; give a number"),
-    ("phidget:123,steps_per_mm=25,highest_mm=-1", "limits: from 0 to -0.001 m; give a range with the zero in it"),
+    ("phidget:mine,steps_per_mm=25", "serial: must be the serial number of the controller or 'any', .*; got 'mine'"),
+    ("phidget:123", "steps_per_mm: must be finite and not 0, as in phidget:123456,steps_per_mm=25; got 0"),
+    ("phidget:123,steps_per_mm=25,microsteps=0", "microsteps: must be finite and above 0, .*; got 0"),
+    ("phidget:123,steps_per_mm=25,top_speed_mm_s=-1", r"top_speed_mm_s: must be finite and above 0, .*; got -0\.001"),
+    ("phidget:123,steps_per_mm=25,highest_mm=-1", r"limits: must contain 0; got 0 to -0\.001 m"),
     ("phidget:123,steps_per_m=25", "steps_per_m: unknown setting; did you mean 'steps_per_mm'"),
 ])
 def test_settings_that_make_no_sense(name, sentence):

@@ -4,6 +4,7 @@ import math
 import socket
 import threading
 import time
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from itertools import pairwise
 
@@ -12,6 +13,7 @@ from device_contracts import ForceSensorContract
 from hypothesis import given
 from hypothesis import strategies as st
 
+from haptics.devices import rdt as rdt_device
 from haptics.devices.back_ends import open_sensor
 from haptics.devices.contracts import DeviceError, SampleStatus
 from haptics.devices.rdt import RdtSensor, RecordCounter
@@ -135,9 +137,9 @@ def test_no_wrong_byte_makes_a_record_of_the_wrong_length(opened):
 
 
 def test_a_box_that_falls_silent_gives_no_sample_and_no_tare(opened, monkeypatch):
-    monkeypatch.setattr("haptics.devices.rdt._PATIENCE", 0.2)
+    monkeypatch.setattr(rdt_device, "STREAM", replace(rdt_device.STREAM, patience=0.2))
     client = opened(faults=Faults(disconnect_after=0.3))
-    with pytest.raises(DeviceError, match="sends no records any more"):
+    with pytest.raises(DeviceError, match="has stopped sending records"):
         wait_until(lambda: client.tare(), "silence")
     client.read()
     assert client.read() == ()
@@ -181,14 +183,14 @@ class Page:
 
 
 @pytest.mark.parametrize(("code", "body", "said"), [
-    (404, b"", "answers 404; there is another device at this address"),
-    (200, b"<html>printer", "no settings page of an ATI box"),
+    (404, b"", "answers with HTTP status 404, so it is no ATI box"),
+    (200, b"<html>printer", "must be the XML page of an ATI box"),
     (200, b"<n><cfgcpf>1</cfgcpf><cfgcpt>1</cfgcpt><scfgfu>stone</scfgfu></n>",
-     "counts in 'stone', which is no known unit of force"),
+     "must be a known unit of force; got 'stone' from the box"),
     (200, rdt.write_settings_page(Settings(1.0, 1.0)), "sends no records by UDP; switch RDT on"),
 ])
 def test_another_device_at_the_address_is_one_sentence(code, body, said, monkeypatch):
-    monkeypatch.setattr("haptics.devices.rdt._FIRST", 0.1)
+    monkeypatch.setattr(rdt_device, "STREAM", replace(rdt_device.STREAM, first_record=0.1))
     with Page(code, body) as page, pytest.raises(DeviceError) as caught:
         RdtSensor("127.0.0.1", 9, page.port).start()
     assert said in str(caught.value) and "\n" not in str(caught.value)

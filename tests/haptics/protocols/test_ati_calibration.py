@@ -96,25 +96,25 @@ def test_the_range_of_the_volts(attributes, volts):
 
 
 @pytest.mark.parametrize(("old", "new", "sentence"), [
-    ("FTSensor", "Sensor", r"^FT1\.cal: has no FTSensor \(it begins with Sensor\); give the \.cal file of the sensor$"),
-    ("Calibration ", "Calibratio ", "is no whole XML"),
-    ('NumGages="6"', 'NumGages="8"', "is of a sensor with 8 gages"),
+    ("FTSensor", "Sensor", r"^FT1\.cal: has no FTSensor \(its root is Sensor\); give the \.cal file of the sensor$"),
+    ("Calibration ", "Calibratio ", "is not valid XML"),
+    ('NumGages="6"', 'NumGages="8"', "must be of a sensor with six gages; got 8 gages"),
     ('ForceUnits="N" ', "", "Calibration has no ForceUnits; copy the .cal file from the sensor's disc again"),
     ('ForceUnits="N"', 'ForceUnits="stone"', "ForceUnits: unknown unit 'stone'; known: N, kN"),
     ('TorqueUnits="N-m"', 'TorqueUnits="lbf-inch"', "TorqueUnits: unknown unit 'lbf-inch'; did you mean 'lbf-in'"),
     ('Name="Tz"', 'Name="Fz"', "has two UserAxis rows for Fz"),
-    ('Name="Tz"', 'Name="T"', "has no UserAxis row for Tz; it is cut off or damaged"),
+    ('Name="Tz"', 'Name="T"', "has no UserAxis row for Tz: it is incomplete or damaged"),
     ("UserAxis", "User", "has no Axis row for Fx, Fy, Fz, Tx, Ty, Tz"),
-    ('values="  0.50000', 'values="', "the values of UserAxis Fx is '0.10000.*', not 6 finite numbers"),
-    ("16.20000", "nan", "the values of UserAxis Fz is .*, not 6 finite numbers"),
-    ("16.20000", "1e999", "the values of UserAxis Fz is .*, not 6 finite numbers"),
-    ("16.20000", "16,2", "the values of UserAxis Fz is .*, not 6 finite numbers"),
-    ('max="120"', "", "the max of UserAxis Fz is missing"),
-    ('max="120"', 'max="0"', "UserAxis Fz is all zero or has a max of 0"),
-    ('OutputRange="20"', 'OutputRange="-20"', "OutputRange is -20 V"),
-    ("<!-- NOTE: made up -->", '<!DOCTYPE a [<!ENTITY b "c">]>', "defines entities"),
+    ('values="  0.50000', 'values="', "the values of UserAxis Fx must be 6 finite numbers; got '0.10000.*'"),
+    ("16.20000", "nan", "the values of UserAxis Fz must be 6 finite numbers; got .*"),
+    ("16.20000", "1e999", "the values of UserAxis Fz must be 6 finite numbers; got .*"),
+    ("16.20000", "16,2", "the values of UserAxis Fz must be 6 finite numbers; got .*"),
+    ('max="120"', "", "the max of UserAxis Fz must be 1 finite number; got none"),
+    ('max="120"', 'max="0"', "UserAxis Fz must have a value and a max above 0; got a max of 0"),
+    ('OutputRange="20"', 'OutputRange="-20"', "OutputRange must be above 0 and at most 100 V; got -20 V"),
+    ("<!-- NOTE: made up -->", '<!DOCTYPE a [<!ENTITY b "c">]>', "must not define entities"),
 ])
-def test_what_is_wrong_is_one_sentence(old, new, sentence):
+def test_invalid_files_are_refused_with_the_cause(old, new, sentence):
     text = file_of()
     assert old in text
     with pytest.raises(InputError, match=sentence) as caught:
@@ -122,13 +122,13 @@ def test_what_is_wrong_is_one_sentence(old, new, sentence):
     assert str(caught.value).startswith("FT1.cal: ")
 
 
-def test_what_is_wrong_with_axis_rows():
+def test_invalid_axis_rows_are_refused_with_the_cause():
     transform = '<BasicTransform Dx="0" Dy="0" Dz="1" Rx="0" Ry="0" Rz="0"/>'
     text = file_of(tag="Axis", inside=transform)
     for old, new, sentence in ((transform, "", "has no UserAxis and no BasicTransform"),
-                               ('Rz="0"', 'Rz="90"', "a BasicTransform that turns"),
-                               ('Dz="1"', 'Dz="one"', "Dz of the BasicTransform is 'one', not 1 finite number"),
-                               ('scale="2.5"', 'scale="0"', "the scale of Axis Fx is 0, which is not above zero"),
+                               ('Rz="0"', 'Rz="90"', "a BasicTransform with a rotation"),
+                               ('Dz="1"', 'Dz="one"', "Dz of the BasicTransform must be 1 finite number; got 'one'"),
+                               ('scale="2.5"', 'scale="0"', "the scale of Axis Fx must be above 0; got 0"),
                                ('DistUnits="m"', 'DistUnits="mile"', "DistUnits: unknown unit 'mile'")):
         with pytest.raises(InputError, match=sentence):
             read_calibration(text.replace(old, new))
@@ -137,12 +137,12 @@ def test_what_is_wrong_with_axis_rows():
 def test_a_file_that_is_cut_off_is_refused_wherever_it_ends():
     text = file_of()
     for end in range(len(text.rstrip())):
-        with pytest.raises(InputError, match=r"is no whole XML .*: it is cut off or damaged; copy the \.cal file"):
+        with pytest.raises(InputError, match=r"is not valid XML .*: it is incomplete or damaged; copy the \.cal file"):
             read_calibration(text[:end])
 
 
-def test_a_large_file_is_none():
-    with pytest.raises(InputError, match="too large for a calibration file"):
+def test_a_large_file_is_refused():
+    with pytest.raises(InputError, match="must be smaller than 1 MB"):
         read_calibration(b" " * 1_000_001)
 
 

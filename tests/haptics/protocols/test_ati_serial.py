@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from haptics.protocols.ati_serial import (
     BINARY_LENGTH,
-    HIGHEST,
-    LOWEST,
+    HIGHEST_COUNT,
+    LOWEST_COUNT,
     PADDED_LENGTH,
     Record,
     decode_ascii,
@@ -18,7 +18,7 @@ from haptics.protocols.ati_serial import (
     encode_binary,
     is_at_end_of_range,
     is_padded,
-    seconds_on_the_line,
+    transmission_time,
 )
 
 CASES = settings(max_examples=int(os.environ.get("TISSUE_SIM_FUZZ_CASES", "500")), deadline=None)
@@ -27,7 +27,7 @@ OF_THE_MANUAL = b"0,-413,-1080,-2480,-3532,45,5890"
 PADDED = b"0,  -102,   -99,  -225,   -20,    39,   -39"
 BINARY = b"\x00\xff\x93\xff\x98\xfei\xff\xbb\x00\x06\xff\xdb"
 
-counts = st.integers(LOWEST, HIGHEST)
+counts = st.integers(LOWEST_COUNT, HIGHEST_COUNT)
 records = st.builds(Record, st.integers(0, 9), st.tuples(*[counts] * 6))
 pieces = st.lists(st.sampled_from([b"0", b",", b" ", b"-", b"45", b"-3532", b"\r", b"\n", b">", b"QS", b"\xff", b"00",
                                    b"+", b"1_0", "\u0663".encode()])).map(b"".join)
@@ -48,8 +48,8 @@ def test_and_they_are_written_so():
 
 
 def test_how_long_a_record_takes():
-    assert seconds_on_the_line(len(OF_THE_MANUAL) + 2, 9600) == pytest.approx(35.4e-3, abs=0.1e-3)
-    assert seconds_on_the_line(PADDED_LENGTH, 9600) == pytest.approx(46.9e-3, abs=0.1e-3)
+    assert transmission_time(len(OF_THE_MANUAL) + 2, 9600) == pytest.approx(35.4e-3, abs=0.1e-3)
+    assert transmission_time(PADDED_LENGTH, 9600) == pytest.approx(46.9e-3, abs=0.1e-3)
 
 
 @pytest.mark.parametrize("line", [
@@ -64,7 +64,7 @@ def test_what_is_no_record(line):
 
 @CASES
 @given(records, st.booleans())
-@example(Record(0, (LOWEST,) * 6), True)
+@example(Record(0, (LOWEST_COUNT,) * 6), True)
 def test_every_record_comes_back(record, padded):
     assert decode_ascii(encode_ascii(record, padded)) == record
     assert decode_ascii(encode_ascii(record, padded), padded) == record
@@ -110,6 +110,6 @@ def test_where_fields_are_padded_parts_of_two_records_are_none(one, other, end, 
 
 
 def test_the_ends_of_the_range():
-    assert is_at_end_of_range(Record(0, (0, 0, HIGHEST, 0, 0, 0)))
-    assert is_at_end_of_range(Record(0, (0, 0, 0, 0, 0, LOWEST)))
-    assert not is_at_end_of_range(Record(1, (HIGHEST - 1, LOWEST + 1, 0, 0, 0, 0)))
+    assert is_at_end_of_range(Record(0, (0, 0, HIGHEST_COUNT, 0, 0, 0)))
+    assert is_at_end_of_range(Record(0, (0, 0, 0, 0, 0, LOWEST_COUNT)))
+    assert not is_at_end_of_range(Record(1, (HIGHEST_COUNT - 1, LOWEST_COUNT + 1, 0, 0, 0, 0)))

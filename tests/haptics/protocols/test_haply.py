@@ -88,13 +88,18 @@ def test_what_is_said_is_understood():
 
 
 @pytest.mark.parametrize(("message", "why"), [
-    ("", "no JSON"), ("[" * 100_000, "no JSON"), (b"\xff\x00", "no JSON"), ("7", "no object"),
-    ('{"inverse3": 1}', "no list"), ('{"inverse3": [1]}', "no list"), ('{"inverse3": [{}]}', "device_id"),
+    ("", "not valid JSON"), ("[" * 100_000, "not valid JSON"), (b"\xff\x00", "not valid JSON"),
+    ("7", "not a JSON object"),
+    ('{"inverse3": 1}', "must be a list of objects"),
+    ('{"inverse3": [1]}', "must be a list of objects"),
+    ('{"inverse3": [{}]}', "device_id"),
     ('{"inverse3": [{"device_id": "1"}]}', "state"),
     ('{"inverse3": [{"device_id": "1", "state": {}}]}', "cursor_position"),
     (FIRST_3_5.replace("-0.12", "NaN"), "finite"), (FIRST_3_5.replace("-0.12", "1e999"), "finite"),
-    (FIRST_3_5.replace("-0.12", "true"), "no number"), (FIRST_3_5.replace("-0.12", '"0"'), "no number"),
-    (FIRST_3_5.replace("-0.12", "-12"), "no device reaches"), (FIRST_3_5.replace("-0.12", "9" * 400), "finite"),
+    (FIRST_3_5.replace("-0.12", "true"), "must be a number"),
+    (FIRST_3_5.replace("-0.12", '"0"'), "must be a number"),
+    (FIRST_3_5.replace("-0.12", "-12"), "must have a length of at most 2"),
+    (FIRST_3_5.replace("-0.12", "9" * 400), "finite"),
     (FIRST_3_5.replace('"y": -0.12,', ""), "cursor_position.y")])
 def test_nonsense_is_no_state(message, why):
     with pytest.raises(ValueError, match=why):
