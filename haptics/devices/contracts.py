@@ -295,7 +295,7 @@ class HapticDevice(ABC):
                           stacklevel=2)
             cls.set_approach = own["go_along"]  # type: ignore[method-assign]
         elif "set_approach" in own and "go_along" not in own:
-            cls.go_along = _deprecated_go_along(own["set_approach"])  # type: ignore[method-assign]
+            cls.go_along = _deprecated_go_along(own["set_approach"])  # type: ignore[method-assign,assignment]
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
         """Move to a depth, if the device is a steerable motion.

@@ -1,5 +1,4 @@
-"""The stage of a Phidget stepper, over a stand-in for its library that does what the documentation of phidget22
-says."""
+"""The stage of a Phidget stepper, with a simulated library that follows the documentation of phidget22."""
 
 import ctypes.util
 import importlib.util
@@ -17,7 +16,7 @@ from tissue_sim.errors import InputError
 
 
 class PhidgetException(Exception):  # noqa: N818 (the library's name)
-    """As that of the library: a code of `ErrorCode`, and what it says."""
+    """Like the exception of the library: a code of `ErrorCode`, and a description."""
 
     def __init__(self, code, details=""):
         super().__init__(f"PhidgetException 0x{code:02x}\n{details}")
@@ -25,9 +24,9 @@ class PhidgetException(Exception):  # noqa: N818 (the library's name)
 
 
 class Stepper:
-    """A controller with a motor; positions in counts of 1/16 step. All speeds are reached at once."""
+    """A controller with a motor; positions in counts of 1/16 step. Every speed is reached at once."""
 
-    #: s; goes as the test says. What is attached, and what is made.
+    #: Clock, s, advanced by the test; True if the controller is attached; all instances.
     now, attached, made = 0.0, True, []
 
     def __init__(self):
@@ -45,7 +44,7 @@ class Stepper:
             raise PhidgetException(59, "Failsafe Triggered on this channel.")
 
     def _run(self):
-        """Move on to now, or to where the failsafe has tripped."""
+        """Advance the motion to now, or to the time at which the failsafe acts."""
         end = min(Stepper.now, self._alive + self._failsafe)
         if self.engaged and self.target is not None and end > self._since:
             way = self.target - self._place
@@ -128,7 +127,7 @@ class Stepper:
 
 @pytest.fixture
 def library(monkeypatch):
-    """The stand-in, in the place of phidget22."""
+    """The simulated library, installed as the package phidget22."""
     names = ("Phidget22", "Phidget22.Devices", "Phidget22.Devices.Stepper", "Phidget22.Phidget")
     modules = {name: ModuleType(name) for name in names}
     modules["Phidget22.Devices.Stepper"].Stepper = Stepper
@@ -150,7 +149,7 @@ class OverTheStandIn(StageContract):
         self.stage_here.stop()
 
     def pass_time(self, seconds):
-        """With a sign of life in time, as a loop gives it; whoever asks for the position also has a number less."""
+        """Advance the clock with regular calls of `position`, as in a loop; each call uses a sequence number."""
         end = Stepper.now + seconds
         while Stepper.now < end - 1e-9:
             Stepper.now = min(Stepper.now + 0.4, end)
@@ -162,7 +161,7 @@ class TestPhidget(OverTheStandIn):
 
 
 class TestTheOtherWayRound(OverTheStandIn):
-    """A motor that turns the other way, of any controller."""
+    """A motor with reversed direction, on the first controller found."""
 
     name = "phidget:any,steps_per_mm=-25,lowest_mm=-5,highest_mm=20,top_speed_mm_s=10,current_A=0.6"
 
@@ -182,7 +181,7 @@ def test_a_start_moves_nothing_and_sets_the_failsafe(stage):
     assert stage.runs_on == 0.5 and motor._failsafe == 0.5 and not stage.measures_position
 
 
-def test_home_takes_the_place_where_it_stands(stage):
+def test_home_sets_the_present_position_as_zero(stage):
     assert stage.position().counts == 700
     stage.home()
     motor, = Stepper.made
@@ -190,7 +189,7 @@ def test_home_takes_the_place_where_it_stands(stage):
     assert (sample.counts, sample.homed, sample.moving, motor.engaged) == (0, True, False, True)
 
 
-def test_counts_and_speed_are_those_of_the_motor(stage):
+def test_counts_and_speed_are_in_motor_steps(stage):
     stage.home()
     stage.move(0.010, 0.005)
     motor, = Stepper.made
@@ -200,7 +199,7 @@ def test_counts_and_speed_are_those_of_the_motor(stage):
     assert sample.counts == 800 and sample.position == pytest.approx(0.002) and sample.moving
 
 
-def test_who_is_silent_for_half_a_second_loses_the_motor_and_the_zero(stage):
+def test_silence_for_half_a_second_switches_the_motor_off_and_loses_the_zero(stage):
     stage.home()
     stage.move(0.010, 0.005)
     Stepper.now += 0.6
@@ -216,7 +215,7 @@ def test_who_is_silent_for_half_a_second_loses_the_motor_and_the_zero(stage):
         stage.move(0.0, 0.001)
 
 
-def test_an_old_controller_has_no_failsafe_and_it_says_so(library, monkeypatch):
+def test_without_a_failsafe_runs_on_is_infinite(library, monkeypatch):
     def refuse(*_):
         raise PhidgetException(20, "This API call is not supported.")
 
@@ -232,7 +231,7 @@ def test_an_old_controller_has_no_failsafe_and_it_says_so(library, monkeypatch):
     stage.stop()
 
 
-def test_a_controller_that_was_unplugged(stage, monkeypatch):
+def test_an_unplugged_controller_raises(stage, monkeypatch):
     stage.home()
     monkeypatch.setattr(Stepper, "attached", False)
     for ask in (stage.position, stage.home, lambda: stage.move(0.0, 0.001)):
@@ -243,7 +242,7 @@ def test_a_controller_that_was_unplugged(stage, monkeypatch):
     stage.halt()
 
 
-def test_what_the_library_refuses_is_passed_on(stage, monkeypatch):
+def test_errors_of_the_library_are_quoted(stage, monkeypatch):
     def refuse(*_):
         raise PhidgetException(62, "The power supply of your device is outside the\nacceptable range.")
 
@@ -254,7 +253,7 @@ def test_what_the_library_refuses_is_passed_on(stage, monkeypatch):
         stage.move(0.001, 0.001)
 
 
-def test_a_halt_without_an_answer_takes_the_current_away(stage, monkeypatch):
+def test_a_failing_halt_switches_the_current_off(stage, monkeypatch):
     def refuse(*_):
         raise PhidgetException(28)
 
@@ -266,13 +265,13 @@ def test_a_halt_without_an_answer_takes_the_current_away(stage, monkeypatch):
     assert not motor.engaged
 
 
-def test_a_speed_that_the_controller_would_round_to_nothing(stage):
+def test_a_speed_below_one_count_per_second_is_refused(stage):
     stage.home()
     with pytest.raises(InputError, match=r"speed: must be at least 2\.5e-06 m/s; got 1e-06 m/s"):
         stage.move(0.001, 1e-6)
 
 
-def test_what_a_start_that_fails_leaves_behind(library, monkeypatch):
+def test_a_failed_start_closes_the_controller(library, monkeypatch):
     def refuse(*_):
         raise PhidgetException(21, "Out of range.")
 
@@ -285,7 +284,7 @@ def test_what_a_start_that_fails_leaves_behind(library, monkeypatch):
         stage.position()
 
 
-def test_no_controller(library):
+def test_a_missing_controller_raises(library):
     for name, which in (("124", "no Phidget stepper 124"), ("any", "no Phidget stepper")):
         if name == "any":
             Stepper.attached = False
@@ -294,12 +293,12 @@ def test_no_controller(library):
             open_stage(f"phidget:{name},steps_per_mm=25").start()
 
 
-def test_a_speed_that_the_motor_does_not_reach(library):
+def test_a_top_speed_beyond_the_motor_raises(library):
     with pytest.raises(DeviceError, match=r"is 625 mm/s at 25 steps per mm; give top_speed_mm_s=625 or less"):
         open_stage("phidget:123,steps_per_mm=25,top_speed_mm_s=700").start()
 
 
-def test_without_the_package(library, monkeypatch):
+def test_a_missing_package_raises_with_the_remedy(library, monkeypatch):
     for name in library:
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(DeviceError, match=r"^a Phidget requires the package phidget22, which is missing; install it "
@@ -313,7 +312,7 @@ def test_without_the_package(library, monkeypatch):
     ("wrong ELF class",
      r"^the library of the package phidget22 cannot be loaded \(wrong ELF class\); install the package again"),
 ])
-def test_without_its_library(library, monkeypatch, error, sentence):
+def test_a_missing_library_raises_with_the_remedy(library, monkeypatch, error, sentence):
     def refuse():
         raise OSError(error)
 
@@ -326,7 +325,7 @@ def test_without_its_library(library, monkeypatch, error, sentence):
 @pytest.mark.skipif(importlib.util.find_spec("Phidget22") is None, reason="starts the maker's own library, "
                     "which comes with the extra 'phidget', and is not installed")
 def test_the_real_package_without_a_controller(capfd, monkeypatch):
-    """Nothing is plugged in: whatever is missing, one sentence, and nothing else on the screen."""
+    """Without a controller, `start` raises one message, and prints nothing."""
     monkeypatch.setattr(phidget, "_ATTACH_MS", 100)
     with pytest.raises(DeviceError) as caught:
         open_stage("phidget:1,steps_per_mm=25").start()
@@ -347,12 +346,12 @@ def test_the_real_package_without_a_controller(capfd, monkeypatch):
     ("phidget:123,steps_per_mm=25,highest_mm=-1", r"limits: must contain 0; got 0 to -0\.001 m"),
     ("phidget:123,steps_per_m=25", "steps_per_m: unknown setting; did you mean 'steps_per_mm'"),
 ])
-def test_settings_that_make_no_sense(name, sentence):
+def test_invalid_settings_are_refused(name, sentence):
     with pytest.raises(InputError, match=sentence):
         open_stage(name)
 
 
-def test_it_says_what_it_cannot_see():
+def test_describe_states_what_is_not_detectable():
     described = open_stage("phidget:123,steps_per_mm=25").describe()
     assert described["stall"] == "not detectable" and described["resolution_mm"] == pytest.approx(0.0025)
     assert described["verified"] == "against a stand-in for its library only"

@@ -1,4 +1,4 @@
-"""A sensor that plays a recording: the contract, its times, its channels and its end."""
+"""The sensor that replays a recording: the contract, its times, its channels and its end."""
 
 import math
 
@@ -15,7 +15,7 @@ from tissue_sim.recording.recording import Recording
 
 
 class Clock:
-    """s; goes as the test says."""
+    """Clock in s, advanced by the test."""
 
     def __init__(self):
         self.now = 100.0
@@ -46,7 +46,7 @@ class TestReplay(ForceSensorContract):
 
 
 class TestByName(ForceSensorContract):
-    """A file, twice as fast."""
+    """A file, replayed at double speed."""
 
     load, tolerance = (2.5,), 1e-12
 
@@ -65,8 +65,8 @@ class TestByName(ForceSensorContract):
         return self.clock.now
 
 
-def test_it_plays_at_its_own_times():
-    """As uneven as they are, and from the first one."""
+def test_samples_are_replayed_at_their_times():
+    """Samples keep their uneven times, from the first one on."""
     clock = Clock()
     sensor = ReplaySensor(recording([7.0, 7.1, 7.15, 8.0, 8.0, 9.0], force=[0.0, 0.101, 0.2, 0.3, 0.4, -0.5]),
                           resolution=0.01, clock=clock)
@@ -96,7 +96,7 @@ def test_read_after_the_last_sample_raises_and_a_new_start_replays():
         sensor.stop()
 
 
-def test_the_tare_is_what_plays_at_that_time():
+def test_the_tare_is_the_present_sample():
     clock = Clock()
     sensor = ReplaySensor(recording([0.0, 0.5, 1.0], force=[1.0, 2.0, 3.5]), clock=clock)
     sensor.start()
