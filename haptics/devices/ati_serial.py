@@ -11,6 +11,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from haptics.devices.ati_serial_records import AsciiStream, BinaryRequests, is_text, quote, read_until_quiet
 from haptics.devices.contracts import DeviceError, ForceSample, ForceSensor, SampleStatus
 from haptics.devices.serial_line import SerialLine
 from haptics.devices.settings import read_choices, read_settings, split_target
@@ -19,14 +20,10 @@ from haptics.protocols.ati_serial import (
     CARRIAGE_RETURN,
     CHANNELS,
     HIGHEST_COUNT,
-    ONE_RECORD,
     PADDED_LENGTH,
     PROMPT,
     Record,
-    decode_ascii,
-    decode_binary,
     is_at_end_of_range,
-    is_padded,
     transmission_time,
 )
 from tissue_sim.errors import InputError
@@ -121,7 +118,7 @@ class AtiSerialSensor(ForceSensor):
         line = SerialLine(self._port, self._baud, _OWNER)
         try:
             self._configure(line)
-            source = _AsciiStream(line) if self._mode == "ascii" else _BinaryRequests(line, self._baud)
+            source = AsciiStream(line) if self._mode == "ascii" else BinaryRequests(line, self._baud, TIMING.answer)
             source.begin()
             self._observe(source)
         except BaseException:
@@ -174,8 +171,8 @@ class AtiSerialSensor(ForceSensor):
         answer = b""
         for _ in range(3):
             line.write(CARRIAGE_RETURN)
-            answer = _read_until_quiet(line, quiet, TIMING.answer)
-            if answer.rstrip(b" \r\n\0").endswith(PROMPT) and _is_text(answer[-3:]):
+            answer = read_until_quiet(line, quiet, TIMING.answer)
+            if answer.rstrip(b" \r\n\0").endswith(PROMPT) and is_text(answer[-3:]):
                 break
         else:
             raise DeviceError(_describe_missing_prompt(self._port, self._baud, answer))
@@ -185,10 +182,10 @@ class AtiSerialSensor(ForceSensor):
             while not answer.rstrip().endswith(PROMPT):
                 if time.monotonic() >= end:
                     raise DeviceError(f"the ATI controller at {self._port} did not end its answer to {command!r} "
-                                      f"({_quote(answer)}) with its prompt '>'; switch it off and on, and start again")
+                                      f"({quote(answer)}) with its prompt '>'; switch it off and on, and start again")
                 answer += line.read_within(0.1)
 
-    def _observe(self, source: _AsciiStream | _BinaryRequests) -> None:
+    def _observe(self, source: AsciiStream | BinaryRequests) -> None:
         """Read records for `AtiSerialTiming.observation` to find their form and rate; discards the records."""
         times: list[float] = []
         end = time.monotonic() + TIMING.patience
@@ -196,7 +193,7 @@ class AtiSerialSensor(ForceSensor):
             times += [time.monotonic() for record in source.take(0.1) if record is not None]
             if time.monotonic() >= end + (TIMING.observation if times else 0.0):
                 raise DeviceError(f"the ATI controller at {self._port} sends no records of a flag and six counts "
-                                  f"({_quote(source.wrong)}); select all six components (CV 3F), and check the baud "
+                                  f"({quote(source.wrong)}); select all six components (CV 3F), and check the baud "
                                   "rate and the cable")
         source.fix_form()
         line_rate = 1.0 / transmission_time(source.length, self._baud)
@@ -226,7 +223,7 @@ class _Receiver:
         garbled: Number of records left out.
     """
 
-    def __init__(self, line: SerialLine, source: _AsciiStream | _BinaryRequests, port: str, silence: float):
+    def __init__(self, line: SerialLine, source: AsciiStream | BinaryRequests, port: str, silence: float):
         self._line, self._source, self._port, self._silence = line, source, port, silence
         self._waiting: deque[_ReceivedRecord] = deque(maxlen=BUFFER)
         self._recent: deque[_ReceivedRecord] = deque(maxlen=BUFFER)
@@ -256,7 +253,7 @@ class _Receiver:
                     self._number += 1
                 if now - last_received > self._silence:
                     # Some controllers report a saturated or disconnected sensor in words.
-                    sent = f"no complete record ({_quote(wrong)})" if wrong else "nothing"
+                    sent = f"no complete record ({quote(wrong)})" if wrong else "nothing"
                     raise DeviceError(f"the ATI controller at {self._port} has sent {sent} for {self._silence:.2g} s; "
                                       "check its power, its sensor and the cable, and start it again")
         except DeviceError as error:
@@ -297,127 +294,15 @@ class _Receiver:
             self._line.close()
 
 
-class _AsciiStream:
-    """Source of records as lines that the controller streams.
-
-    Attributes:
-        length: Length of a record on the line, bytes.
-        wrong: Last line that was no record.
-    """
-
-    def __init__(self, line: SerialLine):
-        self._line, self._rest = line, b""
-        self._forms: set[bool] = set()
-        #: True if fields are padded; None: both forms are accepted.
-        self._padded: bool | None = None
-        self.length, self.wrong = PADDED_LENGTH, b""
-
-    def begin(self) -> None:
-        """Start the stream."""
-        self._line.write(b"QS" + CARRIAGE_RETURN)
-
-    def take(self, timeout: float) -> list[Record | None]:
-        """Return the records that arrive within `timeout` seconds, with None for each garbled one."""
-        *lines, self._rest = (self._rest + self._line.read_within(timeout)).split(CARRIAGE_RETURN)
-        if len(self._rest) > 4 * PADDED_LENGTH:
-            # Longer than any record: the line ending was lost.
-            lines, self._rest = [*lines, self._rest], b""
-        records = []
-        for text in (line.removeprefix(b"\n") for line in lines):
-            if text:
-                record = decode_ascii(text, self._padded)
-                records.append(record)
-                if record is None:
-                    self.wrong = text
-                elif self._padded is None:
-                    self._forms.add(is_padded(text))
-                    self.length = len(text) + 2
-        return records
-
-    def fix_form(self) -> None:
-        """Accept only the form, padded or not, that all records so far had."""
-        self._padded = self._forms == {True}
-
-
-class _BinaryRequests:
-    """Source of binary records that are requested one at a time.
-
-    Attributes:
-        length: Length of a request and a record on the line, bytes.
-        wrong: Last answer that was no record.
-    """
-
-    length = BINARY_LENGTH + 1
-
-    def __init__(self, line: SerialLine, baud: int):
-        self._line = line
-        #: Pause that ends an answer, s; adapters delay bytes by up to 16 ms.
-        self._pause = 0.03 + transmission_time(self.length, baud)
-        self.wrong = b""
-
-    def begin(self) -> None:
-        """Do nothing; each record is requested."""
-        return
-
-    def take(self, timeout: float) -> list[Record | None]:
-        """Request a record; return [record], [None] if its length is wrong, or [] if there is no answer."""
-        self._line.read()  # discards late bytes of an earlier answer
-        self._line.write(ONE_RECORD)
-        answer = self._line.read_within(max(TIMING.answer, self._pause))
-        while 0 < len(answer) < BINARY_LENGTH and (more := self._line.read_within(self._pause)):
-            answer += more
-        answer += self._line.read()
-        if not answer:
-            return []
-        record = decode_binary(answer)
-        if record is None:
-            self.wrong = answer
-            if len(answer) > BINARY_LENGTH:
-                _read_until_quiet(self._line, self._pause)
-        return [record]
-
-    def fix_form(self) -> None:
-        """Do nothing; binary records have one form."""
-        return
-
-
-def _read_until_quiet(line: SerialLine, quiet: float, first: float = 0.0, longest: float = 1.5) -> bytes:
-    """Return all bytes received before a pause.
-
-    Args:
-        line: Serial port.
-        quiet: Duration of the pause, s.
-        first: Longest wait for the first byte, s.
-        longest: Longest duration of the call, s.
-    """
-    received, end = b"", time.monotonic() + longest
-    while time.monotonic() < end:
-        more = line.read_within(quiet if received else max(quiet, first))
-        if not more:
-            break
-        received += more
-    return received
-
-
-def _is_text(data: bytes) -> bool:
-    """Return True if all bytes are printable ASCII, line ends, tabs, ACK or NUL."""
-    return all(byte in b"\r\n\t\x06\0" or 32 <= byte < 127 for byte in data)
-
-
-def _quote(data: bytes) -> str:
-    """Return the last 40 bytes for a message."""
-    return repr(data.strip()[-40:].decode("ascii", "backslashreplace")) if data.strip() else "nothing arrived"
-
-
 def _describe_missing_prompt(port: str, baud: int, answer: bytes) -> str:
     """Return cause and remedy for a port at which no prompt arrives."""
     if not answer:
         return (f"nothing answers at {port}; check that the ATI controller has power, the cable, and the baud rate "
                 f"(here {baud}; its display shows its own at power on)")
-    if sum(not _is_text(bytes([byte])) for byte in answer) > len(answer) / 8:
+    if sum(not is_text(bytes([byte])) for byte in answer) > len(answer) / 8:
         return (f"the bytes from {port} are no text at {baud} baud; give the baud rate of the ATI controller, which "
                 "its display shows at power on, as in baud=38400")
-    return (f"the device at {port} is not an ATI controller (it sent {_quote(answer)} and no prompt '>'); give the "
+    return (f"the device at {port} is not an ATI controller (it sent {quote(answer)} and no prompt '>'); give the "
             "port of the controller")
 
 
