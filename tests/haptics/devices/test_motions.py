@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import tissue_sim as ts
 from haptics.devices.back_ends import MOTIONS, open_motion
+from haptics.devices.contracts import Motion
 from haptics.devices.motions import HandMotion, ProtocolMotion, RandomWalk, SineMotion, SpatialWalk
 from haptics.devices.virtual.hand import VirtualHand
 from tissue_sim.errors import InputError
@@ -238,3 +239,23 @@ def test_a_protocol_moves_along_the_axis_of_its_approach():
     approach = ts.Approach(offset=-5e-3, angle=math.radians(-30.0))
     motion = ProtocolMotion(ts.Protocol([0.0, 1.0], [0.0, 4e-3]), approach=approach)
     assert motion.pose(0.5) == approach.pose(2e-3)
+
+
+def test_the_old_name_of_set_approach_still_works_with_a_warning():
+    """A plug-in may define or call ``go_along``: `set_approach` calls its method, and the old call forwards."""
+    with pytest.warns(DeprecationWarning, match=r"OldMotion\.go_along is deprecated; name the method set_approach"):
+        class OldMotion(Motion):
+            def go_along(self, approach):
+                super().go_along(approach)
+                self.notified = True
+
+            def pose(self, time):
+                return Pose.at_depth(0.0)
+
+    old, new, approach = OldMotion(), SineMotion(5e-3), ts.Approach(12e-3)
+    with pytest.warns(DeprecationWarning, match="use set_approach"):
+        old.set_approach(approach)
+    assert old.approach is approach and old.notified
+    with pytest.warns(DeprecationWarning, match="use set_approach"):
+        new.go_along(approach)
+    assert new.approach is approach
