@@ -104,7 +104,7 @@ class AtiDaqSensor(ForceSensor):
         self._last_received = time.monotonic()
 
     def read(self) -> tuple[ForceSample, ...]:
-        self._fetch()
+        self._read_board()
         found = []
         while self._waiting:
             received = self._waiting.popleft()
@@ -112,7 +112,7 @@ class AtiDaqSensor(ForceSensor):
             self._next = received.sequence + 1
         return tuple(found)
 
-    def _fetch(self) -> None:
+    def _read_board(self) -> None:
         """Call the user's function and store the new samples."""
         if self._read_volts is None:
             raise DeviceError(f"the ATI sensor {self.calibration.serial} is not started; start it first")
@@ -145,6 +145,7 @@ class AtiDaqSensor(ForceSensor):
                               "board is sampling, and start it again")
 
     def _sample(self, received: _ReceivedSample, gap: bool) -> ForceSample:
+        """Return the sample of six voltages; `gap` marks lost samples before it."""
         steps = np.rint(received.volts * (_CONVERTER_STEPS / (self._highest - self._lowest)))
         least, most = (math.ceil(self._lowest / (self._highest - self._lowest) * _CONVERTER_STEPS),
                        math.floor(self._highest / (self._highest - self._lowest) * _CONVERTER_STEPS) - 1)
@@ -157,10 +158,10 @@ class AtiDaqSensor(ForceSensor):
 
     def tare(self) -> None:
         """Set the mean of the last 0.1 s, or the last sample if that time has none, as zero."""
-        self._fetch()
+        self._read_board()
         while not self._recent:
             time.sleep(1e-3)
-            self._fetch()
+            self._read_board()
         count = min(max(round(TIMING.tare * self.rate), 1), len(self._recent))
         self._zero = np.mean([each.volts for each in list(self._recent)[-count:]], axis=0)
 

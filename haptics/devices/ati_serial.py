@@ -130,6 +130,7 @@ class AtiSerialSensor(ForceSensor):
         return tuple(self._sample(*each) for each in self._require_start().take())
 
     def _sample(self, received: _ReceivedRecord, gap: bool) -> ForceSample:
+        """Return the sample of a record; `gap` marks lost records before it."""
         status = SampleStatus.GAP if gap else SampleStatus.GOOD
         if received.record.flag:
             # The controller has one flag for a saturated and for a disconnected sensor.
@@ -236,6 +237,7 @@ class _Receiver:
         self._thread.start()
 
     def _receive(self) -> None:
+        """Receive records until the end or an error; the body of the thread."""
         last_received, wrong = time.monotonic(), b""
         try:
             while not self._ending.is_set():

@@ -75,6 +75,7 @@ def open_haptic(name: str) -> HapticDevice:
 
 
 def _open(table: Registry[Callable[[str], Device]], name: str) -> Device:
+    """Make a device from a table of back-ends; errors name the back-end."""
     back_end, _, rest = name.partition(":")
     make = table.find(back_end)
     try:

@@ -57,6 +57,7 @@ def find_devices(names: Sequence[str] = ()) -> list[ProbeResult]:
 
 
 def _probe_all() -> Iterator[ProbeResult]:
+    """Probe the factory addresses of all back-ends, and all serial ports."""
     ports = serial_ports()
     for kind, table in _TABLES:
         for back_end in table:
@@ -81,6 +82,7 @@ def _probe_port(port: str) -> ProbeResult:
 
 
 def _probe_name(name: str) -> Iterator[ProbeResult]:
+    """Probe the device of a name in each table that has its back-end."""
     back_end = name.partition(":")[0]
     tables = [(kind, table) for kind, table in _TABLES if back_end in table]
     if not tables:
@@ -91,6 +93,7 @@ def _probe_name(name: str) -> Iterator[ProbeResult]:
 
 
 def _probe(name: str, kind: str, table: Any) -> ProbeResult:
+    """Start a device, read its description and stop it."""
     back_end, _, rest = name.partition(":")
     if back_end in _REQUIRED_SETTINGS and "=" not in rest:
         rest = f"{rest},{_REQUIRED_SETTINGS[back_end]}"

@@ -25,7 +25,7 @@ from tissue_sim.errors import InputError
 
 @dataclass(frozen=True)
 class JogSettings:
-    """How a `GrblStage` divides motions into jogs, and how long it waits."""
+    """Division of motions into jogs by a `GrblStage`, and its waiting times."""
 
     #: Longest motion in Grbl's queue, s; also the time for which the stage moves on after this program dies.
     queue: float = 0.1

@@ -181,6 +181,7 @@ class GrblConnection:
         self._thread.start()
 
     def _run(self, act: Callable[[GrblConnection], bool]) -> None:
+        """Read lines, act and request reports until the end or an error; the body of the thread."""
         while not self._ending.is_set():
             try:
                 data = self._line.read()

@@ -95,6 +95,7 @@ class HaplyDevice(HapticDevice):
 
     @property
     def trouble(self) -> str:
+        """Reason why poses are missing; empty while the exchange works."""
         return self._trouble if self._thread is None else self._thread.trouble
 
     def start(self) -> None:
@@ -102,7 +103,7 @@ class HaplyDevice(HapticDevice):
             return
         line = self._connect()
         try:
-            first = self._greet(line)
+            first = self._register(line)
         except BaseException:
             line.close()
             raise
@@ -116,6 +117,7 @@ class HaplyDevice(HapticDevice):
         self._thread.start()
 
     def _connect(self) -> WebSocketLine:
+        """Open the connection; errors have the remedy."""
         try:
             return WebSocketLine(self.address, TIMING.connect)
         except ImportError:
@@ -128,7 +130,7 @@ class HaplyDevice(HapticDevice):
                               "the service (Linux: systemctl start haply-inverse-service), or give its address as "
                               "haply:ws://HOST:PORT") from None
 
-    def _greet(self, line: WebSocketLine) -> HapticState:
+    def _register(self, line: WebSocketLine) -> HapticState:
         """Receive the first state and register this program with zero force; return the state."""
         service = f"the Haply Inverse service at {self.address}"
         try:
@@ -259,6 +261,7 @@ class _ExchangeThread:
         self._thread.join()
 
     def _run(self) -> None:
+        """Exchange messages until the end or an error, then send zero force; the body of the thread."""
         try:
             while not self._ending.is_set():
                 # The timeout keeps states fresh while the loop renders nothing.

@@ -228,6 +228,7 @@ class RandomWalk(AxialMotion):
                 + (3 * v * v * v - 6 * v * v + 4) * points[first + 2] + u * u * u * points[first + 3]) / 6
 
     def _next_point(self) -> float:
+        """Draw the next control point of the spline, m."""
         gauss = self._random.gauss
         self._log_amplitude = (self._AMPLITUDE_CORRELATION * self._log_amplitude
                                + math.sqrt(1 - self._AMPLITUDE_CORRELATION**2) * gauss(0.0, 1.0))
@@ -295,6 +296,7 @@ class SpatialWalk(Motion):
 
 
 def _require_range(highest: float, deepest: float) -> None:
+    """Raise an error unless `deepest` is below `highest`, both finite, m."""
     if not -math.inf < highest < deepest < math.inf:
         raise InputError(f"must be deeper than the upper depth, {highest:g} m; got {deepest:g} m", field="deepest")
 

@@ -68,7 +68,7 @@ class PhidgetStage(Stage):
         self.limits, self._serial, self._steps_per_mm = limits, serial, steps_per_mm
         self._acceleration, self._microsteps, self._current = acceleration, microsteps, current
         #: Length of one microstep, m, with the sign of the direction.
-        self._per_count = 1e-3 / (steps_per_mm * microsteps)
+        self._length_per_count = 1e-3 / (steps_per_mm * microsteps)
         self._motor: Any = None
         self._homed, self._sequence = False, 0
         #: Target, m; None: halted.
@@ -138,6 +138,7 @@ class PhidgetStage(Stage):
             raise self._to_device_error(error) from None
 
     def _enable_failsafe(self, motor: Any) -> None:
+        """Enable the failsafe and set `runs_on`; without a failsafe it is infinite."""
         try:
             motor.enableFailsafe(_FAILSAFE_MS)
         except Exception as error:
@@ -148,17 +149,18 @@ class PhidgetStage(Stage):
             self.runs_on = 1e-3 * _FAILSAFE_MS
 
     def _require_speed(self, motor: Any) -> None:
-        most = motor.getMaxVelocityLimit() * abs(self._per_count)
+        """Raise an error if the controller cannot reach the top speed."""
+        most = motor.getMaxVelocityLimit() * abs(self._length_per_count)
         if self.limits.speed > most:
             raise DeviceError(f"the top speed of the Phidget stepper is {most * 1e3:g} mm/s at {self._steps_per_mm:g} "
                               f"steps per mm; give top_speed_mm_s={most * 1e3:.4g} or less")
 
     def _counts(self, length: float) -> float:
         """Convert a length, m, a speed, m/s, or an acceleration, m/s^2, to counts, without sign."""
-        return abs(length / self._per_count)
+        return abs(length / self._length_per_count)
 
     def home(self) -> None:
-        motor = self._started()
+        motor = self._require_start()
         try:
             motor.setVelocityLimit(0.0)
             motor.addPositionOffset(-motor.getPosition())
@@ -169,18 +171,19 @@ class PhidgetStage(Stage):
         self._homed, self._goal = True, None
 
     def move(self, position: float, speed: float) -> None:
-        motor = self._started()
+        motor = self._require_start()
         self.limits.require(position, speed)
         if not self._homed:
             raise DeviceError("the Phidget stepper does not know its zero; home it first")
         # The controller rounds down to whole counts per second, so a speed below 1 would become 0.
         if self._counts(speed) < 1.0:
-            raise InputError(f"must be at least {abs(self._per_count):.3g} m/s; got {speed:g} m/s", field="speed")
+            raise InputError(f"must be at least {abs(self._length_per_count):.3g} m/s; got {speed:g} m/s",
+                             field="speed")
         halts = self._halts
         try:
             # The velocity limit of 0 prevents a motion to the new target at the old speed.
             motor.setVelocityLimit(0.0)
-            motor.setTargetPosition(float(round(position / self._per_count)))
+            motor.setTargetPosition(float(round(position / self._length_per_count)))
             if self._halts == halts:
                 motor.setVelocityLimit(float(round(self._counts(speed))))
             if self._halts != halts:  # another thread halted in between
@@ -191,17 +194,17 @@ class PhidgetStage(Stage):
         self._goal = position
 
     def position(self) -> StageSample:
-        motor = self._started()
+        motor = self._require_start()
         try:
             if self.runs_on < math.inf:
                 motor.resetFailsafe()
             steps, turning = motor.getPosition(), bool(motor.getIsMoving())
         except Exception as error:
             raise self._to_device_error(error) from None
-        now, position = time.monotonic(), steps * self._per_count
+        now, position = time.monotonic(), steps * self._length_per_count
         goal = self._goal
         # The controller reports a motion shortly after its beginning, hence the comparison with the target.
-        moving = turning or (goal is not None and abs(position - goal) > abs(self._per_count))
+        moving = turning or (goal is not None and abs(position - goal) > abs(self._length_per_count))
         self._sequence += 1
         return StageSample(round(steps), position, moving, self._homed, self._sequence - 1, int(SampleStatus.GOOD),
                            now)
@@ -228,15 +231,15 @@ class PhidgetStage(Stage):
 
     def describe(self) -> dict[str, Any]:
         return {"stage": "Phidget stepper", "serial": self._serial, "steps_per_mm": self._steps_per_mm,
-                "microsteps": self._microsteps, "resolution_mm": abs(self._per_count) * 1e3,
+                "microsteps": self._microsteps, "resolution_mm": abs(self._length_per_count) * 1e3,
                 "lowest_mm": self.limits.lowest * 1e3, "highest_mm": self.limits.highest * 1e3,
                 "top_speed_mm_s": self.limits.speed * 1e3, "acceleration_mm_s2": self._acceleration * 1e3,
-                "speed_step_mm_s": abs(self._per_count) * 1e3,
+                "speed_step_mm_s": abs(self._length_per_count) * 1e3,
                 "stall": "not detectable", "failsafe_s": self.runs_on if self.runs_on < math.inf else None,
                 "zero": "where it stood when it was homed",
                 "verified": "against a stand-in for its library only"}
 
-    def _started(self) -> Any:
+    def _require_start(self) -> Any:
         if self._motor is None:
             raise DeviceError("the Phidget stepper is not started; start it first")
         return self._motor

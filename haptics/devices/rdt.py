@@ -94,6 +94,7 @@ class RdtSensor(ForceSensor):
         self._stream = stream
 
     def _read_settings(self) -> Settings:
+        """Download the settings page of the box."""
         address = f"http://{self._url_host}:{self._http_port}{rdt.SETTINGS_PATH}"
         # Proxies of the environment are bypassed, because the box is on a local network.
         fetch = urllib.request.build_opener(urllib.request.ProxyHandler({})).open
@@ -208,6 +209,7 @@ class _Stream:
                                      "settings, and let a firewall pass its port 49152"))
 
     def _receive(self) -> None:
+        """Receive datagrams until the end; the body of the thread."""
         buffer = bytearray(rdt.RECORD_SIZE * rdt.MAX_RECORDS + 1)
         view, waiting, counter = memoryview(buffer), self._waiting, self._counter
         while not self._ending.is_set():

@@ -51,7 +51,7 @@ class SerialLine:
         Raises:
             DeviceError: The port has disappeared.
         """
-        self._fetch(wait=False)
+        self._fill_buffer(wait=False)
         data, self._kept = self._kept, b""
         return data
 
@@ -62,13 +62,13 @@ class SerialLine:
             DeviceError: The port has disappeared.
         """
         end = time.monotonic() + timeout
-        self._fetch(wait=False)
+        self._fill_buffer(wait=False)
         while not self._kept and time.monotonic() < end:
-            self._fetch(wait=True)
+            self._fill_buffer(wait=True)
         data, self._kept = self._kept, b""
         return data
 
-    def read_some(self, count: int, timeout: float) -> bytes:
+    def read_exactly(self, count: int, timeout: float) -> bytes:
         """Return exactly the next `count` bytes.
 
         Args:
@@ -83,7 +83,7 @@ class SerialLine:
             if time.monotonic() >= end:
                 raise DeviceError(f"{self._owner} at {self.port} answered {len(self._kept)} of {count} bytes within "
                                   f"{timeout:g} s; check that it has power, the cable and the baud rate")
-            self._fetch(wait=True)
+            self._fill_buffer(wait=True)
         data, self._kept = self._kept[:count], self._kept[count:]
         return data
 
@@ -102,11 +102,11 @@ class SerialLine:
             if time.monotonic() >= end:
                 raise DeviceError(f"{self._owner} at {self.port} answered no whole line within {timeout:g} s (so far "
                                   f"{self._kept[:40]!r}); check that it has power, the cable and the baud rate")
-            self._fetch(wait=True)
+            self._fill_buffer(wait=True)
         line, _, self._kept = self._kept.partition(ending)
         return line
 
-    def _fetch(self, wait: bool) -> None:
+    def _fill_buffer(self, wait: bool) -> None:
         """Move the waiting bytes to the buffer; with `wait`, block up to `_WAIT` for the first byte."""
         try:
             waiting = self._serial.in_waiting
@@ -120,6 +120,7 @@ class SerialLine:
         self._serial.close()
 
     def _lost_message(self, error: Exception) -> str:
+        """Return the message for a port that has disappeared."""
         return f"{self._owner} at {self.port} is gone ({error}); plug it in again and start again"
 
 

@@ -108,7 +108,7 @@ class TicStage(Stage):
         #: Target of the motion, microsteps; None: no motion to a position.
         self._goal: int | None = None
         #: True while homing; and True if the command timeout has ended a motion.
-        self._homes = self._timed_out = False
+        self._is_homing = self._timed_out = False
 
     def __getstate__(self) -> dict[str, Any]:
         if self._line is not None:
@@ -123,7 +123,7 @@ class TicStage(Stage):
             return
         line = SerialLine(self._port, self._baud, "the Tic")
         self._writing, self._line, self._sequence = threading.Lock(), line, 0
-        self._goal, self._homes, self._timed_out = None, False, False
+        self._goal, self._is_homing, self._timed_out = None, False, False
         try:
             self._check_settings(line)
         except BaseException:
@@ -210,11 +210,11 @@ class TicStage(Stage):
         if motion is None:
             raise self._invalid_answer()
         uncertain = bool(status.flags & Flags.POSITION_UNCERTAIN)
-        self._homes = self._homes and (uncertain or bool(status.flags & Flags.HOMING))
+        self._is_homing = self._is_homing and (uncertain or bool(status.flags & Flags.HOMING))
         if status.errors & Errors.COMMAND_TIMEOUT:
             # The timeout is no fault of a motor at rest. Clearing the error while a target is set would let a Tic
             # without safe start resume its motion; a target velocity of 0 prevents that.
-            self._timed_out = self._timed_out or self._homes or self._goal not in (None, motion.position)
+            self._timed_out = self._timed_out or self._is_homing or self._goal not in (None, motion.position)
             self._send(Command.SET_TARGET_VELOCITY, 0)
         else:
             self._send(Command.RESET_COMMAND_TIMEOUT)
@@ -238,7 +238,7 @@ class TicStage(Stage):
 
     def halt(self) -> None:
         self._halts += 1
-        self._goal, self._homes = None, False
+        self._goal, self._is_homing = None, False
         line, writing = self._line, self._writing
         if line is None or writing is None:
             return
@@ -293,6 +293,7 @@ class TicStage(Stage):
                 raise DeviceError(f"the Tic at {self._port} {remedy}")
 
     def _status(self) -> tic.Status:
+        """Read the status of the Tic."""
         status = tic.parse_status(self._read(Command.GET_VARIABLE, Variable.STATUS, tic.STATUS_SIZE))
         if status is None:
             raise self._invalid_answer()
@@ -303,6 +304,7 @@ class TicStage(Stage):
                            "baud rate and the device")
 
     def _setting(self, setting: Setting, size: int) -> int:
+        """Read a setting of `size` bytes."""
         return int.from_bytes(self._read(Command.GET_SETTING, setting, size), "little")
 
     def _set(self, command: Command, value: int, variable: Variable) -> None:
@@ -312,10 +314,11 @@ class TicStage(Stage):
             raise DeviceError(f"the Tic at {self._port} answers but does not accept commands; check crc")
 
     def _read(self, command: Command, offset: int, size: int) -> bytes:
+        """Read a block of variables or settings, and verify its checksum."""
         line = self._require_start()
         line.read()  # discards an answer that arrived after its timeout
         self._send(command, offset, size)
-        message = line.read_some(size + self._response_crc, TIMING.answer)
+        message = line.read_exactly(size + self._response_crc, TIMING.answer)
         if self._response_crc and tic.crc7(message[:-1]) != message[-1]:
             raise DeviceError(f"an answer of the Tic at {self._port} has a wrong checksum; check the cable, and that "
                               "response_crc is switched on in the Tic Control Center")
@@ -336,7 +339,7 @@ class TicStage(Stage):
         assert writing is not None
         with writing:
             if halts == self._halts:
-                self._goal, self._homes = (None, True) if command == Command.GO_HOME else (value, False)
+                self._goal, self._is_homing = (None, True) if command == Command.GO_HOME else (value, False)
                 line.write(self._encode(command, value))
 
     def _require_start(self) -> SerialLine:

@@ -48,7 +48,7 @@ class WebSocketLine:
                 remaining = end - time.monotonic()
                 if remaining <= 0:
                     raise TimeoutError("no answer to the handshake")
-                self._fetch(remaining)
+                self._receive_once(remaining)
         except BaseException:
             self._socket.close()
             raise
@@ -79,7 +79,7 @@ class WebSocketLine:
             if remaining <= 0:
                 return []
             with contextlib.suppress(TimeoutError):
-                self._fetch(remaining)
+                self._receive_once(remaining)
         return messages
 
     def close(self) -> None:
@@ -94,7 +94,7 @@ class WebSocketLine:
         if self._protocol.state is not self._open:
             raise LineClosedError("the server has closed the connection")
 
-    def _fetch(self, timeout: float) -> None:
+    def _receive_once(self, timeout: float) -> None:
         """Receive data once, waiting up to `timeout` seconds, and send the protocol's replies."""
         self._socket.settimeout(timeout)
         data = self._socket.recv(65536)

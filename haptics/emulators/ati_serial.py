@@ -90,6 +90,7 @@ class AtiSerialEmulator(TerminalEmulator):
         self._sensor.stop()
 
     def _power_on(self) -> None:
+        """Set the state at power-on."""
         self._mode, self._streams, self._command = self._mode_at_start, False, b""
         self._biases: deque[tuple[int, ...]] = deque(maxlen=_BIAS_LEVELS)
         #: Loads to average.

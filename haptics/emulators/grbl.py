@@ -63,6 +63,7 @@ class GrblEmulator(TerminalEmulator):
         self._power_up()
 
     def _power_up(self) -> None:
+        """Set the state at power-on."""
         #: Received characters of an incomplete line.
         self._text = bytearray()
         #: Complete lines that wait for the end of homing or of a critical alarm.

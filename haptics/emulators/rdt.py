@@ -83,6 +83,7 @@ class RdtEmulator(Emulator):
             thread.start()
 
     def _serve(self) -> None:
+        """Answer requests and send records until the end; the body of the thread."""
         began = time.monotonic()
         line = FaultyLine(self._faults, began)
         client, size, remaining, number = None, 1, 0, 0

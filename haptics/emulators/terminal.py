@@ -69,6 +69,7 @@ class TerminalEmulator(Emulator):
         self._thread.start()
 
     def _run(self) -> None:
+        """Answer received bytes and send due messages until the end; the body of the thread."""
         line = FaultyLine(self._faults, time.monotonic())
         while not self._ending.is_set():
             readable, _, _ = select.select([self._master], [], [], _POLL)

@@ -70,6 +70,7 @@ class TicEmulator(TerminalEmulator):
         self._power_up()
 
     def _power_up(self) -> None:
+        """Set the state at power-on."""
         self._commands = tic.CommandParser(self._device, self._crc)
         #: Times of power-on and of the last command that clears the timeout, s.
         self._began = self._alive = time.monotonic()
@@ -104,7 +105,7 @@ class TicEmulator(TerminalEmulator):
 
     def describe(self) -> dict[str, Any]:
         return {"emulator": "tic", "port": self.path, "steps_per_mm": self._steps * 1e-3,
-                "command_timeout_s": self._timeout, "answered": self.answered, "bad_bytes": self._commands.bad}
+                "command_timeout_s": self._timeout, "answered": self.answered, "bad_bytes": self._commands.bad_bytes}
 
     def received(self, data: bytes) -> list[bytes]:
         answers = []
@@ -191,8 +192,8 @@ class TicEmulator(TerminalEmulator):
         """Update errors, state and motion."""
         now = time.monotonic()
         errors = self.imposed | (Errors.DEENERGIZED if self._deenergized else Errors(0))
-        obeys = self._settings[Setting.CONTROL_MODE] == tic.SERIAL_CONTROL
-        if obeys and self._timeout and now - self._alive > self._timeout:
+        accepts_serial = self._settings[Setting.CONTROL_MODE] == tic.SERIAL_CONTROL
+        if accepts_serial and self._timeout and now - self._alive > self._timeout:
             errors |= Errors.COMMAND_TIMEOUT
         stopped = errors or self._state != State.NORMAL
         if stopped and self._safe_start and now >= self._safe_start_off_until:

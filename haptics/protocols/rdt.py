@@ -203,6 +203,7 @@ def read_settings_page(page: bytes) -> Settings:
              if isinstance(element.tag, str)}
 
     def positive(name: str) -> float:
+        """Return a positive number of the page."""
         with contextlib.suppress(KeyError, ValueError):
             if 0 < (value := float(texts[name])) < math.inf:
                 return value

@@ -262,12 +262,12 @@ class CommandParser:
         crc: True: commands without a correct checksum are refused.
 
     Attributes:
-        bad: Number of bytes that belong to no command, or to a command with a wrong checksum.
+        bad_bytes: Number of bytes that belong to no command, or to a command with a wrong checksum.
     """
 
     def __init__(self, device: int = 14, crc: bool = False):
         self._device, self._crc, self._partial = device, crc, bytearray()
-        self.bad = 0
+        self.bad_bytes = 0
 
     def feed(self, data: bytes) -> list[ReceivedCommand]:
         """Return the commands for this device that `data` completes, in order; keeps an incomplete command."""
@@ -275,12 +275,12 @@ class CommandParser:
         for byte in data:
             if byte & 0x80:
                 # A byte with its top bit set begins a command and discards an incomplete one.
-                self.bad += len(self._partial)
+                self.bad_bytes += len(self._partial)
                 self._partial = bytearray([byte])
             elif self._partial:
                 self._partial.append(byte)
             else:
-                self.bad += 1
+                self.bad_bytes += 1
             if self._partial and self._is_complete():
                 message, self._partial = bytes(self._partial), bytearray()
                 command = self._decode(message)
@@ -302,6 +302,7 @@ class CommandParser:
             return None, head
 
     def _is_complete(self) -> bool:
+        """Return True if the message has all bytes of its command, or is no known command."""
         command, head = self._parse_head()
         if command is None:
             return len(self._partial) >= head
@@ -313,7 +314,7 @@ class CommandParser:
         command, head = self._parse_head()
         self._partial = bytearray()
         if command is None or (self._crc and crc7(message[:-1]) != message[-1]):
-            self.bad += len(message)
+            self.bad_bytes += len(message)
             return None
         if head == 3 and message[1] != self._device:
             return None
@@ -324,7 +325,7 @@ class CommandParser:
         if command in _READS:
             length, has_high_offset = body[1] & 0x3F, bool(body[1] & 0x40)
             if not 1 <= length <= LONGEST_BLOCK:
-                self.bad += len(message)
+                self.bad_bytes += len(message)
                 return None
             return ReceivedCommand(command, body[0] + 128 * has_high_offset, length)
         return ReceivedCommand(command, body[0] if body else 0)

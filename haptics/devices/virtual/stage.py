@@ -14,7 +14,7 @@ from tissue_sim.errors import InputError
 
 #: Number of past motions that are kept for queries of past positions.
 _KEPT_MOTIONS = 256
-_MOST_MOTIONS = 256
+
 
 class _LinearMotion(NamedTuple):
     """A motion at constant speed.

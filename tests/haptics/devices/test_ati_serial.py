@@ -52,7 +52,7 @@ def wait_until(what, seconds=LONG):
     return found
 
 
-def read_some(sensor, count=1):
+def read_records(sensor, count=1):
     """Return at least `count` samples."""
     samples = []
     wait_until(lambda: samples.extend(sensor.read()) or len(samples) >= count)
@@ -114,7 +114,7 @@ def test_describe_returns_the_settings(emulator):
     described = sensor.describe()
     assert described["verified"] == "against an emulator only" and described["mode"] == "ascii"
     assert described["resolution_N"] == 0.01 and described["range_Nm"] == pytest.approx(32767 / 4000)
-    assert read_some(sensor)[0].counts == COUNTS
+    assert read_records(sensor)[0].counts == COUNTS
     sensor.stop()
     assert emulator.describe()["records"] > 0
 
@@ -147,7 +147,7 @@ def test_a_load_beyond_the_range_is_saturated():
     with open_emulator("ati-serial:", bench(reach=2.5)) as emulator:
         sensor = open_sensor(emulator.address)
         sensor.start()
-        sample = read_some(sensor)[0]
+        sample = read_records(sensor)[0]
         sensor.stop()
     assert sample.counts[2] == 250 and sample.status == SampleStatus.SATURATED | SampleStatus.FAULT
 
@@ -166,13 +166,13 @@ def test_a_count_at_the_end_of_its_range_is_saturated(emulator, monkeypatch):
 def test_a_truncated_record_is_a_gap(emulator, monkeypatch, mode):
     sensor = open_sensor(emulator.address.replace("ascii", mode))
     sensor.start()
-    read_some(sensor)
+    read_records(sensor)
     whole, turn = emulator._record, iter(range(10**6))
     # Every third record lacks one byte, each time at another position.
     monkeypatch.setattr(emulator, "_record", lambda: (
         lambda record, number: record if number % 3 else record[:number % 11] + record[number % 11 + 1:])(
             whole(), next(turn)))
-    samples = read_some(sensor, 20)
+    samples = read_records(sensor, 20)
     garbled = sensor.describe()["garbled_records"]
     sensor.stop()
     assert garbled >= 5 and {sample.counts for sample in samples} == {COUNTS}
@@ -188,7 +188,7 @@ def test_garbled_records_are_counted_and_undetected_ones_differ_by_a_digit():
     with open_emulator("ati-serial:", bench(), Faults(garble=0.3, seed=sound)) as emulator:
         sensor = open_sensor(emulator.address)
         sensor.start()
-        samples = read_some(sensor, 60)
+        samples = read_records(sensor, 60)
         garbled = sensor.describe()["garbled_records"]
         sensor.stop()
     assert garbled > 0
@@ -241,7 +241,7 @@ def test_commands_of_the_manual(emulator):
     assert decode_ascii(ask(b"\x14", b"\n").removesuffix(b"\r\n")) == Record(0, COUNTS)
     ask(b"CD B\r")
     line.write(b"\x14")
-    assert decode_binary(line.read_some(13, LONG)) == Record(0, COUNTS)
+    assert decode_binary(line.read_exactly(13, LONG)) == Record(0, COUNTS)
     assert b"ERROR" in ask(b"XX\r")
     assert ask(b"\x17").startswith(b"ATI")
     assert decode_ascii(ask(b"QR\r").splitlines()[1]) == Record(0, COUNTS)
@@ -252,11 +252,11 @@ def test_a_stream_left_by_another_program_is_ended(emulator):
     for mode in (b"CD A\r", b"CD B\r"):
         line = SerialLine(emulator.path, 9600, "the test")
         line.write(mode + b"QS\r")
-        line.read_some(60, LONG)
+        line.read_exactly(60, LONG)
         line.close()
         sensor = open_sensor(emulator.address)
         sensor.start()
-        assert read_some(sensor)[0].counts == COUNTS
+        assert read_records(sensor)[0].counts == COUNTS
         sensor.stop()
 
 
@@ -356,7 +356,7 @@ def test_an_answer_without_a_prompt_raises(emulator, monkeypatch, patience):
 def test_a_silent_controller_raises(emulator, monkeypatch, mode):
     sensor = open_sensor(emulator.address.replace("ascii", mode))
     sensor.start()
-    assert read_some(sensor)
+    assert read_records(sensor)
     sensor._receiver._silence = 1.0
     monkeypatch.setattr(emulator, "due", lambda: [])
     with pytest.raises(DeviceError, match=r"has sent nothing for 1 s; check its power, its sensor and the cable, and"):
@@ -370,7 +370,7 @@ def test_text_instead_of_records_raises_and_is_quoted(emulator, monkeypatch):
     """Some controllers report a saturated or disconnected sensor in words."""
     sensor = open_sensor(emulator.address)
     sensor.start()
-    assert read_some(sensor)
+    assert read_records(sensor)
     sensor._receiver._silence = 1.0
     monkeypatch.setattr(emulator, "_record", lambda: b"saturation error\r\n")
     with pytest.raises(DeviceError, match=r"has sent no complete record \('saturation error'\) for 1 s; check its "
@@ -390,14 +390,14 @@ def test_a_disconnected_cable_raises_and_a_new_start_works(emulator):
     emulator.start()
     again = open_sensor(emulator.address)
     again.start()
-    assert read_some(again)[0].sequence == 0
+    assert read_records(again)[0].sequence == 0
     again.stop()
 
 
 def test_unread_records_are_lost_and_marked_as_a_gap(emulator, monkeypatch):
     sensor = open_sensor(emulator.address)
     sensor.start()
-    read_some(sensor)
+    read_records(sensor)
     waiting = sensor._receiver._waiting
     wait_until(lambda: len(waiting) >= 3)
     waiting.popleft()  # like a full queue

@@ -57,7 +57,7 @@ def test_commands_equal_those_of_ticlib_and_are_parsed_back(command, value, devi
     message = tic.encode(command, value, device=device, crc=crc)
     assert message == bytes(sent)
     parser = CommandParser(14 if device is None else device, crc)
-    assert parser.feed(message) == [ReceivedCommand(command, value & 0xFFFFFFFF)] and parser.bad == 0
+    assert parser.feed(message) == [ReceivedCommand(command, value & 0xFFFFFFFF)] and parser.bad_bytes == 0
     assert tic.to_signed(value & 0xFFFFFFFF) == value
 
 
@@ -69,7 +69,7 @@ def test_every_command_is_parsed_from_any_two_pieces(command, value, length, crc
     cut = data.draw(st.integers(0, len(message)))
     parser = CommandParser(crc=crc)
     got = parser.feed(message[:cut]) + parser.feed(message[cut:])
-    assert len(got) == 1 and got[0].command == command and parser.bad == 0
+    assert len(got) == 1 and got[0].command == command and parser.bad_bytes == 0
     if len(message) - crc > 1:
         assert got[0].value == number
 
