@@ -15,6 +15,7 @@ import socket
 import statistics
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from multiprocessing.connection import Connection
@@ -51,9 +52,9 @@ def _ours(host: str, port: int, http_port: int, seconds: float, name: str) -> di
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as fresh:
         default = fresh.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
         if name == "ours_default":
-            # Linux doubles what is asked for.
-            client._RECEIVE_BUFFER = default // 2
-        fresh.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, client._RECEIVE_BUFFER)
+            # Linux doubles the requested size.
+            client.STREAM = replace(client.STREAM, receive_buffer=default // 2)
+        fresh.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, client.STREAM.receive_buffer)
         buffer = fresh.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
     sensor = client.RdtSensor(host, port, http_port)
     sensor.start()

@@ -1,1 +1,1 @@
-"""Where poses come from and forces go."""
+"""Devices: motions without hardware, haptic devices, force sensors and stages, real and simulated."""

@@ -1,8 +1,8 @@
-"""Motions and devices by name: ``sine``, ``sine:frequency_hz=2``, ``virtual:``, or what a package adds.
+"""Tables of motions and devices by name, such as ``sine``, ``sine:frequency_hz=2`` or ``virtual:``.
 
-A back-end is a function of the text after the colon that makes the device. A package adds one through an entry point of
-the table's group, a program with `Registry.register`. Names alone import nothing: the help of the command line lists
-them.
+A back-end is a function that makes the device from the text after the colon. A package adds a back-end through an entry
+point of the table's group, a program through `Registry.register`. Listing the names imports no back-end, so the command
+line can list them in its help quickly.
 """
 
 from __future__ import annotations
@@ -18,12 +18,14 @@ if TYPE_CHECKING:
 
 Device = TypeVar("Device")
 
+#: Motions of the tool without a device.
 MOTIONS: Registry[Callable[[str], Motion]] = Registry("motion", "tissue_sim.motions", {
     "random": "haptics.devices.motions:open_random",
     "sine": "haptics.devices.motions:open_sine",
     "protocol": "haptics.devices.motions:open_protocol",
     "hand": "haptics.devices.motions:open_hand",
 })
+#: Force sensors.
 FORCE_SENSORS: Registry[Callable[[str], ForceSensor]] = Registry("force sensor", "tissue_sim.force_sensors", {
     "virtual": "haptics.devices.virtual.force_sensor:open_virtual",
     "replay": "haptics.devices.replay:open_replay",
@@ -31,12 +33,14 @@ FORCE_SENSORS: Registry[Callable[[str], ForceSensor]] = Registry("force sensor",
     "ati-serial": "haptics.devices.ati_serial:open_ati_serial",
     "ati-daq": "haptics.devices.ati_daq:open_ati_daq",
 })
+#: Linear stages.
 STAGES: Registry[Callable[[str], Stage]] = Registry("stage", "tissue_sim.stages", {
     "virtual": "haptics.devices.virtual.stage:open_virtual",
     "tic": "haptics.devices.tic:open_tic",
     "grbl": "haptics.devices.grbl:open_grbl",
     "phidget": "haptics.devices.phidget:open_phidget",
 })
+#: Haptic devices.
 HAPTIC_DEVICES: Registry[Callable[[str], HapticDevice]] = Registry("haptic device", "tissue_sim.haptic_devices", {
     "virtual": "haptics.devices.virtual.hand:open_virtual",
     "haply": "haptics.devices.haply:open_haply",
@@ -44,33 +48,34 @@ HAPTIC_DEVICES: Registry[Callable[[str], HapticDevice]] = Registry("haptic devic
 
 
 def open_motion(name: str) -> Motion:
-    """A motion by name; see `open_haptic`."""
+    """Make a motion by name; see `open_haptic`."""
     return _open(MOTIONS, name)
 
 
 def open_sensor(name: str) -> ForceSensor:
-    """A force sensor by name; see `open_haptic`."""
+    """Make a force sensor by name; see `open_haptic`."""
     return _open(FORCE_SENSORS, name)
 
 
 def open_stage(name: str) -> Stage:
-    """A stage by name; see `open_haptic`."""
+    """Make a stage by name; see `open_haptic`."""
     return _open(STAGES, name)
 
 
 def open_haptic(name: str) -> HapticDevice:
-    """A haptic device by name; it is not started.
+    """Make a haptic device by name, without starting it.
 
     Args:
-        name: of the back-end, and where it needs more, a colon and the rest: ``virtual:``.
+        name: Name of the back-end, followed by a colon and its settings if it has any, such as ``virtual:``.
 
     Raises:
-        InputError: no such back-end (names the nearest), or a rest that it refuses.
+        InputError: No back-end has this name (the message names the nearest), or the settings are invalid.
     """
     return _open(HAPTIC_DEVICES, name)
 
 
 def _open(table: Registry[Callable[[str], Device]], name: str) -> Device:
+    """Make a device from a table of back-ends; errors name the back-end."""
     back_end, _, rest = name.partition(":")
     make = table.find(back_end)
     try:

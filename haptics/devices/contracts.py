@@ -1,14 +1,16 @@
-"""What a force sensor, a stage and a haptic device are to the rest of the house.
+"""Interfaces of force sensors, stages and haptic devices.
 
-Making one touches no hardware, so that it can be sent to the process that uses it; `start` does. Each is used by one
-thread, but for `Stage.halt`. A device that does not answer, or not as it should, raises `DeviceError`.
+The constructor of a device opens no connection, so an unstarted device can be pickled and sent to the process that uses
+it; `start` opens the connection. Each device is used by one thread; only `Stage.halt` may be called from any thread.
+All methods raise `DeviceError` when the device does not answer or answers nonsense.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntFlag
 from typing import Any
@@ -17,35 +19,38 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.pose import Pose, Screw
 
+#: Signature of `HapticDevice.set_approach`.
+_SetApproach = Callable[[Any, Approach | None], None]
+
 
 class DeviceError(RuntimeError):
-    """A device that is not there, does not answer, or answers nonsense; one sentence, with what to do."""
+    """A device is missing, does not answer, or answers nonsense; the message names the cause and the remedy."""
 
 
 class SampleStatus(IntFlag):
-    """What is wrong with a sample; 0: nothing."""
+    """Faults of a sample as bits; 0 means no fault."""
 
     GOOD = 0
     #: A channel is at the end of its range: the true value may be larger.
     SATURATED = 1
-    #: Samples before this one were lost; the sequence numbers say how many.
+    #: Samples before this one were lost; the gap in the sequence numbers gives their number.
     GAP = 2
     #: The device itself reports a fault.
     FAULT = 4
-    #: A stage stands at one of its limit switches.
+    #: The stage is at one of its limit switches.
     LIMIT = 8
 
 
 @dataclass(frozen=True, slots=True)
 class ForceSample:
-    """What a force sensor has measured at one moment.
+    """One sample of a force sensor.
 
     Attributes:
-        counts: as the device has sent them, one for each channel, before the tare.
-        values: of the channels, less the tare, N and N m; positive as the sensor's data sheet says.
-        sequence: number of the sample since the start; a number that is left out was lost.
-        status: bits of `SampleStatus`.
-        received: when this program received it, s on the clock of `time.monotonic`.
+        counts: Raw counts from the device, one per channel, before the tare.
+        values: Forces, N, and torques, N m, one per channel, after the tare; signs follow the sensor's data sheet.
+        sequence: Number of the sample since the start; a missing number is a lost sample.
+        status: Bits of `SampleStatus`.
+        received: Time of receipt by this program, s on the clock of `time.monotonic`.
     """
 
     counts: tuple[int, ...]
@@ -56,11 +61,11 @@ class ForceSample:
 
 
 class ForceSensor(ABC):
-    """Measures one force or several, at a rate of its own.
+    """A sensor that samples one or more forces and torques at its own rate.
 
     Attributes:
-        channels: names of the values, such as ``("Fz",)`` or ``("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")``.
-        rate: samples in a second, Hz.
+        channels: Names of the values, such as ``("Fz",)`` or ``("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")``.
+        rate: Sampling rate, Hz.
     """
 
     channels: tuple[str, ...]
@@ -68,50 +73,50 @@ class ForceSensor(ABC):
 
     @abstractmethod
     def start(self) -> None:
-        """Connect, and begin to sample; nothing where it does already.
+        """Connect and begin to sample; has no effect on a started sensor.
 
         Raises:
-            DeviceError: it is not there.
+            DeviceError: The sensor does not answer.
         """
 
     @abstractmethod
     def read(self) -> tuple[ForceSample, ...]:
-        """All samples that came since the last call, in their order; does not wait for more.
+        """Return all samples received since the last call, oldest first, without waiting.
 
         Raises:
-            DeviceError: it was not started, or does not answer.
+            DeviceError: The sensor is not started or does not answer.
         """
 
     @abstractmethod
     def tare(self) -> None:
-        """Let what the sensor measures now count as zero; the counts stay as they are. Raises as `read`."""
+        """Set the present load as zero for later `ForceSample.values`; counts do not change. Raises as `read`."""
 
     @abstractmethod
     def stop(self) -> None:
-        """End sampling, and disconnect; nothing where it is stopped. It can be started again."""
+        """End sampling and disconnect; has no effect on a stopped sensor. A stopped sensor can be started again."""
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:
-        """What a file of its samples should say of it: back-end, range, resolution; units in the keys, types of JSON.
+        """Return metadata for files of samples: back-end, range, resolution. Keys carry units, values have JSON types.
 
-        Of a sensor that tells such things itself, call it when it is started.
+        A sensor that reports such data itself must be started before this call.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class StageSample:
-    """Where a stage is.
+    """Position of a stage at one time.
 
     Attributes:
-        counts: of its encoder or motor.
-        position: m, positive into the tissue, from where `Stage.home` has put the zero.
-        moving: whether it is on its way.
-        homed: whether the zero is known.
-        sequence: number of the sample since the start.
-        status: bits of `SampleStatus`.
-        received: when this program received it, s on the clock of `time.monotonic`.
-        requested: when this program requested it, s on the same clock; the position was read between `requested` and
-            `received`. None: the position was read at `received`.
+        counts: Counts of the encoder or the motor.
+        position: Position relative to the zero set by `Stage.home`, m, positive into the tissue.
+        moving: True while the stage moves or homes.
+        homed: True once the zero is known.
+        sequence: Number of the sample since the start.
+        status: Bits of `SampleStatus`.
+        received: Time of receipt by this program, s on the clock of `time.monotonic`.
+        requested: Time of the request by this program, s on the same clock; the position was read between `requested`
+            and `received`. None: the position was read at `received`.
     """
 
     counts: int
@@ -131,43 +136,44 @@ class StageSample:
 
 @dataclass(frozen=True)
 class StageLimits:
-    """What a stage can do: from `lowest` to `highest`, m, no faster than `speed`, m/s."""
+    """Travel range, `lowest` to `highest` in m, and top `speed` of a stage in m/s."""
 
     lowest: float
     highest: float
     speed: float
 
     @classmethod
-    def of(cls, settings: Mapping[str, float]) -> StageLimits:
-        """From the settings ``lowest_mm``, ``highest_mm`` and ``top_speed_mm_s``."""
+    def from_settings(cls, settings: Mapping[str, float]) -> StageLimits:
+        """Return limits from the settings ``lowest_mm``, ``highest_mm`` and ``top_speed_mm_s``."""
         return cls(settings["lowest_mm"] * 1e-3, settings["highest_mm"] * 1e-3, settings["top_speed_mm_s"] * 1e-3)
 
     def require(self, position: float, speed: float, slowest: float = 0.0) -> None:
-        """Refuse a motion that leaves them.
+        """Raise an error for a target or a speed outside the limits.
 
         Args:
-            position: m. speed: m/s. slowest: m/s, that the stage can do.
+            position: Target, m.
+            speed: Speed, m/s.
+            slowest: Lowest speed of the stage, m/s.
 
         Raises:
-            InputError: with the field ``position`` or ``speed``.
+            InputError: The position or the speed is outside the limits; its field is ``position`` or ``speed``.
         """
         if not self.lowest <= position <= self.highest:
-            raise InputError(f"{position:g} m is out of reach; give {self.lowest:g} to {self.highest:g} m",
-                             field="position")
+            raise InputError(f"must be {self.lowest:g} to {self.highest:g} m; got {position:g} m", field="position")
         if not (0 < speed <= self.speed and speed >= slowest):
-            least = f"{slowest:.3g} m/s or more" if slowest else "a speed above zero"
-            raise InputError(f"{speed:g} m/s; give {least} and up to {self.speed:g} m/s", field="speed")
+            least = f"{slowest:.3g} m/s or more" if slowest else "above zero"
+            raise InputError(f"must be {least} and at most {self.speed:g} m/s; got {speed:g} m/s", field="speed")
 
 
 class Stage(ABC):
-    """Moves a tool along one axis.
+    """A linear stage that moves a tool along one axis.
 
     Attributes:
-        limits: see there.
-        measures_position: whether `position` tells what an encoder says; otherwise what was commanded, and a motor that
-            stands although it is driven is not seen there.
-        runs_on: how long the stage may move on when this program falls silent, s; `math.inf`: to where it was sent.
-            `position` counts as a sign of life.
+        limits: Travel range and top speed.
+        measures_position: True if `position` returns an encoder's reading; False if it returns the commanded position,
+            in which a stalled motor is invisible.
+        runs_on: Longest time that the stage keeps moving after this program stops communicating, s; `math.inf`: it
+            moves to its target. A call of `position` counts as communication.
     """
 
     limits: StageLimits
@@ -176,128 +182,153 @@ class Stage(ABC):
 
     @abstractmethod
     def start(self) -> None:
-        """Connect; nothing moves.
+        """Connect without moving; has no effect on a started stage.
 
         Raises:
-            DeviceError: it is not there.
+            DeviceError: The stage does not answer.
         """
 
     @abstractmethod
     def home(self) -> None:
-        """Begin to look for the zero of its position; returns at once.
+        """Begin the search for the zero of the position and return at once.
 
         Raises:
-            DeviceError: it was not started, or does not answer.
+            DeviceError: The stage is not started or does not answer.
         """
 
     @abstractmethod
     def move(self, position: float, speed: float) -> None:
-        """Begin to move to a position, m, at a speed, m/s; returns at once. A motion that goes on is given up.
+        """Begin a motion to a position, m, at a speed, m/s, and return at once; replaces a motion in progress.
 
         Raises:
-            InputError: outside of `limits`, or a speed that is not positive.
-            DeviceError: it was not started, is not homed, or does not answer.
+            InputError: The position is outside `limits`, or the speed is zero, negative or too high.
+            DeviceError: The stage is not started, is not homed, or does not answer.
         """
 
     @abstractmethod
     def position(self) -> StageSample:
-        """Where it is now.
+        """Return the present position.
 
         Raises:
-            DeviceError: it was not started, or does not answer.
+            DeviceError: The stage is not started or does not answer.
         """
 
     @abstractmethod
     def halt(self) -> None:
-        """Stand still at once; from any thread, at any time, also before `start` and after `stop`."""
+        """Stop at once. Callable from any thread at any time, also before `start` and after `stop`."""
 
     @abstractmethod
     def stop(self) -> None:
-        """Halt, and disconnect; nothing where it is stopped. It can be started again."""
+        """Halt and disconnect; has no effect on a stopped stage. A stopped stage can be started again."""
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:
-        """What a file of its motion should say of it: back-end, resolution; units in the keys, types of JSON.
+        """Return metadata for files of motions: back-end, resolution. Keys carry units, values have JSON types.
 
-        Of a stage that tells such things itself, call it when it is started.
+        A stage that reports such data itself must be started before this call.
         """
 
 
 @dataclass(frozen=True)
 class Bench:
-    """What measures a specimen: a sensor, and the stage that moves the tool."""
+    """The two devices of an indentation test: a force sensor and the stage that moves the tool."""
 
     sensor: ForceSensor
     stage: Stage
 
 
 class HapticDevice(ABC):
-    """Gives a pose and takes a wrench, tick after tick; the loop renders to it.
+    """A haptic device: supplies the pose of the tool and applies a wrench to the hand in every tick of a loop.
 
     Attributes:
-        largest_force: that it can give, or is allowed to, N; the limits of a loop should not be above it.
+        largest_force: Largest force that the device can apply or is allowed to apply, N. The force limits of a loop
+            should not exceed it.
     """
 
     largest_force: float = math.inf
 
     def start(self) -> None:
-        """Connect, with no force.
+        """Connect and apply zero force.
 
         Raises:
-            DeviceError: it is not there.
+            DeviceError: The device does not answer.
         """
         return
 
     @abstractmethod
     def pose(self, time: float) -> Pose | None:
-        """Where the tool is.
+        """Return the pose of the tool.
 
         Args:
-            time: s since the loop, or the motion, began; it stands still while the loop is paused.
+            time: Time since the loop, or the motion, began, s; it is constant while the loop is paused.
 
         Returns:
-            In the frame of the scene; None: not known.
+            The pose in the frame of the scene, or None if the pose is unknown.
         """
 
     @abstractmethod
     def render(self, wrench: Screw) -> None:
-        """Give this force, N, and torque about the tool's deepest point, N m, to the hand, until the next tick."""
+        """Apply a force, N, and a torque about the tool's deepest point, N m, to the hand until the next tick."""
 
     def stop(self) -> None:
-        """No force, and disconnect; nothing where it is stopped. It can be started again."""
+        """Apply zero force and disconnect; has no effect on a stopped device. A stopped device can be started again."""
         return
 
     def take_over(self, pose: Pose) -> None:
-        """Go on from here, where another source has left the tool: of motions that can begin anywhere."""
+        """Continue from the pose that the previous device left. Devices without a movable start ignore the call."""
+        return
+
+    def set_approach(self, approach: Approach | None) -> None:
+        """Use a tool's approach to convert depths to poses. Devices that own an approach ignore the call."""
         return
 
     def go_along(self, approach: Approach | None) -> None:
-        """Let the way be told from this approach of a tool: of motions that were made for none."""
-        return
+        """Do nothing. Deprecated name of `set_approach`."""
+        warnings.warn("HapticDevice.go_along is deprecated; use set_approach", DeprecationWarning, stacklevel=2)
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        """Keep the old method name ``go_along`` of `set_approach` for one release, with a warning."""
+        super().__init_subclass__(**keywords)
+        own = vars(cls)
+        if "go_along" in own and "set_approach" not in own:
+            warnings.warn(f"{cls.__name__}.go_along is deprecated; name the method set_approach", DeprecationWarning,
+                          stacklevel=2)
+            cls.set_approach = own["go_along"]  # type: ignore[method-assign]
+        elif "set_approach" in own and "go_along" not in own:
+            cls.go_along = _deprecated_go_along(own["set_approach"])  # type: ignore[method-assign,assignment]
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
-        """Go to a depth, m: of motions that are steered by somebody.
+        """Move to a depth, if the device is a steerable motion.
 
         Args:
-            depth: along the tool's own axis, from the height of the touch on, m.
-            across: x and y where the tool's axis meets that height, m; None: where it is aimed at already.
+            depth: Target along the tool's axis, measured from the height of first contact, m.
+            across: Coordinates x and y, m, where the tool's axis meets the height of first contact; None: unchanged.
 
         Raises:
-            InputError: this one is not, or no depth.
+            InputError: The device cannot be steered, or the depth is not a finite number.
         """
-        raise InputError(f"a {type(self).__name__} goes where it likes and cannot be steered; follow a HandMotion "
-                         "first", field="aim")
+        raise InputError(f"requires a steerable motion; got a {type(self).__name__}. Follow a HandMotion first",
+                         field="aim")
 
     def describe(self) -> dict[str, Any]:
-        """What a report should say of it: back-end, largest force; units in the keys, types of JSON."""
+        """Return metadata for reports: back-end, largest force. Keys carry units, values have JSON types."""
         return {"device": type(self).__name__}
 
 
+def _deprecated_go_along(set_approach: _SetApproach) -> _SetApproach:
+    """Return the method ``go_along``, which warns and calls `set_approach` of the same class."""
+    def go_along(self: Any, approach: Approach | None) -> None:
+        warnings.warn("HapticDevice.go_along is deprecated; use set_approach", DeprecationWarning, stacklevel=2)
+        set_approach(self, approach)
+
+    return go_along
+
+
 class Motion(HapticDevice):
-    """A device that ignores the force: the same poses for the same times.
+    """A haptic device that ignores the force: its pose is a function of time alone.
 
     Attributes:
-        approach: of the tool whose way it tells: where its axis is, and how it leans; None: it is that of the scene.
+        approach: Axis and contact height of the tool whose depths the motion gives; None: the approach of the scene.
     """
 
     approach: Approach | None = None
@@ -305,18 +336,21 @@ class Motion(HapticDevice):
     def render(self, wrench: Screw) -> None:
         return
 
-    def go_along(self, approach: Approach | None) -> None:
+    def set_approach(self, approach: Approach | None) -> None:
         if self.approach is None:
             self.approach = approach
 
 
 class AxialMotion(Motion):
-    """A motion along the tool's own axis."""
+    """A motion along the tool's axis, given as depth against time."""
 
     @abstractmethod
     def depth(self, time: float) -> float | None:
-        """How far the tool has gone at a time since the motion began, s; m, positive into the tissue. None: the pose is
-        not known."""
+        """Return the depth of the tool at a time since the motion began, s; m, positive into the tissue.
+
+        None: the pose is unknown.
+        """
+
 
     def pose(self, time: float) -> Pose | None:
         depth = self.depth(time)

@@ -1,4 +1,4 @@
-"""What could be opened on this computer, and why the rest could not; nothing moves by it."""
+"""Probe the devices of this computer: which ones open, and why the others do not. No device moves."""
 
 from __future__ import annotations
 
@@ -12,83 +12,99 @@ from haptics.devices.contracts import DeviceError
 from haptics.devices.serial_line import SerialLine, serial_ports
 from tissue_sim.errors import InputError
 
+#: Kinds of devices and their tables of back-ends.
 _TABLES = (("force sensor", FORCE_SENSORS), ("stage", STAGES), ("haptic device", HAPTIC_DEVICES))
-#: Back-ends with an address of their own, and the one at which a new device is.
-_USUAL = {"virtual": "", "rdt": "//192.168.1.1", "haply": "ws://127.0.0.1:10001", "phidget": "any"}
-#: Settings without which some cannot be made; to see whether one answers, any will do.
-_ANY = {"tic": "steps_per_mm=1000", "ati-serial": "counts_per_N=1,counts_per_Nm=1", "phidget": "steps_per_mm=1000"}
+#: Factory addresses of the back-ends that have one.
+_DEFAULT_ADDRESSES = {"virtual": "", "rdt": "//192.168.1.1", "haply": "ws://127.0.0.1:10001", "phidget": "any"}
+#: Placeholders for required settings; any valid value serves a probe.
+_REQUIRED_SETTINGS = {"tic": "steps_per_mm=1000", "ati-serial": "counts_per_N=1,counts_per_Nm=1",
+                      "phidget": "steps_per_mm=1000"}
 #: Back-ends on a serial port.
 _SERIAL = ("ati-serial", "tic", "grbl")
-#: What needs a file of the user's.
-_FILES = {"replay": "give replay:FILE.csv, a recording to play", "ati-daq": "give ati-daq:FILE.cal and who reads volts"}
+#: Remedies for back-ends that require a file from the user.
+_FILES = {"replay": "give replay:FILE.csv with a recording",
+          "ati-daq": "give ati-daq:FILE.cal with the function that reads the voltages"}
 
 
 @dataclass(frozen=True)
-class Tried:
-    """A device that was tried: by its name, of which kind; whether it opens; and what it says, or why not."""
+class ProbeResult:
+    """Result of probing one device.
+
+    Attributes:
+        name: Name of the device, as for `open_sensor`, `open_stage` or `open_haptic`.
+        kind: Force sensor, stage, haptic device or serial port.
+        opens: True if the device opened.
+        details: Description by the device itself, or the reason why it did not open.
+    """
 
     name: str
     kind: str
     opens: bool
-    says: str
+    details: str
 
 
-def find_devices(names: Sequence[str] = ()) -> list[Tried]:
-    """Try devices, one after the other: each is started, asked what it is, and stopped.
+def find_devices(names: Sequence[str] = ()) -> list[ProbeResult]:
+    """Probe devices one after another: start each, read its description, stop it.
 
     Args:
-        names: of them; none: the usual addresses of all back-ends; and the serial ports, which are opened only: who
-            names a device on one has it asked.
+        names: Names of devices. Empty: the factory addresses of all back-ends, and all serial ports; serial ports are
+            opened without sending anything.
+
+    Raises:
+        InputError: A name is the name of no back-end.
     """
-    return [each for name in names for each in _try_name(name)] if names else list(_all())
+    return [each for name in names for each in _probe_name(name)] if names else list(_probe_all())
 
 
-def _all() -> Iterator[Tried]:
+def _probe_all() -> Iterator[ProbeResult]:
+    """Probe the factory addresses of all back-ends, and all serial ports."""
     ports = serial_ports()
     for kind, table in _TABLES:
         for back_end in table:
             if back_end in _SERIAL:
-                yield Tried(f"{back_end}:", kind, False, f"name its port, as in {back_end}:{ports[0]}" if ports else
-                            "no serial port is there; plug the device in")
-            elif back_end in _USUAL:
-                yield _try(f"{back_end}:{_USUAL[back_end]}", kind, table)
+                yield ProbeResult(f"{back_end}:", kind, False, f"name its port, as in {back_end}:{ports[0]}" if ports
+                                  else "no serial port was found; plug the device in")
+            elif back_end in _DEFAULT_ADDRESSES:
+                yield _probe(f"{back_end}:{_DEFAULT_ADDRESSES[back_end]}", kind, table)
             else:
-                yield Tried(f"{back_end}:", kind, False, _FILES.get(back_end, "give its name with its settings"))
+                yield ProbeResult(f"{back_end}:", kind, False, _FILES.get(back_end, "give its name with its settings"))
     for port in ports:
-        yield _try_port(port)
+        yield _probe_port(port)
 
 
-def _try_port(port: str) -> Tried:
-    """Open a port and say nothing on it: what one device takes for a question may move another."""
+def _probe_port(port: str) -> ProbeResult:
+    """Open a port without sending anything: a query of one device can be a motion command of another."""
     try:
         SerialLine(port, 9600, "a device").close()
     except DeviceError as error:
-        return Tried(port, "serial port", False, str(error))
-    return Tried(port, "serial port", True, f"to ask who is there: tissue-sim devices tic:{port}")
+        return ProbeResult(port, "serial port", False, str(error))
+    return ProbeResult(port, "serial port", True, f"to identify its device: tissue-sim devices tic:{port}")
 
 
-def _try_name(name: str) -> Iterator[Tried]:
+def _probe_name(name: str) -> Iterator[ProbeResult]:
+    """Probe the device of a name in each table that has its back-end."""
     back_end = name.partition(":")[0]
     tables = [(kind, table) for kind, table in _TABLES if back_end in table]
     if not tables:
         known = ", ".join(sorted({each for _, table in _TABLES for each in table}))
-        raise InputError(f"no device is called {back_end!r}; there are {known}", field="names")
+        raise InputError(f"must begin with one of {known}; got {back_end!r}", field="names")
     for kind, table in tables:
-        yield _try(name, kind, table)
+        yield _probe(name, kind, table)
 
 
-def _try(name: str, kind: str, table: Any) -> Tried:
+def _probe(name: str, kind: str, table: Any) -> ProbeResult:
+    """Start a device, read its description and stop it."""
     back_end, _, rest = name.partition(":")
-    if back_end in _ANY and "=" not in rest:
-        rest = f"{rest},{_ANY[back_end]}"
+    if back_end in _REQUIRED_SETTINGS and "=" not in rest:
+        rest = f"{rest},{_REQUIRED_SETTINGS[back_end]}"
     try:
         device = table.find(back_end)(rest)
         try:
             device.start()
-            said = device.describe()
+            description = device.describe()
         finally:
             device.stop()
     except (DeviceError, InputError) as error:
-        return Tried(name, kind, False, str(error))
-    words = ", ".join(f"{key} {value}" for key, value in said.items() if isinstance(value, str | int | float))
-    return Tried(name, kind, True, textwrap.shorten(words, 200, placeholder=" ..."))
+        return ProbeResult(name, kind, False, str(error))
+    words = ", ".join(f"{key} {value}" for key, value in description.items() if isinstance(value, str | int | float))
+    return ProbeResult(name, kind, True, textwrap.shorten(words, 200, placeholder=" ..."))

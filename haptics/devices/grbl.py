@@ -1,7 +1,7 @@
-"""A stage that Grbl 1.1 drives: one axis of a small machine. Tried against an emulator only.
+"""A stage driven by Grbl 1.1: one axis of a small machine. Checked against an emulator only.
 
-A jog that Grbl has taken outlives the program that sent it. So a thread sends short jogs, and never more than
-`_QUEUED` of motion beyond the place that Grbl has last reported.
+Grbl finishes the jogs in its queue even if the sending program dies. Therefore a thread sends short jogs, and never
+more than `JogSettings.queue` of motion beyond the last reported position.
 
 Source: Grbl 1.1 documentation, doc/markdown of github.com/gnea/grbl: interface.md, jogging.md,
 realtime_cmds.md, settings.md.
@@ -12,348 +12,383 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 from haptics.devices.contracts import DeviceError, SampleStatus, Stage, StageLimits, StageSample
-from haptics.devices.grbl_talk import GrblTalk, Seen
+from haptics.devices.grbl_connection import AxisReport, GrblConnection
 from haptics.devices.settings import read_settings
 from haptics.protocols import grbl
+from haptics.protocols.grbl import Setting
 from tissue_sim.errors import InputError
 
-#: Most motion that Grbl has taken and not made, s; length of a jog, s.
-_QUEUED, _JOG = 0.1, 0.025
-#: Without a question for the position for so long, no more jogs are sent, s.
-_SILENCE = 1.0
-#: Longest wait for a status report, s; Grbl promises 5 to 20 ms.
-_ANSWER = 1.0
-#: Way that the axis needs to stop from its top speed, as a share of `_QUEUED`: Grbl plans every queue to end at rest,
-#: and so much is always there.
-_STOPPED_WITHIN = 0.4
-#: States in which nothing moves by itself, and what to do about those in which nothing can.
-_HELD = {"Hold": "is on hold; send ~ or reset it", "Door": "has its safety door open; close it and reset it",
-         "Check": "is in check mode and moves nothing; send $C", "Sleep": "sleeps; reset it and home it"}
+
+@dataclass(frozen=True)
+class JogSettings:
+    """Division of motions into jogs by a `GrblStage`, and its waiting times."""
+
+    #: Longest motion in Grbl's queue, s; also the time for which the stage moves on after this program dies.
+    queue: float = 0.1
+    #: Duration of one jog, s; several fit into the queue, so that the motion does not pause between two reports.
+    jog: float = 0.025
+    #: Time without a call of `GrblStage.position` or `GrblStage.move` after which no more jogs are sent, s.
+    silence: float = 1.0
+    #: Longest wait for a status report, s; Grbl's documentation states 5 to 20 ms.
+    report: float = 1.0
+    #: Largest stopping distance, as a fraction of the distance at top speed in `queue`: Grbl plans each queue to end at
+    #: rest, so the last part of the queue is the deceleration.
+    stopping_fraction: float = 0.4
+
+
+#: Settings of all stages of this process.
+JOGS = JogSettings()
+
+#: States that forbid a motion, with the remedy.
+_BLOCKED = {"Hold": "is on hold; send ~ or reset it", "Door": "has its safety door open; close it and reset it",
+            "Check": "is in check mode, which moves nothing; send $C", "Sleep": "sleeps; reset it and home it"}
 
 
 class GrblStage(Stage):
-    """One axis of a machine with Grbl 1.1; `position` is where the motor was driven to, and a stalled one is not seen.
+    """One axis of a machine with Grbl 1.1. `position` is the commanded position; a stalled motor is invisible.
 
-    The zero is where the homing of Grbl ends, a pull-off away from its switch, and positive is away from the switch.
-    Its homing runs to its end also without this program.
+    The zero is the position at the end of Grbl's homing cycle, a pull-off distance from the limit switch; positive is
+    away from the switch. A homing cycle runs to its end even if this program dies.
 
     Args:
-        port: serial port. limits: m, m/s; from 0, since the switch is there.
-        axis: X, Y or Z. baud: of the port.
+        port: Serial port.
+        limits: Travel and top speed; the travel must begin at 0, the end with the switch.
+        axis: X, Y or Z.
+        baud: Baud rate of the port.
 
     Raises:
-        InputError: a number that makes no sense.
+        InputError: An argument is outside its range.
     """
 
     measures_position = False
-    #: Of a program that has died; the way is at most the speed times this. See `_SILENCE` for one that hangs.
-    runs_on = _QUEUED
+    #: After this program dies, the axis moves by at most the speed times this. `JogSettings.silence` covers a hang.
+    runs_on = JOGS.queue
 
     def __init__(self, port: str, limits: StageLimits, axis: str = "Z", baud: int = grbl.BAUD):
         if not port:
-            raise InputError("no port is named; give grbl:/dev/ttyUSB0,axis=Z", field="port")
+            raise InputError("must be given, as in grbl:/dev/ttyUSB0,axis=Z; got none", field="port")
         if limits.lowest != 0.0 or not 0.0 < limits.highest < math.inf:
-            raise InputError(f"from {limits.lowest:g} to {limits.highest:g} m; give a range that begins at 0: the "
-                             "switch is below it", field="lowest_mm, highest_mm")
+            raise InputError(f"must begin at 0 m, where the limit switch is; got {limits.lowest:g} to "
+                             f"{limits.highest:g} m", field="lowest_mm, highest_mm")
         if not grbl.LEAST_FEED / 60e3 <= limits.speed < math.inf:
-            raise InputError(f"{limits.speed * 1e3:g} mm/s; give {grbl.LEAST_FEED / 60:.4f} mm/s or more",
+            raise InputError(f"must be at least {grbl.LEAST_FEED / 60:.4f} mm/s; got {limits.speed * 1e3:g} mm/s",
                              field="top_speed_mm_s")
         if len(axis) != 1 or axis not in grbl.AXES:
-            raise InputError(f"{axis!r} is no axis; give X, Y or Z", field="axis")
+            raise InputError(f"must be X, Y or Z; got {axis!r}", field="axis")
         if baud <= 0:
-            raise InputError(f"{baud} baud; give a number above zero", field="baud")
+            raise InputError(f"must be above 0; got {baud}", field="baud")
         self.limits, self._port, self._axis, self._baud = limits, port, axis, baud
         self._name = f"the Grbl at {port}"
-        self._talk: GrblTalk | None = None
-        self._forget()
+        self._connection: GrblConnection | None = None
+        self._reset()
 
-    def _forget(self) -> None:
+    def _reset(self) -> None:
+        """Set the state of a stage that has not been started."""
         self._sequence = 0
-        #: Machine coordinate of the zero, mm; None: not homed. 1: positive as the machine, -1: against it.
+        #: Machine coordinate of the zero, mm; None: not homed.
         self._zero: float | None = None
+        #: Direction of positive positions in machine coordinates, 1 or -1.
         self._sign = -1.0
-        #: Where to, mm in machine coordinates, and how fast, mm/s; None: nowhere.
+        #: Target in machine coordinates, mm, and speed, mm/s; None: no motion.
         self._goal: tuple[float, float] | None = None
-        #: Up to where jogs were sent, mm; None: it must come to rest first.
+        #: Target of the last jog sent, mm; None: the axis must be at rest before the next jog.
         self._sent: float | None = None
-        #: Until when homing must be over, s; None: it does not home. Whether Grbl was told.
+        #: Time at which homing fails, s; None: not homing.
         self._homing_until: float | None = None
+        #: True if the homing command was sent.
         self._homing_sent = False
+        #: Message that the next call raises; empty: none.
         self._trouble = ""
         self._steps_per_mm = math.nan
-        self._asked_for = -math.inf
+        #: Time of the last call of `position` or `move`, s.
+        self._last_call = -math.inf
+        #: Number of calls of `halt`, which reveals a halt during a `move`.
         self._halts = 0
 
     def __getstate__(self) -> dict[str, Any]:
-        if self._talk is not None:
+        if self._connection is not None:
             raise TypeError("a started stage cannot be sent to another process; stop it first")
         return self.__dict__
 
     def start(self) -> None:
-        if self._talk is not None:
+        if self._connection is not None:
             return
-        self._forget()
-        talk = GrblTalk(self._port, self._baud, grbl.AXES.index(self._axis))
+        self._reset()
+        connection = GrblConnection(self._port, self._baud, grbl.AXES.index(self._axis))
         try:
-            self._check(talk.meet())
-            talk.run(self._feed)
+            self._check_settings(connection.read_settings())
+            connection.start_thread(self._act)
         except BaseException:
-            talk.close()
+            connection.close()
             raise
-        self._talk = talk
+        self._connection = connection
 
-    def _check(self, settings: dict[int, float]) -> None:
-        """Hold the limits against the settings of the machine."""
+    def _check_settings(self, settings: dict[int, float]) -> None:
+        """Raise an error if the machine's settings ``$$`` do not permit the limits of this stage."""
         number = grbl.AXES.index(self._axis)
 
-        def of(setting: int) -> float:
+        def read(setting: int) -> float:
             if setting not in settings:
-                raise DeviceError(f"{self._name} does not tell its setting ${setting}; install Grbl 1.1")
+                raise DeviceError(f"{self._name} does not report its setting ${setting}; install Grbl 1.1")
             return settings[setting]
 
-        top, change = of(grbl.MAX_RATE + number) / 60.0, of(grbl.ACCELERATION + number)
-        room = of(grbl.TRAVEL + number) - of(grbl.PULL_OFF)
-        self._steps_per_mm = of(grbl.STEPS_PER_MM + number)
+        top, acceleration = read(Setting.MAX_RATE + number) / 60.0, read(Setting.ACCELERATION + number)
+        travel = read(Setting.TRAVEL + number) - read(Setting.PULL_OFF)
+        self._steps_per_mm = read(Setting.STEPS_PER_MM + number)
         speed, highest = self.limits.speed * 1e3, self.limits.highest * 1e3
-        if of(grbl.REPORT_INCHES):
+        if read(Setting.REPORT_INCHES):
             raise DeviceError(f"{self._name} reports inches; set $13=0")
-        if not of(grbl.HOMING):
-            raise DeviceError(f"{self._name} cannot home, and its zero would be anywhere; fit limit switches "
-                              "and set $22=1")
-        if highest > room:
-            raise DeviceError(f"the axis {self._axis} of {self._name} reaches {room:g} mm, not {highest:g}; "
-                              f"lower highest_mm, or correct ${grbl.TRAVEL + number}")
+        if not read(Setting.HOMING):
+            raise DeviceError(f"{self._name} cannot home, so its zero is undefined; fit limit switches and set $22=1")
+        if highest > travel:
+            raise DeviceError(f"the travel of axis {self._axis} of {self._name} is {travel:g} mm, less than "
+                              f"{highest:g} mm; lower highest_mm, or correct ${Setting.TRAVEL + number}")
         if speed > top:
-            raise DeviceError(f"the axis {self._axis} of {self._name} makes {top:g} mm/s, not {speed:g}; lower "
-                              f"top_speed_mm_s, or raise ${grbl.MAX_RATE + number}")
-        most = 2.0 * change * _STOPPED_WITHIN * _QUEUED
+            raise DeviceError(f"the top speed of axis {self._axis} of {self._name} is {top:g} mm/s, less than "
+                              f"{speed:g} mm/s; lower top_speed_mm_s, or raise ${Setting.MAX_RATE + number}")
+        most = 2.0 * acceleration * JOGS.stopping_fraction * JOGS.queue
         if speed > most:
-            raise DeviceError(f"with {_QUEUED * 1e3:g} ms of motion queued and {change:g} mm/s^2 the axis {self._axis} "
-                              f"of {self._name} reaches {most:g} mm/s, not {speed:g}; lower top_speed_mm_s, or raise "
-                              f"${grbl.ACCELERATION + number}")
-        positive_end = not int(of(grbl.HOMING_DIRECTION)) >> number & 1
-        self._sign = -1.0 if positive_end else 1.0
-        way = 1.5 * of(grbl.TRAVEL + number)
-        #: Longest time that homing may take, s.
-        self._longest_homing = 20.0 + 120.0 * (way / max(of(grbl.HOMING_SEEK), 1.0)
-                                               + 10.0 * of(grbl.PULL_OFF) / max(of(grbl.HOMING_FEED), 1.0))
+            raise DeviceError(f"with {JOGS.queue * 1e3:g} ms of queued motion and {acceleration:g} mm/s^2 the top "
+                              f"speed of axis {self._axis} of {self._name} is {most:g} mm/s, less than {speed:g} "
+                              f"mm/s; lower top_speed_mm_s, or raise ${Setting.ACCELERATION + number}")
+        homes_to_positive_end = not int(read(Setting.HOMING_DIRECTION)) >> number & 1
+        self._sign = -1.0 if homes_to_positive_end else 1.0
+        seek_distance = 1.5 * read(Setting.TRAVEL + number)
+        #: Longest duration of a homing cycle, s.
+        self._longest_homing = 20.0 + 120.0 * (seek_distance / max(read(Setting.HOMING_SEEK), 1.0)
+                                               + 10.0 * read(Setting.PULL_OFF) / max(read(Setting.HOMING_FEED), 1.0))
 
     def home(self) -> None:
-        talk = self._require_start()
-        with talk.lock:
-            self._raise_trouble(talk)
+        connection = self._require_start()
+        with connection.lock:
+            self._raise_trouble(connection)
             if self._homing_until is not None:
                 return
-            seen = self._fresh(talk)
-            if seen.state in _HELD:
-                raise DeviceError(f"{self._name} {_HELD[seen.state]}")
-            if seen.critical:
-                # Grbl takes nothing but a reset now, and nothing moves.
-                talk.reset()
+            report = self._new_report(connection)
+            if report.state in _BLOCKED:
+                raise DeviceError(f"{self._name} {_BLOCKED[report.state]}")
+            if report.critical:
+                # A critical alarm accepts only a reset. The axis is at rest, so the reset loses no position.
+                connection.reset()
             self._goal = self._sent = self._zero = None
             self._homing_until = time.monotonic() + self._longest_homing
-            self._homing_sent, talk.alarm, talk.refused = False, None, None
-            talk.wake()
+            self._homing_sent, connection.alarm, connection.error = False, None, None
+            connection.wake()
 
     def move(self, position: float, speed: float) -> None:
-        halts, talk = self._halts, self._require_start()
+        halts, connection = self._halts, self._require_start()
         self.limits.require(position, speed, slowest=grbl.LEAST_FEED / 60e3)
-        with talk.lock:
-            self._raise_trouble(talk)
-            seen = talk.seen if self._homing_until is not None else self._fresh(talk)
-            self._refuse(seen, talk)
+        with connection.lock:
+            self._raise_trouble(connection)
+            report = connection.latest if self._homing_until is not None else self._new_report(connection)
+            self._require_movable(report, connection)
             zero = self._zero
             if zero is None:
-                raise DeviceError(f"{self._name} does not know its zero; home it first, and wait until it is "
-                                  "there")
+                raise DeviceError(f"{self._name} does not know its zero; home it first, and wait until it is homed")
             if halts == self._halts:
-                self._asked_for = time.monotonic()
+                self._last_call = time.monotonic()
                 self._goal = zero + self._sign * position * 1e3, speed * 1e3
-                talk.wake()
+                connection.wake()
 
     def position(self) -> StageSample:
-        talk = self._require_start()
-        with talk.lock:
-            self._asked_for = time.monotonic()
-            self._raise_trouble(talk)
-            seen = talk.seen if self._homing_until is not None else self._fresh(talk)
+        connection = self._require_start()
+        with connection.lock:
+            self._last_call = time.monotonic()
+            self._raise_trouble(connection)
+            report = connection.latest if self._homing_until is not None else self._new_report(connection)
             homing = self._homing_until is not None
-            moving = homing or self._goal is not None or talk.unanswered > 0 or seen.state in ("Jog", "Run", "Home")
+            moving = (homing or self._goal is not None or connection.unanswered > 0
+                      or report.state in ("Jog", "Run", "Home"))
             bits = SampleStatus.GOOD
-            if seen.state in ("Alarm", *_HELD) and (talk.alarm is not None or seen.state != "Alarm"):
+            if report.state in ("Alarm", *_BLOCKED) and (connection.alarm is not None or report.state != "Alarm"):
                 bits |= SampleStatus.FAULT
-            if self._axis in seen.pins:
+            if self._axis in report.pins:
                 bits |= SampleStatus.LIMIT
             zero = 0.0 if self._zero is None else self._zero
-            place = self._sign * (seen.place - zero)
+            position = self._sign * (report.position - zero)
             self._sequence += 1
-            return StageSample(round(place * self._steps_per_mm), place * 1e-3, moving, self._zero is not None,
-                               self._sequence - 1, int(bits), seen.received, seen.asked or None)
+            return StageSample(round(position * self._steps_per_mm), position * 1e-3, moving, self._zero is not None,
+                               self._sequence - 1, int(bits), report.received, report.requested or None)
 
     def halt(self) -> None:
         self._halts += 1
         self._goal = None
-        talk = self._talk
-        if talk is None:
+        connection = self._connection
+        if connection is None:
             return
         homing = self._homing_until is not None and self._homing_sent
-        mine = talk.lock.acquire(timeout=0.1)
+        has_lock = connection.lock.acquire(timeout=0.1)
         try:
             self._goal = self._sent = None
-            # Homing heeds nothing but a reset; it loses the zero, which is not known yet.
-            talk.send(grbl.RESET if homing else grbl.JOG_CANCEL)
+            # Only a reset ends a homing cycle. The reset loses the zero, which is unknown during homing anyway.
+            connection.send(grbl.RESET if homing else grbl.JOG_CANCEL)
             self._homing_until = None
             if homing:
-                talk.unanswered = 0
-            # A jog that is still on the line comes after this: the thread cancels until nothing moves.
-            talk.wake()
+                connection.unanswered = 0
+            # A jog may still be in transmission; the thread sends cancels until the axis is at rest.
+            connection.wake()
         except Exception:
-            # Who halts can do nothing about it: the queue ends within `runs_on`, and `position` says what is wrong.
+            # A halt must not raise: the queue ends within `runs_on`, and `position` reports the error.
             return
         finally:
-            if mine:
-                talk.lock.release()
+            if has_lock:
+                connection.lock.release()
 
     def stop(self) -> None:
-        talk = self._talk
-        if talk is None:
+        connection = self._connection
+        if connection is None:
             return
         self.halt()
-        self._talk = None
-        talk.close()
+        self._connection = None
+        connection.close()
 
     def describe(self) -> dict[str, Any]:
-        told = {} if math.isnan(self._steps_per_mm) else {"steps_per_mm": self._steps_per_mm,
-                                                          "resolution_mm": max(1.0 / self._steps_per_mm, 1e-3)}
-        return {"stage": "Grbl 1.1", "port": self._port, "axis": self._axis, **told,
+        steps = {} if math.isnan(self._steps_per_mm) else {"steps_per_mm": self._steps_per_mm,
+                                                           "resolution_mm": max(1.0 / self._steps_per_mm, 1e-3)}
+        return {"stage": "Grbl 1.1", "port": self._port, "axis": self._axis, **steps,
                 "lowest_mm": self.limits.lowest * 1e3, "highest_mm": self.limits.highest * 1e3,
                 "top_speed_mm_s": self.limits.speed * 1e3, "position": "commanded", "stalled_motor": "not detectable",
                 "runs_on_s": self.runs_on, "homing_runs_on": "to its end",
                 "checked_with": "emulator; unverified on hardware"}
 
-    def _feed(self, talk: GrblTalk) -> bool:
-        """Do what is to be done now; by the thread, which holds the lock, every few ms. Whether there is a motion."""
-        if talk.lost:
+    def _act(self, connection: GrblConnection) -> bool:
+        """Send the next commands; return True while a motion is in progress.
+
+        The connection's thread calls this method every few milliseconds and holds the lock.
+        """
+        if connection.lost:
             self._goal = None
         elif self._homing_until is not None:
-            self._watch_homing(talk)
-        elif talk.seen.state == "Alarm" or talk.was_reset:
-            if talk.was_reset and self._zero is not None and talk.alarm is None:
+            self._continue_homing(connection)
+        elif connection.latest.state == "Alarm" or connection.was_reset:
+            if connection.was_reset and self._zero is not None and connection.alarm is None:
                 self._trouble = f"{self._name} has restarted and lost its zero; check its supply, and home it again"
             self._goal = self._sent = self._zero = None
-            talk.was_reset = False
+            connection.was_reset = False
         else:
-            self._jog(talk)
+            self._continue_motion(connection)
         return self._goal is not None or self._homing_until is not None
 
-    def _jog(self, talk: GrblTalk) -> None:
-        """Send the next jogs, or cancel those that nobody wants."""
-        seen = talk.seen
-        if talk.refused is not None:
-            self._trouble = (f"{self._name} has refused a motion with error {talk.refused}: "
-                             f"{grbl.error_text(talk.refused)}")
-            self._goal, talk.refused = None, None
-        if seen.number == talk.fed:
-            return  # one step for each report
-        talk.fed = seen.number
-        wanted = self._goal
-        if wanted is None:
+    def _continue_motion(self, connection: GrblConnection) -> None:
+        """Send the next jogs toward the goal, or cancel the jogs of a motion that was replaced or halted."""
+        report = connection.latest
+        if connection.error is not None:
+            self._trouble = (f"{self._name} has refused a motion with error {connection.error}: "
+                             f"{grbl.error_text(connection.error)}")
+            self._goal, connection.error = None, None
+        if report.number == connection.handled:
+            return  # one action per report
+        connection.handled = report.number
+        motion = self._goal
+        if motion is None:
             self._sent = None
-            if seen.state == "Jog":
-                talk.send(grbl.JOG_CANCEL)
+            if report.state == "Jog":
+                connection.send(grbl.JOG_CANCEL)
             return
-        if time.monotonic() - self._asked_for > _SILENCE:
+        if time.monotonic() - self._last_call > JOGS.silence:
             return
-        goal, speed = wanted
+        goal, speed = motion
         if self._sent is None:
-            if not talk.is_settled:
+            if not connection.is_settled:
                 return
-            if seen.state != "Idle":
-                talk.send(grbl.JOG_CANCEL)
+            if report.state != "Idle":
+                connection.send(grbl.JOG_CANCEL)
                 return
-            self._sent = seen.place
+            self._sent = report.position
         elif self._sent == goal:
-            if seen.state == "Idle" and talk.is_settled:
+            if report.state == "Idle" and connection.is_settled:
                 self._goal = self._sent = None
             return
-        if (goal - self._sent) * (self._sent - seen.place) < 0:
-            # It turns: the old way is given up, the new one begins at rest.
-            talk.send(grbl.JOG_CANCEL)
+        if (goal - self._sent) * (self._sent - report.position) < 0:
+            # A reversal: the old motion is cancelled, and the new one begins at rest.
+            connection.send(grbl.JOG_CANCEL)
             self._sent = None
             return
-        for target in self._jogs(seen.place, self._sent, goal, speed):
-            talk.ask(grbl.jog_line(self._axis, target, speed * 60.0))
+        for target in self._next_targets(report.position, self._sent, goal, speed):
+            connection.send_line(grbl.jog_line(self._axis, target, speed * 60.0))
             self._sent = target
 
     @staticmethod
-    def _jogs(place: float, sent: float, goal: float, speed: float) -> Iterator[float]:
-        """Where the next jogs go, mm: as many as fit between the place that was reported and `_QUEUED` beyond it."""
+    def _next_targets(position: float, sent: float, goal: float, speed: float) -> Iterator[float]:
+        """Yield the targets of the jogs, mm, that fit into the queue after the last reported position.
+
+        Args:
+            position: Last reported position, mm.
+            sent: Target of the last jog sent, mm.
+            goal: Target of the motion, mm.
+            speed: Speed, mm/s.
+        """
         while sent != goal:
-            step = min(speed * _JOG, abs(goal - sent))
-            if abs(sent - place) + step > speed * _QUEUED * (1.0 + 1e-9):
+            step = min(speed * JOGS.jog, abs(goal - sent))
+            if abs(sent - position) + step > speed * JOGS.queue * (1.0 + 1e-9):
                 return
             sent = goal if step == abs(goal - sent) else sent + math.copysign(step, goal - sent)
             yield sent
 
-    def _watch_homing(self, talk: GrblTalk) -> None:
-        seen = talk.seen
-        if talk.refused is not None or talk.alarm is not None:
-            why = (grbl.error_text(talk.refused) if talk.refused is not None else grbl.alarm_text(talk.alarm))
-            self._trouble = f"{self._name} did not home: {why}"
-            talk.refused, self._homing_until = None, None
+    def _continue_homing(self, connection: GrblConnection) -> None:
+        """Send the homing command once the axis is at rest, and detect the end or the failure of homing."""
+        report = connection.latest
+        if connection.error is not None or connection.alarm is not None:
+            cause = (grbl.error_text(connection.error) if connection.error is not None else
+                     grbl.alarm_text(connection.alarm))
+            self._trouble = f"{self._name} did not home: {cause}"
+            connection.error, self._homing_until = None, None
         elif self._homing_until is not None and time.monotonic() > self._homing_until:
             self._trouble = (f"the homing of {self._name} does not end; check the limit switch of {self._axis}, "
                              "power and cable")
             self._homing_until = None
-            talk.send(grbl.RESET)
+            connection.send(grbl.RESET)
         elif not self._homing_sent:
-            if talk.is_settled and seen.state in ("Idle", "Alarm"):
-                self._homing_sent, talk.was_reset = True, False
-                talk.ask(b"$H\n")
-            elif seen.state == "Jog" and seen.number != talk.fed:
-                talk.fed = seen.number
-                talk.send(grbl.JOG_CANCEL)
-        elif talk.is_settled and seen.state == "Idle":
-            self._zero, self._homing_until, talk.was_reset = seen.place, None, False
+            if connection.is_settled and report.state in ("Idle", "Alarm"):
+                self._homing_sent, connection.was_reset = True, False
+                connection.send_line(b"$H\n")
+            elif report.state == "Jog" and report.number != connection.handled:
+                connection.handled = report.number
+                connection.send(grbl.JOG_CANCEL)
+        elif connection.is_settled and report.state == "Idle":
+            self._zero, self._homing_until, connection.was_reset = report.position, None, False
 
-    def _fresh(self, talk: GrblTalk) -> Seen:
-        """A report that was asked for just now; holds the lock, but while it waits."""
-        seen = talk.fresh(_ANSWER)
-        if seen is None:
-            self._raise_trouble(talk)
-            raise DeviceError(f"{self._name} reports nothing for {_ANSWER:g} s; check that it has power, the "
+    def _new_report(self, connection: GrblConnection) -> AxisReport:
+        """Return a report requested after this call. Requires the lock, which is released during the wait."""
+        report = connection.wait_for_report(JOGS.report)
+        if report is None:
+            self._raise_trouble(connection)
+            raise DeviceError(f"{self._name} has sent no report for {JOGS.report:g} s; check that it has power, the "
                               "cable and the baud rate")
-        return seen
+        return report
 
-    def _refuse(self, seen: Seen, talk: GrblTalk) -> None:
-        if seen.state == "Alarm" and talk.alarm is not None:
-            raise DeviceError(f"{self._name} is in alarm {talk.alarm}: {grbl.alarm_text(talk.alarm)}")
-        if seen.state in _HELD:
-            raise DeviceError(f"{self._name} {_HELD[seen.state]}")
+    def _require_movable(self, report: AxisReport, connection: GrblConnection) -> None:
+        """Raise an error with the remedy if the state forbids a motion."""
+        if report.state == "Alarm" and connection.alarm is not None:
+            raise DeviceError(f"{self._name} is in alarm {connection.alarm}: {grbl.alarm_text(connection.alarm)}")
+        if report.state in _BLOCKED:
+            raise DeviceError(f"{self._name} {_BLOCKED[report.state]}")
 
-    def _raise_trouble(self, talk: GrblTalk) -> None:
-        if talk.lost:
-            raise DeviceError(talk.lost)
+    def _raise_trouble(self, connection: GrblConnection) -> None:
+        """Raise the error that the thread has left, if any, and clear it; a lost connection stays an error."""
+        if connection.lost:
+            raise DeviceError(connection.lost)
         trouble, self._trouble = self._trouble, ""
         if trouble:
             raise DeviceError(trouble)
 
-    def _require_start(self) -> GrblTalk:
-        talk = self._talk
-        if talk is None:
+    def _require_start(self) -> GrblConnection:
+        connection = self._connection
+        if connection is None:
             raise DeviceError("the Grbl stage is not started; start it first")
-        return talk
+        return connection
 
 
 def open_grbl(text: str) -> GrblStage:
-    """``grbl:/dev/ttyUSB0,axis=Z,highest_mm=50,top_speed_mm_s=0.5,baud=115200``."""
+    """Make a stage from ``grbl:/dev/ttyUSB0,axis=Z,highest_mm=50,top_speed_mm_s=0.5,baud=115200``."""
     port, _, settings = text.partition(",")
     parts = [part.strip() for part in settings.split(",")]
     axis = next((part.partition("=")[2].strip() for part in parts if part.partition("=")[0].strip() == "axis"), "Z")
     rest = ",".join(part for part in parts if part.partition("=")[0].strip() != "axis")
     given = read_settings(rest, lowest_mm=0.0, highest_mm=50.0, top_speed_mm_s=0.5, baud=grbl.BAUD)
-    limits = StageLimits.of(given)
+    limits = StageLimits.from_settings(given)
     return GrblStage(port.strip(), limits, axis.upper(), int(given["baud"]))

@@ -1,7 +1,7 @@
-"""A Haply Inverse3 through the maker's Inverse service: JSON over WebSocket, in a thread beside the loop.
+"""A Haply Inverse3 through the maker's Inverse service: JSON over WebSocket, exchanged by a background thread.
 
-Messages as in `haptics.protocols.haply`: held against those of the maker's documentation and of clients that are not
-ours, but unverified on a device, of which there was none. Tried against the emulator in `haptics.emulators.haply`.
+Messages follow `haptics.protocols.haply`. They agree with the maker's documentation and with other clients, but are
+unverified on hardware; tests run against the emulator in `haptics.emulators.haply`.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import contextlib
 import math
 import threading
 import time
+from dataclasses import dataclass
 from typing import Any
 
 from haptics.devices.contracts import DeviceError, HapticDevice
@@ -19,45 +20,57 @@ from haptics.protocols.haply import ADDRESS, HapticState, force_message, read_st
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Quaternion, Screw, Vector
 
-#: How long to wait for the service at the start, s, and for one of its answers before it is asked again.
-CONNECT_WITHIN, ANSWER_WITHIN = 3.0, 0.02
-#: A state that is older than this is no pose any more, s; the watchdog of the loop does the rest.
-STALE = 0.02
-#: Messages that may wait for their answer: more would be forces that arrive late at a service that is slow. After so
-#: long without any answer, s, they count as lost.
-UNANSWERED, LOST = 2, 0.5
-#: Without a force for so long, s, the loop stands: the hand is given none.
-SILENCE = 0.05
-#: By which the Haply Hub knows this program.
+#: Name by which the Haply Hub lists this program.
 PROFILE = "org.tissue-sim:loop"
-#: Largest force, N, unless the settings say otherwise: our choice, not a value of a data sheet.
+#: Default of the largest force, N; chosen by this project, not taken from a data sheet.
 LARGEST_FORCE = 5.0
 
 
-class HaplyDevice(HapticDevice):
-    """The cursor of an Inverse3 is the tool, and feels its force; the torque is not rendered.
+@dataclass(frozen=True)
+class HaplyTiming:
+    """Times of the exchange with the Inverse service, s, and the number of messages in flight."""
 
-    The service answers each message with one, so each force of the loop brings the next state: a pose is one tick old.
-    States come in a thread, and `pose` and `render` do not wait. Where the service falls silent the pose is None. Where
-    the loop does, the thread sends no force; where this process dies, the service sees the connection end, and what it
-    does with the last force then is not known here.
+    #: Longest wait for the connection and for each of the first messages, s.
+    connect: float = 3.0
+    #: Longest wait for an answer before the next message is sent, s.
+    answer: float = 0.02
+    #: Age at which a state expires, s; `HaplyDevice.pose` then returns None and the loop's watchdog removes the force.
+    stale: float = 0.02
+    #: Messages in flight; more would make forces arrive late at a slow service.
+    max_unanswered: int = 2
+    #: Time without any answer after which the messages in flight count as lost, s.
+    lost: float = 0.5
+    #: Time without a new force from the loop after which the hand gets zero force, s.
+    silence: float = 0.05
+
+
+#: Settings of this process.
+TIMING = HaplyTiming()
+
+
+class HaplyDevice(HapticDevice):
+    """An Inverse3: the cursor is the tool's position, and the hand feels the tool's force. Torques are not rendered.
+
+    The service answers each message with one state, so the force of one tick brings the pose of the next: poses are one
+    tick old. A thread exchanges the messages; `pose` and `render` do not wait. If the service stops answering, `pose`
+    returns None. If the loop stops rendering, the thread sends zero force. If this process dies, the connection ends;
+    the service's handling of the last force is then undocumented.
 
     Args:
-        address: of the service.
-        scale: how far the tool moves where the cursor moves by 1.
-        force_scale: force on the hand by force on the tool.
-        axes: of the device, with their signs, that are x, y and z of the scene: ``"xyz"``, ``"yz-x"``.
-        origin: where in the device's frame the centre of the tissue's top is, m; None: so far below where the
-            cursor is at the start as `above` says.
-        above: m, of the scene.
-        turn: turn the tool as the grip is turned from the start on; otherwise it stays upright.
-        largest_force: on the hand, N.
+        address: Address of the service.
+        scale: Motion of the tool divided by motion of the cursor.
+        force_scale: Force on the hand divided by force on the tool.
+        axes: Axes of the device that are x, y and z of the scene, with signs: ``"xyz"``, ``"yz-x"``.
+        origin: Centre of the tissue's top in the device's frame, m; None: `above` below the cursor at the start.
+        above: Height of the cursor above the tissue at the start, m in the scene.
+        turn: True: the tool turns with the grip from its first orientation. False: the tool stays upright.
+        largest_force: Largest force on the hand, N.
 
     Attributes:
-        trouble: why there is no pose any more; empty while there is.
+        trouble: Reason why poses are missing; empty while the exchange works.
 
     Raises:
-        InputError: an address, a scale or axes that make no sense.
+        InputError: The address, a scale, the axes or the largest force are invalid.
     """
 
     def __init__(self, address: str = ADDRESS, scale: float = 1.0, force_scale: float = 1.0, axes: str = "xyz",
@@ -67,21 +80,22 @@ class HaplyDevice(HapticDevice):
         for value, unit, field in ((scale, "", "scale"), (force_scale, "", "force_scale"),
                                    (largest_force, " N", "largest_force")):
             if not 0 < value < math.inf:
-                raise InputError(f"{value:g}{unit}; give a finite number above zero", field=field)
+                raise InputError(f"must be a finite number above 0; got {value:g}{unit}", field=field)
         self.address, self._scale, self._force_scale, self._turn = address, scale, force_scale, turn
-        self._axes, self._order = axes, _read_axes(axes)
-        self._given_origin, self._above, self._most = origin, above, largest_force
-        #: What the loop may render at most, so that `largest_force` is kept.
+        self._axes, self._axis_order = axes, _read_axes(axes)
+        self._given_origin, self._above, self._largest_hand_force = origin, above, largest_force
+        #: Largest force of the loop, N, with which the force on the hand stays within its limit.
         self.largest_force = largest_force / force_scale
         self._origin: Vector = origin or (0.0, 0.0, 0.0)
-        self._first_turn: Quaternion | None = None
+        self._first_orientation: Quaternion | None = None
         self._line: WebSocketLine | None = None
-        self._thread: _Exchange | None = None
+        self._thread: _ExchangeThread | None = None
         self._trouble = ""
         self._first: HapticState | None = None
 
     @property
     def trouble(self) -> str:
+        """Reason why poses are missing; empty while the exchange works."""
         return self._trouble if self._thread is None else self._thread.trouble
 
     def start(self) -> None:
@@ -89,56 +103,57 @@ class HaplyDevice(HapticDevice):
             return
         line = self._connect()
         try:
-            first = self._greet(line)
+            first = self._register(line)
         except BaseException:
             line.close()
             raise
-        self._first, self._first_turn = first, first.orientation
+        self._first, self._first_orientation = first, first.orientation
         if self._given_origin is None:
             x, y, z = self._to_scene(first.position)
             self._origin = self._to_device((x, y, z - self._above / self._scale))
         else:
             self._origin = self._given_origin
-        self._thread = _Exchange(line, first, self.address)
+        self._thread = _ExchangeThread(line, first, self.address)
         self._thread.start()
 
     def _connect(self) -> WebSocketLine:
+        """Open the connection; errors have the remedy."""
         try:
-            return WebSocketLine(self.address, CONNECT_WITHIN)
+            return WebSocketLine(self.address, TIMING.connect)
         except ImportError:
-            raise DeviceError("a Haply device needs the package websockets; give 'pip install websockets'") from None
+            raise DeviceError("a Haply device requires the package websockets; run 'pip install websockets'") from None
         except LineClosedError as error:
-            raise DeviceError(f"what listens at {self.address} is no Haply Inverse service ({error}); give the address "
+            raise DeviceError(f"the server at {self.address} is no Haply Inverse service ({error}); give the address "
                               "of its simulation channel, by default port 10001") from None
         except OSError as error:
             raise DeviceError(f"no Haply Inverse service answers at {self.address} ({error}); start the Haply Hub, or "
                               "the service (Linux: systemctl start haply-inverse-service), or give its address as "
                               "haply:ws://HOST:PORT") from None
 
-    def _greet(self, line: WebSocketLine) -> HapticState:
-        """Take what the service says first, and introduce this program, with no force."""
-        where = f"the Haply Inverse service at {self.address}"
+    def _register(self, line: WebSocketLine) -> HapticState:
+        """Receive the first state and register this program with zero force; return the state."""
+        service = f"the Haply Inverse service at {self.address}"
         try:
-            messages = line.receive(CONNECT_WITHIN)
+            messages = line.receive(TIMING.connect)
             if not messages:
-                raise DeviceError(f"{where} said nothing for {CONNECT_WITHIN:g} s; restart it")
+                raise DeviceError(f"{service} sent nothing within {TIMING.connect:g} s; restart it")
             first = read_state(messages[0])
             if first is None:
-                raise DeviceError(f"{where} knows no Inverse3; connect the device, give it power, and see in the Haply "
-                                  "Hub whether it is there")
+                raise DeviceError(f"{service} has no Inverse3; connect the device, switch it on, and check in the "
+                                  "Haply Hub that it is listed")
             if first.status.get("power_supply") is False:
                 raise DeviceError(f"the Inverse3 {first.device_id} has no power for its motors; plug its power supply "
                                   "in, then start again")
-            line.send(force_message(first.device_id, (0.0, 0.0, 0.0), PROFILE), CONNECT_WITHIN)
-            answers = line.receive(CONNECT_WITHIN)
+            line.send(force_message(first.device_id, (0.0, 0.0, 0.0), PROFILE), TIMING.connect)
+            answers = line.receive(TIMING.connect)
             if not answers:
-                raise DeviceError(f"{where} does not answer; restart it")
+                raise DeviceError(f"{service} does not answer; restart it")
             read_state(answers[-1], first.device_id)
         except ValueError as error:
-            raise DeviceError(f"{where} says what this program does not understand ({error}); it needs version 3.1 or "
-                              "later of the service") from None
+            raise DeviceError(f"{service} sent an unknown message ({error}); install version 3.1 or later of the "
+                              "service") from None
         except OSError as error:
-            raise DeviceError(f"{where} has gone at the start ({error}); restart it") from None
+            raise DeviceError(f"{service} closed the connection at the start ({error}); restart it") from None
         return first
 
     def pose(self, time: float) -> Pose | None:
@@ -149,21 +164,21 @@ class HaplyDevice(HapticDevice):
         x, y, z = state.position
         a, b, c = self._origin
         u, v, w = self._to_scene((x - a, y - b, z - c))
-        place = (self._scale * u, self._scale * v, self._scale * w)
-        if not self._turn or state.orientation is None or self._first_turn is None:
-            return Pose(place)
-        return Pose(place, self._turned(state.orientation, self._first_turn))
+        position = (self._scale * u, self._scale * v, self._scale * w)
+        if not self._turn or state.orientation is None or self._first_orientation is None:
+            return Pose(position)
+        return Pose(position, self._rotation_since_start(state.orientation, self._first_orientation))
 
     def render(self, wrench: Screw) -> None:
         if self._thread is None:
             return
         x, y, z = (self._force_scale * part for part in wrench[:3])
         size = math.hypot(x, y, z)
-        if not size <= self._most:
-            # The limits of the loop come first; what is no number gives none.
-            cut = self._most / size if math.isfinite(size) else 0.0
-            x, y, z = (cut * x, cut * y, cut * z) if cut else (0.0, 0.0, 0.0)
-        self._thread.give(self._to_device((x, y, z)))
+        if not size <= self._largest_hand_force:
+            # A second limit behind the loop's own; a force that is not a number becomes zero.
+            factor = self._largest_hand_force / size if math.isfinite(size) else 0.0
+            x, y, z = (factor * x, factor * y, factor * z) if factor else (0.0, 0.0, 0.0)
+        self._thread.set_force(self._to_device((x, y, z)))
 
     def stop(self) -> None:
         thread, self._thread = self._thread, None
@@ -174,7 +189,7 @@ class HaplyDevice(HapticDevice):
     def describe(self) -> dict[str, Any]:
         described: dict[str, Any] = {
             "device": "Haply Inverse3", "address": self.address, "scale": self._scale, "axes": self._axes,
-            "force_scale": self._force_scale, "largest_force_N": self._most,
+            "force_scale": self._force_scale, "largest_force_N": self._largest_hand_force,
             "origin_mm": [1e3 * part for part in self._origin], "unverified": "messages were never tried on a device"}
         if self._first is not None:
             described |= {"device_id": self._first.device_id, "status": dict(self._first.status)}
@@ -183,32 +198,46 @@ class HaplyDevice(HapticDevice):
         return described
 
     def _to_scene(self, vector: Vector) -> Vector:
-        (i, a), (j, b), (k, c) = self._order
+        """Convert a vector from the device's axes to the scene's."""
+        (i, a), (j, b), (k, c) = self._axis_order
         return a * vector[i], b * vector[j], c * vector[k]
 
     def _to_device(self, vector: Vector) -> Vector:
+        """Convert a vector from the scene's axes to the device's."""
         turned = [0.0, 0.0, 0.0]
-        for (axis, sign), part in zip(self._order, vector, strict=True):
+        for (axis, sign), part in zip(self._axis_order, vector, strict=True):
             turned[axis] = sign * part
         return turned[0], turned[1], turned[2]
 
-    def _turned(self, now: Quaternion, first: Quaternion) -> Quaternion:
-        """From the orientation at the start to that of now, in the frame of the scene."""
+    def _rotation_since_start(self, now: Quaternion, first: Quaternion) -> Quaternion:
+        """Return now * conjugate(first), the rotation of the grip since the start, in the frame of the scene."""
         (w, x, y, z), (s, a, b, c) = now, first
         u, v, q = self._to_scene((-w * a + x * s - y * c + z * b, -w * b + x * c + y * s - z * a,
                                   -w * c - x * b + y * a + z * s))
         return w * s + x * a + y * b + z * c, u, v, q
 
 
-class _Exchange:
-    """The thread that gives a force and takes a state, again and again."""
+class _ExchangeThread:
+    """A thread that sends the newest force and receives states, over and over.
+
+    Args:
+        line: Open connection; the thread closes it at the end.
+        first: First state received.
+        address: Address of the service, for messages.
+
+    Attributes:
+        trouble: Reason why the exchange ended; empty while it works.
+    """
 
     def __init__(self, line: WebSocketLine, first: HapticState, address: str):
         self._line, self._device_id, self._address = line, first.device_id, address
+        #: Time of receipt, s, and newest state.
         self._newest = (time.monotonic(), first)
-        self._wanted: tuple[float, Vector] = (-math.inf, (0.0, 0.0, 0.0))
+        #: Time of the request, s, and force to apply, N.
+        self._request: tuple[float, Vector] = (-math.inf, (0.0, 0.0, 0.0))
+        #: Number of messages in flight, and time of the last answer, s.
         self._unanswered, self._answered = 0, time.monotonic()
-        self._given, self._ending = threading.Event(), threading.Event()
+        self._has_force, self._ending = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="Haply device", daemon=True)
         self.trouble = ""
 
@@ -216,49 +245,51 @@ class _Exchange:
         self._thread.start()
 
     def newest(self) -> HapticState | None:
-        """The newest state; None where it is stale."""
-        came, state = self._newest
-        return None if self.trouble or time.monotonic() - came > STALE else state
+        """Return the newest state, or None if it has expired or the exchange has ended."""
+        received, state = self._newest
+        return None if self.trouble or time.monotonic() - received > TIMING.stale else state
 
-    def give(self, force: Vector) -> None:
-        """From now on this force, N, in the frame of the device."""
-        self._wanted = (time.monotonic(), force)
-        self._given.set()
+    def set_force(self, force: Vector) -> None:
+        """Set the force to apply from now on, N, in the frame of the device."""
+        self._request = (time.monotonic(), force)
+        self._has_force.set()
 
     def end(self) -> None:
-        """No force, and the end of the connection."""
+        """Send zero force and close the connection; returns when the thread has ended."""
         self._ending.set()
-        self._given.set()
+        self._has_force.set()
         self._thread.join()
 
     def _run(self) -> None:
+        """Exchange messages until the end or an error, then send zero force; the body of the thread."""
         try:
             while not self._ending.is_set():
-                # Also without a loop that ticks the states go on.
-                self._given.wait(0.5 * STALE)
-                self._given.clear()
-                asked, force = self._wanted
-                self._exchange(force if time.monotonic() - asked <= SILENCE else (0.0, 0.0, 0.0))
-            # Until it is answered: then the service has taken it.
+                # The timeout keeps states fresh while the loop renders nothing.
+                self._has_force.wait(0.5 * TIMING.stale)
+                self._has_force.clear()
+                requested, force = self._request
+                self._exchange(force if time.monotonic() - requested <= TIMING.silence else (0.0, 0.0, 0.0))
+            # The answer confirms that the service has received the zero force.
             self._unanswered = 0
             self._exchange((0.0, 0.0, 0.0), within=0.2)
         except OSError as error:
-            self.trouble = (f"the Haply Inverse service at {self._address} has gone ({error}); start it again, then "
+            self.trouble = (f"the Haply Inverse service at {self._address} is gone ({error}); start it again, then "
                             "this program")
         finally:
             self._line.close()
 
-    def _exchange(self, force: Vector, within: float = ANSWER_WITHIN) -> None:
-        if self._unanswered < UNANSWERED:
+    def _exchange(self, force: Vector, within: float = TIMING.answer) -> None:
+        """Send a force, N, unless too many messages are in flight, and receive answers for up to `within` seconds."""
+        if self._unanswered < TIMING.max_unanswered:
             self._line.send(force_message(self._device_id, force), within + 1.0)
             self._unanswered += 1
         messages = self._line.receive(within)
         if messages:
             self._unanswered, self._answered = max(self._unanswered - len(messages), 0), time.monotonic()
-        elif time.monotonic() - self._answered > LOST:
+        elif time.monotonic() - self._answered > TIMING.lost:
             self._unanswered, self._answered = 0, time.monotonic()
         for message in messages:
-            # What makes no sense counts as not received.
+            # An invalid message counts as not received.
             with contextlib.suppress(ValueError):
                 state = read_state(message, self._device_id)
                 if state is not None:
@@ -266,10 +297,10 @@ class _Exchange:
 
 
 def _read_axes(axes: str) -> tuple[tuple[int, float], ...]:
-    """For x, y and z of the scene: which axis of the device, and its sign.
+    """Return, for x, y and z of the scene, the index of the device's axis and its sign.
 
     Raises:
-        InputError: not three different axes, or a left-handed frame.
+        InputError: The axes are not x, y and z in some order, or the frame is left-handed.
     """
     order, sign = [], 1.0
     for letter in axes:
@@ -280,20 +311,22 @@ def _read_axes(axes: str) -> tuple[tuple[int, float], ...]:
             sign = 1.0
         else:
             order.append((3, sign))
-    places = [axis for axis, _ in order]
-    if sorted(places) != [0, 1, 2]:
-        raise InputError(f"{axes!r} are no three axes; give x, y and z in some order, with signs, such as xyz or yz-x",
+    indices = [axis for axis, _ in order]
+    if sorted(indices) != [0, 1, 2]:
+        raise InputError(f"must be x, y and z in some order, with signs, such as xyz or yz-x; got {axes!r}",
                          field="axes")
-    swaps = sum(places[i] > places[j] for i in range(3) for j in range(i + 1, 3))
+    swaps = sum(indices[i] > indices[j] for i in range(3) for j in range(i + 1, 3))
     if math.prod(each for _, each in order) != (-1.0 if swaps % 2 else 1.0):
-        raise InputError(f"{axes!r} is a left-handed frame; change one sign", field="axes")
+        raise InputError(f"must be a right-handed frame; got {axes!r}. Change one sign", field="axes")
     return tuple(order)
 
 
 def open_haply(text: str) -> HaplyDevice:
-    """``haply:ws://127.0.0.1:10001,scale=1,force_scale=1,axes=xyz,x_mm=0,y_mm=-150,z_mm=150,above_mm=10,turn=0``.
+    """Make a device from its address and settings.
 
-    Without `x_mm`, `y_mm` and `z_mm` the tissue is below where the cursor is at the start; they go together.
+    Defaults: ``haply:ws://127.0.0.1:10001,scale=1,force_scale=1,axes=xyz,above_mm=10,turn=0,largest_force_N=5``. The
+    settings ``x_mm=0,y_mm=-150,z_mm=150`` give the centre of the tissue's top in the device's frame; without them the
+    tissue is `above_mm` below the cursor at the start.
     """
     address, _, rest = text.partition(",")
     axes, numbers = "xyz", []
@@ -305,10 +338,11 @@ def open_haply(text: str) -> HaplyDevice:
             numbers.append(part)
     given = read_settings(",".join(numbers), scale=1.0, force_scale=1.0, x_mm=math.nan, y_mm=math.nan, z_mm=math.nan,
                           above_mm=10.0, turn=0, largest_force_N=LARGEST_FORCE)
-    place = (given["x_mm"] * 1e-3, given["y_mm"] * 1e-3, given["z_mm"] * 1e-3)
-    known = sum(math.isfinite(part) for part in place)
+    origin = (given["x_mm"] * 1e-3, given["y_mm"] * 1e-3, given["z_mm"] * 1e-3)
+    known = sum(math.isfinite(part) for part in origin)
     if known not in (0, 3):
-        raise InputError("the place of the tissue has three numbers; give x_mm, y_mm and z_mm, or none", field="x_mm")
+        raise InputError("x_mm, y_mm and z_mm must be given together; give all three, or none", field="x_mm")
     return HaplyDevice(address.strip() or ADDRESS, given["scale"], given["force_scale"], axes,
-                       place if known else None, given["above_mm"] * 1e-3, bool(given["turn"]),
+                       origin if known else None, given["above_mm"] * 1e-3, bool(given["turn"]),
                        given["largest_force_N"])
+

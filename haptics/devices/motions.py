@@ -1,4 +1,4 @@
-"""Where the tool goes when there is no device: motions that are the same for the same seed and time."""
+"""Motions of the tool without a device: sine, protocol, random walk, pointer; reproducible by seed and time."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from tissue_sim.errors import InputError, require_length
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.pose import Pose, turned
 
-#: Share of the depth by which a random or sine motion lifts off, where nothing else is said.
+#: Height of lift-off of a random or sine motion, as a fraction of its depth; default of the setting ``lift``.
 _LIFT = 0.2
-#: Ways, m, and turns, rad, below this are none: half of the smallest numbers is 0.
-_NO_WAY = 1e-12
-#: Of a tool that leans more than this cosine says a depth is no way along its axis.
+#: Sideways ranges, m, and rotation ranges, rad, below this value count as 0: half of the smallest float is 0.
+_NEGLIGIBLE_RANGE = 1e-12
+#: Smallest cosine of the tool's tilt; avoids division by 0 in the conversion of depth to distance along the axis.
 _LEAST_COSINE = 0.1
 
 
 class ProtocolMotion(AxialMotion):
-    """The motion of a protocol; it waits at its first and last displacement.
+    """Motion along a protocol's displacements; constant before its first and after its last sample.
 
     Args:
-        protocol: its time counts from its first sample.
-        repeat: begin again at its end; the protocol must come back to where it began.
-        approach: of the tool whose displacements these are; None: along the axis of the scene.
+        protocol: Displacement against time; time counts from its first sample.
+        repeat: Repeat the protocol; its last displacement must equal its first.
+        approach: Approach of the tool that makes the displacements; None: the approach of the scene.
 
     Raises:
-        InputError: a protocol to repeat that ends somewhere else, or has one sample only.
+        InputError: `repeat` is set and the protocol ends at another displacement or has one sample only.
     """
 
     def __init__(self, protocol: Protocol, repeat: bool = False, approach: Approach | None = None):
@@ -39,13 +39,13 @@ class ProtocolMotion(AxialMotion):
         self._depths = protocol.displacement.tolist()
         self._repeat = repeat
         if repeat and (len(self._times) < 2 or not math.isclose(self._depths[0], self._depths[-1], abs_tol=1e-9)):
-            raise InputError(f"the protocol ends {1e3 * (self._depths[-1] - self._depths[0]):.4g} mm from where it "
-                             "began, and a tool does not jump; let it end with an unload, or do not repeat it",
-                             field="protocol")
+            raise InputError("must end at its first displacement to be repeated; it ends "
+                             f"{1e3 * (self._depths[-1] - self._depths[0]):.4g} mm from it. Add 'unload' at the end or "
+                             "use repeat=False", field="protocol")
 
     @property
     def duration(self) -> float:
-        """Of one run through the protocol, s."""
+        """Duration of one run of the protocol, s."""
         return self._times[-1]
 
     def depth(self, time: float) -> float:
@@ -57,26 +57,26 @@ class ProtocolMotion(AxialMotion):
             return depths[0]
         if after == len(times):
             return depths[-1]
-        share = (time - times[after - 1]) / (times[after] - times[after - 1])
-        return depths[after - 1] + share * (depths[after] - depths[after - 1])
+        fraction = (time - times[after - 1]) / (times[after] - times[after - 1])
+        return depths[after - 1] + fraction * (depths[after] - depths[after - 1])
 
 
 class SineMotion(AxialMotion):
-    """Up and down between two depths; begins at the upper one, at rest.
+    """Sinusoidal motion between two depths; begins at rest at the upper depth.
 
     Args:
-        deepest: m.
-        highest: m; below zero is above the touch.
-        frequency: Hz.
+        deepest: Lower depth, m.
+        highest: Upper depth, m; negative values are above the surface.
+        frequency: Frequency, Hz.
 
     Raises:
-        InputError: depths in the wrong order, or a frequency that is not positive.
+        InputError: `deepest` is not below `highest`, or the frequency is not positive.
     """
 
     def __init__(self, deepest: float, highest: float = 0.0, frequency: float = 1.0):
         _require_range(highest, deepest)
         if not 0 < frequency < math.inf:
-            raise InputError(f"{frequency:g} Hz is not a frequency; give a number above zero", field="frequency")
+            raise InputError(f"must be above 0 Hz; got {frequency:g} Hz", field="frequency")
         self._middle, self._amplitude = 0.5 * (highest + deepest), 0.5 * (deepest - highest)
         self._rate = 2 * math.pi * frequency
 
@@ -85,220 +85,227 @@ class SineMotion(AxialMotion):
 
 
 class HandMotion(Motion):
-    """Goes where somebody points, as a critically damped spring follows, and no faster than `speed`; turned as it
-    began.
+    """Motion toward targets set by `aim`: a critically damped spring, limited to `speed`, with constant orientation.
 
     Args:
-        start: depth at which it is, along the tool's own axis, m; None: where the tool is when this is followed, and
-            turned as it is there, or the touch.
-        speed: largest, m/s.
-        response: rad/s of the spring; a target is reached within about 5 / response seconds.
-        approach: where the tool's axis is, and how it leans; None: it is that of the scene.
+        start: Initial depth along the tool's axis, m; None: the tool's position and orientation when this motion
+            replaces another one, or first contact if there is none.
+        speed: Largest speed, m/s.
+        response: Natural frequency of the spring, rad/s; a target is reached within about 5 / response seconds.
+        approach: Axis and contact height of the tool; None: the approach of the scene.
 
     Raises:
-        InputError: a depth that is no number, or a speed or response that is not positive.
+        InputError: `start` is not a finite number, or `speed` or `response` is not positive.
     """
 
     def __init__(self, start: float | None = 0.0, speed: float = 0.1, response: float = 30.0,
                  approach: Approach | None = None):
-        require_length(speed, "speed")  # m/s and rad/s, but finite and above zero all the same
+        require_length(speed, "speed")  # checks for finite and positive; the unit is m/s here, rad/s below
         require_length(response, "response")
         self._speed, self._response = speed, response
-        self._goes_on = start is None
+        self._starts_at_tool = start is None
         self._time = 0.0
         self._velocity = [0.0, 0.0, 0.0]
         self._begin(approach, start or 0.0, start or 0.0)
 
     def _begin(self, approach: Approach | None, start: float, target: float) -> None:
-        """At rest, so far along an axis, m, on the way to another depth."""
+        """Set approach, depth, m, and target depth, m, at the start of the motion."""
         self.approach = approach
-        # The tool's axis meets the height of the touch at x and y, and the tool is so far along it.
-        begun = Pose.at_depth(0.0) if approach is None else approach.pose(0.0)
-        self._turn_as(begun)
-        self._place: list[float] = [begun.position[0], begun.position[1], start]
-        self._target = list(self._place)
+        # A position is x and y, where the tool's axis meets the height of first contact, and the depth along the axis.
+        at_contact = Pose.at_depth(0.0) if approach is None else approach.pose(0.0)
+        self._set_orientation(at_contact)
+        self._position: list[float] = [at_contact.position[0], at_contact.position[1], start]
+        self._target = list(self._position)
         self.aim(target)
 
-    def go_along(self, approach: Approach | None) -> None:
-        if self.approach is None and approach is not None and not self._goes_on:
-            self._begin(approach, self._place[2], self._target[2])
+    def set_approach(self, approach: Approach | None) -> None:
+        if self.approach is None and approach is not None and not self._starts_at_tool:
+            self._begin(approach, self._position[2], self._target[2])
 
-    def _turn_as(self, pose: Pose) -> None:
-        """Keep the orientation of a pose; `_lean` is the way along x and y of a way along the axis, and its depth."""
+    def _set_orientation(self, pose: Pose) -> None:
+        """Store a pose's orientation and the tool's axis, scaled: x, y and height per unit of depth along the axis."""
         self._orientation = pose.orientation
         (_, _, a), (_, _, b), (_, _, c) = pose.rotation
-        self._lean = -a, -b, max(c, _LEAST_COSINE)
+        self._axis = -a, -b, max(c, _LEAST_COSINE)
 
     def take_over(self, pose: Pose) -> None:
-        if not self._goes_on:
+        if not self._starts_at_tool:
             return
-        self._turn_as(pose)
-        (x, y, _), (u, v, cosine) = pose.position, self._lean
-        way = pose.depth / cosine
-        self._place = [x - u * way, y - v * way, way]
-        self._target = list(self._place)
+        self._set_orientation(pose)
+        (x, y, _), (u, v, cosine) = pose.position, self._axis
+        distance = pose.depth / cosine
+        self._position = [x - u * distance, y - v * distance, distance]
+        self._target = list(self._position)
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
-        """Name the place to go to; see `HapticDevice.aim`.
+        """Set the target; see `HapticDevice.aim`.
 
         Raises:
-            InputError: not a finite number.
+            InputError: A coordinate is not a finite number.
         """
         x, y = self._target[:2] if across is None else across
         if not math.isfinite(depth):
-            raise InputError(f"{depth} is not a depth to go to; give a number", field="depth")
+            raise InputError(f"must be a finite number; got {depth}", field="depth")
         if not (math.isfinite(x) and math.isfinite(y)):
-            raise InputError(f"({x}, {y}) is no place to go to; give two numbers", field="across")
+            raise InputError(f"must be two finite numbers; got ({x}, {y})", field="across")
         self._target = [x, y, depth]
 
     def pose(self, time: float) -> Pose:
         depth = self.depth(time)
-        (x, y, _), (u, v, cosine) = self._place, self._lean
+        (x, y, _), (u, v, cosine) = self._position, self._axis
         return Pose((x + u * depth, y + v * depth, -cosine * depth), self._orientation)
 
     def depth(self, time: float) -> float:
-        """How far the tool has gone along its axis at a time since the motion began, s; m."""
+        """Return the depth of the tool along its axis at a time since the motion began, s; m."""
         dt, self._time = max(time - self._time, 0.0), time
         if dt == 0.0:
-            return self._place[2]
-        # The exact motion of the spring, so that no time step is too long for it.
+            return self._position[2]
+        # The exact solution of x'' + 2 w x' + w^2 (x - target) = 0 is stable for every time step.
         w, steps, slopes = self._response, [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
         fade = math.exp(-w * dt)
-        for axis, (place, target, velocity) in enumerate(zip(self._place, self._target, self._velocity, strict=True)):
-            away = place - target
-            rate = velocity + w * away
-            steps[axis] = target + (away + rate * dt) * fade - place
+        for axis, (position, target, velocity) in enumerate(
+                zip(self._position, self._target, self._velocity, strict=True)):
+            offset = position - target
+            rate = velocity + w * offset
+            steps[axis] = target + (offset + rate * dt) * fade - position
             slopes[axis] = (velocity - w * rate * dt) * fade
         step, slope = (math.hypot(*each) for each in (steps, slopes))
         shorter, slower = (min(self._speed * limit / size, 1.0) if size > 0.0 else 1.0
                            for limit, size in ((dt, step), (1.0, slope)))
         for axis in range(3):
             self._velocity[axis] = slower * slopes[axis]
-            self._place[axis] += shorter * steps[axis]
-        return self._place[2]
+            self._position[axis] += shorter * steps[axis]
+        return self._position[2]
 
 
 class RandomWalk(AxialMotion):
-    """Irregular motion as of a hand: calm and violent phases, reversals at any depth, lift-offs.
+    """Irregular motion like that of a hand: slow and fast phases, reversals at any depth, lift-offs.
 
-    A cubic B-spline of random points every 50 ms. Its speed never exceeds `speed`, and less than 1 % of its power is
-    above 10 Hz. The motion is a function of seed and time alone: it does not depend on when, or how often, it is asked.
+    A cubic B-spline with random control points every 50 ms. Its speed never exceeds `speed`, and less than 1 % of its
+    power is above 10 Hz. The motion is a function of seed and time alone: earlier calls do not change it.
 
     Args:
-        seed: another motion for each.
-        deepest: m.
-        highest: m; below zero is above the touch.
-        speed: largest, m/s.
-        start: where it begins; None: at the upper depth.
+        seed: Seed of the random numbers.
+        deepest: Lower end of the range of depths, m.
+        highest: Upper end of the range, m; negative values are above the surface.
+        speed: Largest speed, m/s.
+        start: Initial depth, m; None: `highest`.
 
     Raises:
-        InputError: depths in the wrong order, a start that is not between them, or a speed that is not positive.
+        InputError: `deepest` is not below `highest`, `start` is outside the range, or `speed` is not positive.
     """
 
-    #: s between two points.
+    #: Time between two control points of the spline, s.
     SPACING = 0.05
-    #: Share of the velocity that stays from one point to the next, and of the vigour.
-    _INERTIA, _MOOD = 0.6, 0.95
+    #: Correlation of the increments of two successive control points.
+    _INCREMENT_CORRELATION = 0.6
+    #: Correlation of the logarithm of the increments' amplitude at two successive control points.
+    _AMPLITUDE_CORRELATION = 0.95
 
     def __init__(self, seed: int | str = 0, deepest: float = 8e-3, highest: float = -2e-3, speed: float = 0.2,
                  start: float | None = None):
         _require_range(highest, deepest)
-        require_length(speed, "speed")  # m/s, but finite and above zero all the same
+        require_length(speed, "speed")  # checks for finite and positive; the unit is m/s here
         start = highest if start is None else start
         if not highest <= start <= deepest:
-            raise InputError(f"{start:g} m is not between {highest:g} and {deepest:g} m, where the motion stays",
-                             field="start")
+            raise InputError(f"must be {highest:g} to {deepest:g} m; got {start:g} m", field="start")
         self._random = random.Random(seed)
         self._highest, self._deepest = highest, deepest
         self._longest_step = speed * self.SPACING
-        self._step, self._mood = 0.0, 0.0
-        #: It begins at rest: four equal points.
+        self._step, self._log_amplitude = 0.0, 0.0
+        #: Control points, m; four equal ones make the motion begin at rest.
         self._points = [start] * 4
 
     def depth(self, time: float) -> float:
-        place = max(time, 0.0) / self.SPACING
-        first = int(place)
+        knot = max(time, 0.0) / self.SPACING
+        first = int(knot)
         points = self._points
         while len(points) < first + 4:
             points.append(self._next_point())
-        u = place - first
+        u = knot - first
         v = 1.0 - u
         return (v * v * v * points[first] + (3 * u * u * u - 6 * u * u + 4) * points[first + 1]
                 + (3 * v * v * v - 6 * v * v + 4) * points[first + 2] + u * u * u * points[first + 3]) / 6
 
     def _next_point(self) -> float:
+        """Draw the next control point of the spline, m."""
         gauss = self._random.gauss
-        self._mood = self._MOOD * self._mood + math.sqrt(1 - self._MOOD**2) * gauss(0.0, 1.0)
-        vigour = min(math.exp(self._mood - 1.5), 1.0) * self._longest_step
-        step = self._INERTIA * self._step + vigour * gauss(0.0, 1.0)
+        self._log_amplitude = (self._AMPLITUDE_CORRELATION * self._log_amplitude
+                               + math.sqrt(1 - self._AMPLITUDE_CORRELATION**2) * gauss(0.0, 1.0))
+        amplitude = min(math.exp(self._log_amplitude - 1.5), 1.0) * self._longest_step
+        step = self._INCREMENT_CORRELATION * self._step + amplitude * gauss(0.0, 1.0)
         step = min(max(step, -self._longest_step), self._longest_step)
         last = self._points[-1]
         point = last + step
         if not self._highest <= point <= self._deepest:
-            step = -step  # turn round; where both ways lead out, go to the end that is nearer
+            step = -step  # reflect at the boundary; where both directions leave the range, stop at the nearer boundary
             point = min(max(last + step, self._highest), self._deepest)
         self._step = step
         return point
 
 
 class SpatialWalk(Motion):
-    """Irregular motion in space, as of a hand: into the tissue, aside and turned at once, each as `RandomWalk` goes.
+    """Irregular motion in space: depth, sideways position and rotation, each a `RandomWalk`.
 
-    The tool's deepest point stays in a box of depths and of places beside the touch; its axis in a cone. Like a
-    `RandomWalk` it is a function of seed and time alone. It begins upright above the touch, and at rest.
+    The tool's deepest point stays in a box of depths and sideways positions, and its axis stays in a cone. The motion
+    is a function of seed and time alone. It begins upright and at rest above the point of first contact.
 
     Args:
-        seed: another motion for each.
-        deepest, highest: m; below zero is above the touch.
-        sideways: from the touch, along x and y either way, m.
-        turn: of the tool from its first orientation, about any axis, rad; 0: it is never turned.
-        speed: largest of the deepest point, m/s.
-        turn_speed: largest, rad/s.
-        approach: of the tool; None: along the axis of the scene.
+        seed: Seed of the random numbers.
+        deepest: Lower end of the range of depths, m.
+        highest: Upper end of the range, m; negative values are above the surface.
+        sideways: Largest distance from first contact along x and along y, m.
+        turn: Largest rotation from the first orientation about any axis, rad; 0: constant orientation.
+        speed: Largest speed of the deepest point, m/s.
+        turn_speed: Largest angular speed, rad/s.
+        approach: Approach of the tool; None: the approach of the scene.
 
     Raises:
-        InputError: depths in the wrong order, or a size or a speed that is not positive.
+        InputError: `deepest` is not below `highest`, a range is negative, or a speed is not positive.
     """
 
     def __init__(self, seed: int = 0, deepest: float = 8e-3, highest: float = -2e-3, sideways: float = 5e-3,
                  turn: float = 0.0, speed: float = 0.2, turn_speed: float = math.radians(60.0),
                  approach: Approach | None = None):
         if not 0.0 <= sideways < math.inf:
-            raise InputError(f"{sideways:g} m; give a length of 0 or more", field="sideways")
-        require_length(speed, "speed")  # m/s and rad/s, but finite and above zero all the same
+            raise InputError(f"must be 0 m or more; got {sideways:g} m", field="sideways")
+        require_length(speed, "speed")  # checks for finite and positive; the unit is m/s here, rad/s below
         require_length(turn_speed, "turn_speed")
         if not 0.0 <= turn < math.pi:
-            raise InputError(f"{turn:g} rad; give 0 or more, and less than half a turn", field="turn")
+            raise InputError(f"must be 0 rad or more and less than half a turn; got {turn:g} rad", field="turn")
         self.approach = approach
-        # Three at right angles to each other are no longer together than this share of the largest each.
-        share = 1.0 / math.sqrt(3.0)
-        self._depth = RandomWalk(f"{seed} depth", deepest, highest, share * speed)
-        self._across = [RandomWalk(f"{seed} {axis}", sideways, -sideways, share * speed, 0.0) for axis in "xy"
-                        ] if sideways > _NO_WAY else []
-        self._turns = [RandomWalk(f"{seed} about {axis}", share * turn, -share * turn, share * turn_speed, 0.0)
-                       for axis in "xyz"] if turn > _NO_WAY else []
+        # Three perpendicular components of at most limit / sqrt(3) have a resultant of at most the limit.
+        fraction = 1.0 / math.sqrt(3.0)
+        self._depth = RandomWalk(f"{seed} depth", deepest, highest, fraction * speed)
+        self._across = [RandomWalk(f"{seed} {axis}", sideways, -sideways, fraction * speed, 0.0) for axis in "xy"
+                        ] if sideways > _NEGLIGIBLE_RANGE else []
+        self._rotations = [RandomWalk(f"{seed} about {axis}", fraction * turn, -fraction * turn,
+                                      fraction * turn_speed, 0.0)
+                           for axis in "xyz"] if turn > _NEGLIGIBLE_RANGE else []
 
     def pose(self, time: float) -> Pose:
         depth = self._depth.depth(time)
-        begun = Pose.at_depth(depth) if self.approach is None else self.approach.pose(depth)
-        x, y, z = begun.position
-        across, aside = (walk.depth(time) for walk in self._across) if self._across else (0.0, 0.0)
-        moved = Pose((x + across, y + aside, z), begun.orientation)
-        if not self._turns:
+        straight = Pose.at_depth(depth) if self.approach is None else self.approach.pose(depth)
+        x, y, z = straight.position
+        dx, dy = (walk.depth(time) for walk in self._across) if self._across else (0.0, 0.0)
+        moved = Pose((x + dx, y + dy, z), straight.orientation)
+        if not self._rotations:
             return moved
-        about_x, about_y, about_z = (walk.depth(time) for walk in self._turns)
+        about_x, about_y, about_z = (walk.depth(time) for walk in self._rotations)
         return turned(moved, (about_x, about_y, about_z))
 
 
 def _require_range(highest: float, deepest: float) -> None:
+    """Raise an error unless `deepest` is below `highest`, both finite, m."""
     if not -math.inf < highest < deepest < math.inf:
-        raise InputError(f"a motion from {highest:g} to {deepest:g} m; give the upper depth first, and a deeper one",
-                         field="deepest")
+        raise InputError(f"must be deeper than the upper depth, {highest:g} m; got {deepest:g} m", field="deepest")
 
 
 def open_random(text: str) -> RandomWalk | SpatialWalk:
-    """``random:depth_mm=10,lift=0.2,top_speed_mm_s=200,seed=0,sideways_mm=0,turn_deg=0,turn_deg_s=60``; `lift` is a
-    share of the depth."""
+    """Make a random motion; `lift` is a fraction of the depth.
+
+    Defaults: ``random:depth_mm=10,lift=0.2,top_speed_mm_s=200,seed=0,sideways_mm=0,turn_deg=0,turn_deg_s=60``.
+    """
     given = read_settings(text, depth_mm=10.0, lift=_LIFT, top_speed_mm_s=200.0, seed=0, sideways_mm=0.0, turn_deg=0.0,
                           turn_deg_s=60.0)
     depth, speed, seed = given["depth_mm"] * 1e-3, given["top_speed_mm_s"] * 1e-3, int(given["seed"])
@@ -309,25 +316,25 @@ def open_random(text: str) -> RandomWalk | SpatialWalk:
 
 
 def open_sine(text: str) -> SineMotion:
-    """``sine:depth_mm=10,lift=0.2,frequency_hz=1``; `lift` is a share of the depth."""
+    """Make a sine motion from ``sine:depth_mm=10,lift=0.2,frequency_hz=1``; `lift` is a fraction of the depth."""
     given = read_settings(text, depth_mm=10.0, lift=_LIFT, frequency_hz=1.0)
     depth = given["depth_mm"] * 1e-3
     return SineMotion(depth, -given["lift"] * depth, given["frequency_hz"])
 
 
 def open_protocol(text: str) -> ProtocolMotion:
-    """``protocol:ramp 4mm @2mm/s; unload``, as in `tissue_sim.Protocol.parse`."""
+    """Make a protocol's motion from ``protocol:ramp 4mm @2mm/s; unload``; see `tissue_sim.Protocol.parse`."""
     return follow_protocol(Protocol.parse(text))
 
 
 def follow_protocol(protocol: Protocol) -> ProtocolMotion:
-    """The motion of a protocol, repeated where it ends as it began."""
+    """Return a protocol's motion, repeated if the last displacement equals the first."""
     closes = abs(protocol.displacement[-1] - protocol.displacement[0]) < 1e-9
     return ProtocolMotion(protocol, repeat=bool(closes))
 
 
 def open_hand(text: str) -> HandMotion:
-    """``hand:depth_mm=0,speed_mm_s=100``; it goes to the depth, and then where it is aimed at."""
+    """Make a steerable motion from ``hand:depth_mm=0,speed_mm_s=100``; `depth_mm` is its first target."""
     given = read_settings(text, depth_mm=0.0, speed_mm_s=100.0)
     hand = HandMotion(speed=given["speed_mm_s"] * 1e-3)
     hand.aim(given["depth_mm"] * 1e-3)

@@ -1,7 +1,7 @@
-"""The stepper of a Phidget, by the maker's own library; the extra ``phidget``.
+"""A stage driven by a Phidget stepper controller through the maker's library; requires the extra ``phidget``.
 
-Source: the documentation in the package phidget22 (Stepper, Failsafe, ErrorCode). Only run against a stand-in for that
-package: unverified on hardware.
+Source: the documentation in the package phidget22 (Stepper, Failsafe, ErrorCode). Checked with a stand-in for that
+package only; unverified on hardware.
 """
 
 from __future__ import annotations
@@ -9,39 +9,48 @@ from __future__ import annotations
 import contextlib
 import math
 import time
+from enum import IntEnum
 from typing import Any
 
 from haptics.devices.contracts import DeviceError, SampleStatus, Stage, StageLimits, StageSample
-from haptics.devices.settings import read_settings, split_place
+from haptics.devices.settings import read_settings, split_target
 from tissue_sim.errors import InputError
 
-#: How long the controller may take to answer at the start, ms (the library advises at least 1000).
+#: Longest wait for the controller at the start, ms; the library's documentation advises at least 1000.
 _ATTACH_MS = 2000
-#: After so long without a sign of life the controller lets the motor go, ms.
+#: Time without communication after which the controller switches the motor's current off, ms.
 _FAILSAFE_MS = 500
-#: Codes of `Phidget22.ErrorCode`.
-_TIMEOUT, _UNSUPPORTED, _NOT_ATTACHED, _FAILSAFE = 3, 20, 52, 59
+#: A complete name, for messages.
 _EXAMPLE = "phidget:123456,steps_per_mm=25"
 
 
-class PhidgetStage(Stage):
-    """Goes where it is sent; its position is the commanded one, so a motor that stands is not seen.
+class _ErrorCode(IntEnum):
+    """Codes of `Phidget22.ErrorCode`."""
 
-    There is no switch to look for: `home` makes the place where it stands the zero, without a motion, and gives the
-    motor its current. The controller's failsafe is set to half a second: when nobody asks for `position` for so long,
-    it takes the current away, and the zero is lost. An old one that has no failsafe goes on to where it was sent, and
-    `runs_on` says so. `halt` brakes with the acceleration, and the motor holds; `stop` takes its current away.
+    TIMEOUT = 3
+    UNSUPPORTED = 20
+    NOT_ATTACHED = 52
+    FAILSAFE = 59
+
+
+class PhidgetStage(Stage):
+    """A stepper motor without encoder. `position` is the commanded position; a stalled motor is invisible.
+
+    There is no limit switch: `home` sets the present position as zero without a motion, and switches the motor's
+    current on. The controller's failsafe is set to half a second: without a call of `position` for this time the
+    controller switches the current off, and the zero is lost. An old controller without failsafe moves on to its
+    target; `runs_on` is then infinite. `halt` decelerates and holds the position; `stop` switches the current off.
 
     Args:
-        serial: number of the controller; None: the first that is found.
-        steps_per_mm: full steps of the motor, in a mm of travel; negative where it turns the other way.
-        limits: m, m/s.
-        acceleration: m/s2.
-        microsteps: of the controller, in a full step (16 in most).
-        current: limit of the motor, A; None: as the controller has it.
+        serial: Serial number of the controller; None: the first one found.
+        steps_per_mm: Full steps of the motor per millimetre of travel; negative values reverse the direction.
+        limits: Travel and top speed.
+        acceleration: Acceleration, m/s^2.
+        microsteps: Microsteps per full step of the controller, 16 for most.
+        current: Current limit of the motor, A; None: unchanged.
 
     Raises:
-        InputError: numbers or limits that make no sense.
+        InputError: A number is outside its range.
     """
 
     measures_position = False
@@ -50,52 +59,52 @@ class PhidgetStage(Stage):
     def __init__(self, serial: int | None, steps_per_mm: float, limits: StageLimits, acceleration: float = 0.05,
                  microsteps: int = 16, current: float | None = None):
         if not limits.lowest <= 0.0 < limits.highest < float("inf") or limits.lowest == -float("inf"):
-            raise InputError(f"from {limits.lowest:g} to {limits.highest:g} m; give a range with the zero in it",
-                             field="limits")
+            raise InputError(f"must contain 0; got {limits.lowest:g} to {limits.highest:g} m", field="limits")
         for field, value in (("top_speed_mm_s", limits.speed), ("acceleration_mm_s2", acceleration),
                              ("steps_per_mm", abs(steps_per_mm)), ("microsteps", microsteps)):
             if not 0 < value < float("inf"):
-                raise InputError(f"{value:g}; give a number that is not zero, as in {_EXAMPLE}", field=field)
+                condition = "finite and not 0" if field == "steps_per_mm" else "finite and above 0"
+                raise InputError(f"must be {condition}, as in {_EXAMPLE}; got {value:g}", field=field)
         self.limits, self._serial, self._steps_per_mm = limits, serial, steps_per_mm
         self._acceleration, self._microsteps, self._current = acceleration, microsteps, current
-        #: m of the stage in one of its smallest steps, with the sign of the motor.
-        self._per_count = 1e-3 / (steps_per_mm * microsteps)
+        #: Length of one microstep, m, with the sign of the direction.
+        self._length_per_count = 1e-3 / (steps_per_mm * microsteps)
         self._motor: Any = None
         self._homed, self._sequence = False, 0
-        #: Where it is sent, m; None: it was halted.
+        #: Target, m; None: halted.
         self._goal: float | None = None
-        #: How often it was halted: a motion that is being sent meanwhile is over.
+        #: Number of calls of `halt`, which reveals a halt during a `move`.
         self._halts = 0
 
     def start(self) -> None:
         if self._motor is not None:
             return
-        motor = self._attached()
+        motor = self._attach()
         try:
-            self._set_up(motor)
+            self._configure(motor)
         except BaseException:
             with contextlib.suppress(Exception):
                 motor.close()
             raise
         self._motor, self._homed, self._sequence, self._goal = motor, False, 0, None
 
-    def _attached(self) -> Any:
-        """The controller, which has answered."""
+    def _attach(self) -> Any:
+        """Return the controller after it has answered."""
         try:
             from Phidget22.Devices.Stepper import Stepper
             from Phidget22.Phidget import Phidget
         except ImportError:
-            raise DeviceError("the package phidget22 is missing, which a Phidget needs; install it with pip install "
+            raise DeviceError("a Phidget requires the package phidget22, which is missing; install it with pip install "
                               "'tissue-sim[phidget]'") from None
         try:
-            # Loads the maker's library: where that fails, a Stepper would also complain while it is thrown away.
+            # Loads the maker's library. If loading failed in Stepper(), its destructor would print another error.
             Phidget.getLibraryVersion()
             motor = Stepper()
         except OSError as error:
             if "libusb" in str(error):
-                raise DeviceError("the library libusb-1.0 is missing, which a Phidget needs; install it, on Debian and "
-                                  "Ubuntu with sudo apt install libusb-1.0-0") from None
-            raise DeviceError(f"the library of the package phidget22 cannot be loaded ({error}); install that package "
+                raise DeviceError("a Phidget requires the library libusb-1.0, which is missing; install it, on Debian "
+                                  "and Ubuntu with sudo apt install libusb-1.0-0") from None
+            raise DeviceError(f"the library of the package phidget22 cannot be loaded ({error}); install the package "
                               "again, or the library from phidgets.com") from None
         try:
             if self._serial is not None:
@@ -104,16 +113,16 @@ class PhidgetStage(Stage):
         except Exception as error:
             with contextlib.suppress(Exception):
                 motor.close()
-            if getattr(error, "code", None) == _TIMEOUT:
+            if getattr(error, "code", None) == _ErrorCode.TIMEOUT:
                 which = "no Phidget stepper" if self._serial is None else f"no Phidget stepper {self._serial}"
                 raise DeviceError(f"{which} answers within {_ATTACH_MS / 1000:g} s; check its power, the cable and the "
                                   "serial number, close the Phidget Control Panel, and on Linux let your user open it "
                                   "(udev rule 99-libphidget22.rules)") from None
-            raise self._trouble(error) from None
+            raise self._to_device_error(error) from None
         return motor
 
-    def _set_up(self, motor: Any) -> None:
-        """Its units are counts; no speed and no current, so that nothing moves."""
+    def _configure(self, motor: Any) -> None:
+        """Set units to counts, acceleration, current limit and failsafe; the velocity limit of 0 prevents motion."""
         try:
             motor.setRescaleFactor(1.0)
             motor.setVelocityLimit(0.0)
@@ -126,76 +135,79 @@ class PhidgetStage(Stage):
         except DeviceError:
             raise
         except Exception as error:
-            raise self._trouble(error) from None
+            raise self._to_device_error(error) from None
 
     def _enable_failsafe(self, motor: Any) -> None:
+        """Enable the failsafe and set `runs_on`; without a failsafe it is infinite."""
         try:
             motor.enableFailsafe(_FAILSAFE_MS)
         except Exception as error:
-            if getattr(error, "code", None) != _UNSUPPORTED:
+            if getattr(error, "code", None) != _ErrorCode.UNSUPPORTED:
                 raise
             self.runs_on = math.inf
         else:
             self.runs_on = 1e-3 * _FAILSAFE_MS
 
     def _require_speed(self, motor: Any) -> None:
-        most = motor.getMaxVelocityLimit() * abs(self._per_count)
+        """Raise an error if the controller cannot reach the top speed."""
+        most = motor.getMaxVelocityLimit() * abs(self._length_per_count)
         if self.limits.speed > most:
-            raise DeviceError(f"the Phidget stepper reaches {most * 1e3:g} mm/s at {self._steps_per_mm:g} steps per "
-                              f"mm; give top_speed_mm_s={most * 1e3:.4g} or less")
+            raise DeviceError(f"the top speed of the Phidget stepper is {most * 1e3:g} mm/s at {self._steps_per_mm:g} "
+                              f"steps per mm; give top_speed_mm_s={most * 1e3:.4g} or less")
 
-    def _counts(self, way: float) -> float:
-        """The size of a way, m, a speed or an acceleration, in counts."""
-        return abs(way / self._per_count)
+    def _counts(self, length: float) -> float:
+        """Convert a length, m, a speed, m/s, or an acceleration, m/s^2, to counts, without sign."""
+        return abs(length / self._length_per_count)
 
     def home(self) -> None:
-        motor = self._started()
+        motor = self._require_start()
         try:
             motor.setVelocityLimit(0.0)
             motor.addPositionOffset(-motor.getPosition())
             motor.setTargetPosition(0.0)
             motor.setEngaged(True)
         except Exception as error:
-            raise self._trouble(error) from None
+            raise self._to_device_error(error) from None
         self._homed, self._goal = True, None
 
     def move(self, position: float, speed: float) -> None:
-        motor = self._started()
+        motor = self._require_start()
         self.limits.require(position, speed)
         if not self._homed:
             raise DeviceError("the Phidget stepper does not know its zero; home it first")
-        # The controller takes whole counts in a second, and rounds down: a speed below one would be none.
+        # The controller rounds down to whole counts per second, so a speed below 1 would become 0.
         if self._counts(speed) < 1.0:
-            raise InputError(f"{speed:g} m/s is less than the slowest speed, {abs(self._per_count):.3g} m/s",
+            raise InputError(f"must be at least {abs(self._length_per_count):.3g} m/s; got {speed:g} m/s",
                              field="speed")
         halts = self._halts
         try:
-            # Not at the speed of the motion before.
+            # The velocity limit of 0 prevents a motion to the new target at the old speed.
             motor.setVelocityLimit(0.0)
-            motor.setTargetPosition(float(round(position / self._per_count)))
+            motor.setTargetPosition(float(round(position / self._length_per_count)))
             if self._halts == halts:
                 motor.setVelocityLimit(float(round(self._counts(speed))))
-            if self._halts != halts:  # somebody halted while this was sent
+            if self._halts != halts:  # another thread halted in between
                 motor.setVelocityLimit(0.0)
                 return
         except Exception as error:
-            raise self._trouble(error) from None
+            raise self._to_device_error(error) from None
         self._goal = position
 
     def position(self) -> StageSample:
-        motor = self._started()
+        motor = self._require_start()
         try:
             if self.runs_on < math.inf:
                 motor.resetFailsafe()
             steps, turning = motor.getPosition(), bool(motor.getIsMoving())
         except Exception as error:
-            raise self._trouble(error) from None
-        now, place = time.monotonic(), steps * self._per_count
+            raise self._to_device_error(error) from None
+        now, position = time.monotonic(), steps * self._length_per_count
         goal = self._goal
-        # The controller tells that it moves a little after it was sent off.
-        moving = turning or (goal is not None and abs(place - goal) > abs(self._per_count))
+        # The controller reports a motion shortly after its beginning, hence the comparison with the target.
+        moving = turning or (goal is not None and abs(position - goal) > abs(self._length_per_count))
         self._sequence += 1
-        return StageSample(round(steps), place, moving, self._homed, self._sequence - 1, int(SampleStatus.GOOD), now)
+        return StageSample(round(steps), position, moving, self._homed, self._sequence - 1, int(SampleStatus.GOOD),
+                           now)
 
     def halt(self) -> None:
         self._halts += 1
@@ -204,8 +216,7 @@ class PhidgetStage(Stage):
             try:
                 motor.setVelocityLimit(0.0)
             except Exception:
-                # Without an answer there is one more thing to try: no current. Whoever asks for the position learns
-                # why.
+                # The last resort is to switch the current off. The next call of `position` reports the error.
                 with contextlib.suppress(Exception):
                     motor.setEngaged(False)
 
@@ -220,46 +231,46 @@ class PhidgetStage(Stage):
 
     def describe(self) -> dict[str, Any]:
         return {"stage": "Phidget stepper", "serial": self._serial, "steps_per_mm": self._steps_per_mm,
-                "microsteps": self._microsteps, "resolution_mm": abs(self._per_count) * 1e3,
+                "microsteps": self._microsteps, "resolution_mm": abs(self._length_per_count) * 1e3,
                 "lowest_mm": self.limits.lowest * 1e3, "highest_mm": self.limits.highest * 1e3,
                 "top_speed_mm_s": self.limits.speed * 1e3, "acceleration_mm_s2": self._acceleration * 1e3,
-                "speed_step_mm_s": abs(self._per_count) * 1e3,
+                "speed_step_mm_s": abs(self._length_per_count) * 1e3,
                 "stall": "not detectable", "failsafe_s": self.runs_on if self.runs_on < math.inf else None,
                 "zero": "where it stood when it was homed",
                 "verified": "against a stand-in for its library only"}
 
-    def _started(self) -> Any:
+    def _require_start(self) -> Any:
         if self._motor is None:
             raise DeviceError("the Phidget stepper is not started; start it first")
         return self._motor
 
-    def _trouble(self, error: Exception) -> DeviceError:
-        """The sentence for an error of the library."""
+    def _to_device_error(self, error: Exception) -> DeviceError:
+        """Return cause and remedy for an error of the library."""
         code = getattr(error, "code", None)
-        if code == _FAILSAFE:
+        if code == _ErrorCode.FAILSAFE:
             self._homed = False
-            return DeviceError(f"the Phidget stepper has let its motor go, because this program was silent for "
-                               f"{self.runs_on:g} s; stop it, start it and home it again")
-        if code == _NOT_ATTACHED:
+            return DeviceError("the Phidget stepper has switched its motor off, because this program did not "
+                               f"communicate for {self.runs_on:g} s; stop it, start it and home it again")
+        if code == _ErrorCode.NOT_ATTACHED:
             self._homed = False
             return DeviceError("the Phidget stepper is gone; check its power and the cable, and start it again")
-        said = " ".join((getattr(error, "details", "") or str(error)).split()).rstrip(".")
-        return DeviceError(f"the Phidget stepper refuses ({said}); check its power, and start it again")
+        details = " ".join((getattr(error, "details", "") or str(error)).split()).rstrip(".")
+        return DeviceError(f"the Phidget stepper reports an error ({details}); check its power, and start it again")
 
 
 def open_phidget(text: str) -> PhidgetStage:
-    """``phidget:SERIAL,steps_per_mm=...,lowest_mm=0,highest_mm=50,top_speed_mm_s=5,acceleration_mm_s2=50,microsteps=16,
-    current_A=0``.
+    """Make a stage from its serial number, or ``any``, and settings; ``steps_per_mm`` is required.
 
-    The serial number may be ``any``; ``steps_per_mm`` has to be given; a ``current_A`` of 0 is as the controller has
-    it.
+    Defaults: ``phidget:SERIAL,steps_per_mm=...,lowest_mm=0,highest_mm=50,top_speed_mm_s=5,acceleration_mm_s2=50,
+    microsteps=16,current_A=0``; ``current_A=0`` leaves the current limit unchanged.
     """
-    place, rest = split_place(text, "the serial number of the controller, or 'any',", _EXAMPLE)
-    if place != "any" and not (place.isascii() and place.isdigit()):
-        raise InputError(f"{place!r} is no serial number; give that of the controller, or 'any', as in {_EXAMPLE}",
+    serial, rest = split_target(text, "the serial number of the controller, or 'any',", _EXAMPLE)
+    if serial != "any" and not (serial.isascii() and serial.isdigit()):
+        raise InputError(f"must be the serial number of the controller or 'any', as in {_EXAMPLE}; got {serial!r}",
                          field="serial")
     given = read_settings(rest, steps_per_mm=0.0, lowest_mm=0.0, highest_mm=50.0, top_speed_mm_s=5.0,
                           acceleration_mm_s2=50.0, microsteps=16, current_A=0.0)
-    limits = StageLimits.of(given)
-    return PhidgetStage(None if place == "any" else int(place), given["steps_per_mm"], limits,
+    limits = StageLimits.from_settings(given)
+    return PhidgetStage(None if serial == "any" else int(serial), given["steps_per_mm"], limits,
+
                         given["acceleration_mm_s2"] * 1e-3, int(given["microsteps"]), given["current_A"] or None)

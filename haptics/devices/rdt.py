@@ -1,4 +1,4 @@
-"""A force/torque sensor of ATI's on the network: Net F/T and Ethernet Axia, by raw data transfer over UDP."""
+"""A force/torque sensor of ATI on the network: Net F/T and Ethernet Axia, by raw data transfer (RDT) over UDP."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import time
 import urllib.error
 import urllib.request
 from collections import deque
+from dataclasses import dataclass
 from typing import Any
 
 from haptics.devices.contracts import DeviceError, ForceSample, ForceSensor, SampleStatus
@@ -17,42 +18,55 @@ from haptics.protocols import rdt
 from haptics.protocols.rdt import Record, Request, Settings
 from tissue_sim.errors import InputError
 
-#: What the system may keep of datagrams that wait; its default loses some at 7 kHz on a loaded machine.
-_RECEIVE_BUFFER = 4 << 20
-#: Samples that wait to be read; older ones are lost.
+#: Samples kept until they are read; older ones are lost.
 BUFFER = 1 << 16
-#: How long an answer may take, s: of the settings page, and of the first record.
-_PATIENCE, _FIRST = 2.0, 1.0
-#: A record that is behind the newest by up to so many was overtaken on its way; by more, the box began anew.
-_OVERTAKEN = 100
-#: A silence after which the box may have begun anew, s.
-_PAUSE = 0.25
-#: Samples whose mean is the tare.
-_TARED = 100
+
+
+@dataclass(frozen=True)
+class StreamSettings:
+    """Buffer, waiting times and limits of the reception of RDT records."""
+
+    #: Size of the system's receive buffer, bytes; with the usual default a loaded machine loses records at 7 kHz.
+    receive_buffer: int = 4 << 20
+    #: Longest wait for the settings page, and for the records of a tare beyond their duration, s.
+    patience: float = 2.0
+    #: Longest wait for the first record, s.
+    first_record: float = 1.0
+    #: Largest difference of sequence numbers at which an old number is a delayed record; a larger one is a restart.
+    max_reordering: int = 100
+    #: Silence after which an old sequence number is a restart of the box, s.
+    restart_pause: float = 0.25
+    #: Largest number of records that a tare averages.
+    tare_records: int = 100
+
+
+#: Settings of all sensors of this process.
+STREAM = StreamSettings()
 
 
 class RdtSensor(ForceSensor):
-    """Six axes, as the box streams them. A thread receives them as they come.
+    """A six-axis sensor whose box streams records; a thread receives them.
 
-    The rate is what the box says on its settings page, and 7000 Hz until then. After `start`, `describe` tells what was
-    received, and how much was lost, came twice, late, garbled or after the box had begun anew.
+    `rate` is 7000 Hz before `start`, and then the rate on the box's settings page. After `start`, `describe` returns
+    the numbers of records that were received, lost, duplicated, late and garbled, and of restarts of the box.
 
     Args:
-        host: name or address of the box.
-        port, http_port: of its records and of its settings page.
+        host: Name or address of the box.
+        port: UDP port of the records.
+        http_port: Port of the settings page.
 
     Raises:
-        InputError: an address or a port that is none.
+        InputError: The host is empty, or a port is outside 1 to 65535.
     """
 
     channels = rdt.CHANNELS
 
     def __init__(self, host: str, port: int = rdt.PORT, http_port: int = rdt.HTTP_PORT):
         if not host:
-            raise InputError("give the address of the box, as in rdt://192.168.1.1", field="host")
+            raise InputError("must be given, as in rdt://192.168.1.1; got none", field="host")
         for number, field in ((port, "port"), (http_port, "http_port")):
             if not 0 < number < 65536:
-                raise InputError(f"{number} is no port; give 1 to 65535", field=field)
+                raise InputError(f"must be 1 to 65535; got {number}", field=field)
         self._host, self._port, self._http_port = host, port, http_port
         self.rate = 7000.0
         self._settings: Settings | None = None
@@ -80,14 +94,15 @@ class RdtSensor(ForceSensor):
         self._stream = stream
 
     def _read_settings(self) -> Settings:
-        address = f"http://{self._bracketed}:{self._http_port}{rdt.SETTINGS_PATH}"
-        # Without the proxies of the environment: the box is on a network of its own.
+        """Download the settings page of the box."""
+        address = f"http://{self._url_host}:{self._http_port}{rdt.SETTINGS_PATH}"
+        # Proxies of the environment are bypassed, because the box is on a local network.
         fetch = urllib.request.build_opener(urllib.request.ProxyHandler({})).open
         try:
-            with fetch(address, timeout=_PATIENCE) as answer:
+            with fetch(address, timeout=STREAM.patience) as answer:
                 page = answer.read(1 << 20)
         except urllib.error.HTTPError as error:
-            raise DeviceError(f"{address} answers {error.code}; there is another device at this address, not an ATI box"
+            raise DeviceError(f"{address} answers with HTTP status {error.code}, so it is no ATI box; check the address"
                               ) from None
         except (OSError, ValueError) as error:
             raise DeviceError(f"no ATI box answers at {address} ({_reason(error)}); check its power, the cable, and "
@@ -99,20 +114,21 @@ class RdtSensor(ForceSensor):
             raise DeviceError(f"{address}: {error}") from None
 
     @property
-    def _bracketed(self) -> str:
+    def _url_host(self) -> str:
+        """The host in an address; IPv6 addresses have brackets."""
         return f"[{self._host}]" if ":" in self._host else self._host
 
     def read(self) -> tuple[ForceSample, ...]:
-        stream = self._started()
+        stream = self._require_start()
         scales, zero = self._scales, self._zero
         return tuple(ForceSample(counts, tuple(scale * (count - offset) for scale, count, offset
                                                in zip(scales, counts, zero, strict=True)), number, status, received)
                      for counts, number, status, received in stream.take())
 
     def tare(self) -> None:
-        stream = self._started()
-        wanted = max(1, min(_TARED, math.ceil(0.1 * self.rate)))
-        latest = stream.latest(wanted, timeout=_PATIENCE + 2 * wanted / self.rate)
+        stream = self._require_start()
+        count = max(1, min(STREAM.tare_records, math.ceil(0.1 * self.rate)))
+        latest = stream.latest(count, timeout=STREAM.patience + 2 * count / self.rate)
         self._zero = tuple(sum(axis) / len(latest) for axis in zip(*latest, strict=True))
 
     def stop(self) -> None:
@@ -121,7 +137,7 @@ class RdtSensor(ForceSensor):
             stream.end()
 
     def describe(self) -> dict[str, Any]:
-        about: dict[str, Any] = {"sensor": "ATI RDT", "address": f"{self._bracketed}:{self._port}",
+        about: dict[str, Any] = {"sensor": "ATI RDT", "address": f"{self._url_host}:{self._port}",
                                  "rate_Hz": self.rate, "channels": list(self.channels),
                                  "checked_with": "emulator, fake sensor of pynetft; unverified on hardware"}
         if (settings := self._settings) is not None:
@@ -129,10 +145,10 @@ class RdtSensor(ForceSensor):
                       "unit_of_force": settings.force_unit, "unit_of_torque": settings.torque_unit,
                       "resolution_N": settings.newtons, "resolution_Nm": settings.newton_metres}
         if self._stream is not None:
-            about |= self._stream.tally()
+            about |= self._stream.statistics()
         return about
 
-    def _started(self) -> _Stream:
+    def _require_start(self) -> _Stream:
         if self._stream is None:
             raise DeviceError(f"the sensor at {self._host} is not started; start it first")
         return self._stream
@@ -142,10 +158,11 @@ class RdtSensor(ForceSensor):
 
 
 class _Stream:
-    """The records of a box as they come, received by a thread.
+    """A thread that receives the records of a box.
 
     Args:
-        host, port: of the box.
+        host: Name or address of the box.
+        port: UDP port of the records.
     """
 
     def __init__(self, host: str, port: int):
@@ -155,42 +172,45 @@ class _Stream:
             self._socket = socket.socket(family, kind)
         except OSError as error:
             raise DeviceError(f"{host} cannot be reached ({_reason(error)}); check the address") from None
-        with contextlib.suppress(OSError):  # a smaller buffer is no reason to refuse
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+        with contextlib.suppress(OSError):  # a smaller buffer works, too
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, STREAM.receive_buffer)
         self._address = address
+        #: Counts, number, status and time of receipt, s.
         self._waiting: deque[tuple[tuple[int, ...], int, int, float]] = deque(maxlen=BUFFER)
         self._ending = threading.Event()
         self._counter = RecordCounter()
-        #: What a failing line said last.
+        #: Last error of the socket; empty: none.
         self._failure = ""
-        self._came = threading.Condition()
+        self._arrived = threading.Condition()
         self._thread = threading.Thread(target=self._receive, name="RDT", daemon=True)
-        self._overflowed = self._told_overflow = 0
+        #: Number of records lost because they were not read, and its value at the last report of a gap.
+        self._overflowed = self._reported_overflow = 0
 
     def begin(self) -> None:
-        """Ask for records, and wait for the first.
+        """Request records and wait for the first one.
 
         Raises:
-            DeviceError: none comes.
+            DeviceError: No record arrives.
         """
         try:
-            # Only what the box itself sends is received.
+            # Connecting the socket discards datagrams from other senders.
             self._socket.connect(self._address)
             self._socket.settimeout(0.1)
-            self._socket.send(rdt.pack_request(Request(rdt.REAL_TIME)))
+            self._socket.send(rdt.pack_request(Request(rdt.Command.REAL_TIME)))
         except OSError as error:
             raise DeviceError(f"{self._host} cannot be reached ({_reason(error)}); check the network") from None
         self._thread.start()
-        with self._came:
-            if not self._came.wait_for(lambda: self._waiting, _FIRST):
+        with self._arrived:
+            if not self._arrived.wait_for(lambda: self._waiting, STREAM.first_record):
                 garbled = self._counter.garbled
-                raise DeviceError(f"{self._host} answers on its settings page, and "
-                                  + (f"sends {garbled} datagrams that are no records of RDT; another device is there"
+                raise DeviceError(f"{self._host} answers on its settings page, but "
+                                  + (f"sends {garbled} datagrams that are no RDT records; check that it is an ATI box"
                                      if garbled else "sends no records by UDP; switch RDT on in its communication "
                                      "settings, and let a firewall pass its port 49152"))
 
     def _receive(self) -> None:
-        buffer = bytearray(rdt.RECORD_SIZE * rdt.MOST_RECORDS + 1)
+        """Receive datagrams until the end; the body of the thread."""
+        buffer = bytearray(rdt.RECORD_SIZE * rdt.MAX_RECORDS + 1)
         view, waiting, counter = memoryview(buffer), self._waiting, self._counter
         while not self._ending.is_set():
             try:
@@ -198,7 +218,7 @@ class _Stream:
             except TimeoutError:
                 continue
             except OSError as error:
-                # A refused port is told once for each datagram that was sent there: the box may come back.
+                # The system reports each datagram sent to a closed port; the box may return later.
                 self._failure = _reason(error)
                 if self._ending.wait(0.05):
                     return
@@ -208,79 +228,88 @@ class _Stream:
                 if len(waiting) == BUFFER:
                     self._overflowed += 1
                 waiting.append((record.counts, number, status, now))
-            with self._came:
-                self._came.notify_all()
+            with self._arrived:
+                self._arrived.notify_all()
 
     def take(self) -> list[tuple[tuple[int, ...], int, int, float]]:
-        """Counts, number, status and time of receipt, s, of all records since the last call."""
+        """Return counts, number, status and time of receipt, s, of all records since the last call."""
         waiting, taken = self._waiting, []
         for _ in range(len(waiting)):
             taken.append(waiting.popleft())
-        if taken and self._overflowed != self._told_overflow:
-            self._told_overflow = self._overflowed
+        if taken and self._overflowed != self._reported_overflow:
+            self._reported_overflow = self._overflowed
             counts, number, status, at = taken[0]
             taken[0] = counts, number, status | SampleStatus.GAP, at
         return taken
 
     def latest(self, count: int, timeout: float) -> list[tuple[int, ...]]:
-        """Counts of the next records; they stay to be read.
+        """Wait for the next `count` records and return their counts; `take` will still return these records.
 
         Raises:
-            DeviceError: they do not come in that time, s, or are not to be trusted.
+            DeviceError: They do not arrive within `timeout` seconds, or report a saturation or a fault.
         """
-        with self._came:
+        with self._arrived:
             first = self._counter.accepted
-            if not self._came.wait_for(lambda: self._counter.accepted - first >= count, timeout):
-                raise DeviceError(f"{self._host} sends no records any more; check its power and the cable")
+            if not self._arrived.wait_for(lambda: self._counter.accepted - first >= count, timeout):
+                raise DeviceError(f"{self._host} has stopped sending records; check its power and the cable")
             latest = list(self._waiting)[-count:]
         for _, _, status, _ in latest:
             if status & (SampleStatus.FAULT | SampleStatus.SATURATED):
-                raise DeviceError(f"{self._host} says that {rdt.describe_status(self._counter.status)}; a tare of that "
-                                  "would be wrong: take the load off and look at its status page")
+                raise DeviceError(f"{self._host} reports that {rdt.describe_status(self._counter.status)}, so a tare "
+                                  "would be wrong; take the load off and check its status page")
         return [counts for counts, *_ in latest]
 
-    def tally(self) -> dict[str, Any]:
-        """How many records came, and what was wrong with others."""
+    def statistics(self) -> dict[str, Any]:
+        """Return the numbers of records received, lost and refused, and the last status and error."""
         counter = self._counter
-        tally: dict[str, Any] = {
+        counts: dict[str, Any] = {
             "records": counter.accepted, "lost": counter.lost, "twice": counter.twice, "late": counter.late,
             "garbled": counter.garbled, "begun_anew": counter.restarts, "overflowed": self._overflowed}
         if counter.status:
-            tally["last_status"] = rdt.describe_status(counter.status)
+            counts["last_status"] = rdt.describe_status(counter.status)
         if self._failure:
-            tally["last_failure"] = self._failure
-        return tally
+            counts["last_failure"] = self._failure
+        return counts
 
     def end(self) -> None:
-        """Ask for no more, and close."""
+        """Stop the records and close the socket."""
         self._ending.set()
         if self._thread.is_alive():
             self._thread.join()
         with contextlib.suppress(OSError):
-            self._socket.send(rdt.pack_request(Request(rdt.STOP)))
+            self._socket.send(rdt.pack_request(Request(rdt.Command.STOP)))
         self._socket.close()
 
 
 class RecordCounter:
-    """Which records are new, and what happened to the others.
+    """Number new records, and count lost, duplicated and late ones.
 
     Attributes:
-        accepted: new ones. lost: numbers that never came, late ones less. twice, late: came again, after a newer one.
-        garbled: datagrams that hold no records. restarts: how often the box began to count anew.
-        status: of the last record that reported something.
+        accepted: Number of new records.
+        lost: Number of sequence numbers that never arrived, without late ones.
+        twice: Number of duplicates.
+        late: Number of records that arrived after a newer one.
+        garbled: Number of datagrams without records.
+        restarts: Number of restarts of the box's sequence numbers.
+        status: Last status word that was not 0.
     """
 
     def __init__(self) -> None:
         self.accepted = self.lost = self.twice = self.late = self.garbled = self.restarts = self.status = 0
         self._last: Record | None = None
-        #: Number of the last sample, and what it is more than the box's own.
-        self._number, self._heard = -1, -math.inf
-        #: Numbers of the box that were jumped over, not long ago.
-        self._missing: deque[int] = deque(maxlen=_OVERTAKEN)
-        self._anew = False
+        #: Number of the last accepted record since the start, and its time of receipt, s.
+        self._number, self._received = -1, -math.inf
+        #: Recent sequence numbers of the box that were skipped.
+        self._missing: deque[int] = deque(maxlen=STREAM.max_reordering)
+        self._has_restarted = False
 
     def accept(self, records: list[Record] | None, now: float) -> list[tuple[Record, int, int]]:
-        """The new ones of a datagram, with number since the start and status; None: it held none."""
+        """Return the new records of a datagram, each with its number since the start and its status.
+
+        Args:
+            records: Records of the datagram; None: the datagram contains no records.
+            now: Time of receipt, s.
+        """
         if records is None:
             self.garbled += 1
             return []
@@ -289,7 +318,7 @@ class RecordCounter:
             if (number := self._number_of(record, now)) is None:
                 continue
             status = SampleStatus.GOOD
-            if self._anew or number > self._number + 1:
+            if self._has_restarted or number > self._number + 1:
                 status |= SampleStatus.GAP
             if record.status:
                 self.status = record.status
@@ -297,27 +326,28 @@ class RecordCounter:
                     status |= SampleStatus.SATURATED
                 if rdt.is_fault(record.status):
                     status |= SampleStatus.FAULT
-            self._number, self._last, self._heard, self._anew = number, record, now, False
+            self._number, self._last, self._received, self._has_restarted = number, record, now, False
             self.accepted += 1
             new.append((record, number, int(status)))
         return new
 
     def _number_of(self, record: Record, now: float) -> int | None:
-        """Of a new record since the start; None: it is not new."""
+        """Return the number of a record since the start; None: the record is late or a duplicate."""
         last = self._last
         if last is None:
             return 0
         ahead = record.sequence - last.sequence & 0xFFFFFFFF
         if 0 < ahead < 1 << 31:
             self.lost += ahead - 1
-            self._missing.extend(range(record.sequence - min(ahead - 1, _OVERTAKEN), record.sequence))
+            self._missing.extend(range(record.sequence - min(ahead - 1, STREAM.max_reordering), record.sequence))
             return self._number + ahead
         behind = last.sequence - record.sequence & 0xFFFFFFFF
         sampled_later = 0 < (record.sample - last.sample & 0xFFFFFFFF) < 1 << 31
-        if sampled_later or behind > _OVERTAKEN or now - self._heard > _PAUSE:
-            # The box counts from 1 again; how much was lost, nobody knows.
+        has_paused = now - self._received > STREAM.restart_pause
+        if sampled_later or behind > STREAM.max_reordering or has_paused:
+            # The box counts from 1 again; the number of lost records is unknown.
             self.restarts += 1
-            self._anew = True
+            self._has_restarted = True
             self._missing.clear()
             return self._number + 1
         if record.sequence in self._missing:
@@ -330,17 +360,17 @@ class RecordCounter:
 
 
 def _reason(error: BaseException) -> str:
-    """What an error of a line says, in few words."""
+    """Return the cause in an error of a connection."""
     inner = getattr(error, "reason", error)
     return getattr(inner, "strerror", None) or str(inner) or type(inner).__name__
 
 
 def open_rdt(text: str) -> RdtSensor:
-    """``rdt://192.168.1.1``, or with ports: ``rdt://192.168.1.1:49152,http_port=80``."""
+    """Make a sensor from ``rdt://192.168.1.1``, or with ports ``rdt://192.168.1.1:49152,http_port=80``."""
     address, _, rest = text.removeprefix("//").partition(",")
     name, _, given = rest.partition("=")
     if name.strip() not in ("", "http_port"):
-        raise InputError(f"unknown setting {name.strip()!r}; only http_port can be set", field="settings")
+        raise InputError(f"must be http_port; got {name.strip()!r}", field="settings")
     host, port = address, str(rdt.PORT)
     if address.startswith("["):
         host, _, rest = address[1:].partition("]")
@@ -350,6 +380,6 @@ def open_rdt(text: str) -> RdtSensor:
     try:
         numbers = int(port.rstrip("/")), int(given) if given else rdt.HTTP_PORT
     except ValueError:
-        raise InputError(f"{text!r} holds a port that is no whole number; give rdt://ADDRESS:PORT,http_port=PORT",
+        raise InputError(f"must be a whole number, as in rdt://ADDRESS:PORT,http_port=PORT; got {text!r}",
                          field="port") from None
     return RdtSensor(host.rstrip("/"), *numbers)

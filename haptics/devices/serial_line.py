@@ -1,4 +1,4 @@
-"""A serial port, with one sentence for each way in which it can fail to open."""
+"""A serial port with buffered reads, and messages with the remedy for each failure."""
 
 from __future__ import annotations
 
@@ -8,20 +8,21 @@ from pathlib import Path
 
 from haptics.devices.contracts import DeviceError
 
-#: Longest wait for a first byte before the clock is looked at again, s.
+#: Longest blocking wait for a first byte; longer timeouts repeat the wait, s.
 _WAIT = 0.02
 
 
 class SerialLine:
-    """An open port; not shared with another program. Making one opens it.
+    """An open serial port, for the exclusive use of this program. The constructor opens the port.
 
     Args:
-        port: such as ``/dev/ttyUSB0`` or ``COM3``.
-        baud: bits in a second.
-        owner: who speaks on it, in messages: ``"the Tic"``.
+        port: Such as ``/dev/ttyUSB0`` or ``COM3``.
+        baud: Bits per second.
+        owner: Device at the port, for messages, such as ``"the Tic"``.
 
     Raises:
-        DeviceError: no such port (names those that are there), no permission, or in use.
+        DeviceError: The port does not exist (the message lists the existing ones), permission is missing, or another
+            program uses the port.
     """
 
     def __init__(self, port: str, baud: int, owner: str):
@@ -31,97 +32,100 @@ class SerialLine:
         try:
             self._serial = serial.Serial(port, baud, timeout=_WAIT, write_timeout=1.0, exclusive=True)
         except (OSError, ValueError) as error:
-            raise DeviceError(_why_not(port, owner, error)) from None
+            raise DeviceError(_open_failure(port, owner, error)) from None
 
     def write(self, data: bytes) -> None:
-        """Send all of it.
+        """Send all bytes.
 
         Raises:
-            DeviceError: the port is gone, or takes nothing for a second.
+            DeviceError: The port has disappeared, or accepts no data for one second.
         """
         try:
             self._serial.write(data)
         except OSError as error:
-            raise DeviceError(self._gone(error)) from None
+            raise DeviceError(self._lost_message(error)) from None
 
     def read(self) -> bytes:
-        """What has come since the last call; does not wait.
+        """Return the bytes received since the last call, without waiting.
 
         Raises:
-            DeviceError: the port is gone.
+            DeviceError: The port has disappeared.
         """
-        self._fetch(wait=False)
+        self._fill_buffer(wait=False)
         data, self._kept = self._kept, b""
         return data
 
     def read_within(self, timeout: float) -> bytes:
-        """What has come, as soon as there is something; empty where nothing comes in that time, s.
+        """Wait up to `timeout` seconds for data and return the received bytes; empty if none arrive.
 
         Raises:
-            DeviceError: the port is gone.
+            DeviceError: The port has disappeared.
         """
         end = time.monotonic() + timeout
-        self._fetch(wait=False)
+        self._fill_buffer(wait=False)
         while not self._kept and time.monotonic() < end:
-            self._fetch(wait=True)
+            self._fill_buffer(wait=True)
         data, self._kept = self._kept, b""
         return data
 
-    def read_some(self, count: int, timeout: float) -> bytes:
-        """The next bytes.
+    def read_exactly(self, count: int, timeout: float) -> bytes:
+        """Return exactly the next `count` bytes.
 
         Args:
-            count: how many. timeout: s.
+            count: Number of bytes.
+            timeout: Longest wait, s.
 
         Raises:
-            DeviceError: the port is gone, or fewer came in that time (says how many).
+            DeviceError: The port has disappeared, or fewer bytes arrived in time (the message states their number).
         """
         end = time.monotonic() + timeout
         while len(self._kept) < count:
             if time.monotonic() >= end:
                 raise DeviceError(f"{self._owner} at {self.port} answered {len(self._kept)} of {count} bytes within "
                                   f"{timeout:g} s; check that it has power, the cable and the baud rate")
-            self._fetch(wait=True)
+            self._fill_buffer(wait=True)
         data, self._kept = self._kept[:count], self._kept[count:]
         return data
 
     def read_line(self, timeout: float, ending: bytes = b"\n") -> bytes:
-        """The next line, without its ending.
+        """Return the next line without its ending.
 
         Args:
-            timeout: s. ending: of a line.
+            timeout: Longest wait, s.
+            ending: Bytes that end a line.
 
         Raises:
-            DeviceError: the port is gone, or no whole line came in that time.
+            DeviceError: The port has disappeared, or no complete line arrived in time.
         """
         end = time.monotonic() + timeout
         while ending not in self._kept:
             if time.monotonic() >= end:
                 raise DeviceError(f"{self._owner} at {self.port} answered no whole line within {timeout:g} s (so far "
                                   f"{self._kept[:40]!r}); check that it has power, the cable and the baud rate")
-            self._fetch(wait=True)
+            self._fill_buffer(wait=True)
         line, _, self._kept = self._kept.partition(ending)
         return line
 
-    def _fetch(self, wait: bool) -> None:
-        """Keep what is there; where it is nothing, wait a moment for the first byte."""
+    def _fill_buffer(self, wait: bool) -> None:
+        """Move the waiting bytes to the buffer; with `wait`, block up to `_WAIT` for the first byte."""
         try:
             waiting = self._serial.in_waiting
             if waiting or wait:
                 self._kept += self._serial.read(waiting or 1)
         except (OSError, TypeError) as error:  # pyserial's TypeError: another thread has closed it
-            raise DeviceError(self._gone(error)) from None
+            raise DeviceError(self._lost_message(error)) from None
 
     def close(self) -> None:
-        """Nothing where it is closed."""
+        """Close the port; has no effect on a closed port."""
         self._serial.close()
 
-    def _gone(self, error: Exception) -> str:
-        return f"{self._owner} at {self.port} is gone ({error}); plug it in again and start anew"
+    def _lost_message(self, error: Exception) -> str:
+        """Return the message for a port that has disappeared."""
+        return f"{self._owner} at {self.port} is gone ({error}); plug it in again and start again"
 
 
-def _why_not(port: str, owner: str, error: Exception) -> str:
-    """The sentence for a port that does not open."""
+def _open_failure(port: str, owner: str, error: Exception) -> str:
+    """Return cause and remedy for a port that does not open."""
     number = getattr(error, "errno", None)
     if number in (errno.EACCES, errno.EPERM):
         return (f"no permission to open {port} for {owner}; add yourself to the group that owns it ({_group(port)}), "
@@ -129,22 +133,24 @@ def _why_not(port: str, owner: str, error: Exception) -> str:
     if number in (errno.EBUSY, errno.EAGAIN) or "lock" in str(error).lower():
         return f"{port} is in use by another program; close that one, then start {owner} again"
     if number == errno.ENOENT or isinstance(error, FileNotFoundError):
-        there = serial_ports()
+        ports = serial_ports()
         return (f"there is no port {port} for {owner}; "
-                + (f"there are {', '.join(there)}" if there else "no serial port is there: plug the device in"))
+                + (f"the ports are {', '.join(ports)}" if ports else "no serial port was found: plug the device in"))
     return f"{port} cannot be opened for {owner} ({error}); give the port of a serial device, such as /dev/ttyUSB0"
 
 
 def _group(port: str) -> str:
+    """Return the group that owns a port, or ``dialout`` if it is unknown."""
     try:
         return Path(port).group()
-    # The last one is what pathlib raises on Windows, which has no groups.
+    # pathlib raises NotImplementedError on Windows, which has no groups.
     except (OSError, KeyError, NotImplementedError):
         return "dialout"
 
 
 def serial_ports() -> list[str]:
-    """The serial ports of this computer."""
+    """Return the names of this computer's serial ports, sorted."""
+
     from serial.tools.list_ports import comports
 
     return sorted(port.device for port in comports())

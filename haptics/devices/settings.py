@@ -1,4 +1,4 @@
-"""The part of a device's name that says how it is set: ``rate_hz=1000,range_N=50``."""
+"""Parse the settings in the name of a device, such as ``rate_hz=1000,range_N=50``."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from tissue_sim.errors import InputError, nearest
 
 
 def read_settings(text: str, **defaults: float) -> dict[str, float]:
-    """Numbers by name.
+    """Return the numbers of a list of settings by name.
 
     Args:
-        text: ``name=number``, with commas between; may be empty.
-        defaults: all names, with what counts where one is left out; where that is a whole number, one is wanted.
+        text: Settings ``name=number``, separated by commas; may be empty.
+        defaults: Default of each permitted name; an integer default permits integers only.
 
     Raises:
-        InputError: a name that is not among them (names the nearest), or no finite number.
+        InputError: A name is not permitted (the message names the nearest), or a value is not a finite number.
     """
     settings = dict(defaults)
     for part in filter(None, (part.strip() for part in text.split(","))):
         name, equals, value = (word.strip() for word in part.partition("="))
         if not equals:
-            raise InputError(f"{part!r} sets nothing; give NAME=NUMBER, with a name of {', '.join(defaults)}",
+            raise InputError(f"must be NAME=NUMBER with NAME one of {', '.join(defaults)}; got {part!r}",
                              field="settings")
         if name not in defaults:
             raise InputError(f"unknown setting{nearest(name, defaults)}", field=name)
@@ -29,40 +29,39 @@ def read_settings(text: str, **defaults: float) -> dict[str, float]:
         try:
             settings[name] = int(value) if whole else float(value)
         except ValueError:
-            raise InputError(f"{value!r} is not a {'whole ' * whole}number", field=name) from None
-        # A comparison, which whole numbers beyond any float stand.
+            raise InputError(f"must be a {'whole ' * whole}number; got {value!r}", field=name) from None
+        # A comparison instead of math.isfinite, which overflows for integers beyond the range of a float.
         if not abs(settings[name]) <= sys.float_info.max:
-            raise InputError(f"{value!r} is not a finite number", field=name)
+            raise InputError(f"must be a finite number; got {value!r}", field=name)
     return settings
 
 
-def split_place(text: str, what: str, example: str) -> tuple[str, str]:
-    """The port, file or number that stands before the settings, and the settings.
+def split_target(text: str, quantity: str, example: str) -> tuple[str, str]:
+    """Split text into the port, file or number at its beginning and the settings after the first comma.
 
     Args:
-        text: ``/dev/ttyUSB0,baud=9600``.
-        what: the first part is, in messages: ``"the port of the controller"``.
-        example: of the whole.
+        text: Such as ``/dev/ttyUSB0,baud=9600``.
+        quantity: Description of the first part for messages, such as ``"the port of the controller"``.
+        example: A complete name for messages.
 
     Raises:
-        InputError: the first part is missing.
+        InputError: The first part is missing.
     """
-    place, _, rest = text.partition(",")
-    if not place.strip() or "=" in place:
-        raise InputError(f"{what} is missing; give it first, as in {example}", field="name")
-    return place.strip(), rest
+    target, _, rest = text.partition(",")
+    if not target.strip() or "=" in target:
+        raise InputError(f"{quantity} is missing; give it first, as in {example}", field="name")
+    return target.strip(), rest
 
 
-def take_words(text: str, **choices: tuple[str, ...]) -> tuple[dict[str, str], str]:
-    """Settings that are words, and the rest of the text, for `read_settings`.
+def read_choices(text: str, **choices: tuple[str, ...]) -> tuple[dict[str, str], str]:
+    """Return the settings whose values are words, and the remaining text for `read_settings`.
 
     Args:
-        text: ``name=value``, with commas between.
-        choices: name -> words that it may be, the first of them where it is left out; a first word that is empty:
-            any word.
+        text: Settings ``name=value``, separated by commas.
+        choices: Permitted words by name; the first one is the default. An empty first word permits any word.
 
     Raises:
-        InputError: another word (names the nearest).
+        InputError: A word is not permitted (the message names the nearest).
     """
     words, rest = {name: allowed[0] for name, allowed in choices.items()}, []
     for part in text.split(","):
@@ -71,6 +70,7 @@ def take_words(text: str, **choices: tuple[str, ...]) -> tuple[dict[str, str], s
             rest.append(part)
             continue
         if choices[name][0] and value not in choices[name]:
-            raise InputError(f"{value!r} is none of them{nearest(value, choices[name])}", field=name)
+            raise InputError(f"must be one of {', '.join(choices[name])}; got {value!r}"
+                             f"{nearest(value, choices[name])}", field=name)
         words[name] = value
     return words, ",".join(rest)

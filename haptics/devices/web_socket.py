@@ -1,4 +1,4 @@
-"""A WebSocket as a line on which one thread speaks and listens: no thread of its own, no waiting in between."""
+"""A WebSocket client for use by one thread, with a timeout for each call and no background thread."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from tissue_sim.errors import InputError
 
 
 class LineClosedError(OSError):
-    """The other end has closed the line, or never was one."""
+    """The other end has closed the connection, or is not a WebSocket server."""
 
 
 class WebSocketLine:
-    """A connection to a server; not shared by threads. Making one opens it.
+    """A connection to a WebSocket server, for one thread. The constructor opens the connection.
 
     Args:
         address: ``ws://HOST:PORT/PATH``.
-        timeout: for the connection, s.
+        timeout: Longest time to connect, s.
 
     Raises:
-        OSError: nobody listens there, or it does not answer.
-        LineClosedError: who listens there speaks no WebSocket.
+        OSError: No server listens at the address, or the server does not answer.
+        LineClosedError: The server is not a WebSocket server.
     """
 
     def __init__(self, address: str, timeout: float):
@@ -35,7 +35,7 @@ class WebSocketLine:
         self._open = State.OPEN
         self._socket = socket.create_connection((host, port), timeout)
         try:
-            # A force that waits for the next one to fill a packet is too late.
+            # Nagle's algorithm would delay a force until the next one fills a packet.
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._protocol = ClientProtocol(parse_uri(address))
             self._protocol.send_request(self._protocol.connect())
@@ -44,46 +44,46 @@ class WebSocketLine:
             end = time.monotonic() + timeout
             while self._protocol.state is not self._open:
                 if self._protocol.handshake_exc is not None:
-                    raise LineClosedError(f"it speaks no WebSocket: {self._protocol.handshake_exc}")
-                left = end - time.monotonic()
-                if left <= 0:
+                    raise LineClosedError(f"the server is not a WebSocket server: {self._protocol.handshake_exc}")
+                remaining = end - time.monotonic()
+                if remaining <= 0:
                     raise TimeoutError("no answer to the handshake")
-                self._fetch(left)
+                self._receive_once(remaining)
         except BaseException:
             self._socket.close()
             raise
 
     def send(self, message: str, timeout: float) -> None:
-        """Send a text.
+        """Send a text message.
 
         Raises:
-            OSError: the line is closed, or takes nothing for that time, s.
+            OSError: The connection is closed, or accepts no data within `timeout` seconds.
         """
         self._require_open()
         self._protocol.send_text(message.encode())
         self._flush(timeout)
 
     def receive(self, timeout: float) -> list[bytes]:
-        """The messages that have come; waits for the first, s.
+        """Wait up to `timeout` seconds for a message and return all received messages.
 
         Returns:
-            In their order; none where none came in that time.
+            Messages in order of receipt; empty if none arrived in time.
 
         Raises:
-            OSError: the line is closed.
+            OSError: The connection is closed.
         """
         end = time.monotonic() + timeout
         while not (messages := self._messages()):
             self._require_open()
-            left = end - time.monotonic()
-            if left <= 0:
+            remaining = end - time.monotonic()
+            if remaining <= 0:
                 return []
             with contextlib.suppress(TimeoutError):
-                self._fetch(left)
+                self._receive_once(remaining)
         return messages
 
     def close(self) -> None:
-        """Say that this is the end, and disconnect; never raises."""
+        """Send the closing frame and disconnect; never raises."""
         with contextlib.suppress(Exception):
             if self._protocol.state is self._open:
                 self._protocol.send_close(1000)
@@ -92,9 +92,10 @@ class WebSocketLine:
 
     def _require_open(self) -> None:
         if self._protocol.state is not self._open:
-            raise LineClosedError("the other end has closed it")
+            raise LineClosedError("the server has closed the connection")
 
-    def _fetch(self, timeout: float) -> None:
+    def _receive_once(self, timeout: float) -> None:
+        """Receive data once, waiting up to `timeout` seconds, and send the protocol's replies."""
         self._socket.settimeout(timeout)
         data = self._socket.recv(65536)
         if data:
@@ -103,19 +104,21 @@ class WebSocketLine:
             self._protocol.receive_eof()
         self._flush(0.1)
         if not data:
-            # Outside of the handshake, the state says so to the next caller; messages before the end are kept.
+            # After the handshake, messages received before the end are returned first; the next call reports the end.
             if self._protocol.handshake_exc is not None:
-                raise LineClosedError(f"it speaks no WebSocket: {self._protocol.handshake_exc}")
+                raise LineClosedError(f"the server is not a WebSocket server: {self._protocol.handshake_exc}")
             if not self._protocol.events:
-                raise LineClosedError("the other end has closed it")
+                raise LineClosedError("the server has closed the connection")
 
     def _flush(self, timeout: float) -> None:
+        """Send all queued data."""
         for data in self._protocol.data_to_send():
             if data:
                 self._socket.settimeout(timeout)
                 self._socket.sendall(data)
 
     def _messages(self) -> list[bytes]:
+        """Return the complete messages received so far; fragments wait for their end."""
         from websockets.frames import Frame, Opcode
 
         messages = []
@@ -129,10 +132,10 @@ class WebSocketLine:
 
 
 def check_address(address: str) -> tuple[str, int]:
-    """Host and port of an address.
+    """Return host and port of an address.
 
     Raises:
-        InputError: not of the form ``ws://HOST:PORT``.
+        InputError: The address is not of the form ``ws://HOST:PORT``.
     """
     parts = urlsplit(address)
     try:
@@ -140,6 +143,5 @@ def check_address(address: str) -> tuple[str, int]:
     except ValueError:
         port = None
     if parts.scheme != "ws" or not parts.hostname or port is None:
-        raise InputError(f"{address!r} is not the address of a service; give ws://HOST:PORT, such as "
-                         "ws://127.0.0.1:10001", field="address")
+            raise InputError(f"must be ws://HOST:PORT, such as ws://127.0.0.1:10001; got {address!r}", field="address")
     return parts.hostname, port

@@ -1,1 +1,1 @@
-"""Programs that answer as a device would, on a real socket or terminal, from what is behind them."""
+"""Emulators: programs that speak a device's protocol on a real socket or pseudo-terminal, backed by virtual devices."""

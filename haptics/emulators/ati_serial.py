@@ -1,8 +1,8 @@
-"""The stand-alone controller of an ATI force/torque sensor, played on a pseudo-terminal.
+"""Emulator of the stand-alone controller of an ATI force/torque sensor, on a pseudo-terminal.
 
-Records leave as fast as the baud rate carries them. At another baud rate than its own it receives and sends garbage, as
-far as the terminal tells the rate. What it says between a command and its prompt, its banner, and its answer to what it
-does not know are this house's: no source that was at hand gives them.
+The baud rate limits the rate of the records. If the client sets the terminal to another baud rate, both sides receive
+garbage. The text between a command and its prompt, the banner, and the answer to an unknown command are not documented
+in the sources of `haptics.protocols.ati_serial`; they are invented here.
 """
 
 from __future__ import annotations
@@ -13,44 +13,50 @@ from typing import Any
 
 from haptics.devices.ati_serial import MODES
 from haptics.devices.contracts import Bench, DeviceError, ForceSensor, SampleStatus
-from haptics.devices.settings import read_settings, take_words
+from haptics.devices.settings import read_choices, read_settings
 from haptics.devices.virtual.faults import Faults
 from haptics.emulators.terminal import TerminalEmulator
 from haptics.protocols.ati_serial import (
+    CARRIAGE_RETURN,
     CHANNELS,
-    HIGHEST,
-    LOWEST,
+    HIGHEST_COUNT,
+    LOWEST_COUNT,
     ONE_RECORD,
     PROMPT,
     RESET,
-    RETURN,
     Record,
     encode_ascii,
     encode_binary,
-    seconds_on_the_line,
+    transmission_time,
 )
 from tissue_sim.errors import InputError
 
+#: Line ending.
 _END = b"\r\n"
-#: Biases that it can hold.
-_LEVELS = 3
+#: Largest number of stored biases.
+_BIAS_LEVELS = 3
 
 
 class AtiSerialEmulator(TerminalEmulator):
-    """Answers CD A/B/R/E/U, SA, SB, SU, SZ, QR, QS, ^T and ^W from a force sensor.
+    """Emulate the commands CD A/B/R/E/U, SA, SB, SU, SZ, QR, QS, ^T and ^W with the samples of a sensor.
 
-    Channels that the sensor does not have read zero. A load beyond its range, or beyond that of the counts, sets the
-    error flag. ``CD E`` is accepted and changes nothing.
+    Channels that the sensor lacks read 0. A load beyond the range of the sensor or of the counts sets the error flag.
+    ``CD E`` is accepted without effect.
 
     Args:
-        sensor: whose forces it tells; it is started and stopped with it.
-        counts_per_N, counts_per_Nm: its calibration.
-        baud: of the line. mode: at power on, ``"ascii"`` or ``"binary"``.
-        padded: whether the fields of a line have six characters.
-        faults: on the line.
+        sensor: Source of the samples; the emulator starts and stops it.
+        counts_per_N: Counts per newton.
+        counts_per_Nm: Counts per newton metre.
+        baud: Baud rate.
+        mode: Mode at power-on, ``"ascii"`` or ``"binary"``.
+        padded: True if fields are padded to six characters.
+        faults: Faults of the connection.
+
+    Attributes:
+        records: Number of records sent.
 
     Raises:
-        InputError: a number that is not positive.
+        InputError: A number is not positive.
     """
 
     name = "ati-serial"
@@ -60,10 +66,9 @@ class AtiSerialEmulator(TerminalEmulator):
         super().__init__(faults or Faults())
         for field, value in (("counts_per_N", counts_per_N), ("counts_per_Nm", counts_per_Nm), ("baud", baud)):
             if not value > 0:
-                raise InputError(f"{value:g}; give a number above zero", field=field)
+                raise InputError(f"must be above 0; got {value:g}", field=field)
         self._sensor, self._baud, self._mode_at_start, self._padded = sensor, baud, mode, padded
         self._scale = (counts_per_N,) * 3 + (counts_per_Nm,) * 3
-        #: Records that it has sent.
         self.records = 0
         self._power_on()
 
@@ -85,16 +90,19 @@ class AtiSerialEmulator(TerminalEmulator):
         self._sensor.stop()
 
     def _power_on(self) -> None:
+        """Set the state at power-on."""
         self._mode, self._streams, self._command = self._mode_at_start, False, b""
-        self._biases: deque[tuple[int, ...]] = deque(maxlen=_LEVELS)
+        self._biases: deque[tuple[int, ...]] = deque(maxlen=_BIAS_LEVELS)
+        #: Loads to average.
         self._loads: deque[tuple[float, ...]] = deque([(0.0,) * 6], maxlen=1)
         self._faulty = False
-        #: (when its last byte has left, message); until when the line is taken, s.
+        #: Messages on the line: time at which the last byte leaves, s, and bytes.
         self._leaving: deque[tuple[float, bytes]] = deque()
+        #: Time until which the line is occupied, s.
         self._free_at = 0.0
 
     def received(self, data: bytes) -> list[bytes]:
-        if not self._is_its_baud():
+        if not self._has_matching_baud():
             self._send(PROMPT + _END)
             return []
         for value in data:
@@ -105,7 +113,7 @@ class AtiSerialEmulator(TerminalEmulator):
             elif byte == ONE_RECORD:
                 self._send(self._record())
                 self.records += 1
-            elif byte == RETURN:
+            elif byte == CARRIAGE_RETURN:
                 self._answer(self._command)
                 self._command = b""
             elif not self._streams:
@@ -115,28 +123,31 @@ class AtiSerialEmulator(TerminalEmulator):
     def due(self) -> list[bytes]:
         now = time.monotonic()
         while self._streams and self._free_at <= now:
-            # The next one begins where the last one ended, as long as the thread is not far behind.
+            # The next record follows the last one without a pause, unless the thread is 0.1 s behind.
             self._send(self._record(), max(self._free_at, now - 0.1))
             self.records += 1
         ready = []
         while self._leaving and self._leaving[0][0] <= now:
             ready.append(self._leaving.popleft()[1])
-        return ready if self._is_its_baud() else [bytes(byte ^ 0xA5 for byte in message) for message in ready]
+        if self._has_matching_baud():
+            return ready
+        return [bytes(byte ^ 0xA5 for byte in message) for message in ready]
 
-    def _is_its_baud(self) -> bool:
-        """Whether the client has set the terminal to its baud rate."""
+    def _has_matching_baud(self) -> bool:
+        """Return True if the client has set the terminal to the baud rate of the controller."""
         import termios
 
-        wanted = getattr(termios, f"B{self._baud}", None)
-        return wanted is None or termios.tcgetattr(self._slave)[5] == wanted
+        speed = getattr(termios, f"B{self._baud}", None)
+        return speed is None or termios.tcgetattr(self._slave)[5] == speed
 
     def _send(self, message: bytes, begins: float | None = None) -> None:
+        """Queue a message that begins at a time, s; None: as soon as the line is free."""
         begins = max(self._free_at, time.monotonic()) if begins is None else begins
-        self._free_at = begins + seconds_on_the_line(len(message), self._baud)
+        self._free_at = begins + transmission_time(len(message), self._baud)
         self._leaving.append((self._free_at, message))
 
     def _answer(self, command: bytes) -> None:
-        """Do a command, and say so."""
+        """Execute a command and send the answer."""
         self._streams = False
         words = command.decode("ascii", "replace").upper().split()
         match words:
@@ -167,23 +178,23 @@ class AtiSerialEmulator(TerminalEmulator):
         self._send(command + _END + _END + PROMPT)
 
     def _record(self) -> bytes:
-        """The next record as it stands on the line."""
+        """Return the bytes of the next record."""
         counts = self._counts()
         bias = self._biases[-1] if self._biases else (0,) * 6
         biased = [count - zero for count, zero in zip(counts, bias, strict=True)]
-        told = tuple(min(max(count, LOWEST), HIGHEST) for count in biased)
-        record = Record(int(self._faulty or list(told) != biased), told)
+        clipped = tuple(min(max(count, LOWEST_COUNT), HIGHEST_COUNT) for count in biased)
+        record = Record(int(self._faulty or list(clipped) != biased), clipped)
         return encode_binary(record) if self._mode == "binary" else encode_ascii(record, self._padded) + _END
 
     def _counts(self) -> tuple[int, ...]:
-        """What it measures now, averaged, without a bias."""
+        """Return the averaged counts without bias, and update the error flag."""
         try:
             samples = self._sensor.read()
         except DeviceError:
             samples, self._faulty = (), True
         for sample in samples:
-            named = dict(zip(self._sensor.channels, sample.values, strict=True))
-            self._loads.append(tuple(named.get(name, 0.0) for name in CHANNELS))
+            by_name = dict(zip(self._sensor.channels, sample.values, strict=True))
+            self._loads.append(tuple(by_name.get(name, 0.0) for name in CHANNELS))
         if samples:
             self._faulty = any(sample.status & (SampleStatus.SATURATED | SampleStatus.FAULT) for sample in samples)
         means = (sum(column) / len(self._loads) for column in zip(*self._loads, strict=True))
@@ -191,8 +202,9 @@ class AtiSerialEmulator(TerminalEmulator):
 
 
 def emulate_ati_serial(bench: Bench, text: str, faults: Faults) -> AtiSerialEmulator:
-    """``ati-serial:counts_per_N=100,counts_per_Nm=4000,baud=9600,mode=ascii,padded=1``."""
-    words, rest = take_words(text, mode=MODES)
+    """Make an emulator from ``ati-serial:counts_per_N=100,counts_per_Nm=4000,baud=9600,mode=ascii,padded=1``."""
+
+    words, rest = read_choices(text, mode=MODES)
     given = read_settings(rest, counts_per_N=100.0, counts_per_Nm=4000.0, baud=9600, padded=1)
     return AtiSerialEmulator(bench.sensor, given["counts_per_N"], given["counts_per_Nm"], int(given["baud"]),
                              words["mode"], bool(given["padded"]), faults)

@@ -1,4 +1,4 @@
-"""What an emulator is: a program that answers as a device does, on a line that any client of the device can open."""
+"""Base class and table of emulators: programs that any client of a device can connect to instead of the device."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from tissue_sim.registry import Registry
 
 
 class Emulator(ABC):
-    """Speaks the protocol of a device. Making one opens nothing; `start` does.
+    """A program that speaks the protocol of a device. The constructor opens no connection; `start` does.
 
     Attributes:
-        name: of the protocol, as in ``tissue-sim emulate NAME``.
+        name: Name of the protocol, as in ``tissue-sim emulate NAME``.
     """
 
     name: str
@@ -22,23 +22,23 @@ class Emulator(ABC):
     @property
     @abstractmethod
     def address(self) -> str:
-        """What `open_sensor`, `open_stage` or `open_haptic` takes to reach it; known once it is started."""
+        """Name for `open_sensor`, `open_stage` or `open_haptic` that connects to the emulator; known after `start`."""
 
     @abstractmethod
     def start(self) -> None:
-        """Open the line and answer on it, in a thread; nothing where it does already.
+        """Open the connection and answer in a thread; has no effect on a started emulator.
 
         Raises:
-            DeviceError: the line cannot be opened.
+            DeviceError: The connection cannot be opened.
         """
 
     @abstractmethod
     def stop(self) -> None:
-        """Close the line, and stop what is behind it; nothing where it is stopped."""
+        """Close the connection and stop the device that backs it; has no effect on a stopped emulator."""
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:
-        """What it plays, and how much it has answered; units in the keys, types of JSON."""
+        """Return protocol, address, settings and counts of messages. Keys carry units, values have JSON types."""
 
     def __enter__(self) -> Self:
         self.start()
@@ -48,7 +48,7 @@ class Emulator(ABC):
         self.stop()
 
 
-#: Name -> function of (bench, settings after the colon, faults) that makes the emulator.
+#: Emulators by name; each is a function of (bench, settings after the colon, faults).
 EMULATORS: Registry[Any] = Registry("emulator", "tissue_sim.emulators", {
     "rdt": "haptics.emulators.rdt:emulate_rdt",
     "ati-serial": "haptics.emulators.ati_serial:emulate_ati_serial",
@@ -59,15 +59,16 @@ EMULATORS: Registry[Any] = Registry("emulator", "tissue_sim.emulators", {
 
 
 def open_emulator(name: str, bench: Bench, faults: Faults | None = None) -> Emulator:
-    """An emulator by name; it is not started.
+    """Make an emulator by name, without starting it.
 
     Args:
-        name: of the protocol, and where it takes settings, a colon and those: ``rdt:port=49152``.
-        bench: whose samples and motion it tells; what it speaks for is started and stopped with it.
-        faults: on its line; those of the sensor and the motor belong to the bench.
+        name: Name of the protocol, followed by a colon and its settings if it has any: ``rdt:port=49152``.
+        bench: Devices whose samples and motions the emulator transmits; the emulator starts and stops the one it uses.
+        faults: Faults of the connection; faults of sensor and motor belong to the bench.
 
     Raises:
-        InputError: no such emulator (names the nearest), or settings that it refuses.
+        InputError: No emulator has this name (the message names the nearest), or the settings are invalid.
     """
+
     protocol, _, settings = name.partition(":")
     return EMULATORS.find(protocol)(bench, settings, faults or Faults())

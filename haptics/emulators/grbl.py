@@ -1,7 +1,7 @@
-"""A Grbl 1.1 on a pseudo-terminal, with a stage behind one of its axes: even speed instead of ramps.
+"""Emulator of Grbl 1.1 on a pseudo-terminal. One axis is a stage that moves at constant speed, without ramps.
 
-It knows jogs, homing, settings, reports and alarms, and no G-code. Source: Grbl 1.1 documentation, doc/markdown of
-github.com/gnea/grbl. Motion is that of the stage behind it, which is brought to its zero when the power comes.
+Supports jogs, homing, settings, reports and alarms; no G-code. Source: Grbl 1.1 documentation, doc/markdown of
+github.com/gnea/grbl. At power-on the stage is homed.
 """
 
 from __future__ import annotations
@@ -13,27 +13,33 @@ from haptics.devices.settings import read_settings
 from haptics.devices.virtual.faults import Faults
 from haptics.emulators.terminal import TerminalEmulator
 from haptics.protocols import grbl
+from haptics.protocols.grbl import Setting
 from tissue_sim.errors import InputError
 
+#: Version and date reported by ``$I``.
 _VERSION = "1.1h.20190825"
+#: Line sent after a reset.
 _BANNER = "Grbl 1.1h ['$' for help]"
+#: Line sent after a reset in an alarm.
 _LOCKED = "[MSG:'$H'|'$X' to unlock]"
-#: Reports between two that tell the offset of the work coordinates.
-_OFFSET_EACH = 10
+#: Every tenth report includes the offset of the work coordinates.
+_OFFSET_INTERVAL = 10
 
 
 class GrblEmulator(TerminalEmulator):
-    """Plays Grbl.
+    """Emulate a Grbl whose axis is a stage.
 
     Args:
-        bench: its stage is the axis. faults: on the line.
+        bench: Devices of the rig; the stage is the axis.
+        faults: Faults of the connection.
         axis: X, Y or Z.
-        settings: numbers of ``$$`` that differ from the usual ones.
-        work_offset: of the work coordinates, mm; not 0: it reports those instead of machine coordinates.
-        version: that it tells.
+        settings: Values of ``$$`` by number that differ from the defaults.
+        work_offset: Offset of the work coordinates, mm; if it is not 0, reports are in work coordinates.
+        version: Version and date reported by ``$I``.
 
     Attributes:
-        most_queued: longest motion that was ever taken and not yet made, s.
+        most_queued: Longest motion that was ever queued, s.
+        answered: Number of lines sent.
     """
 
     name = "grbl"
@@ -47,21 +53,25 @@ class GrblEmulator(TerminalEmulator):
                                             11: 0.01, 12: 0.002, 13: 0, 20: 1, 21: 1, 22: 1, 23: 0, 24: 25.0, 25: 500.0,
                                             26: 250, 27: 1.0, 30: 1000, 31: 0, 32: 0}
         for number in range(3):
-            self._settings |= {grbl.STEPS_PER_MM + number: 800.0, grbl.MAX_RATE + number: limits.speed * 60e3,
-                               grbl.ACCELERATION + number: 500.0, grbl.TRAVEL + number: limits.highest * 1e3 + 1.0}
+            self._settings |= {Setting.STEPS_PER_MM + number: 800.0, Setting.MAX_RATE + number: limits.speed * 60e3,
+                               Setting.ACCELERATION + number: 500.0,
+                               Setting.TRAVEL + number: limits.highest * 1e3 + 1.0}
         self._settings |= settings or {}
-        self._imposed: int | None = None
+        #: Alarm requested by `alarm`; None: none.
+        self._pending_alarm: int | None = None
         self.most_queued = 0.0
         self._power_up()
 
     def _power_up(self) -> None:
+        """Set the state at power-on."""
+        #: Received characters of an incomplete line.
         self._text = bytearray()
-        #: Lines that wait for their turn.
+        #: Complete lines that wait for the end of homing or of a critical alarm.
         self._waiting: list[str] = []
-        self._alarm, self._critical = bool(self._settings[grbl.HOMING]), False
+        self._alarm, self._critical = bool(self._settings[Setting.HOMING]), False
         self._homing = self._held = False
-        #: Motions that were taken: to where, m of the stage; how fast, m/s. The first one goes on.
-        self._legs: list[tuple[float, float]] = []
+        #: Queued motions: target of the stage, m, and speed, m/s. The first one is in progress if `_begun` is True.
+        self._motions: list[tuple[float, float]] = []
         self._begun = False
         self._reports = self.answered = 0
 
@@ -72,8 +82,8 @@ class GrblEmulator(TerminalEmulator):
                 f"top_speed_mm_s={limits.speed * 1e3:g}")
 
     def alarm(self, number: int) -> None:
-        """Let an alarm happen, such as 1: a limit switch was hit; from any thread."""
-        self._imposed = number
+        """Cause an alarm, such as 1 for a limit switch; callable from any thread."""
+        self._pending_alarm = number
 
     def begin(self) -> None:
         self._power_up()
@@ -89,95 +99,98 @@ class GrblEmulator(TerminalEmulator):
 
     @property
     def queued(self) -> float:
-        """Motion that was taken and not yet made, s."""
-        place, seconds = self._stage.position().position, 0.0
-        for target, speed in list(self._legs):
-            seconds += abs(target - place) / speed
-            place = target
+        """Duration of the queued motions, including the remainder of the present one, s."""
+        position, seconds = self._stage.position().position, 0.0
+        for target, speed in list(self._motions):
+            seconds += abs(target - position) / speed
+            position = target
         return seconds
 
     def received(self, data: bytes) -> list[bytes]:
-        said: list[str] = []
+        lines: list[str] = []
         for byte in data:
             character = bytes([byte])
             if character in (grbl.STATUS, grbl.HOLD, grbl.RESUME, grbl.RESET, grbl.JOG_CANCEL) or byte >= 0x80:
-                said += self._at_once(character)
+                lines += self._execute_character(character)
             elif character in b"\r\n":
                 line, self._text = self._text.decode("ascii", "replace"), bytearray()
                 self._waiting.append("".join(line.split()).upper())
-                said += self._lines()
+                lines += self._execute_waiting()
             else:
                 self._text += character
-        return self._messages(said)
+        return self._encode_lines(lines)
 
     def due(self) -> list[bytes]:
-        said: list[str] = []
-        number, self._imposed = self._imposed, None
+        lines: list[str] = []
+        number, self._pending_alarm = self._pending_alarm, None
         if number is not None:
-            self._stand()
+            self._stop_motion()
             self._alarm, self._critical = True, number in (1, 2)
-            said += [f"ALARM:{number}", *(["[MSG:Reset to continue]"] if self._critical else [])]
+            lines += [f"ALARM:{number}", *(["[MSG:Reset to continue]"] if self._critical else [])]
         if self._homing and not self._stage.position().moving:
             self._homing = self._alarm = False
-            said += ["ok", *self._lines()]
+            lines += ["ok", *self._execute_waiting()]
         self._advance()
-        return self._messages(said)
+        return self._encode_lines(lines)
 
-    def _messages(self, said: list[str]) -> list[bytes]:
-        self.answered += len(said)
-        return [line.encode() + b"\r\n" for line in said]
+    def _encode_lines(self, lines: list[str]) -> list[bytes]:
+        self.answered += len(lines)
+        return [line.encode() + b"\r\n" for line in lines]
 
-    def _stand(self) -> None:
+    def _stop_motion(self) -> None:
+        """Halt the stage, clear the queue and end homing."""
         self._stage.halt()
-        self._legs, self._begun, self._homing = [], False, False
+        self._motions, self._begun, self._homing = [], False, False
 
     def _advance(self) -> None:
-        """Begin the first motion, or go on to the next."""
+        """Start the first queued motion, or the next one when the first has ended."""
         sample = self._stage.position()
-        if self._begun and self._legs and not sample.moving:
-            self._legs, self._begun = self._legs[1:], False
-        if self._legs and not self._begun and sample.homed:
-            self._stage.move(*self._legs[0])
+        if self._begun and self._motions and not sample.moving:
+            self._motions, self._begun = self._motions[1:], False
+        if self._motions and not self._begun and sample.homed:
+            self._stage.move(*self._motions[0])
             self._begun = True
 
-    def _at_once(self, character: bytes) -> list[str]:
+    def _execute_character(self, character: bytes) -> list[str]:
+        """Execute a real-time character and return the answer."""
         """Real-time characters."""
         if character == grbl.STATUS:
             return [] if self._homing else [self._report()]
-        if character == grbl.JOG_CANCEL or (character == grbl.HOLD and self._legs):
-            if self._legs:
-                self._stand()
+        if character == grbl.JOG_CANCEL or (character == grbl.HOLD and self._motions):
+            if self._motions:
+                self._stop_motion()
         elif character == grbl.HOLD:
             self._held = not self._alarm and not self._homing
         elif character == grbl.RESUME:
             self._held = False
         elif character == grbl.RESET:
-            moved = 6 if self._homing else 3 if self._legs else None
-            self._stand()
+            alarm = 6 if self._homing else 3 if self._motions else None
+            self._stop_motion()
             self._held, self._critical, self._text, self._waiting = False, False, bytearray(), []
-            self._alarm = self._alarm or moved is not None
-            return [*([f"ALARM:{moved}"] if moved else []), _BANNER, *([_LOCKED] if self._alarm else [])]
+            self._alarm = self._alarm or alarm is not None
+            return [*([f"ALARM:{alarm}"] if alarm else []), _BANNER, *([_LOCKED] if self._alarm else [])]
         return []
 
-    def _lines(self) -> list[str]:
-        """Answers to the lines that wait; while it homes they wait on."""
-        said: list[str] = []
+    def _execute_waiting(self) -> list[str]:
+        """Execute the waiting lines and return the answers; homing and critical alarms defer them."""
+        answers: list[str] = []
         while self._waiting and not self._homing and not self._critical:
-            said += self._obey(self._waiting.pop(0))
-        return said
+            answers += self._execute_line(self._waiting.pop(0))
+        return answers
 
-    def _obey(self, line: str) -> list[str]:
+    def _execute_line(self, line: str) -> list[str]:
+        """Execute a line and return the answer."""
         if line.startswith("$J="):
             return [self._jog(line)]
         if line == "$H":
-            if not self._settings[grbl.HOMING]:
+            if not self._settings[Setting.HOMING]:
                 return ["error:5"]
-            if self._legs or self._held:
+            if self._motions or self._held:
                 return ["error:8"]
             self._homing = True
             self._stage.home()
             return []
-        if line in ("$I", "$$", "$X") and (self._held or (self._legs and line != "$$")):
+        if line in ("$I", "$$", "$X") and (self._held or (self._motions and line != "$$")):
             return ["error:8"]
         if line == "$I":
             return [f"[VER:{self._version}:]", "[OPT:V,15,128]", "ok"]
@@ -191,86 +204,91 @@ class GrblEmulator(TerminalEmulator):
             return ["[GC:G0 G54 G17 G21 G90 G94 M5 M9 T0 F0 S0]", "ok"]
         if line == "$#":
             offset = ",".join(f"{self._work_offset if axis == self._axis else 0.0:.3f}" for axis in grbl.AXES)
-            places = (f"[{name}:{offset if name == 'G54' else '0.000,0.000,0.000'}]"
-                      for name in ("G54", "G55", "G56", "G57", "G58", "G59", "G28", "G30", "G92"))
-            return [*places, "[TLO:0.000]", "[PRB:0.000,0.000,0.000:0]", "ok"]
+            coordinates = (f"[{name}:{offset if name == 'G54' else '0.000,0.000,0.000'}]"
+                           for name in ("G54", "G55", "G56", "G57", "G58", "G59", "G28", "G30", "G92"))
+            return [*coordinates, "[TLO:0.000]", "[PRB:0.000,0.000,0.000:0]", "ok"]
         if line == "":
             return ["ok"]
         if line.startswith("$"):
             return ["error:3"]
-        return ["error:9" if self._alarm or self._legs else "error:20"]
+        return ["error:9" if self._alarm or self._motions else "error:20"]
 
     def _jog(self, line: str) -> str:
+        """Queue a jog and return the answer."""
         if self._alarm or self._held:
             return "error:8"
         jog = grbl.parse_jog(line)
         if jog is None:
             return "error:16"
-        place = self._stage.position().position
-        start = self._legs[-1][0] if self._legs else place
+        position = self._stage.position().position
+        start = self._motions[-1][0] if self._motions else position
         target = jog.targets.get(self._axis)
         if target is None:
-            return "ok"  # of an axis with nothing behind it
+            return "ok"  # a jog of an axis without a stage
         if jog.relative:
-            target += self._machine(start)
+            target += self._to_machine(start)
         elif not jog.machine:
             target += self._work_offset
         number = grbl.AXES.index(self._axis)
-        if self._settings[grbl.SOFT_LIMITS] and not -self._settings[grbl.TRAVEL + number] - 1e-6 <= target <= 1e-6:
+        travel = self._settings[Setting.TRAVEL + number]
+        if self._settings[Setting.SOFT_LIMITS] and not -travel - 1e-6 <= target <= 1e-6:
             return "error:15"
         limits = self._stage.limits
-        goal = min(max(self._of_stage(target), limits.lowest), limits.highest)
-        feed = min(max(jog.feed, grbl.LEAST_FEED), self._settings[grbl.MAX_RATE + number])
+        goal = min(max(self._to_stage(target), limits.lowest), limits.highest)
+        feed = min(max(jog.feed, grbl.LEAST_FEED), self._settings[Setting.MAX_RATE + number])
         speed = min(feed / 60e3, limits.speed)
         if goal == start:
             return "ok"
-        before = (self._legs[-2][0] if len(self._legs) > 1 else place) if self._legs else start
-        if self._legs and self._legs[-1][1] == speed and (goal - start) * (start - before) > 0:
-            # In the same direction at the same speed: Grbl does not stop between them.
-            self._legs[-1] = goal, speed
-            self._begun = self._begun and len(self._legs) > 1
+        before = (self._motions[-2][0] if len(self._motions) > 1 else position) if self._motions else start
+        if self._motions and self._motions[-1][1] == speed and (goal - start) * (start - before) > 0:
+            # Grbl does not stop between motions of equal direction and speed.
+            self._motions[-1] = goal, speed
+            self._begun = self._begun and len(self._motions) > 1
         else:
-            self._legs.append((goal, speed))
+            self._motions.append((goal, speed))
         self._advance()
         self.most_queued = max(self.most_queued, self.queued)
         return "ok"
 
-    def _home_machine(self) -> tuple[float, float]:
-        """Machine coordinate of the zero of the stage, mm, and the sign of the way from there."""
+    def _axis_frame(self) -> tuple[float, float]:
+        """Return the machine coordinate of the stage's zero, mm, and the direction of its positive end, 1 or -1."""
         number = grbl.AXES.index(self._axis)
-        pull_off, travel = self._settings[grbl.PULL_OFF], self._settings[grbl.TRAVEL + number]
-        if int(self._settings[grbl.HOMING_DIRECTION]) >> number & 1:
+        pull_off, travel = self._settings[Setting.PULL_OFF], self._settings[Setting.TRAVEL + number]
+        if int(self._settings[Setting.HOMING_DIRECTION]) >> number & 1:
             return pull_off - travel, 1.0
         return -pull_off, -1.0
 
-    def _machine(self, place: float) -> float:
-        zero, sign = self._home_machine()
-        return zero + sign * place * 1e3
+    def _to_machine(self, position: float) -> float:
+        """Convert a position of the stage, m, to a machine coordinate, mm."""
+        zero, sign = self._axis_frame()
+        return zero + sign * position * 1e3
 
-    def _of_stage(self, machine: float) -> float:
-        zero, sign = self._home_machine()
-        return sign * (machine - zero) * 1e-3
+    def _to_stage(self, coordinate: float) -> float:
+        """Convert a machine coordinate, mm, to a position of the stage, m."""
+        zero, sign = self._axis_frame()
+        return sign * (coordinate - zero) * 1e-3
 
     def _report(self) -> str:
+        """Return the next status report."""
         sample = self._stage.position()
         number = grbl.AXES.index(self._axis)
         machine = [0.0, 0.0, 0.0]
-        machine[number] = self._machine(sample.position)
+        machine[number] = self._to_machine(sample.position)
         offset = [0.0, 0.0, 0.0]
         offset[number] = self._work_offset
-        state = "Alarm" if self._alarm else "Hold" if self._held else "Jog" if self._legs else "Idle"
-        tell = self._reports % _OFFSET_EACH == 0
+        state = "Alarm" if self._alarm else "Hold" if self._held else "Jog" if self._motions else "Idle"
+        has_offset = self._reports % _OFFSET_INTERVAL == 0
         self._reports += 1
-        work = tuple(place - less for place, less in zip(machine, offset, strict=True))
-        by_machine = bool(int(self._settings[10]) & 1)
+        work = tuple(coordinate - shift for coordinate, shift in zip(machine, offset, strict=True))
+        in_machine_coordinates = bool(int(self._settings[10]) & 1)
         return grbl.format_report(grbl.Report(
-            state, 0 if state == "Hold" else None, tuple(machine) if by_machine else None, None if by_machine else work,
-            tuple(offset) if tell else None, self._axis if self._critical else "",
-            self._legs[0][1] * 60e3 if self._legs else 0.0))
+            state, 0 if state == "Hold" else None, tuple(machine) if in_machine_coordinates else None,
+            None if in_machine_coordinates else work, tuple(offset) if has_offset else None,
+            self._axis if self._critical else "", self._motions[0][1] * 60e3 if self._motions else 0.0))
 
 
 def emulate_grbl(bench: Bench, text: str, faults: Faults) -> GrblEmulator:
-    """``grbl:work_offset_mm=0``, and settings by their number: ``grbl:110=300,23=4``."""
+    """Make an emulator from ``grbl:work_offset_mm=0`` and values of ``$$`` by number: ``grbl:110=300,23=4``."""
     own, numbers = [], {}
     for part in filter(None, (part.strip() for part in text.split(","))):
         name, _, value = part.partition("=")
@@ -278,7 +296,8 @@ def emulate_grbl(bench: Bench, text: str, faults: Faults) -> GrblEmulator:
         if setting is None:
             own.append(part)
         elif setting[1] < 0:
-            raise InputError(f"{value} is below zero; Grbl answers error:4 to that", field=name)
+            raise InputError(f"must be 0 or more; got {value}. Grbl answers error:4 to negative values", field=name)
+
         else:
             numbers[setting[0]] = setting[1]
     given = read_settings(",".join(own), work_offset_mm=0.0)

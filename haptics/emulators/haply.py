@@ -1,4 +1,4 @@
-"""A Haply Inverse service, played: behind it is a hand that moves and gives way, not an arm."""
+"""Emulator of a Haply Inverse service, backed by a simulated hand; the mechanics of the arm are not simulated."""
 
 from __future__ import annotations
 
@@ -19,26 +19,34 @@ from tissue_sim.pose import Vector
 if TYPE_CHECKING:
     from websockets.sync.server import Server, ServerConnection
 
-#: Where the hand begins, in the frame of the device, m: about where the maker's examples have the cursor.
+#: Initial position of the cursor in the frame of the device, m; similar to the maker's examples.
 START: Vector = (0.0, -0.15, 0.15)
-#: Without a message for so long, s, this emulator lets go. Of the real service it is not known.
-LETS_GO = 0.1
-#: How finely the hand is moved, s, and how long a thread waits for a message.
-_STEP, _WAIT = 1e-3, 5e-3
+#: Time without a message after which the emulator removes the force, s; the real service's time is not documented.
+RELEASE_TIME = 0.1
+#: Largest time step of the hand, s.
+_STEP = 1e-3
+#: Longest wait for a message, s.
+_WAIT = 5e-3
 _CONFIG = {"type": "inverse3", "handedness": "right", "gravity_compensation": {"enabled": True, "scaling_factor": 1.0},
            "device_info": {"major_version": 7, "minor_version": 4, "id": "049D"}}
 _STATUS = {"calibrated": True, "in_use": False, "power_supply": True, "ready": True, "started": True}
 
 
 class HaplyEmulator(Emulator):
-    """Answers as the service does: what is there at once, and then one message of states for each message.
+    """Emulate the service: it sends the state at once to a new client, and then one state for each message.
 
-    The hand begins anew with each client. Without a message for `LETS_GO` it gives no force, as without a client.
+    The hand restarts with each client. Without a client, or without a message for `RELEASE_TIME`, the force is zero.
 
     Args:
-        hand: what moves the cursor; its place at time 0 is `START`.
-        port: to listen on; 0: any free one.
-        faults: on what the service says.
+        hand: Hand that moves the cursor; its position at time 0 corresponds to `START`.
+        port: Port to listen on; 0: any free port.
+        faults: Faults of the connection.
+
+    Attributes:
+        force: Force on the hand in the frame of the device, N.
+        largest_force: Largest magnitude of the force so far, N.
+        messages: Number of messages received.
+        refused: Number of invalid messages among them.
     """
 
     name = "haply"
@@ -49,11 +57,10 @@ class HaplyEmulator(Emulator):
         self._thread: threading.Thread | None = None
         self._ending = threading.Event()
         self._lock = threading.Lock()
-        self._began = self._heard = 0.0
-        #: On the hand now, N, in the frame of the device, and the largest so far.
+        #: Times of the connection and of the last message, s.
+        self._began = self._last_message = 0.0
         self.force: Vector = (0.0, 0.0, 0.0)
         self.largest_force = 0.0
-        #: How many messages came, and how many of them made no sense.
         self.messages = self.refused = 0
 
     @property
@@ -66,7 +73,7 @@ class HaplyEmulator(Emulator):
         from websockets.sync.server import serve
 
         try:
-            # Without compression, as on a line that must be fast.
+            # Compression would delay messages.
             self._server = serve(self._serve, "127.0.0.1", self._port, compression=None)
         except OSError as error:
             raise DeviceError(f"port {self._port} cannot be opened for the emulator of a Haply service ({error}); the "
@@ -90,22 +97,25 @@ class HaplyEmulator(Emulator):
     def describe(self) -> dict[str, Any]:
         return {"emulator": "Haply Inverse service", "address": self.address, "messages": self.messages,
                 "refused": self.refused, "force_N": list(self.force), "largest_force_N": self.largest_force,
-                "unverified": f"that the real service lets go after {LETS_GO:g} s of silence", **self._hand.describe()}
+                "unverified": f"that the real service removes the force after {RELEASE_TIME:g} s of silence",
+                **self._hand.describe()}
 
-    def place(self) -> Vector:
-        """Where the cursor is now, m, in the frame of the device."""
+    def cursor_position(self) -> Vector:
+        """Return the present position of the cursor in the frame of the device, m."""
         return self._state().position
 
     def _serve(self, connection: ServerConnection) -> None:
+        """Serve one client until it disconnects."""
         from websockets.exceptions import ConnectionClosed
 
         with self._lock:
             self._hand.start()
-            self._began = self._heard = time.monotonic()
-            self._moved = 0.0
+            self._began = self._last_message = time.monotonic()
+            #: Time to which the hand has been simulated, s since the connection.
+            self._simulated = 0.0
             first = self._hand.pose(0.0)
             self._zero = first.position if first is not None else (0.0, 0.0, 0.0)
-            self._push((0.0, 0.0, 0.0))
+            self._set_force((0.0, 0.0, 0.0))
         line = FaultyLine(self._faults, self._began)
         with contextlib.suppress(ConnectionClosed):
             connection.send(state_message(self._state(config=_CONFIG), self.force, session=1))
@@ -121,49 +131,52 @@ class HaplyEmulator(Emulator):
                 for each in line.take(now):
                     connection.send(each.decode(errors="replace"))
         with self._lock:
-            self._push((0.0, 0.0, 0.0))
+            self._set_force((0.0, 0.0, 0.0))
 
     def _answer(self, message: str | bytes) -> str:
+        """Apply the force of a message and return the answer."""
         self.messages += 1
         state = self._state()
         with self._lock:
-            self._heard = time.monotonic()
+            self._last_message = time.monotonic()
             try:
                 force = read_force(message, state.device_id)
             except ValueError:
                 self.refused += 1
                 force = None
             if force is not None:
-                self._push(force)
+                self._set_force(force)
         return state_message(state, self.force)
 
     def _state(self, config: dict[str, Any] | None = None) -> HapticState:
-        """Move the hand to this moment."""
+        """Simulate the hand until now and return its state."""
         with self._lock:
             now = time.monotonic()
-            goal, lets_go = now - self._began, self._heard + LETS_GO - self._began
+            goal, release = now - self._began, self._last_message + RELEASE_TIME - self._began
             pose = None
-            while self._moved < goal:
-                self._moved = min(self._moved + _STEP, goal)
-                pose = self._hand.pose(self._moved)
-                if self._moved >= lets_go and any(self.force):
-                    self._push((0.0, 0.0, 0.0))
-            pose = pose or self._hand.pose(self._moved)
-            place = pose.position if pose is not None else self._zero
-            x, y, z = (a + b - c for a, b, c in zip(START, place, self._zero, strict=True))
+            while self._simulated < goal:
+                self._simulated = min(self._simulated + _STEP, goal)
+                pose = self._hand.pose(self._simulated)
+                if self._simulated >= release and any(self.force):
+                    self._set_force((0.0, 0.0, 0.0))
+            pose = pose or self._hand.pose(self._simulated)
+            position = pose.position if pose is not None else self._zero
+            x, y, z = (a + b - c for a, b, c in zip(START, position, self._zero, strict=True))
             return HapticState("049D", (x, y, z), self._hand.velocity, (1.0, 0.0, 0.0, 0.0), config or {}, _STATUS)
 
-    def _push(self, force: Vector) -> None:
+    def _set_force(self, force: Vector) -> None:
+        """Apply a force to the hand, N."""
         self.force = force
         self.largest_force = max(self.largest_force, sum(part * part for part in force) ** 0.5)
         self._hand.render((*force, 0.0, 0.0, 0.0))
 
 
 def emulate_haply(bench: Bench, text: str, faults: Faults) -> HaplyEmulator:
-    """``haply:port=10001,mass_kg=0.15,damping_N_s_m=5,grip_N_m=400,depth_mm=0,frequency_hz=0.5``.
+    """Make an emulator of a service with a simulated hand.
 
-    With a depth, the hand goes up and down between where it begins and so far below. The bench is not used: no specimen
-    is behind a haptic device, but a hand.
+    Defaults: ``haply:port=10001,mass_kg=0.15,damping_N_s_m=5,grip_N_m=400,depth_mm=0,frequency_hz=0.5``. With a depth,
+    the hand's target moves sinusoidally between its first position and this depth below it. `bench` is not used:
+    a haptic device is held by a hand.
     """
     given = read_settings(text, port=10001, mass_kg=0.15, damping_N_s_m=5.0, grip_N_m=400.0, depth_mm=0.0,
                           frequency_hz=0.5)

@@ -1,4 +1,4 @@
-"""A box of ATI's: records over UDP, settings over HTTP."""
+"""Emulator of an ATI box with raw data transfer (RDT): records over UDP, settings page over HTTP."""
 
 from __future__ import annotations
 
@@ -18,21 +18,30 @@ from haptics.emulators.emulator import Emulator
 from haptics.protocols import rdt
 from haptics.protocols.rdt import Record, Settings
 
-#: The status words of an Axia: gage out of range, other error.
-_SATURATED, _FAULTY = 0x88000000, 0x80000020
-_LARGEST = 2**31 - 1
+#: Status word of an Axia with a gage out of range.
+_SATURATED = 0x88000000
+#: Status word of an Axia with another error.
+_FAULTY = 0x80000020
+#: Largest count in 32 bits.
+_LARGEST_COUNT = 2**31 - 1
 
 
 class RdtEmulator(Emulator):
-    """Answers as a box does; one client at a time, the last that asked.
+    """Emulate a box that sends the samples of a sensor to one client, the last one that requested them.
 
-    Channels that the sensor lacks read zero; its bias is taken here, of the counts, as a box does.
+    Channels that the sensor lacks read 0. The command "bias" is applied to the counts, as in a box.
 
     Args:
-        sensor: whose samples it sends; it is started and stopped with the emulator.
-        host: address to listen on. port, http_port: 0: whichever is free.
-        settings: what its page says; None: a million counts in a newton and a newton metre, at the sensor's rate.
-        faults: on the line.
+        sensor: Source of the samples; the emulator starts and stops it.
+        host: Address to listen on.
+        port: UDP port of the records; 0: any free port.
+        http_port: Port of the settings page; 0: any free port.
+        settings: Contents of the settings page; None: 1e6 counts per N and N m, at the rate of the sensor.
+        faults: Faults of the connection.
+
+    Attributes:
+        sent: Number of datagrams sent.
+        requests: Number of requests received.
     """
 
     name = "rdt"
@@ -64,7 +73,7 @@ class RdtEmulator(Emulator):
         except OSError as error:
             self._socket.close()
             self._sensor.stop()
-            raise DeviceError(_why_not(self._host, self._ports, error)) from None
+            raise DeviceError(_listen_failure(self._host, self._ports, error)) from None
         self._ports = self._socket.getsockname()[1], self._pages.server_address[1]
         self._socket.settimeout(0.0)
         self._ending.clear()
@@ -74,54 +83,57 @@ class RdtEmulator(Emulator):
             thread.start()
 
     def _serve(self) -> None:
+        """Answer requests and send records until the end; the body of the thread."""
         began = time.monotonic()
         line = FaultyLine(self._faults, began)
-        client, size, left, number = None, 1, 0, 0
+        client, size, remaining, number = None, 1, 0, 0
         bias = [0] * 6
-        held: list[Record] = []
+        pending: list[Record] = []
         while not self._ending.wait(0.5e-3):
             samples = self._sensor.read()
             counts = [self._counts(sample.values) for sample in samples]
-            for request, sender in self._asked(line):
-                if request.command in (rdt.REAL_TIME, rdt.BUFFERED):
-                    client, number, left = sender, 0, request.count or -1
-                    size = rdt.MOST_RECORDS if request.command == rdt.BUFFERED else 1
-                    held.clear()
-                elif request.command == rdt.STOP:
+            for request, sender in self._receive_requests(line):
+                if request.command in (rdt.Command.REAL_TIME, rdt.Command.BUFFERED):
+                    client, number, remaining = sender, 0, request.count or -1
+                    size = rdt.MAX_RECORDS if request.command == rdt.Command.BUFFERED else 1
+                    pending.clear()
+                elif request.command == rdt.Command.STOP:
                     client = None
-                elif request.command == rdt.BIAS and counts:
+                elif request.command == rdt.Command.BIAS and counts:
                     bias = list(counts[-1])
             if client is None:
                 continue
             now = time.monotonic()
             for sample, each in zip(samples, counts, strict=True):
-                if left == 0:
+                if remaining == 0:
                     break
-                number, left = number + 1, left - 1
-                held.append(Record(number & 0xFFFFFFFF, sample.sequence & 0xFFFFFFFF, _status(sample.status),
-                                   _wrench(count - zero for count, zero in zip(each, bias, strict=True))))
-                if len(held) == size or left == 0:
-                    line.put(rdt.pack_records(held), now)
-                    held = []
+                number, remaining = number + 1, remaining - 1
+                pending.append(Record(number & 0xFFFFFFFF, sample.sequence & 0xFFFFFFFF, _status_word(sample.status),
+                                      _clip(count - zero for count, zero in zip(each, bias, strict=True))))
+                if len(pending) == size or remaining == 0:
+                    line.put(rdt.pack_records(pending), now)
+                    pending = []
             for datagram in line.take(now):
-                # A client that has gone, or a full line, is no concern of the box.
+                # Like a box, the emulator ignores a client that has closed its port, and a full send buffer.
                 with contextlib.suppress(OSError):
                     self._socket.sendto(datagram, client)
                     self.sent += 1
 
-    def _asked(self, line: FaultyLine) -> list[tuple[rdt.Request, Any]]:
-        asked: list[tuple[rdt.Request, Any]] = []
+    def _receive_requests(self, line: FaultyLine) -> list[tuple[rdt.Request, Any]]:
+        """Return the waiting requests, each with the address of its sender."""
+        requests: list[tuple[rdt.Request, Any]] = []
         while True:
             try:
                 data, sender = self._socket.recvfrom(1024)
             except OSError:
-                return asked
+                return requests
             request = rdt.unpack_request(data)
             if request is not None and not line.is_silent(time.monotonic()):
                 self.requests += 1
-                asked.append((request, sender))
+                requests.append((request, sender))
 
     def _counts(self, values: Sequence[float]) -> list[int]:
+        """Return the six counts of a sample."""
         by_name = dict(zip(self._sensor.channels, values, strict=True))
         return [round(by_name.get(name, 0.0) / (self._force if name[0] == "F" else self._torque))
                 for name in rdt.CHANNELS]
@@ -144,18 +156,18 @@ class RdtEmulator(Emulator):
 
 
 def _page_handler(page: bytes) -> type[BaseHTTPRequestHandler]:
-    """Of the settings page, and nothing else."""
+    """Return the HTTP handler that serves the settings page only."""
 
     class Pages(BaseHTTPRequestHandler):
         timeout = 5.0
 
         def do_GET(self) -> None:
-            known = self.path.partition("?")[0] == rdt.SETTINGS_PATH
-            self.send_response(200 if known else 404)
+            exists = self.path.partition("?")[0] == rdt.SETTINGS_PATH
+            self.send_response(200 if exists else 404)
             self.send_header("Content-Type", "application/xml")
-            self.send_header("Content-Length", str(len(page) if known else 0))
+            self.send_header("Content-Length", str(len(page) if exists else 0))
             self.end_headers()
-            if known:
+            if exists:
                 self.wfile.write(page)
 
         def log_message(self, format: str, *args: Any) -> None:
@@ -164,26 +176,27 @@ def _page_handler(page: bytes) -> type[BaseHTTPRequestHandler]:
     return Pages
 
 
-def _wrench(counts: Iterable[int]) -> rdt.Wrench:
-    """As far as 32 bits reach."""
-    x, y, z, u, v, w = (min(max(count, -_LARGEST), _LARGEST) for count in counts)
+def _clip(counts: Iterable[int]) -> rdt.Wrench:
+    """Return six counts, clipped to 32 bits."""
+    x, y, z, u, v, w = (min(max(count, -_LARGEST_COUNT), _LARGEST_COUNT) for count in counts)
     return x, y, z, u, v, w
 
 
-def _status(status: int) -> int:
-    """The word of a sample with these bits of `SampleStatus`."""
+def _status_word(status: int) -> int:
+    """Return the status word of an Axia for bits of `SampleStatus`."""
     return (_SATURATED if status & SampleStatus.SATURATED else 0) | (_FAULTY if status & SampleStatus.FAULT else 0)
 
 
-def _why_not(host: str, ports: tuple[int, int], error: OSError) -> str:
+def _listen_failure(host: str, ports: tuple[int, int], error: OSError) -> str:
+    """Return cause and remedy for ports that cannot be opened."""
     if error.errno == errno.EADDRINUSE:
         return f"port {ports[0]} or {ports[1]} of {host} is in use; stop the other program, or give port=0,http_port=0"
     if error.errno in (errno.EACCES, errno.EPERM):
         return f"no permission to listen on port {ports[1]} of {host}; give a port above 1023, or 0 for any"
-    return f"{host} cannot be listened on ({error.strerror or error}); give an address of this computer"
+    return f"{host} cannot be opened for listening ({error.strerror or error}); give an address of this computer"
 
 
 def emulate_rdt(bench: Bench, text: str, faults: Faults) -> RdtEmulator:
-    """``rdt:port=49152,http_port=8080``; 0, or left out: whichever is free."""
+    """Make an emulator from ``rdt:port=49152,http_port=8080``; 0, the default, selects any free port."""
     given = read_settings(text, port=0, http_port=0)
     return RdtEmulator(bench.sensor, port=int(given["port"]), http_port=int(given["http_port"]), faults=faults)

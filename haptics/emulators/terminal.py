@@ -1,4 +1,4 @@
-"""A device on a serial port, played on a pseudo-terminal: real terminal semantics, no cable."""
+"""Base class of emulators of serial devices: a pseudo-terminal instead of a serial port."""
 
 from __future__ import annotations
 
@@ -14,15 +14,18 @@ from haptics.devices.contracts import DeviceError
 from haptics.devices.virtual.faults import Faults, FaultyLine
 from haptics.emulators.emulator import Emulator
 
-#: How long the thread waits for bytes before it looks what is due, s.
-_WAIT = 0.5e-3
+#: Longest wait for received bytes before `TerminalEmulator.due` is called again, s.
+_POLL = 0.5e-3
 
 
 class TerminalEmulator(Emulator):
-    """Answers on a pseudo-terminal.
+    """An emulator that answers on a pseudo-terminal.
 
     Args:
-        faults: on the line.
+        faults: Faults of the connection.
+
+    Attributes:
+        path: Path of the terminal for the client, such as ``/dev/pts/3``; empty before `start`.
     """
 
     def __init__(self, faults: Faults):
@@ -30,23 +33,22 @@ class TerminalEmulator(Emulator):
         self._thread: threading.Thread | None = None
         self._ending = threading.Event()
         self._master = self._slave = -1
-        #: What the client opens, such as ``/dev/pts/3``.
         self.path = ""
 
     @abstractmethod
     def begin(self) -> None:
-        """Start what is behind it; called before the line opens."""
+        """Start the device that backs the emulator; called before the terminal opens."""
 
     @abstractmethod
     def end(self) -> None:
-        """Stop what is behind it."""
+        """Stop the device that backs the emulator."""
 
     @abstractmethod
     def received(self, data: bytes) -> list[bytes]:
-        """Answers, a message each, to bytes of the client, which may be a part of a command, or several."""
+        """Return the answers to received bytes, one message each; the bytes may hold part of a command, or several."""
 
     def due(self) -> list[bytes]:
-        """What is sent unasked, a message each; asked about every half millisecond."""
+        """Return the messages to send without a request, one message each; called about every 0.5 ms."""
         return []
 
     def start(self) -> None:
@@ -58,7 +60,7 @@ class TerminalEmulator(Emulator):
 
         self.begin()
         self._master, self._slave = os.openpty()
-        # The slave stays open here: the line is there while no client is.
+        # The open slave keeps the terminal alive while no client is connected.
         tty.setraw(self._slave)
         self.path = os.ttyname(self._slave)
         os.set_blocking(self._master, False)
@@ -67,9 +69,10 @@ class TerminalEmulator(Emulator):
         self._thread.start()
 
     def _run(self) -> None:
+        """Answer received bytes and send due messages until the end; the body of the thread."""
         line = FaultyLine(self._faults, time.monotonic())
         while not self._ending.is_set():
-            readable, _, _ = select.select([self._master], [], [], _WAIT)
+            readable, _, _ = select.select([self._master], [], [], _POLL)
             now = time.monotonic()
             messages = []
             if readable:
@@ -80,7 +83,7 @@ class TerminalEmulator(Emulator):
             for message in (*messages, *self.due()):
                 line.put(message, now)
             for message in line.take(now):
-                # A client that does not read loses what does not fit, as on a wire without flow control.
+                # If the client does not read, excess bytes are lost, as on a wire without flow control.
                 with contextlib.suppress(BlockingIOError):
                     os.write(self._master, message)
 

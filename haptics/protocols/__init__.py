@@ -1,1 +1,1 @@
-"""What devices say on their lines: bytes to values and back, without any line. Clients and emulators share it."""
+"""Messages of devices: bytes to values and back, without a connection. Clients and emulators share these modules."""

@@ -1,9 +1,9 @@
-"""The calibration file of an ATI sensor for data acquisition systems, ``FT01234.cal``: volts to forces and torques.
+"""Calibration files of ATI sensors for data acquisition systems, ``FT01234.cal``: conversion of volts to forces.
 
-Source: the files' own comment, "use the UserAxis elements to construct the calibration matrix". Files of version 1.0
-have none; theirs is built from the Axis rows as those of version 1.1 are: each row over its scale, and the torques
-moved by the BasicTransform. On the two files of version 1.1 that a published program quotes
-(a Gamma and a Nano17) both ways agree within the rounding of their five decimals.
+Source: the comment in these files, "use the UserAxis elements to construct the calibration matrix". Files of version
+1.0 have no UserAxis rows; their matrix is built from the Axis rows, each divided by its scale, with the torques moved
+by the BasicTransform. For two published files of version 1.1 (a Gamma and a Nano17) both methods agree within the
+rounding of five decimals.
 """
 
 from __future__ import annotations
@@ -16,23 +16,26 @@ from haptics.protocols.ati_serial import CHANNELS
 from haptics.protocols.ati_units import FORCE_UNITS, LENGTH_UNITS, TORQUE_UNITS
 from tissue_sim.errors import InputError, nearest
 
-#: Bytes of a calibration file.
-LARGEST = 1_000_000
-#: V, of converters in these systems.
-_FULL_SPAN = 20.0
+#: Largest size of a calibration file, bytes.
+MAX_SIZE = 1_000_000
+#: Output span of converters without ``OutputRange``, V.
+_DEFAULT_SPAN = 20.0
+#: A row of the calibration matrix, or six readings.
 Row = tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class AtiCalibration:
-    """wrench = matrix (volts - volts without a load).
+    """Calibration of a sensor: wrench = matrix (volts - volts without load).
 
     Attributes:
-        serial: of the sensor, such as ``FT7927``. part: of the calibration, such as ``SI-40-2``. date: of it.
-        matrix: rows Fx Fy Fz Tx Ty Tz, of six numbers, N/V or N m/V.
-        reach: largest magnitude of each, N or N m.
-        volts: lowest and highest of the outputs, V.
-        rows: the elements that it is built from: ``"UserAxis"`` or ``"Axis"``.
+        serial: Serial number of the sensor, such as ``FT7927``.
+        part: Part number of the calibration, such as ``SI-40-2``.
+        date: Date of the calibration.
+        matrix: Rows Fx Fy Fz Tx Ty Tz of six numbers, N/V or N m/V.
+        reach: Largest magnitude of each component, N or N m.
+        volts: Lowest and highest output, V.
+        rows: Elements from which the matrix was built, ``"UserAxis"`` or ``"Axis"``.
     """
 
     serial: str
@@ -44,45 +47,47 @@ class AtiCalibration:
     rows: str
 
     def wrench(self, volts: Row) -> Row:
-        """Forces, N, and torques, N m, of six differences of volts."""
+        """Return forces, N, and torques, N m, for six differences of voltage, V."""
         return tuple(sum(factor * volt for factor, volt in zip(row, volts, strict=True)) for row in self.matrix)
 
 
 def read_calibration(text: str | bytes, name: str = "the calibration file") -> AtiCalibration:
-    """The calibration in the text of a ``.cal`` file.
+    """Return the calibration in the text of a ``.cal`` file.
 
     Args:
-        text: XML. name: of the file, in messages.
+        text: XML.
+        name: Name of the file, for messages.
 
     Raises:
-        InputError: it is cut off or damaged, no such file, or something is missing in it; names what.
+        InputError: The file is damaged, is no calibration file, or lacks an element; the message names the cause.
     """
-    if len(text) > LARGEST:
-        raise InputError("is too large for a calibration file (over 1 MB); give the .cal file of the sensor", file=name)
+    if len(text) > MAX_SIZE:
+        raise InputError("must be smaller than 1 MB to be a calibration file; give the .cal file of the sensor",
+                         file=name)
     data = text if isinstance(text, bytes) else text.encode("utf-8", "replace")
     if b"<!ENTITY" in data:
-        raise InputError("defines entities, which no calibration file does; give the .cal file of the sensor",
+        raise InputError("must not define entities to be a calibration file; give the .cal file of the sensor",
                          file=name)
     try:
         root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise InputError(f"is no whole XML ({error}): it is cut off or damaged; copy the .cal file from the sensor's "
-                         "disc again", file=name) from None
+        raise InputError(f"is not valid XML ({error}): it is incomplete or damaged; copy the .cal file from the "
+                         "sensor's disc again", file=name) from None
     sensor = root if root.tag == "FTSensor" else root.find(".//FTSensor")
     if sensor is None:
-        raise InputError(f"has no FTSensor (it begins with {root.tag}); give the .cal file of the sensor", file=name)
+        raise InputError(f"has no FTSensor (its root is {root.tag}); give the .cal file of the sensor", file=name)
     calibration = sensor.find("Calibration")
     if calibration is None:
         raise InputError("has no Calibration; copy the .cal file from the sensor's disc again", file=name)
     if sensor.get("NumGages", "6").strip() != "6":
-        raise InputError(f"is of a sensor with {sensor.get('NumGages')} gages; give one of a sensor with six",
-                         file=name)
+        raise InputError(f"must be of a sensor with six gages; got {sensor.get('NumGages')} gages. Give the file of "
+                         "another sensor", file=name)
     force = _unit(calibration, "ForceUnits", FORCE_UNITS, name)
     torque = _unit(calibration, "TorqueUnits", TORQUE_UNITS, name)
     rows = "UserAxis" if calibration.find("UserAxis") is not None else "Axis"
     matrix, reach = _rows(calibration, rows, name)
     if rows == "Axis":
-        matrix = _moved(calibration, matrix, name)
+        matrix = _move_torques(calibration, matrix, name)
     units = (force,) * 3 + (torque,) * 3
     return AtiCalibration(sensor.get("Serial", "unknown"), calibration.get("PartNumber", "unknown"),
                           calibration.get("CalDate", "unknown"),
@@ -92,6 +97,7 @@ def read_calibration(text: str | bytes, name: str = "the calibration file") -> A
 
 
 def _unit(calibration: ElementTree.Element, field: str, units: dict[str, float], name: str) -> float:
+    """Return the SI value of the unit in an attribute of ``Calibration``."""
     text = calibration.get(field)
     if text is None:
         raise InputError(f"Calibration has no {field}; copy the .cal file from the sensor's disc again", file=name)
@@ -101,22 +107,22 @@ def _unit(calibration: ElementTree.Element, field: str, units: dict[str, float],
     return units[unit]
 
 
-def _numbers(text: str | None, count: int, what: str, name: str) -> Row:
-    """So many finite numbers in an attribute."""
+def _numbers(text: str | None, count: int, quantity: str, name: str) -> Row:
+    """Return the finite numbers in an attribute, which must be `count`."""
     words = (text or "").split()
     try:
         numbers = tuple(float(word) for word in words)
     except ValueError:
         numbers = ()
     if len(numbers) != count or not all(math.isfinite(number) for number in numbers):
-        wanted = f"{count} finite number{'s' * (count > 1)}"
-        problem = "is missing" if text is None else f"is {text.strip()[:60]!r}, not {wanted}"
-        raise InputError(f"{what} {problem}; copy the .cal file from the sensor's disc again", file=name)
+        found = "none" if text is None else repr(text.strip()[:60])
+        raise InputError(f"{quantity} must be {count} finite number{'s' * (count > 1)}; got {found}. Copy the .cal "
+                         "file from the sensor's disc again", file=name)
     return numbers
 
 
 def _rows(calibration: ElementTree.Element, tag: str, name: str) -> tuple[tuple[Row, ...], Row]:
-    """The six rows, and the largest value of each, in the units of the file."""
+    """Return the six rows and the largest value of each component, in the units of the file."""
     elements: dict[str, ElementTree.Element] = {}
     for element in calibration.findall(tag):
         axis = element.get("Name", "")
@@ -126,7 +132,7 @@ def _rows(calibration: ElementTree.Element, tag: str, name: str) -> tuple[tuple[
         elements[axis] = element
     missing = [axis for axis in CHANNELS if axis not in elements]
     if missing:
-        raise InputError(f"has no {tag} row for {', '.join(missing)}; it is cut off or damaged: copy the .cal file "
+        raise InputError(f"has no {tag} row for {', '.join(missing)}: it is incomplete or damaged; copy the .cal file "
                          "from the sensor's disc again", file=name)
     matrix, reach = [], []
     for axis in CHANNELS:
@@ -136,48 +142,52 @@ def _rows(calibration: ElementTree.Element, tag: str, name: str) -> tuple[tuple[
         if tag == "Axis":
             scale, = _numbers(element.get("scale"), 1, f"the scale of {tag} {axis}", name)
             if not scale > 0:
-                raise InputError(f"the scale of {tag} {axis} is {scale:g}, which is not above zero; copy the .cal file "
+                raise InputError(f"the scale of {tag} {axis} must be above 0; got {scale:g}. Copy the .cal file "
                                  "from the sensor's disc again", file=name)
             row = tuple(value / scale for value in row)
         if not largest > 0 or not any(row):
-            raise InputError(f"{tag} {axis} is all zero or has a max of {largest:g}; copy the .cal file from the "
-                             "sensor's disc again", file=name)
+            raise InputError(f"{tag} {axis} must have a value and a max above 0; got a max of {largest:g}. Copy the "
+                             ".cal file from the sensor's disc again", file=name)
         matrix.append(row)
         reach.append(largest)
     return tuple(matrix), tuple(reach)
 
 
-def _moved(calibration: ElementTree.Element, matrix: tuple[Row, ...], name: str) -> tuple[Row, ...]:
-    """Torques about the origin that the BasicTransform gives: torque - offset x force."""
+def _move_torques(calibration: ElementTree.Element, matrix: tuple[Row, ...], name: str) -> tuple[Row, ...]:
+    """Move the torques to the origin of the BasicTransform: torque - offset x force."""
     transform = calibration.find("BasicTransform")
     if transform is None:
         raise InputError("has no UserAxis and no BasicTransform; copy the .cal file from the sensor's disc again",
                          file=name)
-    x, y, z, *turns = (_numbers(transform.get(key, "0"), 1, f"{key} of the BasicTransform", name)[0]
-                       for key in ("Dx", "Dy", "Dz", "Rx", "Ry", "Rz"))
-    if any(turns):
-        raise InputError("has no UserAxis rows and a BasicTransform that turns, which this program does not read; ask "
+    x, y, z, *rotations = (_numbers(transform.get(key, "0"), 1, f"{key} of the BasicTransform", name)[0]
+                           for key in ("Dx", "Dy", "Dz", "Rx", "Ry", "Rz"))
+    if any(rotations):
+        raise InputError("has no UserAxis rows and a BasicTransform with a rotation, which is not supported; ask "
                          "ATI for a file of version 1.1", file=name)
     lengths, torque = calibration.get("DistUnits", ""), calibration.get("TorqueUnits", "").strip()
     force = calibration.get("ForceUnits", "").strip()
     if lengths.strip() not in LENGTH_UNITS:
         raise InputError(f"unknown unit {lengths!r}{nearest(lengths, LENGTH_UNITS)}", file=name, field="DistUnits")
-    # An offset times a force, in the unit of the torques.
+    # Unit of offset times force, in units of torque.
     lever = FORCE_UNITS[force] * LENGTH_UNITS[lengths.strip()] / TORQUE_UNITS[torque.replace("N m", "N-m")]
     fx, fy, fz, tx, ty, tz = matrix
 
-    def less(torques: Row, one: float, first: Row, other: float, second: Row) -> Row:
-        return tuple(value - lever * (one * a - other * b) for value, a, b in zip(torques, first, second, strict=True))
+    def subtract(torques: Row, offset_1: float, force_1: Row, offset_2: float, force_2: Row) -> Row:
+        """Return torques - lever (offset_1 force_1 - offset_2 force_2)."""
+        return tuple(value - lever * (offset_1 * a - offset_2 * b)
+                     for value, a, b in zip(torques, force_1, force_2, strict=True))
 
-    return fx, fy, fz, less(tx, y, fz, z, fy), less(ty, z, fx, x, fz), less(tz, x, fy, y, fx)
+    return fx, fy, fz, subtract(tx, y, fz, z, fy), subtract(ty, z, fx, x, fz), subtract(tz, x, fy, y, fx)
 
 
 def _span(calibration: ElementTree.Element, name: str) -> tuple[float, float]:
-    """Lowest and highest output, V."""
+    """Return the lowest and the highest output, V."""
     text = calibration.get("OutputRange")
-    span = _FULL_SPAN if text is None else _numbers(text, 1, "OutputRange of the Calibration", name)[0]
+    span = _DEFAULT_SPAN if text is None else _numbers(text, 1, "OutputRange of the Calibration", name)[0]
     if not 0 < span <= 100.0:
-        raise InputError(f"OutputRange is {span:g} V; copy the .cal file from the sensor's disc again", file=name)
+        raise InputError(f"OutputRange must be above 0 and at most 100 V; got {span:g} V. Copy the .cal file from the "
+                         "sensor's disc again", file=name)
+
     if calibration.get("OutputBipolar", "True").strip().lower() == "false":
         return 0.0, span
     return -0.5 * span, 0.5 * span

@@ -1,13 +1,12 @@
-"""What the stand-alone controller of an ATI force/torque sensor says on its serial line.
+"""Messages of the stand-alone controller of an ATI force/torque sensor on its serial line.
 
-Commands are two letters, some with an argument, and a carriage return; the controller repeats them and ends its answer
-with the prompt ``>``. A record holds an error flag and six counts: forces along x, y, z, then torques about them.
+Commands are two letters, some with an argument, and a carriage return. The controller repeats a command and ends its
+answer with the prompt ``>``. A record has an error flag and six counts: forces along x, y, z, then torques about them.
 
-Sources: ATI, Installation and Operations Manual for Stand-Alone F/T Sensor Systems (9610-05-1001): the commands, and
-the ASCII record ``0,-413,-1080,-2480,-3532,45,5890``. That the fields of a controller on the bench are padded to six
-characters and its lines end in CR LF, as in ``0,  -102,   -99,  -225,   -20,    39,   -39``, is what public drivers
-for it say; both forms are read. The checksum of ``CD E``, which only binary records have, is left out: how it is
-computed is in neither.
+Sources: ATI, Installation and Operations Manual for Stand-Alone F/T Sensor Systems (9610-05-1001), for the commands and
+the ASCII record ``0,-413,-1080,-2480,-3532,45,5890``. According to public drivers, real controllers pad the fields to
+six characters and end lines with CR LF, as in ``0,  -102,   -99,  -225,   -20,    39,   -39``; both forms are read. The
+checksum of ``CD E``, for binary records only, is not supported, because neither source defines it.
 """
 
 from __future__ import annotations
@@ -16,18 +15,31 @@ import re
 import struct
 from dataclasses import dataclass
 
+#: Names of the six counts of a record.
 CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
-#: Largest and smallest count: at the end of the range the true value may be larger.
-LOWEST, HIGHEST = -32768, 32767
-#: After an answer; the end of a command; asks for one binary record with no echo; starts the controller anew.
-PROMPT, RETURN, ONE_RECORD, RESET = b">", b"\r", b"\x14", b"\x17"
-#: Bytes of a binary record.
+#: Smallest count; the true value may be smaller.
+LOWEST_COUNT = -32768
+#: Largest count; the true value may be larger.
+HIGHEST_COUNT = 32767
+#: End of an answer.
+PROMPT = b">"
+#: End of a command.
+CARRIAGE_RETURN = b"\r"
+#: Request for one binary record, without echo.
+ONE_RECORD = b"\x14"
+#: Restart of the controller.
+RESET = b"\x17"
+#: Length of a binary record, bytes.
 BINARY_LENGTH = 13
-#: Characters of a padded field, and bytes of a line of them: the flag, six fields with commas before, and CR LF.
-PADDED_WIDTH, PADDED_LENGTH = 6, 1 + 6 * 7 + 2
-#: On the line with 8N1: a start bit, eight of the byte, a stop bit.
+#: Width of a padded field, characters.
+PADDED_WIDTH = 6
+#: Length of a line of padded fields, bytes: the flag, six fields with a comma each, CR and LF.
+PADDED_LENGTH = 1 + 6 * 7 + 2
+#: Bits per byte on the line with 8N1: start bit, eight data bits, stop bit.
 _BITS = 10
+#: Binary record: flag and six counts.
 _BINARY = struct.Struct(">B6h")
+#: A count without leading zeros.
 _COUNT = r"(?:0|-?[1-9][0-9]{0,4})"
 _PLAIN = re.compile(rf"[0-9](?:,{_COUNT}){{6}}", re.ASCII)
 _PADDED = re.compile(rf"[0-9](?:,(?=.{{{PADDED_WIDTH}}}(?:,|\Z)) *{_COUNT}){{6}}", re.ASCII)
@@ -35,11 +47,11 @@ _PADDED = re.compile(rf"[0-9](?:,(?=.{{{PADDED_WIDTH}}}(?:,|\Z)) *{_COUNT}){{6}}
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One measurement.
+    """One sample.
 
     Attributes:
-        flag: 0, or there is an error: saturation, a sensor that is not connected.
-        counts: of `CHANNELS`, from `LOWEST` to `HIGHEST`.
+        flag: 0, or an error: saturation, or a disconnected sensor.
+        counts: Counts of `CHANNELS`, `LOWEST_COUNT` to `HIGHEST_COUNT`.
     """
 
     flag: int
@@ -47,45 +59,47 @@ class Record:
 
 
 def encode_ascii(record: Record, padded: bool = True) -> bytes:
-    """A record as a line, without its end."""
+    """Return a record as a line without its ending."""
     width = PADDED_WIDTH if padded else 0
     return ",".join([str(record.flag), *(f"{count:{width}d}" for count in record.counts)]).encode("ascii")
 
 
 def decode_ascii(line: bytes, padded: bool | None = None) -> Record | None:
-    """The record in a line without its end; None: there is none.
+    """Return the record in a line without its ending; None: the line is no record.
 
-    Accepts exactly what `encode_ascii` writes, so a line that lost or won a character, or has a wrong one, is seen,
-    with an exception that no reader without a checksum can see: a digit, sign or blank that became another one with
-    which the field still is a number, the beginning of one record with the end of another, where all between them was
-    lost and the fields fit, and where the fields are not padded, a digit that is missing or too many.
+    Accepts exactly the lines that `encode_ascii` writes, so most transmission errors are detected. Without a checksum
+    these errors are undetectable: a digit, sign or blank replaced by another one that leaves a valid number; the
+    beginning of one record joined to the end of another where the fields fit; without padding, a missing or additional
+    digit.
 
     Args:
-        line: bytes. padded: whether fields have six characters; None: either.
+        line: Bytes of the line.
+        padded: True: fields have six characters. False: fields have no padding. None: both forms are accepted.
     """
     try:
         text = line.decode("ascii")
     except UnicodeDecodeError:
         return None
-    forms = [form for form, wanted in ((_PADDED, True), (_PLAIN, False)) if padded in (None, wanted)]
+    forms = [form for form, is_padded_form in ((_PADDED, True), (_PLAIN, False)) if padded in (None, is_padded_form)]
     if not any(form.fullmatch(text) for form in forms):
         return None
     flag, *counts = (int(field) for field in text.split(","))
-    return Record(flag, tuple(counts)) if all(LOWEST <= count <= HIGHEST for count in counts) else None
+    is_in_range = all(LOWEST_COUNT <= count <= HIGHEST_COUNT for count in counts)
+    return Record(flag, tuple(counts)) if is_in_range else None
 
 
 def is_padded(line: bytes) -> bool:
-    """Whether a line without its end has the form of a padded record."""
+    """Return True if a line without its ending is a record with padded fields."""
     return decode_ascii(line, padded=True) is not None
 
 
 def encode_binary(record: Record) -> bytes:
-    """The 13 bytes of a record."""
+    """Return the 13 bytes of a record."""
     return _BINARY.pack(record.flag, *record.counts)
 
 
 def decode_binary(data: bytes) -> Record | None:
-    """The record in 13 bytes; None: of another length. Nothing in them tells whether one is wrong."""
+    """Return the record in 13 bytes; None: the length is wrong. Transmission errors are undetectable."""
     if len(data) != BINARY_LENGTH:
         return None
     flag, *counts = _BINARY.unpack(data)
@@ -93,10 +107,11 @@ def decode_binary(data: bytes) -> Record | None:
 
 
 def is_at_end_of_range(record: Record) -> bool:
-    """Whether a count is the largest or the smallest there is."""
-    return any(count in (LOWEST, HIGHEST) for count in record.counts)
+    """Return True if a count is the largest or the smallest one: the true value may be beyond it."""
+    return any(count in (LOWEST_COUNT, HIGHEST_COUNT) for count in record.counts)
 
 
-def seconds_on_the_line(bytes_sent: int, baud: float) -> float:
-    """How long so many bytes take, s."""
+def transmission_time(bytes_sent: int, baud: float) -> float:
+    """Return the time that bytes need on the line, s."""
+
     return _BITS * bytes_sent / baud

@@ -1,4 +1,4 @@
-"""What is said to Grbl 1.1, the firmware of small milling machines: lines, real-time characters and status reports.
+"""Messages of Grbl 1.1, the firmware of small milling machines: lines, real-time characters and status reports.
 
 Source: Grbl 1.1 documentation (github.com/gnea/grbl, doc/markdown): interface.md, commands.md, jogging.md,
 realtime_cmds.md, settings.md and the tables under doc/csv.
@@ -9,48 +9,88 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
+from enum import IntEnum
 
+#: Default baud rate.
 BAUD = 115200
-#: Real-time characters: picked out of the line at once, whatever stands before them.
-STATUS, HOLD, RESUME, RESET, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x85"
+#: Real-time characters, which Grbl executes at once, before the characters received earlier. Request a status report:
+STATUS = b"?"
+#: Pause the motion.
+HOLD = b"!"
+#: Resume a paused motion.
+RESUME = b"~"
+#: Soft reset.
+RESET = b"\x18"
+#: Cancel all jogs.
+JOG_CANCEL = b"\x85"
+#: Letters of the linear axes.
 AXES = "XYZ"
+#: States of the machine.
 STATES = ("Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep")
-#: Feed rates below this are raised to it (config.h, MINIMUM_FEED_RATE), mm/min.
+#: Lowest feed rate; Grbl raises lower ones to it (config.h, MINIMUM_FEED_RATE), mm/min.
 LEAST_FEED = 1.0
 
-#: Settings of the axis X; those of Y and Z follow.
-STEPS_PER_MM, MAX_RATE, ACCELERATION, TRAVEL = 100, 110, 120, 130
-REPORT_INCHES, SOFT_LIMITS, HOMING, HOMING_DIRECTION = 13, 20, 22, 23
-HOMING_FEED, HOMING_SEEK, PULL_OFF = 24, 25, 27
 
-#: What the numbers mean, and what to do.
+class Setting(IntEnum):
+    """Numbers of settings ``$$``. For settings of an axis this is the number of X; those of Y and Z follow."""
+
+    #: 1: reports are in inches.
+    REPORT_INCHES = 13
+    #: 1: motions beyond the travel are refused.
+    SOFT_LIMITS = 20
+    #: 1: homing is enabled.
+    HOMING = 22
+    #: One bit per axis; set: the axis homes to its negative end.
+    HOMING_DIRECTION = 23
+    #: Feed rate of the slow approach to the switch, mm/min.
+    HOMING_FEED = 24
+    #: Feed rate of the search for the switch, mm/min.
+    HOMING_SEEK = 25
+    #: Distance from the switch at the end of homing, mm.
+    PULL_OFF = 27
+    #: Motor steps per millimetre.
+    STEPS_PER_MM = 100
+    #: Largest feed rate, mm/min.
+    MAX_RATE = 110
+    #: Acceleration, mm/s^2.
+    ACCELERATION = 120
+    #: Length of travel, mm.
+    TRAVEL = 130
+
+#: Errors by number: cause, and remedy where there is one.
 ERRORS = {
-    1: "a word without its letter", 2: "a number that it cannot read", 3: "a '$' command that it does not know",
-    4: "a negative value where none may stand", 5: "homing is switched off; set $22=1",
-    6: "a step pulse below 3 microseconds; set $0 to 3 or more", 7: "its memory could not be read; check all of $$",
-    8: "it is not idle; wait until it stands", 9: "it is locked by an alarm or a jog; home it",
-    10: "soft limits need homing; set $22=1", 11: "a line that is too long",
-    12: "a step rate above what it can do; lower the maximum rate ($110 to $112)",
-    13: "its safety door is open; close it",
-    14: "a line too long to be stored", 15: "the way ends beyond its travel ($130 to $132); home it, or go less far",
-    16: "a jog that it does not understand", 17: "laser mode needs PWM; set $32=0",
+    1: "a word has no letter", 2: "a number is malformed", 3: "the '$' command is unknown",
+    4: "a value must not be negative", 5: "homing is disabled; set $22=1",
+    6: "the step pulse is shorter than 3 microseconds; set $0 to 3 or more",
+    7: "the stored settings could not be read; check all of $$",
+    8: "the machine is not idle; wait until it is at rest",
+    9: "the machine is locked by an alarm or a jog; home it",
+    10: "soft limits require homing; set $22=1", 11: "the line is too long",
+    12: "the step rate is too high; lower the maximum rate ($110 to $112)",
+    13: "the safety door is open; close it",
+    14: "the line is too long to be stored",
+    15: "the target is outside the travel ($130 to $132); home the machine, or use a nearer target",
+    16: "the jog command is malformed", 17: "laser mode requires PWM; set $32=0",
 }
+#: Alarms by number: cause and remedy.
 ALARMS = {
     1: "a limit switch was hit, and the position is lost; free the axis, reset it and home it",
-    2: "the way ended beyond its travel; reset it and home it",
-    3: "it was reset while it moved, and the position is lost; home it",
-    4: "the probe was not as it should be before probing; reset it and home it",
-    5: "the probe met nothing; reset it and home it",
-    6: "homing was broken off by a reset; home it again",
-    7: "homing was broken off by the safety door; close it and home again",
+    2: "the target was outside the travel; reset the machine and home it",
+    3: "the machine was reset during a motion, and the position is lost; home it",
+    4: "the probe was in the wrong state before probing; reset the machine and home it",
+    5: "the probe made no contact; reset the machine and home it",
+    6: "homing was interrupted by a reset; home it again",
+    7: "homing was interrupted by the safety door; close it and home again",
     8: "homing did not free the limit switch; check its wiring or raise the pull-off ($27)",
     9: "homing found no limit switch; check its wiring, and the travel ($130 to $132)",
 }
 
-#: Without zeros before: a lost sign that became one is no number.
+#: A coordinate. Leading zeros are refused: a garbled sign must not read as a digit.
 _NUMBER = r"-?(?:0|[1-9]\d{0,5})\.\d{3,4}"
-_THREE = rf"{_NUMBER}(?:,{_NUMBER}){{2,5}}"
-_REPORT = re.compile(rf"<({'|'.join(STATES)})(?::(\d))?\|([MW])Pos:({_THREE})((?:\|[A-Za-z]+:[^|<>]*)*)>")
+#: Coordinates of three to six axes.
+_COORDINATES = rf"{_NUMBER}(?:,{_NUMBER}){{2,5}}"
+_REPORT = re.compile(rf"<({'|'.join(STATES)})(?::(\d))?\|([MW])Pos:({_COORDINATES})((?:\|[A-Za-z]+:[^|<>]*)*)>")
+
 _SETTING = re.compile(r"\$(\d{1,3})=(-?\d+(?:\.\d+)?)")
 _ANSWER = re.compile(r"(error|ALARM):(\d{1,3})")
 _VERSION = re.compile(r"\[VER:v?(\d+\.\d+)[A-Za-z]*\.(\d{8}[^:\]]*):([^\]]*)\]")
@@ -61,15 +101,16 @@ _WORD = re.compile(r"([A-Z])(-?(?:\d+\.?\d*|\.\d+))")
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A status report, mm.
+    """A status report; lengths in mm.
 
     Attributes:
-        state: of `STATES`. substate: of Hold and Door; None: none told.
-        machine: place in machine coordinates; None: it told `work` instead.
-        work: place in work coordinates, which is machine less offset.
-        offset: of work coordinates; None: not told this time.
-        pins: letters of the inputs that are active; of a limit switch that of its axis.
-        feed: mm/min, None: not told.
+        state: One of `STATES`.
+        substate: Substate of Hold and Door; None: not reported.
+        machine: Position in machine coordinates; None: the report has `work` instead.
+        work: Position in work coordinates, which is machine position minus offset.
+        offset: Offset of the work coordinates; None: not in this report.
+        pins: Letters of the active inputs; a limit switch has the letter of its axis.
+        feed: Feed rate, mm/min; None: not reported.
     """
 
     state: str
@@ -83,11 +124,13 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class Jog:
-    """A jog: millimetres, by axis, or inches where the line says so (converted); feed in mm/min.
+    """A jog command, in millimetres; inches were converted.
 
     Attributes:
-        targets: by letter of the axis.
-        relative: G91. machine: G53, machine coordinates.
+        feed: Feed rate, mm/min.
+        targets: Target by letter of the axis, mm.
+        relative: True: targets are relative to the present position (G91).
+        machine: True: targets are machine coordinates (G53).
     """
 
     feed: float
@@ -97,12 +140,12 @@ class Jog:
 
 
 def jog_line(axis: str, target: float, feed: float) -> bytes:
-    """A jog in machine coordinates: to a place, mm, at a feed rate, mm/min."""
+    """Return the line of a jog in machine coordinates, to a target, mm, at a feed rate, mm/min."""
     return f"$J=G53G21G90{axis}{target:.4f}F{feed:.3f}\n".encode()
 
 
 def parse_jog(line: str) -> Jog | None:
-    """The jog of a line, without its ending; None: no jog as Grbl wants it (then it answers error:16 or another)."""
+    """Return the jog of a line without its ending; None: Grbl would refuse the line with an error."""
     found = _JOG.fullmatch(line.replace(" ", "").upper())
     if not found:
         return None
@@ -132,16 +175,16 @@ def _numbers(text: str) -> tuple[float, ...]:
 
 
 def parse_report(line: str) -> Report | None:
-    """A status report of a line; None: it is none, or not whole."""
+    """Return the status report of a line; None: the line is no complete report."""
     found = _REPORT.fullmatch(line)
     if not found:
         return None
-    state, substate, kind, place, rest = found.groups()
+    state, substate, kind, coordinates, rest = found.groups()
     pins, offset, feed = "", None, None
     for part in filter(None, rest.split("|")):
         name, _, value = part.partition(":")
         if name == "WCO":
-            if not re.fullmatch(_THREE, value):
+            if not re.fullmatch(_COORDINATES, value):
                 return None
             offset = _numbers(value)
         elif name == "Pn":
@@ -152,7 +195,7 @@ def parse_report(line: str) -> Report | None:
             if not re.fullmatch(r"\d+(?:\.\d+)?(?:,\d+(?:\.\d+)?)?", value):
                 return None
             feed = float(value.partition(",")[0])
-    numbers = _numbers(place)
+    numbers = _numbers(coordinates)
     if offset is not None and len(offset) != len(numbers):
         return None
     return Report(state, None if substate is None else int(substate), numbers if kind == "M" else None,
@@ -160,32 +203,32 @@ def parse_report(line: str) -> Report | None:
 
 
 def format_report(report: Report) -> str:
-    """The line of a report; the feed with a spindle speed of 0."""
-    def three(numbers: tuple[float, ...]) -> str:
+    """Return the line of a report; a feed rate is followed by a spindle speed of 0."""
+    def join(numbers: tuple[float, ...]) -> str:
         return ",".join(f"{number:.3f}" for number in numbers)
 
     parts = [report.state if report.substate is None else f"{report.state}:{report.substate}"]
     if report.machine is not None:
-        parts.append("MPos:" + three(report.machine))
+        parts.append("MPos:" + join(report.machine))
     elif report.work is not None:
-        parts.append("WPos:" + three(report.work))
+        parts.append("WPos:" + join(report.work))
     if report.feed is not None:
         parts.append(f"FS:{report.feed:.0f},0")
     if report.pins:
         parts.append("Pn:" + report.pins)
     if report.offset is not None:
-        parts.append("WCO:" + three(report.offset))
+        parts.append("WCO:" + join(report.offset))
     return f"<{'|'.join(parts)}>"
 
 
 def parse_setting(line: str) -> tuple[int, float] | None:
-    """Number and value of a line of ``$$``; None: it is none."""
+    """Return number and value of a line of ``$$``; None: the line is no setting."""
     found = _SETTING.fullmatch(line)
     return (int(found[1]), float(found[2])) if found else None
 
 
 def parse_answer(line: str) -> tuple[str, int] | None:
-    """``("ok", 0)``, ``("error", number)`` or ``("ALARM", number)``; None: none of these."""
+    """Return ``("ok", 0)``, ``("error", number)`` or ``("ALARM", number)``; None: the line is no answer."""
     if line == "ok":
         return "ok", 0
     found = _ANSWER.fullmatch(line)
@@ -193,24 +236,25 @@ def parse_answer(line: str) -> tuple[str, int] | None:
 
 
 def parse_version(line: str) -> tuple[str, str] | None:
-    """Version such as ``"1.1"``, and date, of the answer to ``$I``; None: it is none."""
+    """Return version, such as ``"1.1"``, and date of a line of the answer to ``$I``; None: the line is no version."""
     found = _VERSION.fullmatch(line)
     return (found[1], found[2]) if found else None
 
 
 def parse_banner(line: str) -> str | None:
-    """Version of the line that it says after a reset; None: it is none."""
+    """Return the version in the banner that Grbl sends after a reset; None: the line is no banner."""
     found = _BANNER.fullmatch(line)
     return found[1] if found else None
 
 
 def error_text(number: int) -> str:
-    """What an error means."""
-    return ERRORS.get(number, "a line of G-code that it cannot execute")
+    """Return cause and remedy of an error."""
+    return ERRORS.get(number, "the line of G-code cannot be executed")
 
 
 def alarm_text(number: int | None) -> str:
-    """What an alarm means, and what to do; None: it was there before we listened."""
+    """Return cause and remedy of an alarm; None: the alarm is older than the connection."""
     if number is None:
-        return "its cause was told before this program listened; home it"
+        return "its cause was reported before this program connected; home it"
     return ALARMS.get(number, "its cause is not in the tables of Grbl 1.1; reset it and home it")
+

@@ -1,4 +1,4 @@
-"""Raw data transfer (RDT) of ATI's Net F/T and Ethernet Axia: requests and records over UDP, settings as XML over HTTP.
+"""Raw data transfer (RDT) of ATI's Net F/T and Ethernet Axia: requests and records on UDP, settings page (XML) on HTTP.
 
 Sources: ATI manuals 9610-05-1022 (Net F/T) and 9610-05-Ethernet Axia-09 (status codes in its section 4.8).
 """
@@ -11,37 +11,63 @@ import struct
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
 from dataclasses import dataclass
+from enum import IntEnum
 from xml.sax.saxutils import escape
 
 from haptics.protocols.ati_units import FORCE_UNITS, TORQUE_UNITS
 from tissue_sim.errors import InputError
 
-PORT, HTTP_PORT, SETTINGS_PATH = 49152, 80, "/netftapi2.xml"
-STOP, REAL_TIME, BUFFERED, RESET_LATCH, BIAS = 0x0000, 0x0002, 0x0003, 0x0041, 0x0042
+#: Default UDP port of the records.
+PORT = 49152
+#: Default port of the settings page.
+HTTP_PORT = 80
+#: Path of the settings page.
+SETTINGS_PATH = "/netftapi2.xml"
+#: Names of the six counts of a record.
 CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
-#: Records in a datagram of the buffered mode, at most.
-MOST_RECORDS = 40
+#: Largest number of records in one datagram of the buffered mode.
+MAX_RECORDS = 40
+#: First two bytes of a request.
 _MAGIC = 0x1234
-_REQUEST, _RECORD = struct.Struct(">HHI"), struct.Struct(">III6i")
+#: Request: magic number, command, number of samples.
+_REQUEST = struct.Struct(">HHI")
+#: Record: sequence number, sample number, status, six counts.
+_RECORD = struct.Struct(">III6i")
+#: Length of a record, bytes.
 RECORD_SIZE = _RECORD.size
 
-#: Bits of the status word. Gages or wrench out of range (Axia 27 and 30, Net F/T 17); a threshold that was passed,
-#: which says nothing against the sample.
+#: Status bits for gages or wrench out of range: Axia 27 and 30, Net F/T 17.
 _OUT_OF_RANGE = 1 << 27 | 1 << 30 | 1 << 17
+#: Status bit for a threshold that was passed; the sample is valid.
 _THRESHOLD = 1 << 16
-#: Units that a configurations page offers.
+#: Units that the configurations page of a box offers.
 _OFFERED = {"force": ("N", "kN", "lbf", "klbf", "kg"),
             "torque": ("N-m", "N-mm", "kN-m", "lbf-in", "lbf-ft", "kg-cm")}
-#: What the status code of an Axia says, by bit.
+#: Meaning of the status bits of an Axia.
 _MEANINGS = {0: "its temperature is out of range", 1: "its supply voltage is out of range", 2: "a gage is broken",
              3: "it is busy with a change of its settings", 17: "it is saturated", 27: "a gage is out of range",
              28: "its error is simulated", 29: "its calibration has a wrong checksum",
              30: "force or torque is out of range"}
 
 
+class Command(IntEnum):
+    """Commands of a request."""
+
+    STOP = 0x0000
+    REAL_TIME = 0x0002
+    BUFFERED = 0x0003
+    RESET_LATCH = 0x0041
+    BIAS = 0x0042
+
+
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What a client asks: a command, and how many samples (0: without end)."""
+    """A request of a client.
+
+    Attributes:
+        command: Number of the command, see `Command`.
+        count: Number of samples to send; 0: without end.
+    """
 
     command: int
     count: int = 0
@@ -53,7 +79,14 @@ Wrench = tuple[int, int, int, int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One sample: number since the start of the transfer, number of the sensor's own sample, status word, counts."""
+    """One sample.
+
+    Attributes:
+        sequence: Number since the start of the transfer.
+        sample: Number of the sensor's own sample.
+        status: Status word.
+        counts: Fx, Fy, Fz, Tx, Ty, Tz, in counts.
+    """
 
     sequence: int
     sample: int
@@ -62,12 +95,12 @@ class Record:
 
 
 def pack_request(request: Request) -> bytes:
-    """8 bytes."""
+    """Return the 8 bytes of a request."""
     return _REQUEST.pack(_MAGIC, request.command, request.count)
 
 
 def unpack_request(data: bytes) -> Request | None:
-    """None: these bytes are no request."""
+    """Return the request in a datagram; None: the bytes are no request."""
     if len(data) != _REQUEST.size:
         return None
     magic, command, count = _REQUEST.unpack(data)
@@ -75,44 +108,47 @@ def unpack_request(data: bytes) -> Request | None:
 
 
 def pack_records(records: Iterable[Record]) -> bytes:
-    """36 bytes each."""
+    """Return the bytes of records, 36 each."""
     return b"".join(_RECORD.pack(record.sequence, record.sample, record.status, *record.counts) for record in records)
 
 
 def unpack_records(data: bytes) -> list[Record] | None:
-    """The records of a datagram; None: it holds no whole number of them, or too many."""
+    """Return the records in a datagram; None: the bytes are no whole number of records, or too many."""
     count, rest = divmod(len(data), RECORD_SIZE)
-    if rest or not 0 < count <= MOST_RECORDS:
+    if rest or not 0 < count <= MAX_RECORDS:
         return None
     return [Record(sequence, sample, status, (x, y, z, u, v, w))
             for sequence, sample, status, x, y, z, u, v, w in _RECORD.iter_unpack(data)]
 
 
 def is_out_of_range(status: int) -> bool:
-    """Whether the true wrench may be larger than what is told."""
+    """Return True if the status word reports a range that was exceeded: the true wrench may be larger."""
     return bool(status & _OUT_OF_RANGE)
 
 
 def is_fault(status: int) -> bool:
-    """Whether the sample is not to be trusted: anything but a threshold that was passed."""
+    """Return True if the status word reports anything except a passed threshold: the sample is unreliable."""
     return bool(status & ~_THRESHOLD)
 
 
 def describe_status(status: int) -> str:
-    """What a status word says: ``"a gage is broken (0x80000004)"``."""
-    said = [meaning for bit, meaning in _MEANINGS.items() if status >> bit & 1]
-    return f"{', '.join(said) or 'it reports an error'} (0x{status:08x})"
+    """Return the meaning of a status word, such as ``"a gage is broken (0x80000004)"``."""
+    meanings = [meaning for bit, meaning in _MEANINGS.items() if status >> bit & 1]
+    return f"{', '.join(meanings) or 'it reports an error'} (0x{status:08x})"
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How a box counts.
+    """Units, scale and rate of a box.
 
     Attributes:
-        counts_per_force, counts_per_torque: in the units below.
-        force_unit, torque_unit: as the box names them: N, lbf, klbf, kN, kg; N-m, N-mm, lbf-in, lbf-ft, kN-m, kg-cm.
-        rate: of the records, Hz; None: not told.
-        product, calibration: name of the box, and of the calibration (its serial number).
+        counts_per_force: Counts per `force_unit`.
+        counts_per_torque: Counts per `torque_unit`.
+        force_unit: Unit as the box names it: N, lbf, klbf, kN or kg.
+        torque_unit: Unit as the box names it: N-m, N-mm, lbf-in, lbf-ft, kN-m or kg-cm.
+        rate: Rate of the records, Hz; None: not reported.
+        product: Name of the box.
+        calibration: Serial number of the calibration.
     """
 
     counts_per_force: float
@@ -125,53 +161,54 @@ class Settings:
 
     @property
     def newtons(self) -> float:
-        """Of a count, N.
+        """Force of one count, N.
 
         Raises:
-            InputError: a unit that is not known.
+            InputError: The unit is unknown.
         """
         return _unit(self.force_unit, "force") / self.counts_per_force
 
     @property
     def newton_metres(self) -> float:
-        """Of a count, N m. Raises as `newtons`."""
+        """Torque of one count, N m. Raises as `newtons`."""
         return _unit(self.torque_unit, "torque") / self.counts_per_torque
 
 
 def _unit(name: str, quantity: str) -> float:
-    """SI value of a unit."""
+    """Return the SI value of a unit."""
     known = FORCE_UNITS if quantity == "force" else TORQUE_UNITS
     try:
         return known[name.replace("·", "-")]
     except KeyError:
-        raise InputError(f"the box counts in {name!r}, which is no known unit of {quantity}; set it to one of "
-                         f"{', '.join(_OFFERED[quantity])} on its configurations page", field=f"{quantity}_unit"
-                         ) from None
+        raise InputError(f"must be a known unit of {quantity}; got {name!r} from the box. Set the unit to one of "
+                         f"{', '.join(_OFFERED[quantity])} on the configurations page of the box",
+                         field=f"{quantity}_unit") from None
 
 
 def read_settings_page(page: bytes) -> Settings:
-    """Settings of a box from its page ``netftapi2.xml``.
+    """Return the settings in the page ``netftapi2.xml`` of a box.
 
     Raises:
-        InputError: no XML, or a field that is missing or no positive number.
+        InputError: The page is no XML, or a field is missing or no positive number.
     """
     try:
-        # Entities are refused: the page comes from whoever has the address.
+        # Entities are refused, because any server at the address can send the page.
         if b"<!" in page.split(b"?>", 1)[-1]:
             raise ElementTree.ParseError("declarations")
         root = ElementTree.fromstring(page)
     except (ElementTree.ParseError, ValueError, LookupError):
-        raise InputError("the page is no settings page of an ATI box (no XML); check the address", field="settings"
-                         ) from None
+        raise InputError("must be the XML page of an ATI box; the page is no valid XML. Check the address",
+                         field="settings") from None
     texts = {element.tag.rpartition("}")[2].lower(): (element.text or "").strip() for element in root.iter()
              if isinstance(element.tag, str)}
 
     def positive(name: str) -> float:
+        """Return a positive number of the page."""
         with contextlib.suppress(KeyError, ValueError):
             if 0 < (value := float(texts[name])) < math.inf:
                 return value
-        raise InputError(f"the settings page has no positive number {name!r} (found {texts.get(name)!r}); check that "
-                         "the address is that of an ATI box", field=name)
+        raise InputError(f"must be a positive number on the settings page; got {texts.get(name)!r}. Check that the "
+                         "address is that of an ATI box", field=name)
 
     return Settings(positive("cfgcpf"), positive("cfgcpt"), texts.get("scfgfu") or "N", texts.get("scfgtu") or "N-m",
                     positive("comrdtrate") if "comrdtrate" in texts else None,
@@ -179,11 +216,11 @@ def read_settings_page(page: bytes) -> Settings:
 
 
 def write_settings_page(settings: Settings) -> bytes:
-    """The page of a box with these settings, as far as `read_settings_page` reads it."""
+    """Return a settings page with the fields that `read_settings_page` reads."""
     entries = {"prodname": settings.product or "RDT", "runstat": "0x00000000", "cfgcalsn": settings.calibration,
                "scfgfu": settings.force_unit, "scfgtu": settings.torque_unit,
                "cfgcpf": f"{settings.counts_per_force:.10g}", "cfgcpt": f"{settings.counts_per_torque:.10g}",
                **({} if settings.rate is None else {"comrdtrate": f"{settings.rate:.10g}"}),
-               "comrdtbsiz": str(MOST_RECORDS)}
+               "comrdtbsiz": str(MAX_RECORDS)}
     lines = "".join(f"<{name}>{escape(text)}</{name}>\n" for name, text in entries.items())
     return f'<?xml version="1.0" encoding="UTF-8"?>\n<netft>\n{lines}</netft>\n'.encode()

@@ -1,4 +1,4 @@
-"""What is said to a Pololu Tic stepper controller over its serial pins: commands and blocks of variables.
+"""Messages of a Pololu Tic stepper controller on its serial pins: commands and blocks of variables.
 
 Source: Pololu, Tic Stepper Motor Controller User's Guide (docs/0J71), sections 6 (settings), 7 (variables), 8
 (commands) and 9 (serial encoding).
@@ -9,14 +9,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
-#: First byte of a command of the Pololu protocol; the device number and the command less its top bit follow.
-POLOLU = 0xAA
-#: Most bytes that one command can ask for.
+#: First byte of a command of the Pololu protocol; the device number and the lower 7 bits of the command follow.
+POLOLU_PREFIX = 0xAA
+#: Largest number of bytes that one command can read.
 LONGEST_BLOCK = 15
-#: Speeds are in 1/10000 microsteps/s, accelerations in 1/100 microsteps/s^2.
-SPEED_UNIT, ACCELERATION_UNIT = 1e-4, 1e-2
-#: Largest speed (50000 microsteps/s) and acceleration that it takes, in those units; smallest acceleration.
-TOP_SPEED, TOP_ACCELERATION, LEAST_ACCELERATION = 500_000_000, 0x7FFFFFFF, 100
+#: Unit of speeds, microsteps/s.
+SPEED_UNIT = 1e-4
+#: Unit of accelerations, microsteps/s^2.
+ACCELERATION_UNIT = 1e-2
+#: Largest speed, in `SPEED_UNIT`.
+TOP_SPEED = 500_000_000
+#: Largest acceleration, in `ACCELERATION_UNIT`.
+TOP_ACCELERATION = 0x7FFFFFFF
+#: Smallest acceleration, in `ACCELERATION_UNIT`.
+LEAST_ACCELERATION = 100
 
 
 class Command(IntEnum):
@@ -47,16 +53,19 @@ class Command(IntEnum):
     RESET = 0xB0
 
 
-_WIDE = frozenset({Command.SET_TARGET_POSITION, Command.SET_TARGET_VELOCITY, Command.SET_STARTING_SPEED,
-                   Command.SET_MAX_SPEED, Command.SET_MAX_DECELERATION, Command.SET_MAX_ACCELERATION,
-                   Command.HALT_AND_SET_POSITION})
-_NARROW = frozenset({Command.SET_CURRENT_LIMIT, Command.SET_DECAY_MODE, Command.SET_STEP_MODE, Command.GO_HOME,
-                     Command.SET_AGC_OPTION})
+#: Commands with a 32-bit argument, sent as 5 bytes of 7 bits.
+_WITH_32_BITS = frozenset({Command.SET_TARGET_POSITION, Command.SET_TARGET_VELOCITY, Command.SET_STARTING_SPEED,
+                           Command.SET_MAX_SPEED, Command.SET_MAX_DECELERATION, Command.SET_MAX_ACCELERATION,
+                           Command.HALT_AND_SET_POSITION})
+#: Commands with a 7-bit argument.
+_WITH_7_BITS = frozenset({Command.SET_CURRENT_LIMIT, Command.SET_DECAY_MODE, Command.SET_STEP_MODE, Command.GO_HOME,
+                          Command.SET_AGC_OPTION})
+#: Commands that read a block; the arguments are offset and length.
 _READS = frozenset({Command.GET_VARIABLE, Command.GET_VARIABLE_AND_CLEAR, Command.GET_SETTING})
 
 
 class State(IntEnum):
-    """The variable "operation state"."""
+    """Values of the variable "operation state"."""
 
     RESET = 0
     DEENERGIZED = 2
@@ -67,7 +76,7 @@ class State(IntEnum):
 
 
 class Flags(IntFlag):
-    """The variable "misc flags 1"."""
+    """Bits of the variable "misc flags 1"."""
 
     ENERGIZED = 1
     POSITION_UNCERTAIN = 2
@@ -77,7 +86,7 @@ class Flags(IntFlag):
 
 
 class Errors(IntFlag):
-    """The variable "error status": what stops the motor."""
+    """Bits of the variable "error status": errors that stop the motor."""
 
     DEENERGIZED = 1
     DRIVER_ERROR = 2
@@ -91,7 +100,7 @@ class Errors(IntFlag):
 
 
 class Planning(IntEnum):
-    """The variable "planning mode"."""
+    """Values of the variable "planning mode"."""
 
     OFF = 0
     POSITION = 1
@@ -99,18 +108,29 @@ class Planning(IntEnum):
 
 
 class Variable(IntEnum):
-    """Where variables begin."""
+    """Offsets of variables (section 7). The block of `Status` begins at `STATUS`."""
 
     STATUS = 0x00
+    OPERATION_STATE = 0x00
+    MISC_FLAGS = 0x01
+    ERROR_STATUS = 0x02
+    ERRORS_OCCURRED = 0x04
+    PLANNING_MODE = 0x09
     TARGET_POSITION = 0x0A
+    TARGET_VELOCITY = 0x0E
     MAX_SPEED = 0x16
     MAX_DECELERATION = 0x1A
     MAX_ACCELERATION = 0x1E
     CURRENT_POSITION = 0x22
+    CURRENT_VELOCITY = 0x26
+    ACTING_TARGET_POSITION = 0x2A
+    VIN_VOLTAGE = 0x33
+    UP_TIME = 0x35
+    INPUT_STATE = 0x4C
 
 
 class Setting(IntEnum):
-    """Where settings begin."""
+    """Offsets of settings (section 6)."""
 
     CONTROL_MODE = 0x01
     DISABLE_SAFE_START = 0x03
@@ -121,17 +141,32 @@ class Setting(IntEnum):
     HOMING_SPEED_AWAY = 0x65
 
 
-#: Of `Setting.CONTROL_MODE`: "Serial / I2C / USB". Of `Setting.SOFT_ERROR_RESPONSE`: "Go to position".
-SERIAL_CONTROL, GO_TO_POSITION = 0, 3
-#: Bits of `Setting.CRC` about answers: with a check; in bytes of 7 bits.
-ANSWERS_CHECKED, ANSWERS_OF_7_BITS = 2, 4
-#: Bytes of the two blocks below.
-STATUS_SIZE, PLACE_SIZE = 14, 8
+#: Value "Serial / I2C / USB" of `Setting.CONTROL_MODE`.
+SERIAL_CONTROL = 0
+#: Value "Go to position" of `Setting.SOFT_ERROR_RESPONSE`.
+GO_TO_POSITION = 3
+#: Bit of `Setting.CRC`: answers carry a checksum.
+ANSWERS_CHECKED = 2
+#: Bit of `Setting.CRC`: answers consist of 7-bit bytes.
+ANSWERS_OF_7_BITS = 4
+#: Length of the block that `parse_status` reads, bytes.
+STATUS_SIZE = 14
+#: Length of the block that `parse_motion_state` reads, bytes.
+MOTION_STATE_SIZE = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """The block from `Variable.STATUS`. `target`: microsteps; `occurred`: errors since they were last cleared."""
+    """The variables from `Variable.STATUS` on.
+
+    Attributes:
+        state: Operation state.
+        flags: Misc flags 1.
+        errors: Errors that stop the motor now.
+        occurred: Bits of the errors since they were last cleared.
+        planning: Planning mode.
+        target: Target position, microsteps.
+    """
 
     state: State
     flags: Flags
@@ -142,15 +177,20 @@ class Status:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """The block from `Variable.CURRENT_POSITION`: microsteps, and 1/10000 microsteps/s."""
+class MotionState:
+    """The variables from `Variable.CURRENT_POSITION` on.
+
+    Attributes:
+        position: Commanded position, microsteps.
+        velocity: Velocity, in `SPEED_UNIT`.
+    """
 
     position: int
     velocity: int
 
 
 def crc7(message: bytes) -> int:
-    """The check of a message, 0 to 127: polynomial 0x91, least significant bit first (section 9)."""
+    """Return the checksum of a message, 0 to 127: polynomial 0x91, least significant bit first (section 9)."""
     crc = 0
     for byte in message:
         crc ^= byte
@@ -160,30 +200,33 @@ def crc7(message: bytes) -> int:
 
 
 def encode(command: Command, value: int = 0, length: int = 0, device: int | None = None, crc: bool = False) -> bytes:
-    """A command as it goes over the line.
+    """Return the bytes of a command.
 
     Args:
-        command: which. value: its number, or where a block begins. length: of a block, bytes.
-        device: number of the Tic: the Pololu protocol; None: the compact one.
-        crc: whether a check follows.
+        command: Command.
+        value: Argument of the command, or offset of the block to read.
+        length: Length of the block to read, bytes.
+        device: Device number, for the Pololu protocol; None: the compact protocol.
+        crc: True: append a checksum.
 
     Raises:
-        ValueError: a number that does not fit.
+        ValueError: `value` or `length` is outside the range of the command.
     """
-    head = bytes([command]) if device is None else bytes([POLOLU, device, command & 0x7F])
-    if command in _WIDE:
+    head = bytes([command]) if device is None else bytes([POLOLU_PREFIX, device, command & 0x7F])
+    if command in _WITH_32_BITS:
         four = (value & 0xFFFFFFFF).to_bytes(4, "little")
         if not -0x80000000 <= value <= 0xFFFFFFFF:
-            raise ValueError(f"{value} does not fit into 32 bits")
+            raise ValueError(f"value must fit into 32 bits; got {value}.")
+        # The first byte holds the top bits of the other four.
         body = bytes([sum((byte >> 7) << bit for bit, byte in enumerate(four)), *(byte & 0x7F for byte in four)])
     elif command in _READS:
         if not 1 <= length <= LONGEST_BLOCK:
-            raise ValueError(f"a block of {length} bytes; 1 to {LONGEST_BLOCK} can be asked for")
-        # Offsets from 128 on: less 128, and bit 6 of the length.
+            raise ValueError(f"length of the block must be 1 to {LONGEST_BLOCK} bytes; got {length}.")
+        # Bit 6 of the length is bit 7 of the offset.
         body = bytes([value & 0x7F, length + (64 if value >= 128 else 0)])
-    elif command in _NARROW:
+    elif command in _WITH_7_BITS:
         if not 0 <= value <= 127:
-            raise ValueError(f"{value} does not fit into 7 bits")
+            raise ValueError(f"value must fit into 7 bits; got {value}.")
         body = bytes([value])
     else:
         body = b""
@@ -191,99 +234,113 @@ def encode(command: Command, value: int = 0, length: int = 0, device: int | None
     return message + bytes([crc7(message)]) if crc else message
 
 
-def _size(command: Command) -> int:
-    """Bytes that follow it."""
-    return 5 if command in _WIDE else 2 if command in _READS else 1 if command in _NARROW else 0
+def _argument_size(command: Command) -> int:
+    """Return the number of bytes after the command byte, without the checksum."""
+    return 5 if command in _WITH_32_BITS else 2 if command in _READS else 1 if command in _WITH_7_BITS else 0
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
-    """A command that was received: its number (as sent, without sign), or the begin and length of a block."""
+class ReceivedCommand:
+    """A command that a Tic has received.
+
+    Attributes:
+        command: Command.
+        value: Argument as an unsigned number, or offset of the block to read.
+        length: Length of the block to read, bytes; 0 for other commands.
+    """
 
     command: Command
     value: int = 0
     length: int = 0
 
 
-class Orders:
-    """Commands out of the bytes that a Tic receives, in pieces as they come.
+class CommandParser:
+    """Parser of the byte stream that a Tic receives.
 
     Args:
-        device: its number, for the Pololu protocol. crc: whether each command must bring its check.
+        device: Device number, for the Pololu protocol.
+        crc: True: commands without a correct checksum are refused.
+
+    Attributes:
+        bad_bytes: Number of bytes that belong to no command, or to a command with a wrong checksum.
     """
 
     def __init__(self, device: int = 14, crc: bool = False):
-        self._device, self._crc, self._kept = device, crc, bytearray()
-        #: Bytes that were no command, or whose check was wrong.
-        self.bad = 0
+        self._device, self._crc, self._partial = device, crc, bytearray()
+        self.bad_bytes = 0
 
-    def feed(self, data: bytes) -> list[Order]:
-        """The commands for this device that are complete now, in their order."""
-        orders = []
+    def feed(self, data: bytes) -> list[ReceivedCommand]:
+        """Return the commands for this device that `data` completes, in order; keeps an incomplete command."""
+        commands = []
         for byte in data:
             if byte & 0x80:
-                # A command byte begins anew, whatever was there.
-                self.bad += len(self._kept)
-                self._kept = bytearray([byte])
-            elif self._kept:
-                self._kept.append(byte)
+                # A byte with its top bit set begins a command and discards an incomplete one.
+                self.bad_bytes += len(self._partial)
+                self._partial = bytearray([byte])
+            elif self._partial:
+                self._partial.append(byte)
             else:
-                self.bad += 1
-            if self._kept and self._is_whole():
-                message, self._kept = bytes(self._kept), bytearray()
-                order = self._order(message)
-                if order is not None:
-                    orders.append(order)
-        return orders
+                self.bad_bytes += 1
+            if self._partial and self._is_complete():
+                message, self._partial = bytes(self._partial), bytearray()
+                command = self._decode(message)
+                if command is not None:
+                    commands.append(command)
+        return commands
 
-    def _command(self) -> tuple[Command | None, int]:
-        """Which command has begun, and how many bytes stand before its numbers; None: not known yet, or none."""
-        if self._kept[0] != POLOLU:
-            code, head = self._kept[0], 1
-        elif len(self._kept) < 3:
+    def _parse_head(self) -> tuple[Command | None, int]:
+        """Return the command of the incomplete message and the length of its head; None: unknown (yet)."""
+        if self._partial[0] != POLOLU_PREFIX:
+            code, head = self._partial[0], 1
+        elif len(self._partial) < 3:
             return None, 3
         else:
-            code, head = self._kept[2] | 0x80, 3
+            code, head = self._partial[2] | 0x80, 3
         try:
             return Command(code), head
         except ValueError:
             return None, head
 
-    def _is_whole(self) -> bool:
-        command, head = self._command()
+    def _is_complete(self) -> bool:
+        """Return True if the message has all bytes of its command, or is no known command."""
+        command, head = self._parse_head()
         if command is None:
-            return len(self._kept) >= head
-        return len(self._kept) == head + _size(command) + self._crc
+            return len(self._partial) >= head
+        return len(self._partial) == head + _argument_size(command) + self._crc
 
-    def _order(self, message: bytes) -> Order | None:
-        self._kept = bytearray(message)
-        command, head = self._command()
-        self._kept = bytearray()
+    def _decode(self, message: bytes) -> ReceivedCommand | None:
+        """Return the command of a complete message; None: invalid, or for another device."""
+        self._partial = bytearray(message)
+        command, head = self._parse_head()
+        self._partial = bytearray()
         if command is None or (self._crc and crc7(message[:-1]) != message[-1]):
-            self.bad += len(message)
+            self.bad_bytes += len(message)
             return None
         if head == 3 and message[1] != self._device:
             return None
-        body = message[head:head + _size(command)]
-        if command in _WIDE:
+        body = message[head:head + _argument_size(command)]
+        if command in _WITH_32_BITS:
             four = bytes(byte | (body[0] >> bit & 1) << 7 for bit, byte in enumerate(body[1:]))
-            return Order(command, int.from_bytes(four, "little"))
+            return ReceivedCommand(command, int.from_bytes(four, "little"))
         if command in _READS:
-            length, beyond = body[1] & 0x3F, bool(body[1] & 0x40)
+            length, has_high_offset = body[1] & 0x3F, bool(body[1] & 0x40)
             if not 1 <= length <= LONGEST_BLOCK:
-                self.bad += len(message)
+                self.bad_bytes += len(message)
                 return None
-            return Order(command, body[0] + 128 * beyond, length)
-        return Order(command, body[0] if body else 0)
+            return ReceivedCommand(command, body[0] + 128 * has_high_offset, length)
+        return ReceivedCommand(command, body[0] if body else 0)
 
 
-def signed(value: int) -> int:
-    """A 32-bit number with its sign."""
+def to_signed(value: int) -> int:
+    """Convert an unsigned 32-bit number to the signed number with the same bits (two's complement)."""
     return value - (1 << 32) if value & 0x80000000 else value
 
 
 def parse_status(block: bytes) -> Status | None:
-    """The block of `STATUS_SIZE` bytes; None where no Tic can have sent it: unknown states, or reserved bits set."""
+    """Return the status in a block of `STATUS_SIZE` bytes; None: the block is impossible for a Tic.
+
+    Impossible blocks have another length, an unknown state or planning mode, or reserved bits set.
+    """
     if len(block) != STATUS_SIZE:
         return None
     errors, occurred = int.from_bytes(block[2:4], "little"), int.from_bytes(block[4:8], "little")
@@ -294,14 +351,14 @@ def parse_status(block: bytes) -> Status | None:
     except ValueError:
         return None
     return Status(state, Flags(block[1]), Errors(errors), occurred, planning,
-                  signed(int.from_bytes(block[10:14], "little")))
+                  to_signed(int.from_bytes(block[10:14], "little")))
 
 
-def parse_place(block: bytes) -> Place | None:
-    """The block of `PLACE_SIZE` bytes; None where the speed is beyond what a Tic can do."""
-    if len(block) != PLACE_SIZE:
+def parse_motion_state(block: bytes) -> MotionState | None:
+    """Return position and velocity in a block of `MOTION_STATE_SIZE` bytes; None: another length or speed too high."""
+    if len(block) != MOTION_STATE_SIZE:
         return None
-    velocity = signed(int.from_bytes(block[4:8], "little"))
+    velocity = to_signed(int.from_bytes(block[4:8], "little"))
     if abs(velocity) > TOP_SPEED:
         return None
-    return Place(signed(int.from_bytes(block[:4], "little")), velocity)
+    return MotionState(to_signed(int.from_bytes(block[:4], "little")), velocity)

@@ -23,13 +23,13 @@ def run(arguments) -> int:
 
     found = find_devices(arguments.names)
     if arguments.json:
-        print_json({"devices": [{"name": each.name, "kind": each.kind, "opens": each.opens, "says": each.says}
+        print_json({"devices": [{"name": each.name, "kind": each.kind, "opens": each.opens, "says": each.details}
                                 for each in found]})
         return 0
     table = text_table("device", "kind", "opens", "says", text=4)
     table.columns[3].no_wrap = False
     for each in found:
-        table.add_row(each.name, each.kind, "yes" if each.opens else "no", each.says)
+        table.add_row(each.name, each.kind, "yes" if each.opens else "no", each.details)
     console = results_console()
     console.print(table)
     if not arguments.names:

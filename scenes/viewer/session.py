@@ -195,7 +195,7 @@ class Session:
 
     def follow(self, device: HapticDevice) -> None:
         """Follow a haptic device, or any motion, on undeformed tissue."""
-        device.go_along(self.scene.experiment.approach)
+        device.set_approach(self.scene.experiment.approach)
         self._follow("device", device)
 
     def pause(self) -> None:

@@ -66,7 +66,7 @@ def test_a_running_loop_takes_it_up_and_refuses_one_that_is_not_there(handle, lo
             loop.follow(open_haptic(f"handle:{tmp_path}"))
         loop.aim(2e-3)  # the one before is still there
         loop.follow(open_haptic(f"handle:{tmp_path / 'diary'}"))
-        with pytest.raises(InputError, match="a StiffHandle goes where it likes"):
+        with pytest.raises(InputError, match="requires a steerable motion; got a StiffHandle"):
             loop.aim(1e-3)
         assert loop.stop().ended_by == "stop"
     assert (tmp_path / "diary").read_text(encoding="utf-8").split() == ["start", "stop"]

@@ -235,7 +235,7 @@ def test_another_source_is_followed_and_a_hand_is_steered(run, tissues):
     def listen(loop):
         step = len(tissue.steps)
         if step == 50:
-            with pytest.raises(InputError, match="a Ramp goes where it likes and cannot be steered; follow a"):
+            with pytest.raises(InputError, match=r"requires a steerable motion; got a Ramp\. Follow a HandMotion"):
                 loop.aim(1e-3)
         elif step == 100:
             loop.follow(HandMotion(2e-3))

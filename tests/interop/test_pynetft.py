@@ -129,7 +129,7 @@ def test_our_client_reads_a_foreign_server(fake):
     wait_until(lambda: client.describe()["records"] + client.describe()["twice"] >= 4, "records")
     samples, tally = client.read(), client.describe()
     client.stop()
-    assert fake.wait_for_command(rdt.STOP, timeout=PATIENCE)
+    assert fake.wait_for_command(rdt.Command.STOP, timeout=PATIENCE)
     assert [sample.counts for sample in samples[:1]] == [(10, -20, 30, 4, -5, 6)]
     assert samples[0].values[1] == pytest.approx(-20 * 4.4482216152605 / 1000)
     assert samples[0].values[3] == pytest.approx(4 * 0.1129848290276167 / 100)

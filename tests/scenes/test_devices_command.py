@@ -29,17 +29,17 @@ def test_what_opens_says_what_it_is_and_the_rest_why_not(capsys):
 
 def test_the_list_names_every_back_end(capsys, monkeypatch):
     monkeypatch.setattr("haptics.devices.discovery.serial_ports", lambda: [])
-    monkeypatch.setattr("haptics.devices.discovery._USUAL", {"virtual": ""})
+    monkeypatch.setattr("haptics.devices.discovery._DEFAULT_ADDRESSES", {"virtual": ""})
     assert main(["devices"]) == 0
     said = capsys.readouterr().out
     for name in ("virtual:", "rdt:", "ati-serial:", "ati-daq:", "replay:", "tic:", "grbl:", "phidget:", "haply:"):
         assert name in said
-    assert "no serial port is there" in said
+    assert "no serial port was found" in said
 
 
 def test_an_unknown_device_names_those_that_are(capsys):
     assert main(["devices", "tik:/dev/ttyACM0"]) == 2
-    assert "no device is called 'tik'" in capsys.readouterr().err
+    assert "names: must begin with one of ati-daq, ati-serial, " in capsys.readouterr().err
 
 
 def test_an_emulator_of_the_command_line_answers(capsys):

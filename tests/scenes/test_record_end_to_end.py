@@ -2,9 +2,11 @@
 
 import json
 import socket
+from dataclasses import replace
 
 import pytest
 
+from haptics.devices.tic import TIMING
 from haptics.devices.virtual.faults import Faults
 from haptics.emulators.rdt import RdtEmulator
 from haptics.emulators.tic import emulate_tic
@@ -98,7 +100,7 @@ def protocol(tmp_path):
 @pytest.mark.usefixtures("undrawn")
 def test_what_is_recorded_over_the_protocols_finds_the_specimen(protocol, tmp_path, capsys, monkeypatch):
     # The specimen is simulated in this process, too, and on a busy machine its solutions keep the Tic from answering.
-    monkeypatch.setattr("haptics.devices.tic._ANSWER", 30.0)
+    monkeypatch.setattr("haptics.devices.tic.TIMING", replace(TIMING, answer=30.0))
     path, rdt, http = protocol
     read = read_protocol_file(path)
     run = tmp_path / "run"

@@ -1,1 +1,1 @@
-"""Devices that need no hardware: they behave like one, on a clock, and say what they are."""
+"""Simulated devices that need no hardware: a hand, a force sensor, a stage, and a rig with a simulated specimen."""

@@ -1,4 +1,4 @@
-"""A hand behind a line that is late: what it is told comes after a delay that varies, and some of it never."""
+"""A simulated hand behind a transmission delay with jitter and losses."""
 
 from __future__ import annotations
 
@@ -15,46 +15,47 @@ from tissue_sim.pose import Pose, Screw
 
 
 class DelayedHand(HapticDevice):
-    """A `VirtualHand` that gets each force later than it was rendered, and holds the last one until then.
+    """A `VirtualHand` to which each force is delivered late; the hand keeps the last force until the next arrives.
 
-    Only the whole way round counts for the stability of a loop, so all of the delay is in the force; it need not be a
-    whole number of ticks. Messages keep their order, as on a TCP connection. The same seed, the same line.
+    The stability of a loop depends on the total delay around the loop only, so the force carries all of it; the delay
+    need not be a multiple of the tick. Messages keep their order, as on a TCP connection.
 
     Args:
-        hand: at the other end.
-        delay: of every force, s.
-        jitter: by how much a delay may be longer, evenly drawn, s.
-        loss: share of the forces that never arrive, and of the poses that are not known.
-        seed: of what is drawn.
+        hand: Hand that receives the delayed forces.
+        delay: Delay of every force, s.
+        jitter: Largest additional delay, uniformly distributed, s.
+        loss: Fraction of the forces that are lost and of the poses that are unknown, 0 to 1.
+        seed: Seed of the random numbers.
 
     Raises:
-        InputError: a time below zero, or a share outside of 0 to 1.
+        InputError: A time is negative, or `loss` is outside 0 to 1.
     """
 
     def __init__(self, hand: VirtualHand, delay: float, jitter: float = 0.0, loss: float = 0.0, seed: int = 0):
         for value, field in ((delay, "delay"), (jitter, "jitter")):
             if not 0 <= value < math.inf:
-                raise InputError(f"{value:g} s; give zero or more", field=field)
+                raise InputError(f"must be 0 s or more; got {value:g} s", field=field)
         if not 0 <= loss <= 1:
-            raise InputError(f"{loss:g} is no share; give 0 to 1", field="loss")
+            raise InputError(f"must be 0 to 1; got {loss:g}", field="loss")
         self._hand, self._delay, self._jitter, self._loss, self._seed = hand, delay, jitter, loss, seed
-        self._forget()
+        self._reset()
 
-    def _forget(self) -> None:
+    def _reset(self) -> None:
+        """Restart time and random numbers, and discard the forces in transit."""
         self._random = random.Random(self._seed)
         self._time = 0.0
-        #: When each force arrives, and the force.
-        self._under_way: deque[tuple[float, Screw]] = deque()
+        #: Forces in transit: time of arrival, s, and wrench.
+        self._in_transit: deque[tuple[float, Screw]] = deque()
 
     def start(self) -> None:
         self._hand.start()
-        self._forget()
+        self._reset()
 
     def pose(self, time: float) -> Pose | None:
         if time < self._time:
-            self._under_way.clear()
-        while self._under_way and self._under_way[0][0] <= time:
-            arrives, wrench = self._under_way.popleft()
+            self._in_transit.clear()
+        while self._in_transit and self._in_transit[0][0] <= time:
+            arrives, wrench = self._in_transit.popleft()
             self._hand.pose(arrives)
             self._hand.render(wrench)
         self._time = time
@@ -65,22 +66,23 @@ class DelayedHand(HapticDevice):
         if self._is_lost():
             return
         arrives = self._time + self._delay + self._jitter * self._random.random()
-        if self._under_way:
-            arrives = max(arrives, self._under_way[-1][0])
+        if self._in_transit:
+            arrives = max(arrives, self._in_transit[-1][0])
         if arrives <= self._time:
             self._hand.render(wrench)
         else:
-            self._under_way.append((arrives, wrench))
+            self._in_transit.append((arrives, wrench))
 
     def _is_lost(self) -> bool:
+        """Draw whether a message is lost."""
         return self._loss > 0.0 and self._random.random() < self._loss
 
     def stop(self) -> None:
-        self._under_way.clear()
+        self._in_transit.clear()
         self._hand.stop()
 
-    def go_along(self, approach: Approach | None) -> None:
-        self._hand.go_along(approach)
+    def set_approach(self, approach: Approach | None) -> None:
+        self._hand.set_approach(approach)
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
         self._hand.aim(depth, across)

@@ -1,4 +1,4 @@
-"""Faults on request: what goes wrong on the line, in the sensor and in the motor, and when."""
+"""Simulated faults of the connection, the sensor and the motor of emulated and virtual devices."""
 
 from __future__ import annotations
 
@@ -9,26 +9,28 @@ from dataclasses import dataclass
 from haptics.devices.settings import read_settings
 from tissue_sim.errors import InputError
 
-#: s; a setting is a finite number.
+#: Default of the times of faults, s: never. A setting must be a finite number.
 _NEVER = 1e30
 
 
 @dataclass(frozen=True)
 class Faults:
-    """What goes wrong; `Faults()` is nothing. Times count from the start of the device.
+    """Faults to simulate; the default has none. Times count from the start of the device.
 
     Attributes:
-        loss, duplicate, reorder, garble: share of the messages that are lost, come twice, come after the next one, have
-            a wrong byte.
-        delay: by how much every message is late, s.
-        disconnect_after: when the line falls silent, s.
-        saturate_after: when the sensor reads the end of its range, s.
-        stall_after: when the motor stands although it is driven, s.
-        drift: of the sensor's zero, N/s.
-        seed: of what is drawn; the same seed, the same faults.
+        loss: Fraction of the messages that are lost, 0 to 1.
+        duplicate: Fraction of the messages that arrive twice, 0 to 1.
+        reorder: Fraction of the messages that arrive after their successor, 0 to 1.
+        garble: Fraction of the messages that have one wrong byte, 0 to 1.
+        delay: Delay of every message, s.
+        disconnect_after: Time after which no message arrives, s.
+        saturate_after: Time after which the sensor reads the end of its range, s.
+        stall_after: Time after which the driven motor no longer moves the tool, s.
+        drift: Drift of the sensor's zero, N/s.
+        seed: Seed of the random numbers; equal seeds give equal faults.
 
     Raises:
-        InputError: a share outside of 0 to 1, or a time below zero.
+        InputError: A fraction is outside 0 to 1, a time is negative, or `delay` or `drift` is not finite.
     """
 
     loss: float = 0.0
@@ -45,23 +47,23 @@ class Faults:
     def __post_init__(self) -> None:
         for field in ("loss", "duplicate", "reorder", "garble"):
             if not 0.0 <= getattr(self, field) <= 1.0:
-                raise InputError(f"{getattr(self, field):g} is no share; give 0 to 1", field=field)
+                raise InputError(f"must be 0 to 1; got {getattr(self, field):g}", field=field)
         for field in ("delay", "disconnect_after", "saturate_after", "stall_after"):
             if not getattr(self, field) >= 0.0:
-                raise InputError(f"{getattr(self, field):g} s; give zero or more", field=field)
+                raise InputError(f"must be 0 s or more; got {getattr(self, field):g} s", field=field)
         if not math.isfinite(self.delay) or not math.isfinite(self.drift):
-            raise InputError("give finite numbers", field="delay, drift")
+            raise InputError(f"must be finite; got {self.delay:g} s, {self.drift:g} N/s", field="delay, drift")
 
 
 def read_faults(text: str) -> Faults:
-    """Faults from ``loss=0.02,disconnect_after_s=5``; the empty text is none.
+    """Return the faults of a text such as ``loss=0.02,disconnect_after_s=5``; the empty text has none.
 
     Args:
-        text: of ``loss``, ``duplicate``, ``reorder``, ``garble``, ``delay_ms``, ``disconnect_after_s``,
+        text: Values of ``loss``, ``duplicate``, ``reorder``, ``garble``, ``delay_ms``, ``disconnect_after_s``,
             ``saturate_after_s``, ``stall_after_s``, ``drift_N_per_s``, ``seed``.
 
     Raises:
-        InputError: a name that is not among them, or a number out of its range.
+        InputError: A name is unknown, or a value is outside its range.
     """
     given = read_settings(text, loss=0.0, duplicate=0.0, reorder=0.0, garble=0.0, delay_ms=0.0,
                           disconnect_after_s=_NEVER, saturate_after_s=_NEVER, stall_after_s=_NEVER,
@@ -72,43 +74,45 @@ def read_faults(text: str) -> Faults:
 
 
 class FaultyLine:
-    """What becomes of messages on a line with faults.
+    """A queue of messages that applies the faults of a connection.
 
     Args:
-        faults: on it.
-        began: when the device was started, s on the clock of the calls.
+        faults: Faults of the connection.
+        began: Time of the device's start, s on the clock of the calls.
     """
 
     def __init__(self, faults: Faults, began: float):
         self._faults, self._began, self._random = faults, began, random.Random(faults.seed)
-        #: (when it leaves, message), in the order in which they leave.
+        #: Time of delivery, s, and message, in order of delivery.
         self._waiting: list[tuple[float, bytes]] = []
-        self._kept_back: bytes | None = None
+        #: A message that waits until its successor was queued; None: none.
+        self._held_back: bytes | None = None
 
     def is_silent(self, now: float) -> bool:
-        """Whether the device has fallen off the line."""
+        """Return True after the simulated disconnection."""
         return now - self._began >= self._faults.disconnect_after
 
     def put(self, message: bytes, now: float) -> None:
-        """One message of the device."""
+        """Queue a message of the device, subject to the faults."""
         faults, draw = self._faults, self._random.random
         if self.is_silent(now) or draw() < faults.loss:
             return
         if message and draw() < faults.garble:
             at = self._random.randrange(len(message))
             message = message[:at] + bytes([message[at] ^ self._random.randrange(1, 256)]) + message[at + 1:]
-        if self._kept_back is None and draw() < faults.reorder:
-            self._kept_back = message
+        if self._held_back is None and draw() < faults.reorder:
+            self._held_back = message
             return
-        for each in (message, *([message] if draw() < faults.duplicate else []), *self._late()):
+        for each in (message, *([message] if draw() < faults.duplicate else []), *self._release_held_back()):
             self._waiting.append((now + faults.delay, each))
 
-    def _late(self) -> list[bytes]:
-        late, self._kept_back = self._kept_back, None
-        return [] if late is None else [late]
+    def _release_held_back(self) -> list[bytes]:
+        """Return the message that was held back, if any, and forget it."""
+        held_back, self._held_back = self._held_back, None
+        return [] if held_back is None else [held_back]
 
     def take(self, now: float) -> list[bytes]:
-        """The messages that leave by now, in their order; none of a device that fell off the line."""
+        """Remove and return the messages due until now, in order; none after the simulated disconnection."""
         if self.is_silent(now):
             self._waiting.clear()
         count = next((number for number, (leaves, _) in enumerate(self._waiting) if leaves > now), len(self._waiting))

@@ -1,4 +1,4 @@
-"""A hand on a haptic device, without either: a mass that somebody's grip moves and the rendered force pushes."""
+"""A simulated hand on a simulated haptic device: a damped mass on a spring, pushed by the rendered force."""
 
 from __future__ import annotations
 
@@ -12,112 +12,116 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.pose import Pose, Screw, Vector
 
-#: Roots of the motion that are closer than this, as a share of their size, are taken apart: the formula divides by
-#: their difference.
-_APART = 1e-6
+#: Smallest difference of the two characteristic roots, as a fraction of their size; closer roots are separated to this
+#: difference, because the solution divides by it. The same limit selects the undamped formula without a grip.
+_LEAST_ROOT_SEPARATION = 1e-6
 
 
 class VirtualHand(HapticDevice):
-    """A handle that follows a motion as a hand would, and gives way to the force:
+    """A handle that follows a motion as a hand would, and yields to the rendered force:
 
-        mass x'' + damping x' + grip (x - wanted) = force
+        mass x'' + damping x' + grip (x - target) = force
 
-    in all three directions; it is turned as the motion is, whatever the torque. Between two ticks the force and the
-    wanted place stand still, and the motion is solved exactly: no period is too long for it. Without a grip it begins
-    where the motion begins, and goes where the force drives it; a push is the weight that it lays on the tool.
+    in x, y and z, with the orientation of the motion for every torque. Force and target are constant between two ticks
+    and the equation is solved exactly, so every tick length is stable. Without a grip the hand begins at the motion's
+    first position and then moves by force, inertia and damping alone.
 
     Args:
-        motion: where the hand wants to be.
-        mass: of handle and hand, kg.
-        damping: of device and hand, N s/m.
-        grip: stiffness with which the hand holds its way, N/m; 0: it holds none.
-        push: into the tissue, along the axis of the scene, N.
+        motion: Target of the hand against time.
+        mass: Mass of handle and hand, kg.
+        damping: Damping of device and hand, N s/m.
+        grip: Stiffness between hand and target, N/m; 0: the hand ignores the target.
+        push: Constant force of the hand into the tissue, along the axis of the scene, N.
 
     Raises:
-        InputError: a mass that is not positive, a damping or a grip below zero, or a push that is no number.
+        InputError: The mass is not positive, the damping or the grip is negative, or the push is not finite.
     """
 
     def __init__(self, motion: Motion, mass: float = 0.15, damping: float = 5.0, grip: float = 400.0,
                  push: float = 0.0):
         if not 0 < mass < math.inf:
-            raise InputError(f"{mass:g} kg; give a number above zero", field="mass")
+            raise InputError(f"must be above 0 kg; got {mass:g} kg", field="mass")
         for value, unit, field in ((damping, "N s/m", "damping"), (grip, "N/m", "grip")):
             if not 0 <= value < math.inf:
-                raise InputError(f"{value:g} {unit}; give zero or more", field=field)
+                raise InputError(f"must be 0 {unit} or more; got {value:g} {unit}", field=field)
         if not math.isfinite(push):
-            raise InputError(f"{push:g} N; give a finite number", field="push")
+            raise InputError(f"must be finite; got {push:g} N", field="push")
         self._motion, self._mass, self._damping, self._grip = motion, mass, damping, grip
         self._push = push
-        rate = complex(-damping / (2 * mass))
-        swing = cmath.sqrt(rate * rate - grip / mass)
-        if abs(swing) < _APART * abs(rate):
-            swing = complex(_APART * abs(rate))
-        self._roots = rate + swing, rate - swing
+        # Characteristic roots: r = -d / 2m +- sqrt((d / 2m)^2 - grip / m).
+        mean = complex(-damping / (2 * mass))
+        half_difference = cmath.sqrt(mean * mean - grip / mass)
+        if abs(half_difference) < _LEAST_ROOT_SEPARATION * abs(mean):
+            half_difference = complex(_LEAST_ROOT_SEPARATION * abs(mean))
+        self._roots = mean + half_difference, mean - half_difference
         self.start()
 
     def start(self) -> None:
-        #: On the hand: what is rendered, and its own push.
+        #: Rendered force plus push, N.
         self._force: Vector = (0.0, 0.0, -self._push)
         self._time = 0.0
-        self._place: Vector | None = None
+        self._position: Vector | None = None
         self._velocity: Vector = (0.0, 0.0, 0.0)
 
     def pose(self, time: float) -> Pose | None:
-        wanted = self._motion.pose(time)
-        if wanted is None:
+        target = self._motion.pose(time)
+        if target is None:
             return None
-        if self._place is None or time < self._time:
-            # It begins, or begins again, at rest where the hand is.
-            self._place, self._velocity = wanted.position, (0.0, 0.0, 0.0)
+        if self._position is None or time < self._time:
+            # First call, or time restarted: at rest on the target.
+            self._position, self._velocity = target.position, (0.0, 0.0, 0.0)
         elif time > self._time:
-            self._place, self._velocity = self._moved(self._place, wanted.position, time - self._time)
+            self._position, self._velocity = self._advance(self._position, target.position, time - self._time)
         self._time = time
-        return Pose(self._place, wanted.orientation)
+        return Pose(self._position, target.orientation)
 
-    def _moved(self, place: Vector, wanted: Vector, dt: float) -> tuple[Vector, Vector]:
-        """Place and velocity of the hand that is held towards a place for a time, s."""
+    def _advance(self, position: Vector, target: Vector, dt: float) -> tuple[Vector, Vector]:
+        """Return position, m, and velocity, m/s, after a time step, s, with constant target and force."""
         if self._grip == 0.0:
-            return self._drifted(place, dt)
-        one, other = self._roots
-        fade_one, fade_other = cmath.exp(one * dt), cmath.exp(other * dt)
-        # Of x = a exp(one t) + b exp(other t), by the place (from its rest) and the velocity at the beginning.
-        apart = one - other
-        stays = ((one * fade_other - other * fade_one) / apart).real
-        gains = ((fade_one - fade_other) / apart).real
-        falls = (one * other * (fade_other - fade_one) / apart).real
-        keeps = ((one * fade_one - other * fade_other) / apart).real
+            return self._advance_without_grip(position, dt)
+        r, s = self._roots
+        exp_r, exp_s = cmath.exp(r * dt), cmath.exp(s * dt)
+        # Coefficients of x(dt) and x'(dt) for x = a exp(r t) + b exp(s t), by initial offset and initial velocity.
+        difference = r - s
+        offset_to_offset = ((r * exp_s - s * exp_r) / difference).real
+        velocity_to_offset = ((exp_r - exp_s) / difference).real
+        offset_to_velocity = (r * s * (exp_s - exp_r) / difference).real
+        velocity_to_velocity = ((r * exp_r - s * exp_s) / difference).real
 
-        def along(axis: int) -> tuple[float, float]:
-            rest, velocity = wanted[axis] + self._force[axis] / self._grip, self._velocity[axis]
-            return (rest + stays * (place[axis] - rest) + gains * velocity,
-                    falls * (place[axis] - rest) + keeps * velocity)
+        def advance_axis(axis: int) -> tuple[float, float]:
+            equilibrium, velocity = target[axis] + self._force[axis] / self._grip, self._velocity[axis]
+            offset = position[axis] - equilibrium
+            return (equilibrium + offset_to_offset * offset + velocity_to_offset * velocity,
+                    offset_to_velocity * offset + velocity_to_velocity * velocity)
 
-        (x, u), (y, v), (z, w) = along(0), along(1), along(2)
+        (x, u), (y, v), (z, w) = advance_axis(0), advance_axis(1), advance_axis(2)
         return (x, y, z), (u, v, w)
 
-    def _drifted(self, place: Vector, dt: float) -> tuple[Vector, Vector]:
-        """The same of a hand without a grip."""
+    def _advance_without_grip(self, position: Vector, dt: float) -> tuple[Vector, Vector]:
+        """Return position, m, and velocity, m/s, after a time step, s, of mass x'' + damping x' = force."""
         mass, damping = self._mass, self._damping
-        slowed = damping * dt / mass
-        if slowed < _APART:
-            # As good as undamped; the formula below divides by the damping.
-            reach, gain, way, keeps = dt, dt / mass, 0.5 * dt * dt / mass, 1.0
+        decay = damping * dt / mass
+        if decay < _LEAST_ROOT_SEPARATION:
+            # The limit of zero damping; the formula below divides by the damping.
+            velocity_to_offset, force_to_velocity, force_to_offset, velocity_to_velocity = (
+                dt, dt / mass, 0.5 * dt * dt / mass, 1.0)
         else:
-            keeps = math.exp(-slowed)
-            gain = -math.expm1(-slowed) / damping
-            reach = mass * gain
-            way = (dt - reach) / damping
+            velocity_to_velocity = math.exp(-decay)
+            force_to_velocity = -math.expm1(-decay) / damping
+            velocity_to_offset = mass * force_to_velocity
+            force_to_offset = (dt - velocity_to_offset) / damping
 
-        def along(axis: int) -> tuple[float, float]:
+        def advance_axis(axis: int) -> tuple[float, float]:
             force, velocity = self._force[axis], self._velocity[axis]
-            return place[axis] + reach * velocity + way * force, keeps * velocity + gain * force
+            return (position[axis] + velocity_to_offset * velocity + force_to_offset * force,
+                    velocity_to_velocity * velocity + force_to_velocity * force)
 
-        (x, u), (y, v), (z, w) = along(0), along(1), along(2)
+        (x, u), (y, v), (z, w) = advance_axis(0), advance_axis(1), advance_axis(2)
         return (x, y, z), (u, v, w)
 
     @property
     def velocity(self) -> Vector:
-        """When its pose was asked for the last time, m/s."""
+        """Velocity at the last call of `pose`, m/s."""
         return self._velocity
 
     def render(self, wrench: Screw) -> None:
@@ -127,8 +131,8 @@ class VirtualHand(HapticDevice):
     def stop(self) -> None:
         self._force = (0.0, 0.0, -self._push)
 
-    def go_along(self, approach: Approach | None) -> None:
-        self._motion.go_along(approach)
+    def set_approach(self, approach: Approach | None) -> None:
+        self._motion.set_approach(approach)
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
         self._motion.aim(depth, across)
@@ -139,5 +143,5 @@ class VirtualHand(HapticDevice):
 
 
 def open_virtual(text: str) -> VirtualHand:
-    """``virtual:random:seed=3``: a hand that follows the motion of that name; ``virtual:`` one that is aimed."""
+    """Make a hand that follows a named motion, as in ``virtual:random:seed=3``; ``virtual:`` is steerable."""
     return VirtualHand(open_motion(text or "hand"))

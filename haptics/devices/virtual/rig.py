@@ -1,4 +1,4 @@
-"""A rig that needs no hardware: a simulated specimen behind a stage and a sensor, with the faults of a real one."""
+"""A simulated test rig: a finite-element specimen between a stage and a force sensor, with the faults of a real rig."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import random
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -20,140 +20,170 @@ from tissue_sim import Protocol as Motion
 from tissue_sim.errors import InputError
 from tissue_sim.rig.loading_curve import LoadingCurve
 
-#: The study's sensor, an ATI Mini40 SI-40-2: range along z, N, and what it resolves, N.
-RANGE, RESOLUTION = 120.0, 0.02
-#: The study's stage: room above the specimen and into it, m; fastest, m/s; a step of the motor, m.
-LIMITS, STEP = StageLimits(-0.05, 0.03, 0.02), 1e-6
-#: A curve is simulated at so many depths, and read from a table with so many steps, which goes on to this many depths.
-_POINTS, _TABLE, _BEYOND = 41, 4000, 1.2
-#: Over which time a speed is taken, s.
-_MOMENT = 2e-3
+#: Range along z of the default sensor, an ATI Mini40 SI-40-2, N.
+SENSOR_RANGE = 120.0
+#: Resolution along z of the default sensor, N.
+SENSOR_RESOLUTION = 0.02
+#: Travel and top speed of the default stage, from 50 mm above its zero to 30 mm below, at 20 mm/s.
+STAGE_LIMITS = StageLimits(-0.05, 0.03, 0.02)
+#: Length of a motor step of the default stage, m.
+STAGE_STEP = 1e-6
+#: Interval of the backward difference that gives the tool's speed, s.
+_SPEED_INTERVAL = 2e-3
+
+
+@dataclass(frozen=True)
+class CurveTable:
+    """Resolution of an `ElasticSpecimen`'s force-depth curve."""
+
+    #: Number of simulated depths; a monotone cubic interpolates between them.
+    points: int = 41
+    #: Number of table intervals; with 4000 linear interpolation adds an error below 1e-6 of the largest force.
+    intervals: int = 4000
+    #: Largest depth of the table divided by the largest simulated depth; beyond the latter the tangent continues.
+    extent: float = 1.2
+
+
+#: Resolution of all `ElasticSpecimen`s.
+_TABLE = CurveTable()
 
 
 class Specimen(Protocol):
-    """What the tool presses."""
+    """A specimen that a tool indents."""
 
     def force(self, time: float, depth: float) -> float:
-        """On the tool, N, at a time, s, that never goes back, and a depth, m, below zero in the air."""
+        """Return the force on the tool, N.
+
+        Args:
+            time: Time, s; it never decreases from call to call.
+            depth: Depth of the tool, m; negative above the surface.
+        """
 
 
 class ElasticSpecimen:
-    """Force by a converged simulation on the way in, which an elastic specimen repeats; compliant rigs included.
+    """Force-depth curve of an elastic specimen, from one converged simulation of its loading; unloading is the same.
 
-    Between the simulated depths a monotone cubic, beyond the deepest its tangent; read from a table so fine that it
-    adds less than a millionth of the largest force.
+    The curve includes the rig's compliance. A monotone cubic interpolates between simulated depths and its tangent
+    continues beyond them; calls read a table, see `CurveTable`.
 
     Args:
-        model: experiment, material, and of the rig the compliance alone; its protocol is not asked.
-        depth: m, to which it is simulated.
-        resolution: of the simulation, as in `tissue_sim.simulate`.
+        model: Experiment, material and compliance of the rig; protocol and other rig parameters are ignored.
+        depth: Largest simulated depth, m.
+        resolution: Resolution of the simulation, as in `tissue_sim.simulate`.
 
     Raises:
-        InputError: a material or a contact that remembers, or ages: give such a one to `RememberingSpecimen`.
+        InputError: Material or contact depend on the loading history; use `HistoryDependentSpecimen`.
     """
 
     def __init__(self, model: Model, depth: float, resolution: str = "accurate"):
         if model.depends_on_way:
-            raise InputError("this specimen remembers how it was loaded; make a RememberingSpecimen of it",
-                             field="model")
-        ideal = replace(model, experiment=replace(model.experiment, protocol=Motion.ramp(depth, _POINTS)), rig=Rig())
+            raise InputError("must be independent of the loading history for an ElasticSpecimen; make a "
+                             "HistoryDependentSpecimen", field="model")
+        ideal = replace(model, experiment=replace(model.experiment, protocol=Motion.ramp(depth, _TABLE.points)),
+                        rig=Rig())
         curve = LoadingCurve(simulate(ideal, resolution=resolution, estimate_error=False))
-        self._step = _BEYOND * depth / _TABLE
-        motion = self._step * np.arange(_TABLE + 1)
+        self._step = _TABLE.extent * depth / _TABLE.intervals
+        motion = self._step * np.arange(_TABLE.intervals + 1)
         self._forces = curve.force_behind(motion, model.rig.compliance, np.zeros(motion.size)).tolist()
 
     def force(self, time: float, depth: float) -> float:
         if depth <= 0.0:
             return 0.0
-        place = depth / self._step
-        below = min(int(place), _TABLE - 1)
-        here, there = self._forces[below:below + 2]
-        return here + (place - below) * (there - here)
+        index = depth / self._step
+        below = min(int(index), _TABLE.intervals - 1)
+        lower, upper = self._forces[below:below + 2]
+        return lower + (index - below) * (upper - lower)
 
 
-class RememberingSpecimen:
-    """Force by stepping the tissue to where the tool is: relaxation, softening, friction. A sample takes as long as a
-    step.
+class HistoryDependentSpecimen:
+    """Force of a specimen with relaxation, softening or friction, by one simulator step per call.
 
     Args:
-        model: experiment and material; its protocol is not asked.
-        resolution: as in `tissue_sim.Simulator`.
+        model: Experiment and material; its protocol is ignored.
+        resolution: Resolution of the simulator, as in `tissue_sim.Simulator`.
 
     Raises:
-        InputError: a rig with a compliance, which needs the whole curve.
+        InputError: The rig has a compliance, which requires the complete force-depth curve.
     """
 
     def __init__(self, model: Model, resolution: str = "realtime"):
         if model.rig.compliance:
-            raise InputError("a specimen that remembers has no compliance before it; leave it out",
-                             field="rig.compliance")
+            raise InputError("must be 0 for a history-dependent specimen; "
+                             f"got {model.rig.compliance:g} m/N. Leave it out", field="rig.compliance")
         self._simulator = Simulator(model, resolution=resolution, inertia="off")
         self._simulator.warm_up()
         self._time: float | None = None
 
     def force(self, time: float, depth: float) -> float:
-        passed = 1e-3 if self._time is None else time - self._time
+        dt = 1e-3 if self._time is None else time - self._time
         self._time = time
-        answer = self._simulator.step(depth, max(passed, 1e-6))
+        answer = self._simulator.step(depth, max(dt, 1e-6))
         if answer.status is ForceStatus.REFUSED:
-            raise DeviceError(f"the simulated specimen has no equilibrium at {depth * 1e3:.3g} mm; give a depth that "
-                              "its "
-                              "material bears")
+            raise DeviceError(f"the simulated specimen has no equilibrium at {depth * 1e3:.3g} mm; use a smaller depth")
         return answer.force
 
 
 class VirtualRig:
-    """A specimen between a stage and a sensor.
+    """A virtual stage and a virtual sensor with a specimen between them.
 
-    The stage's position less `surface` is the motion that a `Rig` takes: offset, screw, backlash and lost steps move
-    the tool, friction, damping, latency, gain, zero, drift and noise are read; compliance belongs to the specimen.
+    The stage's position minus `surface` is the motion that `Rig` describes: contact offset, screw error, backlash and
+    lost steps change the tool's motion; guide friction, rate damping, latency, gain, zero offset, drift and noise
+    change the reading. The specimen accounts for the compliance.
 
     Args:
-        specimen: on the bench.
-        rig: what stands between it and the numbers.
-        surface: position of the stage at which a tool without `Rig.contact_offset` touches, m.
-        limits: of the stage, m, m/s. start_at: where it stands before it is homed, m.
-        channels: of the sensor; only ``Fz`` feels the specimen, with `sign`, and the others rest.
-        sign: 1 or -1: what the sensor reads when it is pushed.
-        rate: Hz. reach, resolution: of the sensor, N.
-        encoder: whether the stage measures where it is.
-        faults: of sensor and motor: saturation, drift, stall, disconnection.
-        clock: s, never backwards.
+        specimen: Specimen under the tool.
+        rig: Errors of the rig; None: none.
+        surface: Stage position at first contact without `Rig.contact_offset`, m.
+        limits: Travel and top speed of the stage.
+        start_at: Stage position before homing, m.
+        channels: Channels of the sensor; ``Fz`` reads the specimen's force, the others read 0.
+        sign: Sign of ``Fz`` when the specimen pushes the tool back, 1 or -1.
+        rate: Sampling rate of the sensor, Hz.
+        reach: Range of the sensor, N.
+        resolution: Resolution of the sensor, N.
+        encoder: True if the stage measures its position.
+        faults: Faults of sensor and motor: saturation, drift, stall, disconnection.
+        clock: Monotonic clock, s.
 
     Raises:
-        InputError: a rig with faults that were added to it, or with a sampling rate: the sensor has one.
+        InputError: The rig has added faults or a sampling rate, or ``Fz`` is not among the channels.
     """
 
     def __init__(self, specimen: Specimen, rig: Rig | None = None, *, surface: float = 2e-3,
-                 limits: StageLimits = LIMITS, start_at: float = -5e-3, channels: tuple[str, ...] = ("Fz",),
-                 sign: int = 1, rate: float = 1000.0, reach: float = RANGE, resolution: float = RESOLUTION,
-                 encoder: bool = True, faults: Faults | None = None, clock: Callable[[], float] = time.monotonic):
+                 limits: StageLimits = STAGE_LIMITS, start_at: float = -5e-3, channels: tuple[str, ...] = ("Fz",),
+                 sign: int = 1, rate: float = 1000.0, reach: float = SENSOR_RANGE,
+                 resolution: float = SENSOR_RESOLUTION, encoder: bool = True, faults: Faults | None = None,
+                 clock: Callable[[], float] = time.monotonic):
         rig, faults = rig or Rig(), faults or Faults()
         if rig.faults or rig.sampling_rate is not None:
-            raise InputError("a rig on a bench has no added faults and no sampling rate; leave them out", field="rig")
+            raise InputError("must have no added faults and no sampling rate in a VirtualRig; leave them out",
+                             field="rig")
         if "Fz" not in channels:
-            raise InputError("the sensor feels along z; name Fz among its channels", field="channels")
+            raise InputError(f"must contain Fz, the axis of the tool; got {', '.join(channels)}. Name Fz among them",
+                             field="channels")
         self._specimen, self._rig, self._surface, self._faults, self._sign = specimen, rig, surface, faults, sign
         self._axis, self._count, self._reach = channels.index("Fz"), len(channels), reach
         self._random = random.Random(rig.seed)
+        #: Last noise, N, its time, s, and time of the first sample, s.
         self._noise, self._last, self._began = 0.0, -math.inf, math.inf
         self._tool_motion = replace(rig.motion_only, compliance=0.0).tool_motion
-        self.stage = VirtualStage(limits, STEP, start_at, clock, encoder, faults.stall_after)
+        self.stage = VirtualStage(limits, STAGE_STEP, start_at, clock, encoder, faults.stall_after)
         self.sensor = VirtualForceSensor(self._load, channels, rate, resolution, reach, clock,
                                          silent_after=faults.disconnect_after)
 
     @property
     def bench(self) -> Bench:
+        """The sensor and the stage."""
         return Bench(self.sensor, self.stage)
 
     def _load(self, at: float) -> tuple[float, ...]:
-        """What is read at a time on the clock, s: in every channel, N."""
+        """Return the load of each channel at a time on the clock, s; N."""
         rig = self._rig
         self._began = min(self._began, at)
-        seen = at - rig.latency
-        place, before = self._depth(seen), self._depth(seen - _MOMENT)
-        speed = (place - before) / _MOMENT
-        force = self._specimen.force(seen, place)
+        delayed = at - rig.latency
+        depth, before = self._depth(delayed), self._depth(delayed - _SPEED_INTERVAL)
+        speed = (depth - before) / _SPEED_INTERVAL
+        force = self._specimen.force(delayed, depth)
         force += rig.guide_friction * ((speed > 0) - (speed < 0)) + rig.rate_damping * speed
         force = (1 + rig.sensor_gain) * force + rig.zero_offset + self._disturbance(at)
         if at - self._began >= self._faults.saturate_after:
@@ -161,19 +191,19 @@ class VirtualRig:
         return tuple(self._sign * force if axis == self._axis else 0.0 for axis in range(self._count))
 
     def _depth(self, at: float) -> float:
-        """Of the tool at a time, m."""
-        return float(self._tool_motion(np.array(self._turns(at)) - self._surface)[-1])
+        """Return the depth of the tool at a time on the clock, s; m."""
+        return float(self._tool_motion(np.array(self._stage_path(at)) - self._surface)[-1])
 
-    def _turns(self, at: float) -> Sequence[float]:
-        """Where the stage turned round until then, and where it is, m: all that its play remembers."""
-        return (*self.stage.turns(at), self.stage.tool_place(at))
+    def _stage_path(self, at: float) -> Sequence[float]:
+        """Return the reversal positions until a time, s, and the position then, m; backlash depends on these alone."""
+        return (*self.stage.reversal_positions(at), self.stage.tool_position(at))
 
     def _disturbance(self, at: float) -> float:
-        """Noise and drift, N."""
+        """Return noise (a first-order Gauss-Markov process) plus drift at a time on the clock, s; N."""
         rig, time_constant = self._rig, self._rig.noise_correlation_time
         if rig.force_noise:
-            kept = math.exp(-(at - self._last) / time_constant) if time_constant and at > self._last else 0.0
-            fresh = math.sqrt(1.0 - kept * kept) * rig.force_noise
-            self._noise = kept * self._noise + self._random.gauss(0.0, fresh)
+            correlation = math.exp(-(at - self._last) / time_constant) if time_constant and at > self._last else 0.0
+            innovation = math.sqrt(1.0 - correlation * correlation) * rig.force_noise
+            self._noise = correlation * self._noise + self._random.gauss(0.0, innovation)
             self._last = at
         return self._noise + (rig.sensor_drift + self._faults.drift) * (at - self._began)

@@ -1,4 +1,4 @@
-"""A stage that moves at its speed, on a clock."""
+"""A simulated stage that moves at constant speed."""
 
 from __future__ import annotations
 
@@ -12,58 +12,66 @@ from haptics.devices.contracts import DeviceError, SampleStatus, Stage, StageLim
 from haptics.devices.settings import read_settings
 from tissue_sim.errors import InputError
 
-#: Motions that are remembered.
-_MOST_MOTIONS = 256
+#: Number of past motions that are kept for queries of past positions.
+_KEPT_MOTIONS = 256
 
 
-class _Straight(NamedTuple):
-    """One motion: when it began, s; from where, to where, m; how fast, m/s."""
+class _LinearMotion(NamedTuple):
+    """A motion at constant speed.
+
+    Attributes:
+        began: Time of its start, s.
+        start: Initial position, m.
+        goal: Final position, m.
+        speed: Speed, m/s.
+    """
 
     began: float
     start: float
     goal: float
     speed: float
 
-    def place(self, at: float) -> float:
-        way = self.goal - self.start
-        gone = self.speed * max(at - self.began, 0.0)
-        return self.goal if gone >= abs(way) else self.start + math.copysign(gone, way)
+    def position(self, at: float) -> float:
+        """Return the position at a time, s; m."""
+        length = self.goal - self.start
+        travelled = self.speed * max(at - self.began, 0.0)
+        return self.goal if travelled >= abs(length) else self.start + math.copysign(travelled, length)
 
 
 class VirtualStage(Stage):
-    """Goes straight to where it is sent, at an even speed, with an encoder of finite steps.
+    """A stage that moves straight to its target at constant speed, with an encoder of finite resolution.
 
     Args:
-        limits: m, m/s.
-        resolution: of a count of the encoder, m.
-        start_at: where it stands before it is homed, m.
-        clock: s, never backwards.
-        encoder: whether `position` is where the tool is; otherwise where the motor was driven to.
-        stalls_after: s after its start, from which on the tool stands although the motor is driven.
+        limits: Travel and top speed.
+        resolution: Length of one count, m.
+        start_at: Position before homing, m.
+        clock: Monotonic clock, s.
+        encoder: True: `position` returns the tool's position. False: it returns the commanded position of the motor.
+        stalls_after: Time since the start after which the driven motor no longer moves the tool, s.
 
     Raises:
-        InputError: limits or a resolution that make no sense.
+        InputError: The travel does not contain 0, or the top speed or the resolution is not positive.
     """
 
-    #: It lives in this program.
+    #: The stage exists in this program only.
     runs_on = 0.0
 
     def __init__(self, limits: StageLimits, resolution: float = 1e-6, start_at: float = 0.0,
                  clock: Callable[[], float] = time.monotonic, encoder: bool = True,
                  stalls_after: float = math.inf):
         if not -math.inf < limits.lowest <= 0.0 < limits.highest < math.inf:
-            raise InputError(f"from {limits.lowest:g} to {limits.highest:g} m; give a range with the zero in it",
-                             field="limits")
+            raise InputError(f"must contain 0; got {limits.lowest:g} to {limits.highest:g} m", field="limits")
         for value, unit, field in ((limits.speed, "m/s", "limits.speed"), (resolution, "m", "resolution")):
             if not 0 < value < math.inf:
-                raise InputError(f"{value:g} {unit}; give a number above zero", field=field)
+                raise InputError(f"must be above 0 {unit}; got {value:g} {unit}", field=field)
         self.limits, self._resolution, self._clock = limits, resolution, clock
         self.measures_position, self._stalls_after = encoder, stalls_after
         self._started = self._homed = False
-        #: All motions, in their order; the last one goes on, or is at its end.
-        self._motions = [_Straight(-math.inf, start_at, start_at, limits.speed)]
-        self._turns = [(-math.inf, start_at)]
-        #: When the tool stops to follow, s on the clock.
+        #: Motions, oldest first; the last one is in progress or finished.
+        self._motions = [_LinearMotion(-math.inf, start_at, start_at, limits.speed)]
+        #: Time, s, and position of the tool, m, at the start and at each reversal.
+        self._reversals = [(-math.inf, start_at)]
+        #: Time at which the tool stalls, s on the clock.
         self._stalls = math.inf
         self._homing, self._sequence = False, 0
 
@@ -80,37 +88,37 @@ class VirtualStage(Stage):
     def move(self, position: float, speed: float) -> None:
         self._require_start()
         self.limits.require(position, speed)
-        self._settle()
+        self._finish_homing()
         if not self._homed:
             raise DeviceError("the virtual stage does not know its zero; home it first, and wait until it is there")
         self._go(position, speed)
 
     def position(self) -> StageSample:
         self._require_start()
-        self._settle()
+        self._finish_homing()
         now = self._clock()
-        place, goal = self._driven_to(now), self._motions[-1].goal
-        moving = place != goal
+        position, goal = self._motor_position(now), self._motions[-1].goal
+        moving = position != goal
         if self.measures_position:
-            place = self.tool_place(now)
-            moving = moving or place != goal
-        counts = round(place / self._resolution)
+            position = self.tool_position(now)
+            moving = moving or position != goal
+        counts = round(position / self._resolution)
         self._sequence += 1
         return StageSample(counts, counts * self._resolution, moving, self._homed, self._sequence - 1,
                            int(SampleStatus.GOOD), now)
 
-    def tool_place(self, at: float) -> float:
-        """Where the tool is, or was, at a time on the clock, s; m."""
-        return self._driven_to(min(at, self._stalls))
+    def tool_position(self, at: float) -> float:
+        """Return the present or past position of the tool at a time on the clock, s; m."""
+        return self._motor_position(min(at, self._stalls))
 
-    def turns(self, until: float) -> list[float]:
-        """Where it began and where it turned round, until a time on the clock, s; m."""
-        return [place for at, place in self._turns if at <= until]
+    def reversal_positions(self, until: float) -> list[float]:
+        """Return the first position and the positions of all reversals until a time on the clock, s; m."""
+        return [position for at, position in self._reversals if at <= until]
 
     def halt(self) -> None:
-        self._settle()
-        place = self._driven_to(self._clock())
-        self._go(place, self.limits.speed)
+        self._finish_homing()
+        position = self._motor_position(self._clock())
+        self._go(position, self.limits.speed)
         self._homing = False
 
     def stop(self) -> None:
@@ -122,22 +130,23 @@ class VirtualStage(Stage):
                 "top_speed_mm_s": self.limits.speed * 1e3, "resolution_mm": self._resolution * 1e3}
 
     def _go(self, position: float, speed: float) -> None:
+        """Begin a motion to a position, m, at a speed, m/s, and end homing."""
         now = self._clock()
-        place, last = self._driven_to(now), self._motions[-1]
-        if (position - place) * (last.goal - last.start) < 0:
-            self._turns.append((now, self.tool_place(now)))
-        # Motions that are over stay for those who ask about the past, but not for ever.
-        self._motions = [*self._motions[-_MOST_MOTIONS:], _Straight(now, place, position, speed)]
+        start, last = self._motor_position(now), self._motions[-1]
+        if (position - start) * (last.goal - last.start) < 0:
+            self._reversals.append((now, self.tool_position(now)))
+        # Past motions answer queries of past positions; the limit bounds the memory.
+        self._motions = [*self._motions[-_KEPT_MOTIONS:], _LinearMotion(now, start, position, speed)]
         self._homing = False
 
-    def _driven_to(self, at: float) -> float:
-        """Where the motor is, or was, at a time on the clock, s; m."""
+    def _motor_position(self, at: float) -> float:
+        """Return the present or past commanded position at a time on the clock, s; m."""
         motions = self._motions
-        return motions[max(bisect_right(motions, at, key=lambda motion: motion.began) - 1, 0)].place(at)
+        return motions[max(bisect_right(motions, at, key=lambda motion: motion.began) - 1, 0)].position(at)
 
-    def _settle(self) -> None:
-        """Notice that homing has come to its end."""
-        if self._homing and self.tool_place(self._clock()) == self._motions[-1].goal:
+    def _finish_homing(self) -> None:
+        """Mark the stage as homed if a homing motion has ended."""
+        if self._homing and self.tool_position(self._clock()) == self._motions[-1].goal:
             self._homing, self._homed = False, True
 
     def _require_start(self) -> None:
@@ -146,7 +155,8 @@ class VirtualStage(Stage):
 
 
 def open_virtual(text: str) -> VirtualStage:
-    """``virtual:lowest_mm=-50,highest_mm=50,top_speed_mm_s=50,resolution_mm=0.001``."""
+    """Make a stage from ``virtual:lowest_mm=-50,highest_mm=50,top_speed_mm_s=50,resolution_mm=0.001``."""
+
     given = read_settings(text, lowest_mm=-50.0, highest_mm=50.0, top_speed_mm_s=50.0, resolution_mm=1e-3)
-    limits = StageLimits.of(given)
+    limits = StageLimits.from_settings(given)
     return VirtualStage(limits, given["resolution_mm"] * 1e-3)

@@ -126,7 +126,7 @@ def run(arguments) -> int:
     if reduced:
         stay_in_box(arguments, reduced)
     device = open_named(arguments, name, protocol, lifts=reduced is None or reduced.lifting == 0)
-    device.go_along(model.experiment.approach)
+    device.set_approach(model.experiment.approach)
     rendering = make_rendering(arguments, device.largest_force)
     # Behind a coupling the mass of the tissue is stable in time; but where it makes most answers late, the force is up
     # to six times too large (docs/haptic_rendering.md).

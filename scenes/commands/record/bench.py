@@ -8,7 +8,7 @@ from calibration.campaign.campaign import Test
 from haptics.devices.back_ends import open_sensor, open_stage
 from haptics.devices.contracts import Bench, StageLimits
 from haptics.devices.virtual.faults import read_faults
-from haptics.devices.virtual.rig import ElasticSpecimen, RememberingSpecimen, Specimen, VirtualRig
+from haptics.devices.virtual.rig import ElasticSpecimen, HistoryDependentSpecimen, Specimen, VirtualRig
 from scenes.commands.record.protocol_file import ProtocolFile
 from scenes.commands.shared.tissue_flags import read_material
 from tissue_sim import Model, Rig, load_rig
@@ -57,7 +57,8 @@ def virtual_rig(protocol: ProtocolFile, test: Test) -> VirtualRig:
     if test.experiment is None:
         raise InputError("there is nothing to press", field=test.place, file=protocol.path)
     model = Model(test.experiment, material, replace(Rig(), compliance=compliance))
-    specimen: Specimen = RememberingSpecimen(model) if table.remembers else ElasticSpecimen(model, 1.05 * plan.depth)
+    specimen: Specimen = (HistoryDependentSpecimen(model) if table.remembers else
+                          ElasticSpecimen(model, 1.05 * plan.depth))
     surface = 0.0 if plan.contact == "here" else table.surface_mm * 1e-3
     return VirtualRig(specimen, rig, surface=surface,
                       limits=StageLimits(min(limits.lowest, -0.01), max(limits.highest, 0.01), limits.speed),

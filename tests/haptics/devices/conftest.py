@@ -1,4 +1,4 @@
-"""The tests of the contracts are beside those of the back-ends, which subclass them."""
+"""Make the test classes of the contracts importable by the tests of the back-ends in this folder."""
 
 import sys
 from pathlib import Path

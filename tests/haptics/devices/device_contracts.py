@@ -1,7 +1,7 @@
-"""What every back-end must do. A test module of a back-end subclasses the class of its contract and gives the device,
-as a fixture that is not started: ``sensor``, ``stage`` or ``device``.
+"""Tests that every back-end must pass. The test module of a back-end derives a class from the class of its contract,
+with a fixture of the unstarted device: ``sensor``, ``stage`` or ``device``.
 
-A back-end whose device has a clock of its own waits in `pass_time`; a virtual one moves its clock on.
+The method `pass_time` waits if the device has a real clock, and advances the clock of a virtual device.
 """
 
 import math
@@ -17,11 +17,11 @@ from tissue_sim.pose import Pose
 
 
 class ForceSensorContract(ABC):
-    """Of a `ForceSensor` under a load that rests.
+    """Tests of a `ForceSensor` under constant load.
 
     Attributes:
-        load: N or N m, of each channel.
-        tolerance: of a value, N or N m.
+        load: Load of each channel, N or N m.
+        tolerance: Tolerance of a value, N or N m.
     """
 
     load = (0.0,)
@@ -29,11 +29,11 @@ class ForceSensorContract(ABC):
 
     @abstractmethod
     def pass_time(self, seconds):
-        """Let so much time go by on the clock of the device, s, and its samples arrive; a real clock may go on."""
+        """Advance the clock of the device by a time, s, or wait for it, so that its samples arrive."""
 
     @abstractmethod
     def now(self):
-        """What the clock of the device says, s."""
+        """Return the time of the device's clock, s."""
 
     def samples(self, sensor, seconds=0.05):
         self.pass_time(seconds)
@@ -49,7 +49,7 @@ class ForceSensorContract(ABC):
         assert [sample.sequence for sample in samples] == list(range(len(samples)))
         assert all(before.received <= after.received for before, after in pairwise(samples))
 
-    def test_a_sample_has_what_every_channel_measures(self, sensor):
+    def test_a_sample_has_count_and_value_of_every_channel(self, sensor):
         sensor.start()
         samples = self.samples(sensor)
         sensor.stop()
@@ -60,7 +60,7 @@ class ForceSensorContract(ABC):
             assert sample.values == pytest.approx(self.load, abs=self.tolerance)
             assert sample.status == SampleStatus.GOOD
 
-    def test_a_sample_does_not_change(self, sensor):
+    def test_a_sample_is_immutable(self, sensor):
         sensor.start()
         sample = self.samples(sensor)[0]
         sensor.stop()
@@ -83,12 +83,12 @@ class ForceSensorContract(ABC):
         assert after.values == pytest.approx([0.0] * len(self.load), abs=self.tolerance)
         assert after.counts == pytest.approx(before.counts, abs=2)
 
-    def test_who_has_not_started_cannot_read(self, sensor):
+    def test_an_unstarted_sensor_raises(self, sensor):
         for ask in (sensor.read, sensor.tare):
             with pytest.raises(DeviceError, match="start"):
                 ask()
 
-    def test_it_can_be_started_again_and_stopped_twice(self, sensor):
+    def test_restart_and_repeated_stop_work(self, sensor):
         for _ in range(2):
             sensor.start()
             sensor.start()
@@ -96,28 +96,28 @@ class ForceSensorContract(ABC):
             sensor.stop()
             sensor.stop()
 
-    def test_it_describes_itself(self, sensor):
+    def test_describe_returns_the_kind_of_device(self, sensor):
         sensor.start()
         described = sensor.describe()
         sensor.stop()
         assert described["sensor"] and all(isinstance(name, str) for name in described)
 
-    def test_before_it_is_started_it_can_be_sent_to_another_process(self, sensor):
+    def test_an_unstarted_device_can_be_pickled(self, sensor):
         assert pickle.loads(pickle.dumps(sensor)).channels == sensor.channels
 
 
 class StageContract(ABC):
-    """Of a `Stage` that may move freely within its limits."""
+    """Tests of a `Stage` that can move freely within its limits."""
 
-    #: m; of where it comes to rest.
+    #: Tolerance of positions at rest, m.
     tolerance = 0.0
 
     @abstractmethod
     def pass_time(self, seconds):
-        """Let so much time go by on the clock of the device, s."""
+        """Advance the clock of the device by a time, s, or wait for it."""
 
     def arrive(self, stage, seconds=60.0, step=0.01):
-        """Where it comes to rest."""
+        """Wait for the end of the motion and return the last sample."""
         for _ in range(math.ceil(seconds / step)):
             sample = stage.position()
             if not sample.moving:
@@ -136,7 +136,7 @@ class StageContract(ABC):
     def test_home_is_zero(self, homed):
         assert self.arrive(homed).position == pytest.approx(0.0, abs=self.tolerance)
 
-    def test_it_goes_where_it_is_sent_at_the_speed(self, homed):
+    def test_a_move_reaches_its_target_at_its_speed(self, homed):
         limits = homed.limits
         goal, speed = 0.5 * limits.highest, 0.5 * limits.speed
         homed.move(goal, speed)
@@ -154,7 +154,7 @@ class StageContract(ABC):
         assert homed.position().position < 0.6 * limits.highest
         assert self.arrive(homed).position == pytest.approx(0.0, abs=self.tolerance)
 
-    def test_halt_stands_still_and_it_can_go_on(self, homed):
+    def test_halt_stops_the_stage_and_a_new_motion_works(self, homed):
         limits = homed.limits
         homed.move(limits.highest, 0.5 * limits.speed)
         self.pass_time(0.5 * limits.highest / limits.speed)
@@ -166,7 +166,7 @@ class StageContract(ABC):
         homed.move(0.0, limits.speed)
         assert self.arrive(homed).position == pytest.approx(0.0, abs=self.tolerance)
 
-    def test_what_is_out_of_reach_is_refused_and_nothing_moves(self, homed):
+    def test_motions_outside_the_limits_are_refused_without_motion(self, homed):
         limits = homed.limits
         for position, speed, field in ((1.01 * limits.highest, limits.speed, "position"),
                                        (limits.lowest - 1e-3, limits.speed, "position"),
@@ -176,51 +176,51 @@ class StageContract(ABC):
                 homed.move(position, speed)
             assert caught.value.field == field and not homed.position().moving
 
-    def test_who_does_not_know_the_zero_does_not_move(self, stage):
+    def test_a_move_before_homing_raises(self, stage):
         stage.start()
         with pytest.raises(DeviceError, match="home"):
             stage.move(0.0, stage.limits.speed)
         assert not stage.position().homed
         stage.stop()
 
-    def test_samples_are_numbered_and_do_not_change(self, homed):
+    def test_samples_are_numbered_and_immutable(self, homed):
         first, second = homed.position(), homed.position()
         assert second.sequence == first.sequence + 1 and first.received <= second.received
         assert isinstance(first.counts, int) and first.status == SampleStatus.GOOD
         with pytest.raises(AttributeError):
             first.position = 1.0
 
-    def test_who_has_not_started_cannot_move_and_may_halt(self, stage):
+    def test_an_unstarted_stage_raises_and_can_be_halted(self, stage):
         stage.halt()
         for ask in (stage.home, stage.position, lambda: stage.move(0.0, stage.limits.speed)):
             with pytest.raises(DeviceError, match="start"):
                 ask()
 
-    def test_it_describes_itself(self, stage):
+    def test_describe_returns_the_kind_of_device(self, stage):
         stage.start()
         described = stage.describe()
         stage.stop()
         assert described["stage"] and all(isinstance(name, str) for name in described)
 
-    def test_before_it_is_started_it_can_be_sent_to_another_process(self, stage):
+    def test_an_unstarted_device_can_be_pickled(self, stage):
         assert pickle.loads(pickle.dumps(stage)).limits == stage.limits
 
 
 class HapticDeviceContract:
-    """Of a `HapticDevice` that nobody pushes."""
+    """Tests of a `HapticDevice` that no hand pushes."""
 
-    #: Whether it gives way to a force.
+    #: True if a force moves the device.
     feels = True
 
     def ticks(self, device, wrench=(0.0,) * 6, start=0.0, count=50):
-        """Poses of so many ticks of 1 ms under a wrench."""
+        """Return the poses of `count` ticks of 1 ms under a wrench."""
         poses = []
         for number in range(count):
             poses.append(device.pose(start + 1e-3 * number))
             device.render(wrench)
         return poses
 
-    def test_it_gives_a_pose_each_tick(self, device):
+    def test_each_tick_has_a_pose(self, device):
         device.start()
         poses = self.ticks(device)
         device.stop()
@@ -228,7 +228,7 @@ class HapticDeviceContract:
         for pose in poses:
             assert pose is None or (isinstance(pose, Pose) and pose.is_finite)
 
-    def test_it_gives_way_to_a_force_or_ignores_it(self, device):
+    def test_a_force_moves_a_hand_and_leaves_a_motion_unchanged(self, device):
         other, poses = pickle.loads(pickle.dumps(device)), []
         for each, force in ((device, 0.0), (other, 1.0)):
             each.start()
@@ -238,20 +238,20 @@ class HapticDeviceContract:
         assert (pushed.position[2] > free.position[2]) if self.feels else pushed == free
         assert pushed.position[:2] == free.position[:2]
 
-    def test_it_can_be_started_again_and_stopped_twice(self, device):
+    def test_restart_and_repeated_stop_work(self, device):
         for _ in range(2):
             device.start()
             self.ticks(device, count=5)
             device.stop()
             device.stop()
 
-    def test_it_describes_itself(self, device):
+    def test_describe_returns_the_kind_of_device(self, device):
         device.start()
         described = device.describe()
         device.stop()
         assert described["device"] and all(isinstance(name, str) for name in described)
 
-    def test_before_it_is_started_it_can_be_sent_to_another_process(self, device):
+    def test_an_unstarted_device_can_be_pickled(self, device):
         poses = []
         for each in (pickle.loads(pickle.dumps(device)), device):
             each.start()
@@ -261,6 +261,6 @@ class HapticDeviceContract:
 
 
 class MotionContract(HapticDeviceContract):
-    """Of a `Motion`: the same poses for the same times, whatever the force."""
+    """Tests of a `Motion`: the pose depends on the time alone."""
 
     feels = False

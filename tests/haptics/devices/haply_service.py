@@ -1,4 +1,4 @@
-"""A Haply service of its own process: says where it listens, then, for each line that it is given, what it has felt."""
+"""A Haply service in a separate process: prints its address, then its description for each line that it reads."""
 
 import json
 import sys

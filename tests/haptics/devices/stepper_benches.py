@@ -1,5 +1,4 @@
-"""What the tests of the steppers share: a bench on a clock that goes as the test says, and ports that
-answer nonsense."""
+"""Shared parts of the tests of stepper stages: a bench with a clock set by the test, and ports with invalid answers."""
 
 import os
 import threading
@@ -13,7 +12,7 @@ from haptics.devices.virtual.stage import VirtualStage
 
 
 class Clock:
-    """s; goes as the test says."""
+    """Clock in s, advanced by the test."""
 
     def __init__(self):
         self.now = 100.0
@@ -31,17 +30,17 @@ def bench(lowest=0.0, highest=0.01, speed=0.004, start_at=0.0, clock=time.monoto
                                                            clock=clock))
 
 
-def wait_for(condition, seconds=60.0, what="it"):
-    """Until it holds; a generous end for a busy machine."""
+def wait_for(condition, seconds=60.0, event="the condition"):
+    """Wait until the condition is true; the time limit is generous for a busy machine."""
     end = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < end, f"waited {seconds} s for {what}"
+        assert time.monotonic() < end, f"waited {seconds} s for {event}"
         time.sleep(0.002)
 
 
 @contextmanager
 def port_that_answers(answer):
-    """A serial port where a function of the bytes received gives what comes back."""
+    """A serial port whose answers are a function of the received bytes."""
     master, slave = os.openpty()
     tty.setraw(slave)
     os.set_blocking(master, False)

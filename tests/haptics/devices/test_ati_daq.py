@@ -1,4 +1,4 @@
-"""ATI sensors on a data acquisition board: the contract over made-up voltages, and what a function can get wrong."""
+"""ATI sensors on a data acquisition board: the contract with artificial voltages, and errors of the user's function."""
 
 import math
 import sys
@@ -27,7 +27,7 @@ FILE = ('<FTSensor Serial="FT7" NumGages="6"><Calibration PartNumber="SI-40-2" F
 
 
 class Board:
-    """Samples six voltages at a rate, on a clock that goes as the test says; can be sent to another process."""
+    """A board that samples six voltages at a rate, on a clock set by the test; can be pickled."""
 
     def __init__(self, volts, rate=1000.0):
         self.volts, self.rate, self.now, self.given = volts, rate, 0.0, 0
@@ -60,7 +60,7 @@ BOARD = Board(volts_of(LOAD), 500.0)
 
 
 class TestByName(ForceSensorContract):
-    """The function by the place where it is."""
+    """The function given by its import path."""
 
     load, tolerance = LOAD, 1e-9
 
@@ -86,11 +86,11 @@ def started(volts, range_of_volts=None):
     return sensor, board
 
 
-def test_counts_are_steps_of_sixteen_bits_and_do_not_feel_the_tare():
+def test_counts_have_16_bits_and_ignore_the_tare():
     sensor, board = started((1.0, -1.0, 0.5, 0.0, 0.001, -2.0))
     board.now = 0.1
     before = sensor.read()[-1]
-    assert before.counts == (3277, -3277, 1638, 0, 3, -6554)  # of 20 V / 65536
+    assert before.counts == (3277, -3277, 1638, 0, 3, -6554)  # in steps of 20 V / 65536
     assert sensor.describe()["count_V"] == 20.0 / 65536
     sensor.tare()
     board.now = 0.2
@@ -98,7 +98,7 @@ def test_counts_are_steps_of_sixteen_bits_and_do_not_feel_the_tare():
     assert after.counts == before.counts and after.values == pytest.approx((0.0,) * 6, abs=1e-12)
 
 
-def test_a_load_on_a_sensor_that_has_volts_without_one():
+def test_a_tare_removes_the_voltages_without_load():
     sensor, board = started((1.0, -1.0, 0.5, 0.0, 0.3, -2.0))
     board.now = 0.1
     sensor.tare()
@@ -116,7 +116,7 @@ def test_a_tare_is_the_mean_of_a_tenth_of_a_second():
     board.now = 0.1
     sensor.tare()
     samples = sensor.read()
-    assert len(samples) == 50  # those that the tare has fetched
+    assert len(samples) == 50  # the samples that the tare has read
     assert samples[-1].values == pytest.approx(CALIBRATION.wrench((0.1,) * 6))
 
 
@@ -128,21 +128,21 @@ def test_a_tare_waits_for_the_first_sample(monkeypatch):
 
 
 @pytest.mark.parametrize(("volts", "options", "status"), [
-    ((9.9, 0.0, 0.0, 0.0, 0.0, 0.0), {}, SampleStatus.SATURATED),          # Fz is 158 N of 120
-    ((0.0, 0.0, 0.0, 10.0, 0.0, 10.0), {}, SampleStatus.SATURATED),        # the volts are at their end
+    ((9.9, 0.0, 0.0, 0.0, 0.0, 0.0), {}, SampleStatus.SATURATED),          # Fz is 158 N, above 120 N
+    ((0.0, 0.0, 0.0, 10.0, 0.0, 10.0), {}, SampleStatus.SATURATED),        # voltages at the end of their range
     ((0.0, 0.0, 0.0, -10.0, 0.0, -10.0), {}, SampleStatus.SATURATED),
     ((0.0, 0.0, 0.0, 2.0, 0.0, 2.0), {}, SampleStatus.GOOD),
     ((0.0, 0.0, 0.0, 2.0, 0.0, 2.0), {"range_of_volts": (-2.0, 2.0)}, SampleStatus.SATURATED),
-    ((0.0,) * 6, {"range_of_volts": (0.0, 10.0)}, SampleStatus.GOOD),    # nothing is no end of a range
+    ((0.0,) * 6, {"range_of_volts": (0.0, 10.0)}, SampleStatus.GOOD),    # 0 V is not at an end of the range
 ])
-def test_what_is_at_the_end_of_its_range_is_marked(volts, options, status):
+def test_samples_at_the_end_of_the_range_are_saturated(volts, options, status):
     sensor, board = started(volts, **options)
     board.now = 1e-3
     sample, = sensor.read()
     assert sample.status == status
 
 
-def test_who_reads_too_late_has_lost_samples_and_sees_it():
+def test_unread_samples_are_lost_and_marked_as_a_gap():
     sensor, board = started((0.0,) * 6)
     board.now = 10.0
     samples = sensor.read()
@@ -157,21 +157,21 @@ def broken():
 @pytest.mark.parametrize(("read_volts", "sentence"), [
     (broken, r"^broken, which reads the voltages, failed \(OSError: the board was unplugged\); check the board, and "
              r"start"),
-    (lambda: None, "returned a NoneType, not an array"),
-    (lambda: [1.0] * 6, r"returned a list, not an array \(n, 6\) of volts; return the samples since its last call"),
-    (lambda: np.zeros((6, 3)), r"returned shape \(6, 3\), not an array"),
-    (lambda: [["a"] * 6], "returned a list, not an array"),
-    (lambda: [[0.0] * 6, [0.0] * 5], "returned a list, not an array"),
-    (lambda: [[0.0] * 5 + [math.nan]], "returned a voltage that is not finite; check the board"),
+    (lambda: None, r"must return an array \(n, 6\) of volts; got a NoneType"),
+    (lambda: [1.0] * 6, r"must return an array \(n, 6\) of volts; got a list\. Return the samples since the last call"),
+    (lambda: np.zeros((6, 3)), r"must return an array \(n, 6\) of volts; got shape \(6, 3\)"),
+    (lambda: [["a"] * 6], r"must return an array \(n, 6\) of volts; got a list"),
+    (lambda: [[0.0] * 6, [0.0] * 5], r"must return an array \(n, 6\) of volts; got a list"),
+    (lambda: [[0.0] * 5 + [math.nan]], r"must return finite voltages; got NaN or infinity\. Check the board"),
 ])
-def test_a_function_that_gives_something_else(read_volts, sentence):
+def test_an_invalid_result_of_the_function_raises(read_volts, sentence):
     sensor = AtiDaqSensor(CALIBRATION, read_volts)
     sensor.start()
     with pytest.raises(DeviceError, match=sentence):
         sensor.read()
 
 
-def test_a_board_that_falls_silent(monkeypatch):
+def test_a_silent_board_raises(monkeypatch):
     clock = [50.0]
     monkeypatch.setattr(ati_daq.time, "monotonic", lambda: clock[0])
     sensor, board = started((0.0,) * 6)
@@ -185,11 +185,11 @@ def test_a_board_that_falls_silent(monkeypatch):
         sensor.read()
 
 
-def test_without_a_function_it_says_how_to_give_one(tmp_path):
+def test_a_missing_function_raises_with_instructions(tmp_path):
     (tmp_path / "FT7.cal").write_text(FILE, encoding="utf-8")
     sensor = open_sensor(f"ati-daq:{tmp_path / 'FT7.cal'}")
-    with pytest.raises(DeviceError, match=r"^the ATI sensor FT7 has nothing that reads its voltages; give a function "
-                                          r"that returns the new samples, an array \(n, 6\) of volts, as in "
+    with pytest.raises(DeviceError, match=r"^the ATI sensor FT7 has no function that reads its voltages; give one that "
+                                          r"returns the new samples as an array \(n, 6\) of volts, as in "
                                           r"ati-daq:FT01234\.cal,volts=my_board:read_volts$"):
         sensor.start()
 
@@ -199,37 +199,37 @@ def test_without_a_function_it_says_how_to_give_one(tmp_path):
                                  "named"),
     ("math:read_volts", "math:read_volts, which reads the voltages, cannot be imported .module 'math' has no "
                         "attribute"),
-    ("math:pi", "math:pi is a float and no function; give one that returns an array"),
+    ("math:pi", r"math:pi must be a function; got a float\. Give a function that returns an array"),
 ])
-def test_a_function_that_is_not_there(place, sentence):
+def test_a_missing_function_raises(place, sentence):
     with pytest.raises(DeviceError, match=sentence):
         AtiDaqSensor(CALIBRATION, place).start()
 
 
 @pytest.mark.parametrize(("settings", "sentence"), [
-    (",volts=reader", r"volts: 'reader' is no function; give package\.module:function"),
-    (",rate_hz=0", "rate_hz: 0 Hz; give the rate that the board is set to"),
-    (",range_V=-5", "range_V: 5 to -5 V is no range"),
+    (",volts=reader", r"volts: must be package\.module:function, .*; got 'reader'"),
+    (",rate_hz=0", r"rate_hz: must be above 0; got 0 Hz\. Give the sampling rate of the board"),
+    (",range_V=-5", "range_V: must give a range of voltages; got 5 to -5 V"),
     (",range=5", "range: unknown setting; did you mean 'range_V'"),
 ])
-def test_settings_that_make_no_sense(tmp_path, settings, sentence):
+def test_invalid_settings_are_refused(tmp_path, settings, sentence):
     (tmp_path / "FT7.cal").write_text(FILE, encoding="utf-8")
     with pytest.raises(InputError, match=sentence):
         open_sensor(f"ati-daq:{tmp_path / 'FT7.cal'}{settings}")
 
 
-def test_a_file_that_is_not_there_or_cut_off(tmp_path):
+def test_a_missing_or_truncated_file_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"ati-daq.*no such file, expected the \.cal file of an ATI sensor; check the "
                                          r"name"):
         open_sensor(f"ati-daq:{tmp_path / 'FT8.cal'}")
     (tmp_path / "FT7.cal").write_text(FILE[:-40], encoding="utf-8")
-    with pytest.raises(InputError, match=r"FT7\.cal: .*is no whole XML .*cut off or damaged; copy the \.cal file"):
+    with pytest.raises(InputError, match=r"FT7\.cal: .*is not valid XML .*incomplete or damaged; copy the \.cal file"):
         open_sensor(f"ati-daq:{tmp_path / 'FT7.cal'}")
     with pytest.raises(InputError, match=r"the calibration file is missing; give it first, as in ati-daq:FT01234"):
         open_sensor("ati-daq:volts=a:b")
 
 
-def test_it_says_what_it_is():
+def test_describe_returns_the_calibration():
     described = AtiDaqSensor(read_calibration(FILE), volts=(-5.0, 5.0)).describe()
     assert (described["serial"], described["part"], described["volts_V"]) == ("FT7", "SI-40-2", [-5.0, 5.0])
     assert described["verified"] == "with made-up voltages only" and described["calibration_rows"] == "UserAxis"

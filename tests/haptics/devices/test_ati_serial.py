@@ -1,7 +1,8 @@
-"""The ATI stand-alone controller by RS-232, against its emulator: the contract, and each failure with its sentence."""
+"""The ATI stand-alone controller on RS-232, against its emulator: the contract, and the message of each failure."""
 
 import sys
 import time
+from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -28,9 +29,9 @@ from tissue_sim.errors import InputError
 
 AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 LOAD = (1.0, -2.0, 3.0, 0.1, 0.2, -0.3)
-#: The same, in counts of the emulator's calibration: 100 for a N, 4000 for a N m.
+#: `LOAD` in counts of the emulator: 100 per N, 4000 per N m.
 COUNTS = (100, -200, 300, 400, 800, -1200)
-#: s; nothing here takes as long unless it hangs.
+#: Longest wait of a test, s; reached only if the test hangs.
 LONG = 60.0
 
 
@@ -43,7 +44,7 @@ def bench(load=six, reach=500.0):
 
 
 def wait_until(what, seconds=LONG):
-    """Until it is true; what it was then."""
+    """Wait until the condition is true and return its value."""
     end = time.monotonic() + seconds
     while not (found := what()):
         assert time.monotonic() < end, "it did not come"
@@ -51,8 +52,8 @@ def wait_until(what, seconds=LONG):
     return found
 
 
-def read_some(sensor, count=1):
-    """At least so many samples."""
+def read_records(sensor, count=1):
+    """Return at least `count` samples."""
     samples = []
     wait_until(lambda: samples.extend(sensor.read()) or len(samples) >= count)
     return samples
@@ -60,11 +61,10 @@ def read_some(sensor, count=1):
 
 @pytest.fixture(autouse=True)
 def patience(monkeypatch):
-    """On a busy machine the emulator, too, may stand for a second; ``patience(seconds)`` is that of a test that waits
-    until it ends."""
+    """Long waits by default, because the emulator may pause for a second on a busy machine; ``patience(seconds)`` sets
+    the wait of a test that expects it to end."""
     def patience(seconds):
-        monkeypatch.setattr(ati_serial, "_PATIENCE", seconds)
-        monkeypatch.setattr(ati_serial, "_SILENCE", seconds)
+        monkeypatch.setattr(ati_serial, "TIMING", replace(ati_serial.TIMING, patience=seconds, silence=seconds))
 
     patience(LONG)
     return patience
@@ -87,10 +87,10 @@ class OverASerialLine(ForceSensorContract):
             self.sensor_here.stop()
 
     def pass_time(self, seconds):
-        """As many records as that takes."""
-        running = self.sensor_here._running
+        """Wait for the number of records that the line transmits in this time."""
+        receiver = self.sensor_here._receiver
         count = max(round(seconds * self.sensor_here.rate), 1)
-        wait_until(lambda: len(running._waiting) >= count)
+        wait_until(lambda: len(receiver._waiting) >= count)
 
     def now(self):
         return time.monotonic()
@@ -108,19 +108,19 @@ class TestBinary(OverASerialLine):
     emulated = "ati-serial:mode=binary,baud=4800"
 
 
-def test_what_it_says_of_itself(emulator):
+def test_describe_returns_the_settings(emulator):
     sensor = open_sensor(emulator.address)
     sensor.start()
     described = sensor.describe()
     assert described["verified"] == "against an emulator only" and described["mode"] == "ascii"
     assert described["resolution_N"] == 0.01 and described["range_Nm"] == pytest.approx(32767 / 4000)
-    assert read_some(sensor)[0].counts == COUNTS
+    assert read_records(sensor)[0].counts == COUNTS
     sensor.stop()
     assert emulator.describe()["records"] > 0
 
 
-def test_the_records_leave_as_fast_as_the_line_carries_them(monkeypatch):
-    """One second on a clock: at 9600 baud 21 padded records, 32 of these that are not, 73 in binary."""
+def test_the_baud_rate_limits_the_rate_of_the_records(monkeypatch):
+    """In one second at 9600 baud: 21 padded records, 32 records without padding, 73 binary records."""
     clock = [1000.0]
     monkeypatch.setattr(emulation, "time", SimpleNamespace(monotonic=lambda: clock[0]))
     for padded, mode, wanted in ((True, b"CD A", 21), (False, b"CD A", 32), (True, b"CD B", 73)):
@@ -128,7 +128,7 @@ def test_the_records_leave_as_fast_as_the_line_carries_them(monkeypatch):
         emulator = AtiSerialEmulator(sensor, padded=padded)
         emulator.begin()
         clock[0] += 0.1
-        monkeypatch.setattr(emulator, "_is_its_baud", lambda: True)
+        monkeypatch.setattr(emulator, "_has_matching_baud", lambda: True)
         emulator.received(mode + b"\rQS\r")
         sent = []
         for _ in range(200):
@@ -143,17 +143,17 @@ def test_the_records_leave_as_fast_as_the_line_carries_them(monkeypatch):
         assert {decode(record) for record in records} == {Record(0, COUNTS)}
 
 
-def test_a_load_beyond_the_range_is_marked():
+def test_a_load_beyond_the_range_is_saturated():
     with open_emulator("ati-serial:", bench(reach=2.5)) as emulator:
         sensor = open_sensor(emulator.address)
         sensor.start()
-        sample = read_some(sensor)[0]
+        sample = read_records(sensor)[0]
         sensor.stop()
     assert sample.counts[2] == 250 and sample.status == SampleStatus.SATURATED | SampleStatus.FAULT
 
 
-def test_a_count_at_the_end_of_its_range_is_marked(emulator, monkeypatch):
-    """Also of a controller that does not set its flag."""
+def test_a_count_at_the_end_of_its_range_is_saturated(emulator, monkeypatch):
+    """A count at the end of its range is saturated even if the controller does not set its flag."""
     sensor = open_sensor(emulator.address)
     sensor.start()
     monkeypatch.setattr(emulator, "_record", lambda: b"0,  -102,-32768,  -225,   -20,    39,   -39\r\n")
@@ -163,16 +163,16 @@ def test_a_count_at_the_end_of_its_range_is_marked(emulator, monkeypatch):
 
 
 @pytest.mark.parametrize("mode", ["ascii", "binary"])
-def test_a_record_that_is_cut_is_a_gap_and_no_sample(emulator, monkeypatch, mode):
+def test_a_truncated_record_is_a_gap(emulator, monkeypatch, mode):
     sensor = open_sensor(emulator.address.replace("ascii", mode))
     sensor.start()
-    read_some(sensor)
+    read_records(sensor)
     whole, turn = emulator._record, iter(range(10**6))
-    # Every third one has lost a byte, once at each place.
+    # Every third record lacks one byte, each time at another position.
     monkeypatch.setattr(emulator, "_record", lambda: (
         lambda record, number: record if number % 3 else record[:number % 11] + record[number % 11 + 1:])(
             whole(), next(turn)))
-    samples = read_some(sensor, 20)
+    samples = read_records(sensor, 20)
     garbled = sensor.describe()["garbled_records"]
     sensor.stop()
     assert garbled >= 5 and {sample.counts for sample in samples} == {COUNTS}
@@ -181,14 +181,14 @@ def test_a_record_that_is_cut_is_a_gap_and_no_sample(emulator, monkeypatch, mode
     assert [bool(count) for count in missing] == [sample.status == SampleStatus.GAP for sample in samples[1:]]
 
 
-def test_garbage_on_the_line_is_counted_and_a_wrong_sample_differs_by_a_digit():
-    """Without a checksum that is all there is: what is accepted reads as a number, in the same form."""
-    # With this seed the first messages, which the start needs, are whole.
+def test_garbled_records_are_counted_and_undetected_ones_differ_by_a_digit():
+    """Without a checksum, accepted records are only known to be numbers in the right form."""
+    # With this seed the first messages, which `start` requires, are intact.
     sound = next(seed for seed in range(1000) if first_garbled(seed) > 12)
     with open_emulator("ati-serial:", bench(), Faults(garble=0.3, seed=sound)) as emulator:
         sensor = open_sensor(emulator.address)
         sensor.start()
-        samples = read_some(sensor, 60)
+        samples = read_records(sensor, 60)
         garbled = sensor.describe()["garbled_records"]
         sensor.stop()
     assert garbled > 0
@@ -200,7 +200,7 @@ def test_garbage_on_the_line_is_counted_and_a_wrong_sample_differs_by_a_digit():
 
 
 def first_garbled(seed):
-    """Number of the first message that `FaultyLine` garbles, as it draws."""
+    """Return the number of the first message that `FaultyLine` garbles with this seed."""
     from haptics.devices.virtual.faults import FaultyLine
 
     line = FaultyLine(Faults(garble=0.3, seed=seed), 0.0)
@@ -212,7 +212,7 @@ def first_garbled(seed):
 
 
 def test_commands_of_the_manual(emulator):
-    """Bias in three levels, one record, average, reset; asked on the bare line."""
+    """Biases in three levels, one record, averaging and reset, sent directly on the line."""
     line = SerialLine(emulator.path, 9600, "the test")
 
     def ask(command, end=b">"):
@@ -241,37 +241,37 @@ def test_commands_of_the_manual(emulator):
     assert decode_ascii(ask(b"\x14", b"\n").removesuffix(b"\r\n")) == Record(0, COUNTS)
     ask(b"CD B\r")
     line.write(b"\x14")
-    assert decode_binary(line.read_some(13, LONG)) == Record(0, COUNTS)
+    assert decode_binary(line.read_exactly(13, LONG)) == Record(0, COUNTS)
     assert b"ERROR" in ask(b"XX\r")
     assert ask(b"\x17").startswith(b"ATI")
     assert decode_ascii(ask(b"QR\r").splitlines()[1]) == Record(0, COUNTS)
     line.close()
 
 
-def test_a_stream_that_another_program_has_left_is_ended(emulator):
+def test_a_stream_left_by_another_program_is_ended(emulator):
     for mode in (b"CD A\r", b"CD B\r"):
         line = SerialLine(emulator.path, 9600, "the test")
         line.write(mode + b"QS\r")
-        line.read_some(60, LONG)
+        line.read_exactly(60, LONG)
         line.close()
         sensor = open_sensor(emulator.address)
         sensor.start()
-        assert read_some(sensor)[0].counts == COUNTS
+        assert read_records(sensor)[0].counts == COUNTS
         sensor.stop()
 
 
-# What can be wrong at the port.
+# Failures at the port.
 
 def sensor_at(path, **options):
     return AtiSerialSensor(path, 100.0, 4000.0, **options)
 
 
-def test_no_such_port():
+def test_a_missing_port_raises():
     with pytest.raises(DeviceError, match=r"^there is no port /dev/ttyNOT for the ATI controller; "):
         sensor_at("/dev/ttyNOT").start()
 
 
-def test_a_busy_port(emulator):
+def test_a_busy_port_raises_with_the_remedy(emulator):
     other = SerialLine(emulator.path, 9600, "the other")
     with pytest.raises(DeviceError, match=r"is in use by another program; close that one, then start the ATI "
                                           r"controller"):
@@ -283,14 +283,14 @@ def test_a_busy_port(emulator):
 
 
 @pytest.mark.parametrize("mode", ["ascii", "binary"])
-def test_a_wrong_baud_rate(emulator, mode):
-    with pytest.raises(DeviceError, match=r"^what comes from \S+ is no text at 38400 baud; give the baud rate of the "
+def test_a_wrong_baud_rate_raises(emulator, mode):
+    with pytest.raises(DeviceError, match=r"^the bytes from \S+ are no text at 38400 baud; give the baud rate of the "
                                           "ATI controller, which its display shows at power on, as in baud=38400$"):
         sensor_at(emulator.path, baud=38400, mode=mode).start()
 
 
 class Talker(TerminalEmulator):
-    """Some other device: answers each carriage return with the same."""
+    """Another device: sends the same answer to each carriage return."""
 
     name = "other device"
 
@@ -320,18 +320,18 @@ class Talker(TerminalEmulator):
 
 
 @pytest.mark.parametrize(("answer", "unasked", "sentence"), [
-    (b"", (), r"^nobody answers at \S+; check that the ATI controller has power, the cable, and the baud rate \(here "
+    (b"", (), r"^nothing answers at \S+; check that the ATI controller has power, the cable, and the baud rate \(here "
               r"9600"),
     (b"ok\r\n", (b"\r\nGrbl 1.1h ['$' for help]\r\n",),
-     r"^what answers at \S+ is not an ATI controller \(it says '.*ok' and no prompt '>'\); give the port of the "
+     r"^the device at \S+ is not an ATI controller \(it sent '.*ok' and no prompt '>'\); give the port of the "
      r"controller$"),
     (b"?\r\r>", (), r"^the ATI controller at \S+ sends no records of a flag and six counts \('\?'\); select all six"),
     (b"0,1,2,3,4\r\n>", (), r"sends no records of a flag and six counts \(.*0,1,2,3,4'\); select all six components "
                             r"\(CV 3F"),
 ])
 @pytest.mark.parametrize("mode", ["ascii", "binary"])
-def test_another_device_at_the_port(answer, unasked, sentence, mode, patience):
-    """Nobody, as a Tic that waits for its own bytes; a Grbl; something with the same prompt; four components."""
+def test_another_device_at_the_port_raises(answer, unasked, sentence, mode, patience):
+    """No answer (as of a Tic); a Grbl; a device with the same prompt; a controller that sends four components."""
     patience(1.0)
     with Talker(answer, unasked) as other:
         sensor = sensor_at(other.path, mode=mode)
@@ -339,25 +339,25 @@ def test_another_device_at_the_port(answer, unasked, sentence, mode, patience):
             sentence = "sends no records of a flag and six counts"
         with pytest.raises(DeviceError, match=sentence):
             sensor.start()
-        # The port is free again.
+        # Checks that the port was closed.
         SerialLine(other.path, 9600, "the test").close()
 
 
-def test_a_controller_that_does_not_end_its_answer(emulator, monkeypatch, patience):
+def test_an_answer_without_a_prompt_raises(emulator, monkeypatch, patience):
     patience(1.0)
     answer = emulator._answer
     monkeypatch.setattr(emulator, "_answer", lambda command: None if command == b"CD R" else answer(command))
-    with pytest.raises(DeviceError, match=r"did not end its answer to 'CD R' \(nothing came\) with its prompt '>'; "
+    with pytest.raises(DeviceError, match=r"did not end its answer to 'CD R' \(nothing arrived\) with its prompt '>'; "
                                           r"switch it off and on"):
         sensor_at(emulator.path).start()
 
 
 @pytest.mark.parametrize("mode", ["ascii", "binary"])
-def test_a_controller_that_falls_silent(emulator, monkeypatch, mode):
+def test_a_silent_controller_raises(emulator, monkeypatch, mode):
     sensor = open_sensor(emulator.address.replace("ascii", mode))
     sensor.start()
-    assert read_some(sensor)
-    sensor._running._silence = 1.0
+    assert read_records(sensor)
+    sensor._receiver._silence = 1.0
     monkeypatch.setattr(emulator, "due", lambda: [])
     with pytest.raises(DeviceError, match=r"has sent nothing for 1 s; check its power, its sensor and the cable, and"):
         wait_until(lambda: sensor.read() and None)
@@ -366,40 +366,41 @@ def test_a_controller_that_falls_silent(emulator, monkeypatch, mode):
     sensor.stop()
 
 
-def test_a_controller_that_speaks_instead_of_sending_records(emulator, monkeypatch):
-    """As of a sensor that is saturated or not connected, where it tells so in words."""
+def test_text_instead_of_records_raises_and_is_quoted(emulator, monkeypatch):
+    """Some controllers report a saturated or disconnected sensor in words."""
     sensor = open_sensor(emulator.address)
     sensor.start()
-    assert read_some(sensor)
-    sensor._running._silence = 1.0
+    assert read_records(sensor)
+    sensor._receiver._silence = 1.0
     monkeypatch.setattr(emulator, "_record", lambda: b"saturation error\r\n")
-    with pytest.raises(DeviceError, match=r"has sent no whole record \('saturation error'\) for 1 s; check its power"):
+    with pytest.raises(DeviceError, match=r"has sent no complete record \('saturation error'\) for 1 s; check its "
+                                          r"power"):
         wait_until(lambda: sensor.read() and None)
     assert sensor.describe()["garbled_records"] > 0
     sensor.stop()
 
 
-def test_a_cable_that_is_pulled(emulator):
+def test_a_disconnected_cable_raises_and_a_new_start_works(emulator):
     sensor = open_sensor(emulator.address)
     sensor.start()
     emulator.stop()
-    with pytest.raises(DeviceError, match=r"the ATI controller at \S+ is gone .*; plug it in again and start anew"):
+    with pytest.raises(DeviceError, match=r"the ATI controller at \S+ is gone .*; plug it in again and start again"):
         wait_until(lambda: sensor.read() and None)
     sensor.stop()
     emulator.start()
     again = open_sensor(emulator.address)
     again.start()
-    assert read_some(again)[0].sequence == 0
+    assert read_records(again)[0].sequence == 0
     again.stop()
 
 
-def test_who_does_not_read_loses_the_oldest_and_sees_it(emulator, monkeypatch):
+def test_unread_records_are_lost_and_marked_as_a_gap(emulator, monkeypatch):
     sensor = open_sensor(emulator.address)
     sensor.start()
-    read_some(sensor)
-    waiting = sensor._running._waiting
+    read_records(sensor)
+    waiting = sensor._receiver._waiting
     wait_until(lambda: len(waiting) >= 3)
-    waiting.popleft()  # as the full queue does
+    waiting.popleft()  # like a full queue
     first, *others = sensor.read()
     sensor.stop()
     assert first.status == SampleStatus.GAP and all(sample.status == SampleStatus.GOOD for sample in others)
@@ -408,25 +409,27 @@ def test_who_does_not_read_loses_the_oldest_and_sees_it(emulator, monkeypatch):
 @pytest.mark.parametrize(("name", "sentence"), [
     ("ati-serial:", r"^ati-serial\.name: the port of the controller is missing; give it first, as in ati-serial:/dev"),
     ("ati-serial:baud=9600", "the port of the controller is missing"),
-    ("ati-serial:/dev/ttyUSB0", r"counts_per_N: 0 counts; give the counts per unit of the sensor's calibration sheet"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=100", "counts_per_Nm: 0 counts"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,mode=binry", "mode: 'binry' is none of them; did you mean "
-                                                                          "'bin"),
+    ("ati-serial:/dev/ttyUSB0", r"counts_per_N: must be above 0; got 0\. Give the counts per unit of the sensor's "
+                                r"calibration sheet"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=100", "counts_per_Nm: must be above 0; got 0"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,mode=binry", "mode: must be one of ascii, binary; got "
+                                                                          "'binry'; did you mean 'binary'"),
     ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,bawd=1", "bawd: unknown setting; did you mean 'baud'"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,baud=-1", "baud: -1 baud"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,rate_hz=-1", "rate_hz: -1 Hz"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,average=300", "average: 300; give 0 to 255"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,baud=-1", "baud: must be above 0; got -1"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,rate_hz=-1", "rate_hz: must be above 0; got -1 Hz"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,average=300", "average: must be 0 to 255 samples; got "
+                                                                           "300"),
 ])
-def test_settings_that_make_no_sense(name, sentence):
+def test_invalid_settings_are_refused(name, sentence):
     with pytest.raises(InputError, match=sentence):
         open_sensor(name)
 
 
-def test_settings_of_the_emulator_that_make_no_sense():
-    for name, sentence in (("ati-serial:mode=hex", "mode: 'hex' is "
-                                                   "none"), ("ati-serial:baud=0", "baud: 0; give a number"),
-                           ("ati-serial:counts_per_N=-1", "counts_per_N: -1")):
+def test_invalid_settings_of_the_emulator_are_refused():
+    for name, sentence in (("ati-serial:mode=hex", "mode: must be one of ascii, binary; got 'hex'"),
+                           ("ati-serial:baud=0", "baud: must be above 0; got 0"),
+                           ("ati-serial:counts_per_N=-1", "counts_per_N: must be above 0; got -1")):
         with pytest.raises(InputError, match=sentence):
             open_emulator(name, bench())
-    with pytest.raises(InputError, match="no mode"):
+    with pytest.raises(InputError, match="mode: must be ascii or binary; got 'hex'"):
         AtiSerialSensor("/dev/ttyUSB0", 1.0, 1.0, mode="hex")

@@ -1,9 +1,10 @@
-"""One axis of a Grbl: the contract over the emulator, what is queued, and a sentence for all that can be wrong."""
+"""One axis of a Grbl, against the emulator: the contract, the queued motion, and the message of each failure."""
 
 import math
 import pickle
 import threading
 import time
+from dataclasses import replace
 
 import pytest
 import serial
@@ -11,7 +12,7 @@ from device_contracts import StageContract
 from stepper_benches import Clock, bench, port_that_answers, wait_for
 
 from haptics.devices import grbl as grbl_stage
-from haptics.devices import grbl_talk
+from haptics.devices import grbl_connection
 from haptics.devices.back_ends import open_stage
 from haptics.devices.contracts import DeviceError, SampleStatus
 from haptics.devices.grbl import open_grbl
@@ -20,12 +21,12 @@ from haptics.emulators.emulator import open_emulator
 from haptics.emulators.grbl import GrblEmulator
 from tissue_sim.errors import InputError
 
-#: s; of the clock of the stage behind the emulator.
+#: Step of the clock of the emulator's stage, s.
 _TICK = 2e-3
 
 
 def pass_time(emulator, stage, clock, seconds):
-    """Let the axis move on, never faster than it is told to: a busy machine takes longer, and sees the same motion."""
+    """Advance the clock while jogs are queued, so that a busy machine takes longer but sees the same motion."""
     end = time.monotonic() + 120.0
     while seconds > 1e-9:
         assert time.monotonic() < end, "no jogs come"
@@ -40,8 +41,8 @@ def pass_time(emulator, stage, clock, seconds):
             seconds -= _TICK
         else:
             time.sleep(0.5e-3)
-        if stage._talk is not None:
-            stage._asked_for = time.monotonic()  # as one who asks for the position would
+        if stage._connection is not None:
+            stage._last_call = time.monotonic()  # as a call of `position` would do
 
 
 class TestGrbl(StageContract):
@@ -63,7 +64,7 @@ class TestGrbl(StageContract):
 
 
 class TestGrblOfWorkCoordinates(TestGrbl):
-    """It homes to the other end, and reports work coordinates."""
+    """Homing to the other end, and reports in work coordinates."""
 
     settings = "23=4,work_offset_mm=3.5"
     more = ",baud=57600"
@@ -88,7 +89,7 @@ def home(stage, clock):
         sample = stage.position()
         return sample.homed and not sample.moving
 
-    wait_for(there, what="homing")
+    wait_for(there, event="homing")
 
 
 def homed(emulator, clock):
@@ -98,7 +99,7 @@ def homed(emulator, clock):
     return stage
 
 
-def test_no_more_than_a_tenth_of_a_second_is_ever_queued(emulator, clock):
+def test_at_most_a_tenth_of_a_second_of_motion_is_queued(emulator, clock):
     stage = homed(emulator, clock)
     for goal, speed in ((0.004, 0.004), (0.001, 0.001), (0.0015, 0.0005), (0.0, 0.004)):
         stage.move(goal, speed)
@@ -107,11 +108,11 @@ def test_no_more_than_a_tenth_of_a_second_is_ever_queued(emulator, clock):
     stage.stop()
 
 
-def test_a_program_that_hangs_feeds_no_more(emulator, clock, monkeypatch):
-    monkeypatch.setattr(grbl_stage, "_SILENCE", 0.2)
+def test_a_hung_program_sends_no_more_jogs(emulator, clock, monkeypatch):
+    monkeypatch.setattr(grbl_stage, "JOGS", replace(grbl_stage.JOGS, silence=0.2))
     stage = homed(emulator, clock)
     stage.move(0.008, 0.004)
-    wait_for(lambda: time.monotonic() - stage._asked_for > 0.3, what="the silence")
+    wait_for(lambda: time.monotonic() - stage._last_call > 0.3, event="the silence")
     for _ in range(500):
         clock.now += 0.01
     stood = emulator._stage.position()
@@ -119,7 +120,7 @@ def test_a_program_that_hangs_feeds_no_more(emulator, clock, monkeypatch):
     sample = stage.position()
     assert sample.moving
     pass_time(emulator, stage, clock, 3.0)
-    wait_for(lambda: not stage.position().moving, what="the end of the motion")
+    wait_for(lambda: not stage.position().moving, event="the end of the motion")
     assert stage.position().position == pytest.approx(0.008, abs=2e-6)
     stage.stop()
 
@@ -129,38 +130,38 @@ def test_a_halt_while_homing_leaves_the_zero_unknown(clock):
         stage = open_stage(emulator.address)
         stage.start()
         stage.home()
-        wait_for(lambda: emulator._homing, what="homing")
+        wait_for(lambda: emulator._homing, event="homing")
         clock.now += 0.5
         assert stage.position().moving
         stage.halt()
-        wait_for(lambda: not stage.position().moving, what="the halt")
+        wait_for(lambda: not stage.position().moving, event="the halt")
         clock.now += 10.0
         sample = stage.position()
         assert not sample.homed and not sample.moving and sample.status & SampleStatus.FAULT
-        with pytest.raises(DeviceError, match="alarm 6: homing was broken off"):
+        with pytest.raises(DeviceError, match="alarm 6: homing was interrupted"):
             stage.move(0.001, 0.001)
         home(stage, clock)
         stage.stop()
 
 
-def test_a_halt_cancels_what_is_queued(emulator, clock):
+def test_a_halt_cancels_queued_motions(emulator, clock):
     stage = homed(emulator, clock)
     stage.move(0.008, 0.004)
     pass_time(emulator, stage, clock, 0.3)
     assert emulator.queued > 0.0
     stage.halt()
-    wait_for(lambda: emulator.queued == 0.0, what="the end of the queue, on a clock that stands")
+    wait_for(lambda: emulator.queued == 0.0, event="the end of the queue, on a clock that stands")
     stage.stop()
 
 
-def test_a_halt_from_another_thread_stops_it(emulator, clock):
+def test_a_halt_from_another_thread_stops_the_motion(emulator, clock):
     stage = homed(emulator, clock)
     stage.move(0.008, 0.004)
     pass_time(emulator, stage, clock, 0.5)
     thread = threading.Thread(target=stage.halt)
     thread.start()
     thread.join()
-    wait_for(lambda: not stage.position().moving, what="the halt")
+    wait_for(lambda: not stage.position().moving, event="the halt")
     stood = stage.position().position
     for _ in range(20):
         clock.now += 0.1
@@ -170,13 +171,13 @@ def test_a_halt_from_another_thread_stops_it(emulator, clock):
 
 
 @pytest.mark.parametrize(("number", "words"), [(1, r"alarm 1: a limit switch was hit.*free the axis, reset it and"),
-                                               (3, "alarm 3: it was reset while it moved.*home it")])
-def test_an_alarm_is_a_status_and_then_a_sentence(emulator, clock, number, words):
+                                               (3, "alarm 3: the machine was reset during a motion.*home it")])
+def test_an_alarm_sets_the_status_and_motions_raise(emulator, clock, number, words):
     stage = homed(emulator, clock)
     stage.move(0.008, 0.004)
     pass_time(emulator, stage, clock, 0.3)
     emulator.alarm(number)
-    wait_for(lambda: stage.position().status & SampleStatus.FAULT, what="the alarm")
+    wait_for(lambda: stage.position().status & SampleStatus.FAULT, event="the alarm")
     sample = stage.position()
     assert not sample.homed and not sample.moving
     assert bool(sample.status & SampleStatus.LIMIT) == (number == 1)
@@ -187,12 +188,12 @@ def test_an_alarm_is_a_status_and_then_a_sentence(emulator, clock, number, words
     stage.stop()
 
 
-def test_homing_that_fails_is_said(clock):
+def test_failed_homing_raises(clock):
     with GrblEmulator(bench(start_at=0.008, clock=clock), Faults()) as emulator:
         stage = open_stage(emulator.address)
         stage.start()
         stage.home()
-        wait_for(lambda: emulator._homing, what="homing")
+        wait_for(lambda: emulator._homing, event="homing")
         emulator.alarm(9)
         with pytest.raises(DeviceError, match="did not home: homing found no limit switch; check its wiring"):
             wait_for(lambda: not stage.position().moving)
@@ -200,7 +201,7 @@ def test_homing_that_fails_is_said(clock):
         stage.stop()
 
 
-def test_homing_that_never_ends_is_said(clock):
+def test_endless_homing_raises(clock):
     with GrblEmulator(bench(start_at=0.008, clock=clock), Faults()) as emulator:
         stage = open_stage(emulator.address)
         stage.start()
@@ -211,11 +212,11 @@ def test_homing_that_never_ends_is_said(clock):
         stage.stop()
 
 
-def test_a_jog_that_is_refused_is_said_once_and_it_stands(emulator, clock):
+def test_a_refused_jog_raises_once_and_ends_the_motion(emulator, clock):
     stage = homed(emulator, clock)
-    emulator._settings[132] = 3.0  # somebody has changed its travel since
+    emulator._settings[132] = 3.0  # the travel was changed after the start
     stage.move(0.008, 0.004)
-    with pytest.raises(DeviceError, match="refused a motion with error 15: the way ends beyond its travel"):
+    with pytest.raises(DeviceError, match="refused a motion with error 15: the target is outside the travel"):
         while True:
             pass_time(emulator, stage, clock, 0.02)
             stage.position()
@@ -223,7 +224,7 @@ def test_a_jog_that_is_refused_is_said_once_and_it_stands(emulator, clock):
     stage.stop()
 
 
-def test_a_restart_is_said(emulator, clock):
+def test_a_restart_of_the_controller_raises(emulator, clock):
     stage = homed(emulator, clock)
     emulator.due, due = lambda: [b"Grbl 1.1h ['$' for help]\r\n"], emulator.due
     with pytest.raises(DeviceError, match="has restarted and lost its zero; check its supply, and home it again"):
@@ -235,7 +236,7 @@ def test_a_restart_is_said(emulator, clock):
     stage.stop()
 
 
-def test_on_hold_it_says_so(emulator, clock):
+def test_a_machine_on_hold_refuses_motions(emulator, clock):
     stage = homed(emulator, clock)
     emulator._held = True
     with pytest.raises(DeviceError, match="is on hold; send ~ or reset it"):
@@ -245,24 +246,24 @@ def test_on_hold_it_says_so(emulator, clock):
     stage.stop()
 
 
-def test_a_jog_that_somebody_has_left_is_given_up(emulator, clock):
+def test_a_jog_left_by_another_program_is_cancelled(emulator, clock):
     stage = homed(emulator, clock)
     stage.move(0.008, 0.004)
     wait_for(lambda: emulator.queued > 0.05)
-    talk, stage._talk = stage._talk, None
-    talk.close()  # as if the program had died
+    connection, stage._connection = stage._connection, None
+    connection.close()  # like the death of the program
     again = open_stage(emulator.address)
     again.start()
     wait_for(lambda: not again.position().moving)
-    assert not emulator._legs
+    assert not emulator._motions
     again.stop()
 
 
 @pytest.mark.parametrize(("settings", "words"), [
     ("13=1", "reports inches; set .13=0"), ("22=0", "cannot home.*set .22=1"),
-    ("132=8", "reaches 7 mm, not 10; lower highest_mm, or correct .132"),
-    ("112=60", "makes 1 mm/s, not 4; lower top_speed_mm_s, or raise .112"),
-    ("122=10", "reaches 0.8 mm/s, not 4; lower top_speed_mm_s, or raise .122"),
+    ("132=8", "is 7 mm, less than 10 mm; lower highest_mm, or correct .132"),
+    ("112=60", "is 1 mm/s, less than 4 mm/s; lower top_speed_mm_s, or raise .112"),
+    ("122=10", "is 0.8 mm/s, less than 4 mm/s; lower top_speed_mm_s, or raise .122"),
 ])
 def test_limits_beyond_those_of_the_machine_are_refused(clock, settings, words):
     with open_emulator("grbl:" + settings, bench(clock=clock)) as emulator:
@@ -276,23 +277,23 @@ def test_limits_beyond_those_of_the_machine_are_refused(clock, settings, words):
 
 def test_another_version_is_refused(clock):
     with GrblEmulator(bench(clock=clock), Faults(), version="0.9j.20160303") as emulator, pytest.raises(
-            DeviceError, match=r"tells 0\.9; install Grbl 1.1"):
+            DeviceError, match=r"reports 0\.9; install Grbl 1.1"):
         open_stage(emulator.address).start()
 
 
-def test_one_that_is_busy_for_somebody_else_is_left_alone(clock):
+def test_a_machine_used_by_another_program_is_refused(clock):
     with GrblEmulator(bench(clock=clock), Faults()) as emulator:
         emulator._alarm, emulator._held = False, True
-        with pytest.raises(DeviceError, match="in the state Hold for somebody else; end that"):
+        with pytest.raises(DeviceError, match="in the state Hold because of another program; end that"):
             open_stage(emulator.address).start()
 
 
-def test_there_is_no_such_port():
+def test_a_missing_port_raises():
     with pytest.raises(DeviceError, match="there is no port /dev/ttyNOWHERE for the Grbl"):
         open_grbl("/dev/ttyNOWHERE").start()
 
 
-def test_a_busy_port_is_said(emulator):
+def test_a_busy_port_raises_with_the_remedy(emulator):
     first = open_stage(emulator.address)
     first.start()
     with pytest.raises(DeviceError, match="in use by another program; close that one"):
@@ -300,7 +301,7 @@ def test_a_busy_port_is_said(emulator):
     first.stop()
 
 
-def test_a_port_without_permission_is_said(emulator, monkeypatch):
+def test_a_port_without_permission_raises_with_the_remedy(emulator, monkeypatch):
     def refuse(*arguments, **options):
         raise serial.SerialException(13, "Permission denied")
 
@@ -310,27 +311,27 @@ def test_a_port_without_permission_is_said(emulator, monkeypatch):
 
 
 @pytest.mark.parametrize(("answer", "words"), [
-    (lambda data: b"\xf8\x3c\x1f\x80\xe0", "no Grbl, or is read at another baud rate than 115200.*check the baud rate"),
+    (lambda data: b"\xf8\x3c\x1f\x80\xe0", "no Grbl, or its baud rate is not 115200.*check the baud rate"),
     (lambda data: b"\r\n>" if data.endswith(b"\r") else b"", "an ATI controller answers there: name it ati-serial:"),
     (lambda data: b"", r"nothing answers .* check that the Grbl has power, the cable and the baud rate"),
 ])
-def test_garbage_another_device_or_none_is_said(answer, words, monkeypatch):
-    monkeypatch.setattr(grbl_talk, "_BOOT", 0.5)
+def test_garbage_another_device_or_silence_raises(answer, words, monkeypatch):
+    monkeypatch.setattr(grbl_connection, "TIMING", replace(grbl_connection.TIMING, boot=0.5))
     with port_that_answers(answer) as port, pytest.raises(DeviceError, match=words):
         open_grbl(port).start()
 
 
-def test_a_tic_where_a_grbl_was_expected_is_named(clock, monkeypatch):
-    monkeypatch.setattr(grbl_talk, "_BOOT", 0.5)
+def test_a_tic_in_place_of_a_grbl_is_identified(clock, monkeypatch):
+    monkeypatch.setattr(grbl_connection, "TIMING", replace(grbl_connection.TIMING, boot=0.5))
     with open_emulator("tic:", bench(clock=clock)) as emulator, pytest.raises(DeviceError, match="name it tic:"):
         open_grbl(emulator.path).start()
 
 
-def test_a_line_that_falls_silent_is_said_and_no_more_is_queued(clock):
+def test_a_silent_line_raises_and_ends_queueing(clock):
     with GrblEmulator(bench(clock=clock), Faults(disconnect_after=1.0)) as emulator:
         stage = homed(emulator, clock)
         stage.move(0.008, 0.004)
-        with pytest.raises(DeviceError, match="reports nothing for 1 s; check that it has power, the cable"):
+        with pytest.raises(DeviceError, match="has sent no report for 1 s; check that it has power, the cable"):
             while True:
                 stage.position()
         assert emulator.most_queued <= 0.1 + 1e-3
@@ -338,7 +339,7 @@ def test_a_line_that_falls_silent_is_said_and_no_more_is_queued(clock):
         stage.stop()
 
 
-def test_unplugged_is_said(emulator, clock):
+def test_an_unplugged_controller_raises(emulator, clock):
     stage = homed(emulator, clock)
     stage.move(0.008, 0.004)
     emulator.stop()
@@ -352,13 +353,13 @@ def test_unplugged_is_said(emulator, clock):
     ("lowest_mm=-1", "lowest_mm, highest_mm"), ("highest_mm=0", "lowest_mm, highest_mm"), ("axis=A", "axis"),
     ("axis=", "axis"), ("top_speed_mm_s=0.01", "top_speed_mm_s"), ("baud=-1", "baud"), ("speed=1", "speed"),
 ])
-def test_settings_that_make_no_sense_are_refused(settings, field):
+def test_invalid_settings_are_refused(settings, field):
     with pytest.raises(InputError) as caught:
         open_grbl("/dev/ttyUSB0," + settings)
     assert caught.value.field == field
 
 
-def test_speeds_that_grbl_would_raise_are_refused(emulator, clock):
+def test_speeds_below_the_lowest_feed_rate_are_refused(emulator, clock):
     stage = homed(emulator, clock)
     with pytest.raises(InputError) as caught:
         stage.move(0.001, 0.9e-3 / 60)
@@ -366,7 +367,7 @@ def test_speeds_that_grbl_would_raise_are_refused(emulator, clock):
     stage.stop()
 
 
-def test_it_says_what_is_not_seen_and_what_was_not_tried(emulator, clock):
+def test_describe_states_what_is_not_detectable_and_not_verified(emulator, clock):
     stage = homed(emulator, clock)
     described = stage.describe()
     assert described["stalled_motor"] == "not detectable" and not stage.measures_position

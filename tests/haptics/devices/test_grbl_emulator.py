@@ -1,4 +1,4 @@
-"""The Grbl emulator, asked by hand."""
+"""The Grbl emulator, with commands sent directly on the terminal."""
 
 import pytest
 import serial
@@ -10,8 +10,8 @@ from haptics.emulators.grbl import GrblEmulator
 from tissue_sim.errors import InputError
 
 
-def test_a_terminal_gets_the_answers_of_the_documentation():
-    """interface.md and commands.md of Grbl 1.1: locked when the power comes, and what each line brings."""
+def test_answers_on_a_terminal_equal_the_documentation():
+    """interface.md and commands.md of Grbl 1.1: locked at power-on, and the answer to each command."""
     with GrblEmulator(bench(clock=Clock()), Faults()) as emulator, serial.Serial(
             emulator.path, 115200, timeout=10.0) as line:
         def said(command, count):
@@ -34,7 +34,7 @@ def test_a_terminal_gets_the_answers_of_the_documentation():
         assert said(b"!?", 1)[0].startswith("<Hold:0|") and said(b"~?", 1)[0].startswith("<Idle|")
 
 
-def test_emulators_with_settings_that_make_no_sense_are_refused():
+def test_invalid_settings_of_the_emulator_are_refused():
     for text, field in (("112=-5", "112"), ("speed=1", "speed")):
         with pytest.raises(InputError) as caught:
             open_emulator("grbl:" + text, bench())

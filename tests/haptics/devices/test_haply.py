@@ -1,4 +1,4 @@
-"""The Haply device over the emulator of its service: the contract, the frame, and every way in which it can fail."""
+"""The Haply device against the emulator of its service: the contract, the coordinate frames, and each failure."""
 
 import json
 import math
@@ -12,22 +12,22 @@ from device_contracts import HapticDeviceContract
 
 from haptics.devices.back_ends import open_haptic
 from haptics.devices.contracts import DeviceError
-from haptics.devices.haply import STALE, HaplyDevice
+from haptics.devices.haply import TIMING, HaplyDevice
 from haptics.devices.virtual.faults import Faults
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.emulators.emulator import open_emulator
-from haptics.emulators.haply import LETS_GO, START, HaplyEmulator, emulate_haply
+from haptics.emulators.haply import RELEASE_TIME, START, HaplyEmulator, emulate_haply
 from haptics.protocols.haply import HapticState, read_force, state_message
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 
-#: The scene's origin where the emulated hand begins.
+#: Origin of the scene at the initial position of the emulated hand.
 AT_START = "x_mm=0,y_mm=-150,z_mm=150"
 NO_WRENCH = (0.0,) * 6
 
 
 def wait_for(condition, seconds=20.0):
-    """Until it holds; returns what it said."""
+    """Wait until the condition is true and return its value."""
     end = time.monotonic() + seconds
     while not (answer := condition()):
         assert time.monotonic() < end, "it never came"
@@ -62,8 +62,8 @@ class TestContract(HapticDeviceContract):
     def device(self, service):
         return open_haptic(service.address)
 
-    def test_it_gives_way_to_a_force_or_ignores_it(self, device):
-        """One after the other: the hand of the emulator begins anew with each client."""
+    def test_a_force_moves_a_hand_and_leaves_a_motion_unchanged(self, device):
+        """Run one device after the other, because the hand of the emulator restarts with each client."""
         other, places = pickle.loads(pickle.dumps(device)), []
         for each, force in ((device, 0.0), (other, 1.0)):
             each.start()
@@ -87,16 +87,16 @@ def test_the_first_pose_is_above_the_tissue(service):
     assert device.pose(0.0) is None, "a device that is stopped knows no pose"
 
 
-def test_forces_arrive_and_the_last_one_is_none(started, service):
+def test_forces_arrive_and_the_last_one_is_zero(started, service):
     started.render((0.25, 0.5, 1.0, 9.0, 9.0, 9.0))
     wait_for(lambda: service.force == (0.25, 0.5, 1.0))
     started.stop()
     assert service.force == (0.0, 0.0, 0.0)
-    started.render((0.0, 0.0, 1.0, 0.0, 0.0, 0.0))  # after its end it does nothing
+    started.render((0.0, 0.0, 1.0, 0.0, 0.0, 0.0))  # has no effect after the stop
     started.stop()
 
 
-def test_a_force_that_is_too_large_is_cut_and_one_that_is_no_number_is_none(started, service):
+def test_a_large_force_is_limited_and_an_invalid_force_is_zero(started, service):
     started.render((30.0, 0.0, 40.0, 0.0, 0.0, 0.0))
     wait_for(lambda: math.hypot(*service.force) == pytest.approx(started.largest_force))
     assert service.force == pytest.approx((3.0, 0.0, 4.0))
@@ -104,8 +104,8 @@ def test_a_force_that_is_too_large_is_cut_and_one_that_is_no_number_is_none(star
     wait_for(lambda: service.force == (0.0, 0.0, 0.0))
 
 
-def test_axes_and_scale(service):
-    """Scene x, y, z are the device's y, z, x; the tool moves twice as far, and the hand feels half the force."""
+def test_axes_and_scale_convert_motion_and_force(service):
+    """Scene x, y, z are device y, z, x; the tool moves twice as far as the cursor, the hand feels half the force."""
     device = open_haptic(f"{service.address},axes=yzx,scale=2,force_scale=0.5,x_mm=1,y_mm=-148,z_mm=147,turn=1")
     device.start()
     assert device.pose(0.0).position == pytest.approx((-4e-3, 6e-3, -2e-3), abs=1e-9)
@@ -119,10 +119,10 @@ def test_axes_and_scale(service):
 def test_the_tool_turns_with_the_grip_about_the_axes_of_the_scene():
     device = HaplyDevice(axes="yzx", turn=True)
     s = math.sqrt(0.5)
-    # From a quarter turn about x to that, then a quarter turn about the device's z: the scene's y.
+    # From a quarter turn about x, by a quarter turn about the device's z, which is the scene's y.
     first, now = (s, s, 0.0, 0.0), (0.5, 0.5, 0.5, 0.5)
-    assert device._turned(now, first) == pytest.approx((s, 0.0, s, 0.0))
-    assert device._turned(first, first) == pytest.approx((1.0, 0.0, 0.0, 0.0))
+    assert device._rotation_since_start(now, first) == pytest.approx((s, 0.0, s, 0.0))
+    assert device._rotation_since_start(first, first) == pytest.approx((1.0, 0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize(("text", "field"), [
@@ -130,22 +130,22 @@ def test_the_tool_turns_with_the_grip_about_the_axes_of_the_scene():
     ("ws://127.0.0.1:1,scale=0", "scale"), ("ws://127.0.0.1:1,axes=xyy", "axes"), ("ws://127.0.0.1:1,axes=xy", "axes"),
     ("ws://127.0.0.1:1,axes=-xyz", "axes"), ("ws://127.0.0.1:1,axes=abc", "axes"), ("ws://127.0.0.1:1,x_mm=3", "x_mm"),
     ("ws://127.0.0.1:1,largest_force_N=-1", "largest_force"), ("ws://127.0.0.1:1,speed=1", "speed")])
-def test_settings_that_make_no_sense_are_refused(text, field):
+def test_invalid_settings_are_refused(text, field):
     with pytest.raises(InputError) as caught:
         open_haptic(f"haply:{text}")
     assert field in caught.value.field
 
 
-def test_nobody_listens():
+def test_an_address_without_a_service_raises():
     with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))  # bound, and not listening
+        taken.bind(("127.0.0.1", 0))  # bound, but not listening
         address = f"ws://127.0.0.1:{taken.getsockname()[1]}"
         with pytest.raises(DeviceError, match=f"no Haply Inverse service answers at {address} .*Haply Hub"):
             HaplyDevice(address).start()
 
 
 class Says(threading.Thread):
-    """Listens on a port, and says bytes, or what a function makes of a WebSocket."""
+    """A WebSocket server with a given function for each connection."""
 
     def __init__(self, talk):
         super().__init__(daemon=True)
@@ -176,19 +176,19 @@ def said_first(message):
 
 
 @pytest.mark.parametrize(("first", "sentence"), [
-    ('{"session_id": 1, "inverse3": []}', "knows no Inverse3; connect the device"),
-    ("garbage", r"does not understand \(no JSON\); it needs version 3.1"),
-    ('{"inverse3": [{"device_id": "1", "state": {}}]}', r"does not understand \(no cursor_position\)"),
+    ('{"session_id": 1, "inverse3": []}', "has no Inverse3; connect the device"),
+    ("garbage", r"unknown message \(not valid JSON\); install version 3.1"),
+    ('{"inverse3": [{"device_id": "1", "state": {}}]}', r"unknown message \(cursor_position is missing\)"),
     (state_message(HapticState("04BA", (0.0, 0.0, 0.1), status={"power_supply": False}), (0.0, 0.0, 0.0)),
      "04BA has no power for its motors; plug")])
-def test_a_service_without_a_device_that_can_be_used(first, sentence):
+def test_a_service_without_a_usable_device_raises(first, sentence):
     with Says(said_first(first)) as server, pytest.raises(DeviceError, match=sentence):
         HaplyDevice(server.address).start()
 
 
 @pytest.mark.parametrize("answer", [b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\n\r\n", b"", b">\r\n"])
-def test_who_listens_is_no_service(answer):
-    """Another web server, one that hangs up, and a device that speaks something else."""
+def test_another_server_at_the_address_raises(answer):
+    """Another web server, a server that disconnects, and a device with another protocol."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         def speak():
             connection, _ = server.accept()
@@ -203,7 +203,7 @@ def test_who_listens_is_no_service(answer):
         thread.join()
 
 
-def test_the_service_falls_silent_and_the_pose_is_lost():
+def test_a_silent_service_gives_no_pose():
     with emulate_haply(None, "port=0", Faults(disconnect_after=0.3)) as service:
         device = open_haptic(service.address)
         device.start()
@@ -212,7 +212,7 @@ def test_the_service_falls_silent_and_the_pose_is_lost():
         device.stop()
 
 
-def test_garbage_between_good_answers_is_left_out_and_only_garbage_is_no_pose():
+def test_invalid_answers_are_ignored_and_only_invalid_answers_give_no_pose():
     place, answers = [0.1], iter(range(10**9))
 
     def talk(connection):
@@ -232,8 +232,8 @@ def test_garbage_between_good_answers_is_left_out_and_only_garbage_is_no_pose():
         device.stop()
 
 
-def test_a_slow_service_does_not_hold_the_loop_up():
-    """Answers come after 0.2 s: poses are lost in between, and no call waits for one."""
+def test_a_slow_service_does_not_delay_the_loop():
+    """Answers arrive after 0.2 s: poses are unknown in between, and no call waits for an answer."""
     with emulate_haply(None, "port=0", Faults(delay=0.2)) as service:
         device = open_haptic(service.address)
         device.start()
@@ -244,12 +244,12 @@ def test_a_slow_service_does_not_hold_the_loop_up():
             time.sleep(1e-3)
         passed = time.monotonic() - began
         device.stop()
-    # A wait for an answer in each tick would make 20 s.
-    assert none > 0 and passed < 10.0 and STALE < 0.2
+    # Waiting for an answer in each tick would take 20 s.
+    assert none > 0 and passed < 10.0 and TIMING.stale < 0.2
 
 
-def test_forces_do_not_queue_up_at_a_service_that_is_slow():
-    """50 ms for each answer, and a loop of 1 kHz: a new force waits for two answers at most."""
+def test_forces_do_not_accumulate_at_a_slow_service():
+    """Answers take 50 ms, and the loop runs at 1 kHz: a new force waits for at most two answers."""
     seen = []
 
     def talk(connection):
@@ -271,8 +271,8 @@ def test_forces_do_not_queue_up_at_a_service_that_is_slow():
         device.stop()
 
 
-def test_messages_that_are_lost_do_not_stop_the_others():
-    with emulate_haply(None, "port=0", Faults(loss=0.3, seed=2)) as service:  # not the very first
+def test_lost_messages_do_not_stop_the_exchange():
+    with emulate_haply(None, "port=0", Faults(loss=0.3, seed=2)) as service:  # with this seed the first message arrives
         device = open_haptic(service.address)
         device.start()
         before = service.messages
@@ -280,15 +280,15 @@ def test_messages_that_are_lost_do_not_stop_the_others():
         device.stop()
 
 
-def test_a_loop_that_stands_gives_no_force(started, service):
-    """The loop renders once and never again: the thread beside it takes the force away."""
+def test_a_stopped_loop_applies_no_force(started, service):
+    """The loop renders once and never again: the thread of the device then sends zero force."""
     started.render((0.0, 0.0, 2.0, 0.0, 0.0, 0.0))
     wait_for(lambda: service.force == (0.0, 0.0, 2.0))
     wait_for(lambda: service.force == (0.0, 0.0, 0.0))
     assert started.pose(0.0) is not None, "states go on"
 
 
-def test_the_emulator_lets_go_when_nobody_speaks(service):
+def test_the_emulator_removes_the_force_after_a_silence(service):
     from websockets.sync.client import connect
 
     from haptics.protocols.haply import force_message, read_state
@@ -298,15 +298,15 @@ def test_the_emulator_lets_go_when_nobody_speaks(service):
         client.send(force_message(first.device_id, (0.0, 0.0, 3.0)))
         assert read_state(client.recv()).device_id == "049D" and service.force == (0.0, 0.0, 3.0)
         with pytest.raises(TimeoutError):
-            client.recv(timeout=2 * LETS_GO)  # it says nothing unasked
+            client.recv(timeout=2 * RELEASE_TIME)  # the service sends nothing unrequested
         wait_for(lambda: service.force == (0.0, 0.0, 0.0))
         client.send("nonsense")
         assert read_state(client.recv()).device_id == "049D", "each message has one answer"
     assert service.refused == 1 and service.messages == 2
 
 
-def test_the_emulated_hand_gives_way():
-    """A weak grip: 1 N on 100 N/m is 10 mm."""
+def test_the_emulated_hand_yields_to_a_force():
+    """With a grip of 100 N/m a force of 1 N moves the hand by 10 mm."""
     with emulate_haply(None, "port=0,grip_N_m=100,damping_N_s_m=8", Faults()) as service:
         device = open_haptic(f"{service.address},{AT_START}")
         device.start()
@@ -317,11 +317,11 @@ def test_the_emulated_hand_gives_way():
             return pose is not None and abs(pose.position[2] - 10e-3) < 0.1e-3
 
         wait_for(rises)
-        assert service.place() == pytest.approx((START[0], START[1], START[2] + 10e-3), abs=0.2e-3)
+        assert service.cursor_position() == pytest.approx((START[0], START[1], START[2] + 10e-3), abs=0.2e-3)
         device.stop()
 
 
-def test_the_emulator_by_name_says_what_is_in_its_way(service):
+def test_a_port_in_use_raises_with_the_remedy(service):
     port = service.address.rpartition(":")[2]
     with pytest.raises(DeviceError, match=f"port {port} cannot be opened.*another emulator"):
         open_emulator(f"haply:port={port}", None).start()
@@ -331,12 +331,18 @@ def test_the_emulator_by_name_says_what_is_in_its_way(service):
     json.dumps(service.describe())
 
 
-def test_a_hand_of_ones_own_can_be_behind_the_service():
+def test_the_emulator_accepts_another_hand():
     from haptics.devices.motions import HandMotion
 
     hand = VirtualHand(HandMotion(), grip=0.0)
     with HaplyEmulator(hand) as service:
         device = open_haptic(f"{service.address},{AT_START}")
         device.start()
-        wait_for(lambda: device.render((0.0, 0.0, 0.1, 0.0, 0.0, 0.0)) or device.pose(0.0).position[2] > 1e-3)
+
+        def has_moved():
+            device.render((0.0, 0.0, 0.1, 0.0, 0.0, 0.0))
+            pose = device.pose(0.0)  # None while the state is stale, as on a busy machine
+            return pose is not None and pose.position[2] > 1e-3
+
+        wait_for(has_moved)
         device.stop()

@@ -1,4 +1,4 @@
-"""The loop renders to a Haply device whose service is another process, and outlives it."""
+"""The loop with a Haply device whose service is another process: forces arrive, and failures leave no force."""
 
 import json
 import math
@@ -19,12 +19,12 @@ from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
-#: The scene's origin where the emulated hand begins.
+#: Origin of the scene at the initial position of the emulated hand.
 AT_START = "x_mm=0,y_mm=-150,z_mm=150"
 
 
 def wait_for(condition, seconds=20.0):
-    """Until it holds."""
+    """Wait until the condition is true."""
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "it never came"
@@ -41,7 +41,7 @@ class Block:
 
 @pytest.fixture
 def other_process():
-    """A service in another process, whose hand goes 6 mm into the tissue and out."""
+    """A service in another process, whose hand moves 6 mm into the tissue and out."""
     root = Path(__file__).resolve().parents[3]
     with subprocess.Popen([sys.executable, Path(__file__).with_name("haply_service.py"),
                            "port=0,depth_mm=6,frequency_hz=2,grip_N_m=1000"], cwd=root, text=True,
@@ -69,7 +69,7 @@ def test_the_loop_renders_the_tissue_to_the_device(other_process):
             report = loop.wait()
             records = ring.since(0).records
     hand = felt(other_process)
-    # The grip gives way: 1000 N/m hold against 300, so the depth is 6 mm x 1000/1300, and the force 300 times that.
+    # The grip of 1000 N/m yields to the tissue of 300 N/m: depth = 6 mm x 1000/1300, force = 300 N/m x depth.
     assert report.ended_by == "time" and report.largest_force == pytest.approx(300 * 6e-3 / 1.3, rel=0.1)
     assert hand["largest_force_N"] == pytest.approx(report.largest_force, rel=0.05)
     assert hand["force_N"] == [0.0, 0.0, 0.0], "the device is stopped"
@@ -77,7 +77,7 @@ def test_the_loop_renders_the_tissue_to_the_device(other_process):
     assert len(touching) > 100 and touching["force"].min() > 0.3
 
 
-def test_a_service_that_dies_leaves_no_force_and_the_loop_goes_on(other_process):
+def test_a_dead_service_leaves_no_force_and_the_loop_continues(other_process):
     with loop_with(other_process.address) as loop:
         loop.wait_until_ready()
         with loop.ring() as ring:
@@ -88,20 +88,20 @@ def test_a_service_that_dies_leaves_no_force_and_the_loop_goes_on(other_process)
             wait_for(lambda: ring.latest()["tick"] > tick + 20)
         report = loop.stop()
     assert report.ended_by == "stop" and report.flagged["lost_pose"] > 0
-    assert "has gone" in report.device["trouble"] and other_process.address[6:] in report.device["trouble"]
+    assert "is gone" in report.device["trouble"] and other_process.address[6:] in report.device["trouble"]
 
 
-def test_a_service_that_has_gone_is_named_when_the_device_is_stopped(other_process):
+def test_a_dead_service_is_described_after_the_stop(other_process):
     device = open_haptic(f"{other_process.address},{AT_START}")
     device.start()
     assert "trouble" not in device.describe()
     other_process.kill()
     other_process.wait()
     device.stop()
-    assert "has gone" in device.describe()["trouble"] and device.pose(0.0) is None
+    assert "is gone" in device.describe()["trouble"] and device.pose(0.0) is None
 
 
-def test_a_loop_without_a_service_does_not_begin():
+def test_a_loop_without_a_service_does_not_start():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         with loop_with(f"haply:ws://127.0.0.1:{taken.getsockname()[1]}") as loop, \
@@ -111,8 +111,8 @@ def test_a_loop_without_a_service_does_not_begin():
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot hold a process still")
-def test_a_loop_that_is_killed_or_stands_leaves_no_force(other_process):
-    """The emulator lets go; of the real service that is not known."""
+def test_a_stopped_or_killed_loop_leaves_no_force(other_process):
+    """The emulator removes the force; the behaviour of the real service is not documented."""
     with loop_with(other_process.address) as loop:
         loop.wait_until_ready()
         wait_for(lambda: felt(other_process)["force_N"][2] > 0.5)

@@ -1,4 +1,4 @@
-"""A program that is killed while it moves a stage leaves a motor that stands, within what `runs_on` promises."""
+"""After the death of a program that moves a stage, the motor stops within `runs_on`."""
 
 import os
 import signal
@@ -27,17 +27,17 @@ while True:
     print(sample.position, flush=True)
 """
 
-#: m, m/s; it would take 50 s.
+#: Travel, m, and speed, m/s; the motion would take 50 s.
 HIGHEST, SPEED = 0.1, 0.002
 
 
 @pytest.mark.parametrize(("protocol", "late"), [
-    # The timeout runs in a thread of this program, which a busy machine lets wait.
+    # The timeout runs in a thread of this program, which a busy machine delays.
     ("tic:", 2.0),
-    # What is queued is a way, however late: nothing is added.
+    # The queue limits the distance, not the time.
     ("grbl:", 0.0),
 ])
-def test_the_motor_stands_soon_after_a_kill(protocol, late, root):
+def test_the_motor_stops_soon_after_a_kill(protocol, late, root):
     with open_emulator(protocol, bench(highest=HIGHEST, speed=SPEED)) as emulator:
         program = subprocess.Popen([sys.executable, "-c", PROGRAM, emulator.address], stdout=subprocess.PIPE, text=True,
                                    cwd=root, env=os.environ | {"PYTHONPATH": str(root)})
@@ -51,12 +51,12 @@ def test_the_motor_stands_soon_after_a_kill(protocol, late, root):
             program.wait()
             program.stdout.close()
         stage = emulator._stage
-        died_at = stage.tool_place(time.monotonic())
-        wait_for(lambda: not stage.position().moving, what="the motor to stand")
-        way = stage.tool_place(time.monotonic()) - died_at
+        died_at = stage.tool_position(time.monotonic())
+        wait_for(lambda: not stage.position().moving, event="the motor to stand")
+        way = stage.tool_position(time.monotonic()) - died_at
         assert 0.2e-3 < died_at < 0.5 * HIGHEST
         assert 0.0 <= way <= SPEED * (open_stage(emulator.address).runs_on + late) + 2e-6
-        # The next program can go on.
+        # Another program can use the stage.
         again = open_stage(emulator.address)
         again.start()
         assert not again.position().moving

@@ -1,4 +1,4 @@
-"""Motions without a device: the same for the same seed and time, within their bounds of depth, speed and frequency."""
+"""Motions without a device: reproducible by seed and time, within their bounds of depth, speed and frequency."""
 
 import math
 from itertools import pairwise
@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import tissue_sim as ts
 from haptics.devices.back_ends import MOTIONS, open_motion
+from haptics.devices.contracts import Motion
 from haptics.devices.motions import HandMotion, ProtocolMotion, RandomWalk, SineMotion, SpatialWalk
 from haptics.devices.virtual.hand import VirtualHand
 from tissue_sim.errors import InputError
@@ -25,7 +26,7 @@ class TestMotions(MotionContract):
         return open_motion(name)
 
 
-def test_every_built_in_motion_is_opened_by_its_name():
+def test_every_built_in_motion_is_made_by_its_name():
     assert list(MOTIONS) == ["random", "sine", "protocol", "hand"]
     walk = open_motion("random:seed=7,depth_mm=6,lift=0.5,top_speed_mm_s=100")
     np.testing.assert_array_equal(depths(walk, range(9)), depths(RandomWalk(7, 6e-3, -3e-3, 0.1), range(9)))
@@ -49,7 +50,7 @@ def depths(motion, times):
     return np.array([motion.depth(time) for time in times])
 
 
-def test_a_protocol_is_followed_and_held_at_its_ends():
+def test_a_protocol_motion_interpolates_and_is_constant_beyond_its_ends():
     protocol = ts.Protocol([10.0, 12.0, 13.0], [0.0, 4e-3, 1e-3])
     motion = ProtocolMotion(protocol)
     times = np.linspace(-1, 5, 61)
@@ -57,7 +58,7 @@ def test_a_protocol_is_followed_and_held_at_its_ends():
     assert motion.duration == 3.0
 
 
-def test_a_protocol_repeats_where_it_closes():
+def test_a_closed_protocol_repeats():
     motion = ProtocolMotion(ts.Protocol.parse("ramp 4mm @2mm/s; hold 1s; unload"), repeat=True)
     assert motion.duration == pytest.approx(5.0)
     times = np.linspace(0, 4.999, 100)
@@ -69,7 +70,7 @@ def test_a_protocol_repeats_where_it_closes():
         assert caught.value.field == "protocol"
 
 
-def test_a_sine_begins_above_and_at_rest():
+def test_a_sine_begins_at_the_upper_depth_at_rest():
     motion = SineMotion(deepest=6e-3, highest=-2e-3, frequency=2.0)
     np.testing.assert_allclose(depths(motion, [0, 0.125, 0.25, 0.5]), [-2e-3, 2e-3, 6e-3, -2e-3], atol=1e-15)
     assert abs(motion.depth(1e-4) - motion.depth(0)) < 1e-8
@@ -77,8 +78,8 @@ def test_a_sine_begins_above_and_at_rest():
 
 @pytest.mark.parametrize("step", [1e-3, 0.02])
 @pytest.mark.parametrize(("start", "target"), [(0.0, 5e-3), (5e-3, -2e-3)])
-def test_a_hand_comes_to_its_target_smoothly(start, target, step):
-    """As x'' + 2 w x' + w^2 (x - target) = 0 from rest, whatever the time step."""
+def test_a_hand_approaches_its_target_as_a_critically_damped_spring(start, target, step):
+    """The solution of x'' + 2 w x' + w^2 (x - target) = 0 from rest, for every time step."""
     hand = HandMotion(start, speed=10.0, response=30.0)
     hand.aim(target)
     times = np.arange(0.0, 0.5, step)
@@ -86,12 +87,12 @@ def test_a_hand_comes_to_its_target_smoothly(start, target, step):
     np.testing.assert_allclose(depths(hand, times), target + away, atol=1e-12)
 
 
-def test_a_hand_is_no_faster_than_it_may_be():
+def test_a_hand_keeps_its_speed_limit():
     hand = HandMotion(0.0, speed=0.05)
     hand.aim(0.02)
     way = depths(hand, np.arange(0.0, 1.0, 1e-3))
     assert np.diff(way).max() == pytest.approx(0.05e-3) and way[-1] == pytest.approx(0.02) and way.max() < 0.0201
-    with pytest.raises(InputError, match="nan is not a depth"):
+    with pytest.raises(InputError, match="depth: must be a finite number; got nan"):
         hand.aim(math.nan)
 
 
@@ -118,7 +119,7 @@ def test_a_random_walk_depends_on_seed_and_time_alone():
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_random_walk_is_as_irregular_as_a_hand(seed):
-    """Over a minute: quick and calm, deep and lifted off, and next to nothing above 10 Hz."""
+    """In a minute: fast and slow phases, deep phases and lift-offs, and less than 1 % of the power above 10 Hz."""
     times = np.arange(0, 60, 1e-3)
     path = depths(RandomWalk(seed), times)
     speed = np.abs(np.diff(path)) / 1e-3
@@ -131,7 +132,7 @@ def test_a_random_walk_is_as_irregular_as_a_hand(seed):
 
 
 def turned_by(pose):
-    """How far a pose is turned, rad."""
+    """Return the angle of a pose's orientation, rad."""
     return 2.0 * math.acos(min(1.0, abs(pose.orientation[0])))
 
 
@@ -139,7 +140,7 @@ def turned_by(pose):
 @example(seed=0, deepest=0.015625, lift=0.0, aside=5e-324, turn=2.2e-309, speed=0.5, turn_speed=1.0)
 @given(seed=st.integers(0, 2**32), deepest=st.floats(1e-3, 20e-3), lift=st.floats(0, 5e-3), aside=st.floats(0, 20e-3),
        turn=st.floats(0, 1.0), speed=st.floats(0.01, 0.5), turn_speed=st.floats(0.1, 3.0))
-def test_a_walk_in_space_keeps_its_bounds(seed, deepest, lift, aside, turn, speed, turn_speed):
+def test_a_spatial_walk_keeps_its_bounds(seed, deepest, lift, aside, turn, speed, turn_speed):
     walk = SpatialWalk(seed, deepest, -lift, aside, turn, speed, turn_speed)
     poses = [walk.pose(time) for time in np.arange(0, 4, 4e-3)]
     path = np.array([pose.position for pose in poses])
@@ -155,9 +156,8 @@ def test_a_walk_in_space_keeps_its_bounds(seed, deepest, lift, aside, turn, spee
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_a_walk_in_space_comes_everywhere(seed):
-    """Over a minute: most of each direction of the box and of the cone, lift-offs, and drags while it presses; the
-    three ways know nothing of each other."""
+def test_a_spatial_walk_covers_its_range(seed):
+    """In a minute: most of the box and the cone, lift-offs, and drags in contact; the coordinates are uncorrelated."""
     walk = SpatialWalk(seed, 4e-3, -0.8e-3, 3e-3, 0.1, speed=0.05)
     poses = [walk.pose(time) for time in np.arange(0, 60, 4e-3)]
     path = np.array([pose.position for pose in poses])
@@ -170,7 +170,7 @@ def test_a_walk_in_space_comes_everywhere(seed):
     assert np.abs(np.corrcoef(path.T) - np.eye(3)).max() < 0.4
 
 
-def test_a_walk_in_space_depends_on_seed_and_time_alone():
+def test_a_spatial_walk_depends_on_seed_and_time_alone():
     times = np.linspace(0, 20, 111)
     walk, backwards = SpatialWalk(7, turn=0.1), SpatialWalk(7, turn=0.1)
     path = [walk.pose(time) for time in times]
@@ -180,13 +180,13 @@ def test_a_walk_in_space_depends_on_seed_and_time_alone():
 
 @pytest.mark.parametrize("name", ["random:seed=3,sideways_mm=4", "random:seed=3", "sine", "hand:depth_mm=-1",
                                   "protocol:ramp 4mm @2mm/s; unload"])
-def test_motions_by_name_go_along_the_approach_of_the_tool(name):
-    """Off the axis, leaning: the same way from the approach's touch on; and whoever has an approach keeps it."""
+def test_named_motions_follow_the_approach_of_the_tool(name):
+    """With an oblique approach, motions follow its axis from first contact on; a motion keeps its first approach."""
     approach, plain, leaning = ts.Approach(12e-3, math.radians(20.0)), open_motion(name), open_motion(name)
-    leaning.go_along(approach)
-    leaning.go_along(ts.Approach(-12e-3))
+    leaning.set_approach(approach)
+    leaning.set_approach(ts.Approach(-12e-3))
     followed = VirtualHand(open_motion(name), grip=400.0)
-    followed.go_along(approach)
+    followed.set_approach(approach)
     assert followed.pose(0.0).position == pytest.approx(leaning.pose(0.0).position, abs=1e-15)
     for time in (0.0, 0.31, 0.8, 2.0):
         x, y, z = plain.pose(time).position
@@ -201,13 +201,13 @@ def test_motions_by_name_go_along_the_approach_of_the_tool(name):
     lambda: RandomWalk(highest=-math.inf), lambda: RandomWalk(start=9e-3), lambda: SpatialWalk(sideways=-1e-3),
     lambda: SpatialWalk(turn=math.pi), lambda: SpatialWalk(turn_speed=0.0), lambda: SpatialWalk(speed=math.nan),
 ])
-def test_motions_that_make_no_sense_are_refused(wrong):
+def test_invalid_motions_are_refused(wrong):
     with pytest.raises(InputError):
         wrong()
 
 
-def test_a_hand_goes_along_the_axis_of_its_approach_and_sideways():
-    """The place of the approach's own pose, and beside it; no faster than it may be in any direction."""
+def test_a_hand_moves_along_the_axis_of_its_approach_and_sideways():
+    """Targets on the axis of the approach and off it; the speed limit holds in every direction."""
     approach = ts.Approach(offset=12e-3, angle=math.radians(20.0))
     hand = HandMotion(0.0, speed=0.05, approach=approach)
     assert hand.pose(0.0) == approach.pose(0.0)
@@ -223,11 +223,11 @@ def test_a_hand_goes_along_the_axis_of_its_approach_and_sideways():
     hand.aim(3e-3)
     way = hand.pose(3.0).position
     np.testing.assert_allclose(way[1], -4e-3, atol=1e-8)
-    with pytest.raises(InputError, match="is no place"):
+    with pytest.raises(InputError, match="across: must be two finite numbers"):
         hand.aim(1e-3, (math.nan, 0.0))
 
 
-def test_a_hand_that_takes_over_keeps_place_and_turn():
+def test_a_hand_that_takes_over_keeps_position_and_orientation():
     pose = Pose((3e-3, -2e-3, -4e-3), (math.cos(0.1), 0.0, -math.sin(0.1), 0.0))
     hand = HandMotion(None)
     hand.take_over(pose)
@@ -235,7 +235,27 @@ def test_a_hand_that_takes_over_keeps_place_and_turn():
     assert hand.pose(2.0).orientation == pose.orientation
 
 
-def test_a_protocol_goes_along_the_axis_of_its_approach():
+def test_a_protocol_moves_along_the_axis_of_its_approach():
     approach = ts.Approach(offset=-5e-3, angle=math.radians(-30.0))
     motion = ProtocolMotion(ts.Protocol([0.0, 1.0], [0.0, 4e-3]), approach=approach)
     assert motion.pose(0.5) == approach.pose(2e-3)
+
+
+def test_the_old_name_of_set_approach_still_works_with_a_warning():
+    """A plug-in may define or call ``go_along``: `set_approach` calls its method, and the old call forwards."""
+    with pytest.warns(DeprecationWarning, match=r"OldMotion\.go_along is deprecated; name the method set_approach"):
+        class OldMotion(Motion):
+            def go_along(self, approach):
+                super().go_along(approach)
+                self.notified = True
+
+            def pose(self, time):
+                return Pose.at_depth(0.0)
+
+    old, new, approach = OldMotion(), SineMotion(5e-3), ts.Approach(12e-3)
+    with pytest.warns(DeprecationWarning, match="use set_approach"):
+        old.set_approach(approach)
+    assert old.approach is approach and old.notified
+    with pytest.warns(DeprecationWarning, match="use set_approach"):
+        new.go_along(approach)
+    assert new.approach is approach

@@ -1,5 +1,4 @@
-"""The stage of a Phidget stepper, over a stand-in for its library that does what the documentation of phidget22
-says."""
+"""The stage of a Phidget stepper, with a simulated library that follows the documentation of phidget22."""
 
 import ctypes.util
 import importlib.util
@@ -17,7 +16,7 @@ from tissue_sim.errors import InputError
 
 
 class PhidgetException(Exception):  # noqa: N818 (the library's name)
-    """As that of the library: a code of `ErrorCode`, and what it says."""
+    """Like the exception of the library: a code of `ErrorCode`, and a description."""
 
     def __init__(self, code, details=""):
         super().__init__(f"PhidgetException 0x{code:02x}\n{details}")
@@ -25,9 +24,9 @@ class PhidgetException(Exception):  # noqa: N818 (the library's name)
 
 
 class Stepper:
-    """A controller with a motor; positions in counts of 1/16 step. All speeds are reached at once."""
+    """A controller with a motor; positions in counts of 1/16 step. Every speed is reached at once."""
 
-    #: s; goes as the test says. What is attached, and what is made.
+    #: Clock, s, advanced by the test; True if the controller is attached; all instances.
     now, attached, made = 0.0, True, []
 
     def __init__(self):
@@ -45,7 +44,7 @@ class Stepper:
             raise PhidgetException(59, "Failsafe Triggered on this channel.")
 
     def _run(self):
-        """Move on to now, or to where the failsafe has tripped."""
+        """Advance the motion to now, or to the time at which the failsafe acts."""
         end = min(Stepper.now, self._alive + self._failsafe)
         if self.engaged and self.target is not None and end > self._since:
             way = self.target - self._place
@@ -128,7 +127,7 @@ class Stepper:
 
 @pytest.fixture
 def library(monkeypatch):
-    """The stand-in, in the place of phidget22."""
+    """The simulated library, installed as the package phidget22."""
     names = ("Phidget22", "Phidget22.Devices", "Phidget22.Devices.Stepper", "Phidget22.Phidget")
     modules = {name: ModuleType(name) for name in names}
     modules["Phidget22.Devices.Stepper"].Stepper = Stepper
@@ -150,7 +149,7 @@ class OverTheStandIn(StageContract):
         self.stage_here.stop()
 
     def pass_time(self, seconds):
-        """With a sign of life in time, as a loop gives it; whoever asks for the position also has a number less."""
+        """Advance the clock with regular calls of `position`, as in a loop; each call uses a sequence number."""
         end = Stepper.now + seconds
         while Stepper.now < end - 1e-9:
             Stepper.now = min(Stepper.now + 0.4, end)
@@ -162,7 +161,7 @@ class TestPhidget(OverTheStandIn):
 
 
 class TestTheOtherWayRound(OverTheStandIn):
-    """A motor that turns the other way, of any controller."""
+    """A motor with reversed direction, on the first controller found."""
 
     name = "phidget:any,steps_per_mm=-25,lowest_mm=-5,highest_mm=20,top_speed_mm_s=10,current_A=0.6"
 
@@ -182,7 +181,7 @@ def test_a_start_moves_nothing_and_sets_the_failsafe(stage):
     assert stage.runs_on == 0.5 and motor._failsafe == 0.5 and not stage.measures_position
 
 
-def test_home_takes_the_place_where_it_stands(stage):
+def test_home_sets_the_present_position_as_zero(stage):
     assert stage.position().counts == 700
     stage.home()
     motor, = Stepper.made
@@ -190,7 +189,7 @@ def test_home_takes_the_place_where_it_stands(stage):
     assert (sample.counts, sample.homed, sample.moving, motor.engaged) == (0, True, False, True)
 
 
-def test_counts_and_speed_are_those_of_the_motor(stage):
+def test_counts_and_speed_are_in_motor_steps(stage):
     stage.home()
     stage.move(0.010, 0.005)
     motor, = Stepper.made
@@ -200,12 +199,12 @@ def test_counts_and_speed_are_those_of_the_motor(stage):
     assert sample.counts == 800 and sample.position == pytest.approx(0.002) and sample.moving
 
 
-def test_who_is_silent_for_half_a_second_loses_the_motor_and_the_zero(stage):
+def test_silence_for_half_a_second_switches_the_motor_off_and_loses_the_zero(stage):
     stage.home()
     stage.move(0.010, 0.005)
     Stepper.now += 0.6
-    with pytest.raises(DeviceError, match=r"^the Phidget stepper has let its motor go, because this program was silent "
-                                          r"for 0\.5 s; stop it, start it and home it again$"):
+    with pytest.raises(DeviceError, match=r"^the Phidget stepper has switched its motor off, because this program did "
+                                          r"not communicate for 0\.5 s; stop it, start it and home it again$"):
         stage.position()
     motor, = Stepper.made
     assert motor._place == pytest.approx(0.5 * 5 * 25 * 16) and not motor.engaged
@@ -216,7 +215,7 @@ def test_who_is_silent_for_half_a_second_loses_the_motor_and_the_zero(stage):
         stage.move(0.0, 0.001)
 
 
-def test_an_old_controller_has_no_failsafe_and_it_says_so(library, monkeypatch):
+def test_without_a_failsafe_runs_on_is_infinite(library, monkeypatch):
     def refuse(*_):
         raise PhidgetException(20, "This API call is not supported.")
 
@@ -232,7 +231,7 @@ def test_an_old_controller_has_no_failsafe_and_it_says_so(library, monkeypatch):
     stage.stop()
 
 
-def test_a_controller_that_was_unplugged(stage, monkeypatch):
+def test_an_unplugged_controller_raises(stage, monkeypatch):
     stage.home()
     monkeypatch.setattr(Stepper, "attached", False)
     for ask in (stage.position, stage.home, lambda: stage.move(0.0, 0.001)):
@@ -243,18 +242,18 @@ def test_a_controller_that_was_unplugged(stage, monkeypatch):
     stage.halt()
 
 
-def test_what_the_library_refuses_is_passed_on(stage, monkeypatch):
+def test_errors_of_the_library_are_quoted(stage, monkeypatch):
     def refuse(*_):
         raise PhidgetException(62, "The power supply of your device is outside the\nacceptable range.")
 
     stage.home()
     monkeypatch.setattr(Stepper, "setTargetPosition", refuse)
-    with pytest.raises(DeviceError, match=r"refuses \(The power supply of your device is outside the acceptable "
-                                          r"range\); check its power"):
+    with pytest.raises(DeviceError, match=r"reports an error \(The power supply of your device is outside the "
+                                          r"acceptable range\); check its power"):
         stage.move(0.001, 0.001)
 
 
-def test_a_halt_without_an_answer_takes_the_current_away(stage, monkeypatch):
+def test_a_failing_halt_switches_the_current_off(stage, monkeypatch):
     def refuse(*_):
         raise PhidgetException(28)
 
@@ -266,26 +265,26 @@ def test_a_halt_without_an_answer_takes_the_current_away(stage, monkeypatch):
     assert not motor.engaged
 
 
-def test_a_speed_that_the_controller_would_round_to_nothing(stage):
+def test_a_speed_below_one_count_per_second_is_refused(stage):
     stage.home()
-    with pytest.raises(InputError, match=r"speed: 1e-06 m/s is less than the slowest speed, 2\.5e-06 m/s"):
+    with pytest.raises(InputError, match=r"speed: must be at least 2\.5e-06 m/s; got 1e-06 m/s"):
         stage.move(0.001, 1e-6)
 
 
-def test_what_a_start_that_fails_leaves_behind(library, monkeypatch):
+def test_a_failed_start_closes_the_controller(library, monkeypatch):
     def refuse(*_):
         raise PhidgetException(21, "Out of range.")
 
     monkeypatch.setattr(Stepper, "setAcceleration", refuse)
     stage = open_stage("phidget:123,steps_per_mm=25")
-    with pytest.raises(DeviceError, match=r"refuses \(Out of range\)"):
+    with pytest.raises(DeviceError, match=r"reports an error \(Out of range\)"):
         stage.start()
     assert not Stepper.made[0].open
     with pytest.raises(DeviceError, match="not started"):
         stage.position()
 
 
-def test_no_controller(library):
+def test_a_missing_controller_raises(library):
     for name, which in (("124", "no Phidget stepper 124"), ("any", "no Phidget stepper")):
         if name == "any":
             Stepper.attached = False
@@ -294,26 +293,26 @@ def test_no_controller(library):
             open_stage(f"phidget:{name},steps_per_mm=25").start()
 
 
-def test_a_speed_that_the_motor_does_not_reach(library):
-    with pytest.raises(DeviceError, match=r"reaches 625 mm/s at 25 steps per mm; give top_speed_mm_s=625 or less"):
+def test_a_top_speed_beyond_the_motor_raises(library):
+    with pytest.raises(DeviceError, match=r"is 625 mm/s at 25 steps per mm; give top_speed_mm_s=625 or less"):
         open_stage("phidget:123,steps_per_mm=25,top_speed_mm_s=700").start()
 
 
-def test_without_the_package(library, monkeypatch):
+def test_a_missing_package_raises_with_the_remedy(library, monkeypatch):
     for name in library:
         monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(DeviceError, match=r"^the package phidget22 is missing, which a Phidget needs; install it with "
-                                          r"pip install 'tissue-sim\[phidget\]'$"):
+    with pytest.raises(DeviceError, match=r"^a Phidget requires the package phidget22, which is missing; install it "
+                                          r"with pip install 'tissue-sim\[phidget\]'$"):
         open_stage("phidget:123,steps_per_mm=25").start()
 
 
 @pytest.mark.parametrize(("error", "sentence"), [
     ("libusb-1.0.so.0: cannot open shared object file: No such file or directory",
-     r"^the library libusb-1\.0 is missing, which a Phidget needs; install it, .* sudo apt install libusb-1\.0-0$"),
-    ("wrong ELF "
-     "class", r"^the library of the package phidget22 cannot be loaded \(wrong ELF class\); install that package"),
+     r"^a Phidget requires the library libusb-1\.0, which is missing; install it, .* sudo apt install libusb-1\.0-0$"),
+    ("wrong ELF class",
+     r"^the library of the package phidget22 cannot be loaded \(wrong ELF class\); install the package again"),
 ])
-def test_without_its_library(library, monkeypatch, error, sentence):
+def test_a_missing_library_raises_with_the_remedy(library, monkeypatch, error, sentence):
     def refuse():
         raise OSError(error)
 
@@ -326,12 +325,12 @@ def test_without_its_library(library, monkeypatch, error, sentence):
 @pytest.mark.skipif(importlib.util.find_spec("Phidget22") is None, reason="starts the maker's own library, "
                     "which comes with the extra 'phidget', and is not installed")
 def test_the_real_package_without_a_controller(capfd, monkeypatch):
-    """Nothing is plugged in: whatever is missing, one sentence, and nothing else on the screen."""
+    """Without a controller, `start` raises one message, and prints nothing."""
     monkeypatch.setattr(phidget, "_ATTACH_MS", 100)
     with pytest.raises(DeviceError) as caught:
         open_stage("phidget:1,steps_per_mm=25").start()
     there = ctypes.util.find_library("usb-1.0")
-    wanted = "no Phidget stepper 1 answers" if there else "the library libusb-1.0 is missing"
+    wanted = "no Phidget stepper 1 answers" if there else "a Phidget requires the library libusb-1.0"
     assert str(caught.value).startswith(wanted)
     assert capfd.readouterr().err == ""
 
@@ -340,19 +339,19 @@ def test_the_real_package_without_a_controller(capfd, monkeypatch):
     ("phidget:", r"phidget\.name: the serial number of the controller, or 'any', is missing; give it first, as in "
                  r"phidget:1"),
     ("phidget:steps_per_mm=25", "the serial number of the controller, or 'any', is missing"),
-    ("phidget:mine,steps_per_mm=25", "serial: 'mine' is no serial number; give that of the controller, or 'any'"),
-    ("phidget:123", "steps_per_mm: 0; give a number that is not zero, as in phidget:123456,steps_per_mm=25"),
-    ("phidget:123,steps_per_mm=25,microsteps=0", "microsteps: 0; give a number that is not zero"),
-    ("phidget:123,steps_per_mm=25,top_speed_mm_s=-1", "top_speed_mm_s: -0.001; give a number"),
-    ("phidget:123,steps_per_mm=25,highest_mm=-1", "limits: from 0 to -0.001 m; give a range with the zero in it"),
+    ("phidget:mine,steps_per_mm=25", "serial: must be the serial number of the controller or 'any', .*; got 'mine'"),
+    ("phidget:123", "steps_per_mm: must be finite and not 0, as in phidget:123456,steps_per_mm=25; got 0"),
+    ("phidget:123,steps_per_mm=25,microsteps=0", "microsteps: must be finite and above 0, .*; got 0"),
+    ("phidget:123,steps_per_mm=25,top_speed_mm_s=-1", r"top_speed_mm_s: must be finite and above 0, .*; got -0\.001"),
+    ("phidget:123,steps_per_mm=25,highest_mm=-1", r"limits: must contain 0; got 0 to -0\.001 m"),
     ("phidget:123,steps_per_m=25", "steps_per_m: unknown setting; did you mean 'steps_per_mm'"),
 ])
-def test_settings_that_make_no_sense(name, sentence):
+def test_invalid_settings_are_refused(name, sentence):
     with pytest.raises(InputError, match=sentence):
         open_stage(name)
 
 
-def test_it_says_what_it_cannot_see():
+def test_describe_states_what_is_not_detectable():
     described = open_stage("phidget:123,steps_per_mm=25").describe()
     assert described["stall"] == "not detectable" and described["resolution_mm"] == pytest.approx(0.0025)
     assert described["verified"] == "against a stand-in for its library only"

@@ -1,9 +1,10 @@
-"""ATI's boxes on the network, against our emulator: the contract, what is lost on the way, and what else is there."""
+"""ATI boxes on the network, against the emulator: the contract, lost and late records, and other devices."""
 
 import math
 import socket
 import threading
 import time
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from itertools import pairwise
 
@@ -12,6 +13,7 @@ from device_contracts import ForceSensorContract
 from hypothesis import given
 from hypothesis import strategies as st
 
+from haptics.devices import rdt as rdt_device
 from haptics.devices.back_ends import open_sensor
 from haptics.devices.contracts import DeviceError, SampleStatus
 from haptics.devices.rdt import RdtSensor, RecordCounter
@@ -22,7 +24,7 @@ from haptics.protocols import rdt
 from haptics.protocols.rdt import Record, Settings
 from tissue_sim.errors import InputError
 
-#: s; far more than anything here takes.
+#: Longest wait of a test, s; reached only if the test hangs.
 PATIENCE = 60.0
 LOAD = (0.1, -0.2, 3.0, 0.01, 0.02, -0.03)
 
@@ -40,7 +42,7 @@ def wait_until(true, what):
 
 @pytest.fixture
 def emulated():
-    """Makes an emulator that runs, of a sensor under `LOAD`."""
+    """Function that starts an emulator of a sensor under `LOAD`."""
     running = []
 
     def emulated(faults=None, settings=None, rate=500.0, reach=50.0, saturates=False):
@@ -57,7 +59,7 @@ def emulated():
 
 @pytest.fixture
 def opened(emulated):
-    """Makes a client that runs, of such an emulator."""
+    """Function that starts a client of such an emulator."""
     clients = []
 
     def opened(**options):
@@ -93,7 +95,7 @@ class TestRdt(ForceSensorContract):
         return time.monotonic()
 
 
-def test_the_page_of_the_box_says_how_it_counts(opened):
+def test_the_settings_page_gives_the_scale(opened):
     client = opened(settings=Settings(1000.0, 50.0, "lbf", "lbf-in", 500.0, "Net F/T", "FT123"))
     sample = received(client, 1)[0]
     assert sample.counts[2] == round(1000.0 * LOAD[2] / 4.4482216152605)
@@ -103,14 +105,14 @@ def test_the_page_of_the_box_says_how_it_counts(opened):
     assert about["resolution_Nm"] == pytest.approx(0.1129848290276167 / 50.0)
 
 
-def test_a_saturated_sample_is_marked_and_not_tared(opened):
+def test_a_saturated_sample_is_marked_and_its_tare_refused(opened):
     client = opened(saturates=True)
     assert received(client, 1)[0].status == SampleStatus.SATURATED | SampleStatus.FAULT
     with pytest.raises(DeviceError, match=r"a gage is out of range .*take the load off"):
         client.tare()
 
 
-def test_what_is_lost_comes_twice_or_late_is_recognised_and_counted(opened):
+def test_lost_duplicated_and_late_records_are_counted(opened):
     client = opened(faults=Faults(loss=0.1, duplicate=0.1, reorder=0.1, seed=3), rate=2000.0)
     samples = received(client, 1500)
     tally = client.describe()
@@ -119,31 +121,31 @@ def test_what_is_lost_comes_twice_or_late_is_recognised_and_counted(opened):
     assert numbers == sorted(set(numbers))
     for before, after in pairwise(samples):
         assert bool(after.status & SampleStatus.GAP) == (after.sequence != before.sequence + 1)
-    # Every number is there, lost, or came too late.
+    # Every number was received, lost or late.
     assert numbers[-1] - numbers[0] + 1 <= len(numbers) + tally["lost"] + tally["late"]
 
 
-def test_no_wrong_byte_makes_a_record_of_the_wrong_length(opened):
-    """The records have no checksum: UDP's is the only one, and a wrong byte past it is a wrong count."""
+def test_datagrams_of_another_sender_are_ignored(opened):
+    """Records have no checksum of their own, so datagrams of other senders must be discarded by the socket."""
     client = opened()
     other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    other.sendto(b"x" * 36, client._stream._socket.getsockname())  # from another address than that of the box
+    other.sendto(b"x" * 36, client._stream._socket.getsockname())  # from another address than the box
     other.close()
     before = client.describe()["records"]
     received(client, before + 50)
     assert client.describe()["garbled"] == 0 and client.describe()["twice"] == 0
 
 
-def test_a_box_that_falls_silent_gives_no_sample_and_no_tare(opened, monkeypatch):
-    monkeypatch.setattr("haptics.devices.rdt._PATIENCE", 0.2)
+def test_a_silent_box_gives_no_samples_and_refuses_the_tare(opened, monkeypatch):
+    monkeypatch.setattr(rdt_device, "STREAM", replace(rdt_device.STREAM, patience=0.2))
     client = opened(faults=Faults(disconnect_after=0.3))
-    with pytest.raises(DeviceError, match="sends no records any more"):
+    with pytest.raises(DeviceError, match="has stopped sending records"):
         wait_until(lambda: client.tare(), "silence")
     client.read()
     assert client.read() == ()
 
 
-def test_a_client_that_asks_later_takes_the_stream_over(emulated):
+def test_a_second_client_takes_over_the_stream(emulated):
     emulator = emulated()
     first, second = open_sensor(emulator.address), open_sensor(emulator.address)
     first.start()
@@ -156,7 +158,7 @@ def test_a_client_that_asks_later_takes_the_stream_over(emulated):
 
 
 class Page:
-    """A web server that is no box."""
+    """A web server that is no ATI box."""
 
     def __init__(self, code, body):
         class Pages(BaseHTTPRequestHandler):
@@ -181,27 +183,27 @@ class Page:
 
 
 @pytest.mark.parametrize(("code", "body", "said"), [
-    (404, b"", "answers 404; there is another device at this address"),
-    (200, b"<html>printer", "no settings page of an ATI box"),
+    (404, b"", "answers with HTTP status 404, so it is no ATI box"),
+    (200, b"<html>printer", "must be the XML page of an ATI box"),
     (200, b"<n><cfgcpf>1</cfgcpf><cfgcpt>1</cfgcpt><scfgfu>stone</scfgfu></n>",
-     "counts in 'stone', which is no known unit of force"),
+     "must be a known unit of force; got 'stone' from the box"),
     (200, rdt.write_settings_page(Settings(1.0, 1.0)), "sends no records by UDP; switch RDT on"),
 ])
-def test_another_device_at_the_address_is_one_sentence(code, body, said, monkeypatch):
-    monkeypatch.setattr("haptics.devices.rdt._FIRST", 0.1)
+def test_another_device_at_the_address_raises(code, body, said, monkeypatch):
+    monkeypatch.setattr(rdt_device, "STREAM", replace(rdt_device.STREAM, first_record=0.1))
     with Page(code, body) as page, pytest.raises(DeviceError) as caught:
         RdtSensor("127.0.0.1", 9, page.port).start()
     assert said in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_nobody_at_the_address_is_one_sentence():
+def test_an_address_without_a_box_raises():
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         with pytest.raises(DeviceError, match=r"no ATI box answers at http://127\.0\.0\.1:.*check its power"):
             RdtSensor("127.0.0.1", 9, unused.getsockname()[1]).start()
 
 
-def test_a_port_in_use_is_one_sentence_of_the_emulator(emulated):
+def test_a_port_in_use_raises_with_the_remedy(emulated):
     taken = int(emulated().address.rpartition("=")[2])
     sensor = VirtualForceSensor(load, rdt.CHANNELS)
     with pytest.raises(DeviceError, match=r"in use; stop the other program"):
@@ -211,7 +213,7 @@ def test_a_port_in_use_is_one_sentence_of_the_emulator(emulated):
 @pytest.mark.parametrize(("text", "field"), [
     ("rdt://", "host"), ("rdt://box:0", "port"), ("rdt://box:x", "port"), ("rdt://box,http_port=99999", "http_port"),
     ("rdt://box,rate=3", "settings")])
-def test_addresses_that_make_no_sense_are_refused(text, field):
+def test_invalid_addresses_are_refused(text, field):
     with pytest.raises(InputError) as caught:
         open_sensor(text)
     assert caught.value.field.endswith(field)
@@ -229,8 +231,8 @@ def numbered(*pairs, status=0):
     return [Record(sequence, sample, status, (0,) * 6) for sequence, sample in pairs]
 
 
-def test_a_box_that_begins_anew_is_noticed():
-    """A stream begins with 1 at each start; the sensor's own number goes on, or begins anew after a power cut."""
+def test_a_restart_of_the_box_is_detected():
+    """The sequence restarts at 1; the sample number continues, or restarts after a loss of power."""
     counter = RecordCounter()
     counter.accept(numbered((1, 70), (2, 80), (3, 90)), 0.0)
     (_, number, status), *rest = counter.accept(numbered((1, 170), (2, 180)), 0.01)
@@ -240,14 +242,14 @@ def test_a_box_that_begins_anew_is_noticed():
     assert (number, status, counter.restarts) == (5, SampleStatus.GAP, 2)
 
 
-def test_an_overtaken_record_is_late_and_no_new_beginning():
+def test_a_delayed_record_is_late_and_no_restart():
     counter = RecordCounter()
     counter.accept(numbered((1, 1), (2, 2), (4, 4)), 0.0)
     assert counter.accept(numbered((3, 3)), 0.001) == [] and (counter.late, counter.lost) == (1, 0)
     assert counter.accept(numbered((3, 3), (4, 4)), 0.001) == [] and counter.twice == 2 and not counter.restarts
 
 
-def test_numbers_go_on_where_32_bits_end():
+def test_sequence_numbers_continue_beyond_32_bits():
     counter = RecordCounter()
     counter.accept(numbered((2**32 - 1, 7)), 0.0)
     (_, number, status), = counter.accept(numbered((0, 8)), 0.001)
@@ -255,7 +257,7 @@ def test_numbers_go_on_where_32_bits_end():
 
 
 @given(st.lists(st.integers(0, 400), min_size=1, max_size=200, unique=True))
-def test_every_number_is_given_once_and_in_order(order):
+def test_sequence_numbers_are_unique_and_in_order(order):
     counter, given_out = RecordCounter(), []
     for sequence in order:
         given_out += counter.accept(numbered((sequence + 1, sequence + 1)), 0.0)
@@ -264,6 +266,6 @@ def test_every_number_is_given_once_and_in_order(order):
     assert counter.accepted + counter.late + counter.twice == len(order)
 
 
-def test_a_threshold_that_was_passed_says_nothing_against_a_sample():
+def test_a_passed_threshold_is_no_fault():
     (_, _, status), = RecordCounter().accept(numbered((1, 1), status=0x00010000), 0.0)
     assert status == SampleStatus.GOOD

@@ -1,4 +1,4 @@
-"""A sensor that plays a recording: the contract, its times, its channels and its end."""
+"""The sensor that replays a recording: the contract, its times, its channels and its end."""
 
 import math
 
@@ -15,7 +15,7 @@ from tissue_sim.recording.recording import Recording
 
 
 class Clock:
-    """s; goes as the test says."""
+    """Clock in s, advanced by the test."""
 
     def __init__(self):
         self.now = 100.0
@@ -46,7 +46,7 @@ class TestReplay(ForceSensorContract):
 
 
 class TestByName(ForceSensorContract):
-    """A file, twice as fast."""
+    """A file, replayed at double speed."""
 
     load, tolerance = (2.5,), 1e-12
 
@@ -65,8 +65,8 @@ class TestByName(ForceSensorContract):
         return self.clock.now
 
 
-def test_it_plays_at_its_own_times():
-    """As uneven as they are, and from the first one."""
+def test_samples_are_replayed_at_their_times():
+    """Samples keep their uneven times, from the first one on."""
     clock = Clock()
     sensor = ReplaySensor(recording([7.0, 7.1, 7.15, 8.0, 8.0, 9.0], force=[0.0, 0.101, 0.2, 0.3, 0.4, -0.5]),
                           resolution=0.01, clock=clock)
@@ -82,7 +82,7 @@ def test_it_plays_at_its_own_times():
     assert [sample.counts for sample in sensor.read()] == [(-50,)]
 
 
-def test_at_its_end_it_says_so_and_can_be_played_anew():
+def test_read_after_the_last_sample_raises_and_a_new_start_replays():
     clock = Clock()
     sensor = ReplaySensor(recording([0.0, 0.5, 1.0], force=[1.0, 2.0, 3.0]), speed=0.5, clock=clock)
     for _ in range(2):
@@ -91,12 +91,12 @@ def test_at_its_end_it_says_so_and_can_be_played_anew():
         assert [sample.values for sample in sensor.read()] == [(1.0,), (2.0,), (3.0,)]
         for _ in range(2):
             with pytest.raises(DeviceError, match=r"^the recording 'needle_1' is at its end, after 3 samples in 2 s; "
-                                                  r"start it again to play it anew$"):
+                                                  r"start the sensor again to replay it$"):
                 sensor.read()
         sensor.stop()
 
 
-def test_the_tare_is_what_plays_at_that_time():
+def test_the_tare_is_the_present_sample():
     clock = Clock()
     sensor = ReplaySensor(recording([0.0, 0.5, 1.0], force=[1.0, 2.0, 3.5]), clock=clock)
     sensor.start()
@@ -108,19 +108,19 @@ def test_the_tare_is_what_plays_at_that_time():
 
 
 @pytest.mark.parametrize(("made_of", "options", "sentence"), [
-    (recording(force=1.0), {"speed": 0.0}, "speed: 0; give a number above zero"),
-    (recording(force=1.0), {"resolution": math.nan}, "resolution: nan; give"),
-    (recording([1.0], force=1.0), {}, "time: has no two times, which a replay needs"),
-    (recording([1.0, 1.0], force=1.0), {}, "time: has no two times, which a replay needs"),
-    (Recording({"force": [1.0, 2.0]}), {}, "time: has no time, which a replay needs"),
+    (recording(force=1.0), {"speed": 0.0}, "speed: must be a finite number above 0; got 0"),
+    (recording(force=1.0), {"resolution": math.nan}, "resolution: must be a finite number above 0; got nan"),
+    (recording([1.0], force=1.0), {}, "time: must have two different times for a replay"),
+    (recording([1.0, 1.0], force=1.0), {}, "time: must have two different times for a replay"),
+    (Recording({"force": [1.0, 2.0]}), {}, "time: must be recorded for a replay"),
     (recording(displacement=1.0), {}, "this recording has no 'force'; it has time, displacement"),
 ])
-def test_what_cannot_be_played(made_of, options, sentence):
+def test_unusable_recordings_are_refused(made_of, options, sentence):
     with pytest.raises(InputError, match=sentence):
         ReplaySensor(made_of, **options)
 
 
-def test_names_that_make_no_sense(tmp_path):
+def test_invalid_names_are_refused(tmp_path):
     for name, sentence in (("replay:", "the recording is missing; give it first, as in replay:needle_1.csv"),
                            (f"replay:{tmp_path / 'no.csv'}", "no such file"),
                            ("replay:x.csv,sped=2", "sped: unknown setting; did you mean 'speed'")):

@@ -1,4 +1,4 @@
-"""The part of a device's name that says how it is set."""
+"""The settings in the name of a device."""
 
 import pytest
 
@@ -6,16 +6,17 @@ import tissue_sim as ts
 from haptics.devices.settings import read_settings
 
 
-def test_numbers_come_by_name_and_what_is_left_out_is_as_before():
+def test_settings_are_read_by_name_with_defaults():
     assert read_settings(" rate_hz = 500 ,", rate_hz=1000.0, count=3) == {"rate_hz": 500.0, "count": 3}
 
 
 @pytest.mark.parametrize(("text", "field", "words"), [
-    ("rate_hz", "settings", "sets nothing"), ("rate=5", "rate", "rate_hz"), ("count=1.5", "count", "whole number"),
+    ("rate_hz", "settings", "must be NAME=NUMBER"), ("rate=5", "rate", "rate_hz"),
+    ("count=1.5", "count", "whole number"),
     ("rate_hz=inf", "rate_hz", "finite"), ("rate_hz=nan", "rate_hz", "finite"),
     ("count=" + "9" * 400, "count", "finite"), ("count=" + "9" * 9999, "count", "whole number"),
 ])
-def test_what_is_no_number_is_refused_by_name(text, field, words):
+def test_invalid_settings_are_refused_by_name(text, field, words):
     with pytest.raises(ts.InputError, match=words) as caught:
         read_settings(text, rate_hz=1000.0, count=3)
     assert caught.value.field == field

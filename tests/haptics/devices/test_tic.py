@@ -1,15 +1,17 @@
-"""A Tic over its serial line: the contract over the emulator, and one sentence for everything that can be wrong."""
+"""A Tic on its serial line, against the emulator: the contract, and the message of each failure."""
 
 import itertools
 import math
 import pickle
 import threading
+from dataclasses import replace
 
 import pytest
 import serial
 from device_contracts import StageContract
 from stepper_benches import Clock, bench, port_that_answers, wait_for
 
+from haptics.devices import tic as tic_stage
 from haptics.devices.back_ends import open_stage
 from haptics.devices.contracts import DeviceError, SampleStatus, StageLimits
 from haptics.devices.tic import TicStage, open_tic
@@ -21,7 +23,7 @@ from tissue_sim.errors import InputError
 
 
 class TestTic(StageContract):
-    """With all checks on the line."""
+    """Commands and answers with checksums."""
 
     tolerance = 1.5e-6
     settings = "steps_per_mm=800,crc=1,response_crc=1"
@@ -40,7 +42,7 @@ class TestTic(StageContract):
 
 
 class TestTicOfANumber(TestTic):
-    """The Pololu protocol, with a coarse scale and no checks."""
+    """The Pololu protocol, with a coarse scale and without checksums."""
 
     tolerance = 6e-6
     settings = "steps_per_mm=100,device=99"
@@ -70,7 +72,7 @@ def homed(emulator, clock):
     raise AssertionError("it does not home")
 
 
-def test_the_timeout_is_read_and_counts_as_what_it_runs_on(clock):
+def test_runs_on_is_the_timeout_of_the_tic_plus_the_ramp(clock):
     with open_emulator("tic:timeout_ms=400", bench(clock=clock)) as emulator:
         stage = open_stage(emulator.address + ",ramp_ms=50")
         assert stage.runs_on == pytest.approx(1.05)
@@ -79,18 +81,18 @@ def test_the_timeout_is_read_and_counts_as_what_it_runs_on(clock):
         stage.stop()
 
 
-def test_it_says_that_a_stalled_motor_is_not_seen(emulator):
+def test_describe_states_that_a_stalled_motor_is_not_detectable(emulator):
     stage = open_stage(emulator.address)
     assert stage.describe()["stalled_motor"] == "not detectable" and not stage.measures_position
     assert "unverified" in stage.describe()["checked_with"]
 
 
-def test_a_silent_program_stops_the_motor_and_the_next_sample_says_so(clock):
+def test_a_silent_program_stops_the_motor_and_the_next_sample_has_a_fault(clock):
     with open_emulator("tic:timeout_ms=150", bench(clock=clock)) as emulator:
         stage = homed(emulator, clock)
         stage.move(0.008, 0.004)
         clock.now += 0.5
-        wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, what="the command timeout")
+        wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
         clock.now += 10.0
         sample = stage.position()
         assert sample.status & SampleStatus.FAULT and sample.homed and not sample.moving
@@ -102,14 +104,14 @@ def test_a_silent_program_stops_the_motor_and_the_next_sample_says_so(clock):
         stage.stop()
 
 
-def test_a_silence_while_it_stands_is_no_fault(clock):
+def test_a_timeout_at_rest_is_no_fault(clock):
     with open_emulator("tic:timeout_ms=150", bench(clock=clock)) as emulator:
         stage = homed(emulator, clock)
         stage.move(0.002, 0.004)
         clock.now += 10.0
         assert not stage.position().moving
         for _ in range(2):
-            wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, what="the command timeout")
+            wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
             assert stage.position().status == SampleStatus.GOOD
         stage.move(0.003, 0.004)
         clock.now += 10.0
@@ -117,23 +119,23 @@ def test_a_silence_while_it_stands_is_no_fault(clock):
         stage.stop()
 
 
-def test_a_silence_while_it_homes_is_a_fault(clock):
+def test_a_timeout_during_homing_is_a_fault(clock):
     with open_emulator("tic:timeout_ms=150", bench(start_at=0.008, clock=clock)) as emulator:
         stage = open_stage(emulator.address)
         stage.start()
         stage.home()
-        wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, what="the command timeout")
+        wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
         sample = stage.position()
         assert sample.status & SampleStatus.FAULT and not sample.homed and not sample.moving
         stage.stop()
 
 
-def test_a_tic_without_safe_start_does_not_go_on_by_itself(clock):
+def test_a_tic_without_safe_start_does_not_resume_by_itself(clock):
     with open_emulator("tic:timeout_ms=150,safe_start=0", bench(clock=clock)) as emulator:
         stage = homed(emulator, clock)
         stage.move(0.008, 0.004)
         clock.now += 0.5
-        wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, what="the command timeout")
+        wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
         stage.position()
         stage.position()
         clock.now += 10.0
@@ -146,12 +148,12 @@ def test_a_tic_without_safe_start_does_not_go_on_by_itself(clock):
     (Errors.KILL_SWITCH, "kill switch; release"), (Errors.DEENERGIZED, "de-energized.*Resume"),
     (Errors.INPUT_INVALID, "control mode"), (Errors.ERR_LINE_HIGH, "ERR line"),
 ])
-def test_what_stops_the_motor_is_a_status_and_then_a_sentence(emulator, clock, error, words):
+def test_errors_of_the_motor_set_the_status_and_motions_raise(emulator, clock, error, words):
     stage = homed(emulator, clock)
     stage.move(0.008, 0.004)
     clock.now += 0.5
     emulator.imposed = error
-    wait_for(lambda: emulator._errors & error, what="the error")
+    wait_for(lambda: emulator._errors & error, event="the error")
     assert stage.position().status & SampleStatus.FAULT
     clock.now += 10.0
     with pytest.raises(DeviceError, match=words):
@@ -165,17 +167,17 @@ def test_what_stops_the_motor_is_a_status_and_then_a_sentence(emulator, clock, e
     stage.stop()
 
 
-def test_a_motor_without_power_has_lost_its_zero(emulator, clock):
+def test_a_motor_without_power_loses_its_zero(emulator, clock):
     stage = homed(emulator, clock)
     emulator.imposed = Errors.LOW_VIN
-    wait_for(lambda: not stage.position().homed, what="the loss of the zero")
+    wait_for(lambda: not stage.position().homed, event="the loss of the zero")
     emulator.imposed = Errors(0)
     with pytest.raises(DeviceError, match="home it first"):
         stage.move(0.001, 0.004)
     stage.stop()
 
 
-def test_a_limit_switch_is_a_status(emulator, clock):
+def test_a_limit_switch_sets_the_status(emulator, clock):
     stage = homed(emulator, clock)
     stage.move(0.01, 0.004)
     clock.now += 10.0
@@ -198,7 +200,7 @@ def test_a_halt_while_homing_leaves_the_zero_unknown(clock):
         stage.stop()
 
 
-def test_without_a_limit_switch_it_says_that_it_does_not_home(emulator, clock):
+def test_homing_without_a_limit_switch_raises(emulator, clock):
     emulator.has_limit_switch = False
     stage = open_stage(emulator.address)
     stage.start()
@@ -207,8 +209,8 @@ def test_without_a_limit_switch_it_says_that_it_does_not_home(emulator, clock):
     stage.stop()
 
 
-def test_homing_that_never_ends_is_said_and_stops(clock, monkeypatch):
-    monkeypatch.setattr("haptics.devices.tic._HOMING_MORE", -1e6)
+def test_endless_homing_raises_and_stops(clock, monkeypatch):
+    monkeypatch.setattr(tic_stage, "TIMING", replace(tic_stage.TIMING, homing_margin=-1e6))
     with TicEmulator(bench(start_at=0.008, clock=clock), Faults()) as emulator:
         stage = open_stage(emulator.address)
         stage.start()
@@ -220,7 +222,7 @@ def test_homing_that_never_ends_is_said_and_stops(clock, monkeypatch):
         stage.stop()
 
 
-def test_a_halt_from_another_thread_stops_a_move_that_is_being_sent(emulator, clock, monkeypatch):
+def test_a_halt_from_another_thread_stops_a_move_during_transmission(emulator, clock, monkeypatch):
     stage = homed(emulator, clock)
     set_number = stage._set
 
@@ -241,11 +243,11 @@ def test_a_halt_from_another_thread_stops_a_move_that_is_being_sent(emulator, cl
     ("timeout_ms=0", "command timeout.*switched off.*set it to 1 s or less"),
     ("timeout_ms=1500", "command timeout.*is 1.5 s.*set it to 1 s or less"),
     ("control_mode=1", "control mode 1.*Serial / I2C / USB"),
-    ("soft_error_response=3", "goes to a position.*Decelerate to hold"),
+    ("soft_error_response=3", "move to a position.*Decelerate to hold"),
     ("crc=1", "answered 0 of 14 bytes.*crc"),
-    ("response_crc=1", "answer in another form|no Tic, or is read at another.*response_crc"),
+    ("response_crc=1", "another form of answers|no Tic, or its baud rate is not.*response_crc"),
 ])
-def test_settings_that_do_not_fit_are_refused_before_anything_moves(clock, settings, words):
+def test_unsuitable_settings_of_the_tic_raise_at_the_start(clock, settings, words):
     with open_emulator("tic:" + settings, bench(clock=clock)) as emulator:
         port = f"{emulator.path},steps_per_mm=800,highest_mm=10,top_speed_mm_s=4"
         stage = open_tic(port)
@@ -256,18 +258,18 @@ def test_settings_that_do_not_fit_are_refused_before_anything_moves(clock, setti
             stage.position()
 
 
-def test_a_wrong_number_or_check_of_answers_is_said(emulator):
+def test_a_wrong_device_number_or_checksum_setting_raises(emulator):
     for extra, words in ((",device=15", "answered 0 of 14 bytes.*device"), (",response_crc=1", "answered 14 of 15")):
         with pytest.raises(DeviceError, match=words):
             open_stage(emulator.address + extra).start()
 
 
-def test_there_is_no_such_port():
+def test_a_missing_port_raises():
     with pytest.raises(DeviceError, match="there is no port /dev/ttyNOWHERE for the Tic"):
         open_tic("/dev/ttyNOWHERE,steps_per_mm=800").start()
 
 
-def test_a_busy_port_is_said(emulator):
+def test_a_busy_port_raises_with_the_remedy(emulator):
     first = open_stage(emulator.address)
     first.start()
     with pytest.raises(DeviceError, match="in use by another program; close that one"):
@@ -278,7 +280,7 @@ def test_a_busy_port_is_said(emulator):
     second.stop()
 
 
-def test_a_port_without_permission_is_said(emulator, monkeypatch):
+def test_a_port_without_permission_raises_with_the_remedy(emulator, monkeypatch):
     def refuse(*arguments, **options):
         raise serial.SerialException(13, "Permission denied")
 
@@ -287,10 +289,10 @@ def test_a_port_without_permission_is_said(emulator, monkeypatch):
         open_stage(emulator.address).start()
 
 
-def test_garbage_of_a_wrong_baud_rate_is_said():
+def test_garbage_of_a_wrong_baud_rate_raises():
     rows = itertools.cycle([bytes([0xF8, 0x3C, 0x80, 0x1F] * 8)])
     with port_that_answers(lambda data: next(rows)) as port, pytest.raises(
-            DeviceError, match="no Tic, or is read at another baud rate than 9600; check the baud rate"):
+            DeviceError, match="no Tic, or its baud rate is not 9600; check the baud rate"):
         open_tic(port + ",steps_per_mm=800").start()
 
 
@@ -299,24 +301,24 @@ def test_garbage_of_a_wrong_baud_rate_is_said():
     (lambda data: b"\r\n>" if data.endswith(b"\r") else b"", "an ATI controller answers there: name it ati-serial:"),
     (lambda data: b"", "answered 0 of 14 bytes.*check that it has power, the cable and the baud rate"),
 ])
-def test_another_device_or_none_is_said(answer, words):
+def test_another_device_or_none_raises_with_a_hint(answer, words):
     with port_that_answers(answer) as port, pytest.raises(DeviceError, match=words):
         open_tic(port + ",steps_per_mm=800").start()
 
 
-def test_a_grbl_where_a_tic_was_expected_is_named(clock):
+def test_a_grbl_in_place_of_a_tic_is_identified(clock):
     with open_emulator("grbl:", bench(clock=clock)) as emulator, pytest.raises(DeviceError, match="name it grbl:"):
         open_tic(emulator.path + ",steps_per_mm=800").start()
 
 
-def test_a_line_that_falls_silent_is_said_and_the_motor_stands(clock):
+def test_a_silent_line_raises_and_stops_the_motor(clock):
     with TicEmulator(bench(clock=clock), Faults(disconnect_after=0.5), timeout=0.3) as emulator:
         stage = homed(emulator, clock)
         stage.move(0.008, 0.004)
         with pytest.raises(DeviceError, match=r"answered \d+ of \d+ bytes within .* check that it has power"):
             while True:
                 stage.position()
-        wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, what="the command timeout")
+        wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
         stood = emulator._stage.position().position
         clock.now += 10.0
         assert emulator._stage.position().position == stood
@@ -324,7 +326,7 @@ def test_a_line_that_falls_silent_is_said_and_the_motor_stands(clock):
         stage.stop()
 
 
-def test_unplugged_is_said(emulator, clock):
+def test_an_unplugged_controller_raises(emulator, clock):
     stage = homed(emulator, clock)
     emulator.stop()
     with pytest.raises(DeviceError, match=r"is gone .* plug it in again"):
@@ -333,8 +335,8 @@ def test_unplugged_is_said(emulator, clock):
     stage.stop()
 
 
-def test_garbled_answers_never_pass_the_check(clock):
-    """One byte wrong in half of the answers: each is refused, and the rest say where it is."""
+def test_garbled_answers_never_pass_the_checksum(clock):
+    """One byte is wrong in a third of the answers: these are refused, and the others give the position."""
     with TicEmulator(bench(clock=clock), Faults(), crc=True, response_crc=True) as emulator:
         stage = homed(emulator, clock)
         stage.move(0.005, 0.004)
@@ -350,7 +352,7 @@ def test_garbled_answers_never_pass_the_check(clock):
             try:
                 assert stage.position().position == pytest.approx(0.005, abs=1e-9)
             except DeviceError as error:
-                assert "check of an answer" in str(error)
+                assert "has a wrong checksum" in str(error)
                 refused += 1
         assert 5 < refused < 25
         stage.stop()
@@ -362,13 +364,13 @@ def test_garbled_answers_never_pass_the_check(clock):
     ("steps_per_mm=800,ramp_ms=0", "ramp_ms"), ("steps_per_mm=800,highest_mm=1e7", "lowest_mm, highest_mm"),
     ("steps_per_mm=800,speed=3", "speed"), ("steps_per_mm=800,baud=0", "baud"),
 ])
-def test_settings_that_make_no_sense_are_refused(settings, field):
+def test_invalid_settings_are_refused(settings, field):
     with pytest.raises(InputError) as caught:
         open_tic("/dev/ttyUSB0," + settings)
     assert caught.value.field == field
 
 
-def test_a_port_must_be_named():
+def test_a_missing_port_is_refused():
     with pytest.raises(InputError) as caught:
         open_stage("tic:")
     assert caught.value.field == "tic.port"
@@ -382,7 +384,7 @@ def test_a_started_stage_stays_in_its_process(emulator, clock):
     assert math.isclose(pickle.loads(pickle.dumps(stage)).runs_on, 1.1)
 
 
-def test_emulators_with_settings_that_make_no_sense_are_refused():
+def test_invalid_settings_of_the_emulator_are_refused():
     for text, field in (("steps_per_mm=0", "steps_per_mm"), ("timeout_ms=70000", "timeout_ms"),
                         ("device=128", "device")):
         with pytest.raises(InputError) as caught:

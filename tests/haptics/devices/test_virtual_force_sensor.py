@@ -1,4 +1,4 @@
-"""The virtual force sensor: the contract, and its counts, its range and its buffer."""
+"""The virtual force sensor: the contract, quantisation, range and buffer."""
 
 import math
 
@@ -12,7 +12,7 @@ from tissue_sim.errors import InputError
 
 
 class Clock:
-    """s; goes as the test says."""
+    """Clock in s, advanced by the test."""
 
     def __init__(self):
         self.now = 100.0
@@ -45,7 +45,7 @@ class TestVirtualForceSensor(ForceSensorContract):
 
 
 class TestByName(ForceSensorContract):
-    """Set by name."""
+    """A sensor made by its name."""
 
     load, tolerance = (3.0,), 1e-9
 
@@ -67,7 +67,7 @@ def clock():
     return Clock()
 
 
-def test_values_are_those_of_their_times_in_whole_counts(clock):
+def test_values_are_rounded_loads_at_the_sampling_times(clock):
     sensor = VirtualForceSensor(sine, resolution=0.01, clock=clock)
     sensor.start()
     clock.now += 0.4
@@ -77,7 +77,7 @@ def test_values_are_those_of_their_times_in_whole_counts(clock):
         assert sample.values[0] == pytest.approx(0.01 * sample.counts[0], rel=1e-12)
 
 
-def test_what_is_beyond_the_range_is_cut_and_marked(clock):
+def test_loads_beyond_the_range_are_clipped_and_saturated(clock):
     sensor = VirtualForceSensor(sine, reach=1.5, clock=clock)
     sensor.start()
     clock.now += 0.2
@@ -87,7 +87,7 @@ def test_what_is_beyond_the_range_is_cut_and_marked(clock):
     assert max(sample.values[0] for sample in samples) == pytest.approx(1.5) and any(marked)
 
 
-def test_who_reads_too_late_has_lost_samples_and_sees_it(clock):
+def test_unread_samples_are_lost_and_marked_as_a_gap(clock):
     sensor = VirtualForceSensor(sine, clock=clock)
     sensor.start()
     clock.now += 1.0
@@ -100,13 +100,13 @@ def test_who_reads_too_late_has_lost_samples_and_sees_it(clock):
 
 @pytest.mark.parametrize(("wrong", "field"), [({"rate": 0.0}, "rate"), ({"resolution": math.nan}, "resolution"),
                                               ({"reach": math.inf}, "reach"), ({"channels": ()}, "channels")])
-def test_sensors_that_make_no_sense_are_refused(wrong, field):
+def test_invalid_sensors_are_refused(wrong, field):
     with pytest.raises(InputError) as caught:
         VirtualForceSensor(sine, **wrong)
     assert caught.value.field == field
 
 
-def test_an_unknown_name_names_the_nearest():
+def test_an_unknown_name_is_refused_with_the_nearest():
     with pytest.raises(InputError, match=r"unknown force sensor 'virtul'; did you mean 'virtual'\?"):
         open_sensor("virtul:")
     with pytest.raises(InputError, match=r"virtual\.rate: unknown setting; did you mean 'rate_hz'\?"):

@@ -1,4 +1,4 @@
-"""The virtual hand: the contract, and the motion of a mass on a grip."""
+"""The virtual hand: the contract, and the motion of a mass on a spring."""
 
 import math
 
@@ -21,7 +21,7 @@ TURNED = (0.6, 0.0, 0.8, 0.0)
 
 
 class Standing(Motion):
-    """Stands at a place, turned."""
+    """A motion with constant position and orientation."""
 
     def pose(self, time):
         return Pose((1e-3, -2e-3, -3e-3), TURNED)
@@ -40,7 +40,7 @@ class TestByName(HapticDeviceContract):
 
 
 def pushed(hand, force, times):
-    """Ways, m, of a hand under a force that begins at once, shape (times, 3)."""
+    """Return the displacements of a hand under a constant force, m, shape (times, 3)."""
     places = []
     for time in times:
         places.append(hand.pose(time).position)
@@ -51,8 +51,8 @@ def pushed(hand, force, times):
 @pytest.mark.parametrize("step", [1e-3, 0.013])
 @pytest.mark.parametrize(("mass", "damping", "grip"), [(0.2, 3.0, 300.0), (0.05, 40.0, 300.0), (0.1, 20.0, 1000.0)],
                          ids=["swings", "creeps", "critical"])
-def test_it_moves_as_a_mass_on_a_damped_spring(mass, damping, grip, step):
-    """The step response in closed form, whatever the length of a tick."""
+def test_the_hand_moves_as_a_mass_on_a_damped_spring(mass, damping, grip, step):
+    """The step response in closed form, for every length of a tick."""
     force, times = np.array((0.5, 0.0, 2.0)), np.arange(0.0, 0.6, step)
     ways = pushed(VirtualHand(Standing(), mass, damping, grip), force, times)
     rate = damping / (2 * mass)
@@ -65,14 +65,14 @@ def test_it_moves_as_a_mass_on_a_damped_spring(mass, damping, grip, step):
     np.testing.assert_allclose(ways, response[:, None] * force / grip, atol=2e-8)
 
 
-def test_its_energy_is_that_of_the_force():
-    """Without damping, a step of force swings to twice the static way, for ever."""
+def test_an_undamped_hand_conserves_energy():
+    """Without damping, a step of force causes an oscillation to twice the static displacement, without decay."""
     ways = pushed(VirtualHand(Standing(), 0.1, 0.0, 400.0), (0.0, 0.0, 1.0), np.arange(0.0, 5.0, 1e-3))[:, 2]
     assert ways.max() == pytest.approx(2.0 / 400.0, rel=1e-4) and ways.min() == pytest.approx(0.0, abs=1e-9)
     assert ways[-1000:].max() == pytest.approx(2.0 / 400.0, rel=1e-4)
 
 
-def test_it_is_turned_as_the_motion_and_begins_where_that_begins():
+def test_the_hand_has_the_orientation_and_the_start_of_its_motion():
     hand = VirtualHand(Standing())
     assert hand.pose(0.0) == Standing().pose(0.0)
     hand.render((0.0, 0.0, 1.0, 5.0, 5.0, 5.0))
@@ -80,7 +80,7 @@ def test_it_is_turned_as_the_motion_and_begins_where_that_begins():
     assert hand.pose(0.0) == Standing().pose(0.0), "a motion that begins again"
 
 
-def test_a_lost_pose_is_passed_on():
+def test_an_unknown_pose_is_returned_as_none():
     class Lost(Motion):
         def pose(self, time):
             return None
@@ -88,8 +88,8 @@ def test_a_lost_pose_is_passed_on():
     assert VirtualHand(Lost()).pose(0.0) is None
 
 
-def test_it_comes_to_rest_where_hand_and_tissue_balance():
-    """Aimed at 5 mm on 600 N/m with a grip of 400 N/m: 2 mm deep, and 1.2 N."""
+def test_the_hand_rests_where_grip_and_tissue_balance():
+    """Target 5 mm deep, grip 400 N/m, tissue 600 N/m: the hand rests 2 mm deep with 1.2 N."""
     hand, rendering = VirtualHand(HandMotion(speed=1.0)), ForceRendering(ForceLimits(10.0, 1.0))
     hand.aim(5e-3)
     for tick in range(3000):
@@ -103,15 +103,15 @@ def test_it_comes_to_rest_where_hand_and_tissue_balance():
 @pytest.mark.parametrize(("wrong", "field"), [({"mass": 0.0}, "mass"), ({"grip": -1.0}, "grip"),
                                               ({"push": math.nan}, "push"),
                                               ({"damping": -1.0}, "damping")])
-def test_hands_that_make_no_sense_are_refused(wrong, field):
+def test_invalid_hands_are_refused(wrong, field):
     with pytest.raises(InputError) as caught:
         VirtualHand(Standing(), **wrong)
     assert caught.value.field == field
 
 
-def test_only_a_hand_that_follows_a_steered_motion_is_steered():
+def test_only_a_hand_with_a_steerable_motion_can_be_steered():
     open_haptic("virtual:").aim(1e-3)
-    with pytest.raises(InputError, match="a SineMotion goes where it likes"):
+    with pytest.raises(InputError, match="requires a steerable motion; got a SineMotion"):
         open_haptic("virtual:sine").aim(1e-3)
     assert "virtual" in HAPTIC_DEVICES
 

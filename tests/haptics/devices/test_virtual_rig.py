@@ -1,4 +1,4 @@
-"""The virtual rig: a simulated specimen behind the contracts of a sensor and a stage."""
+"""The virtual rig: a simulated specimen between a sensor and a stage, each with its contract."""
 
 import numpy as np
 import pytest
@@ -7,14 +7,14 @@ from device_contracts import ForceSensorContract, StageContract
 import tissue_sim as ts
 from haptics.devices.contracts import StageLimits
 from haptics.devices.virtual.faults import Faults, read_faults
-from haptics.devices.virtual.rig import ElasticSpecimen, RememberingSpecimen, VirtualRig
+from haptics.devices.virtual.rig import ElasticSpecimen, HistoryDependentSpecimen, VirtualRig
 from tissue_sim.errors import InputError
 
 SURFACE, STIFFNESS = 2e-3, 300.0
 
 
 class Clock:
-    """s; goes as the test says."""
+    """Clock in s, advanced by the test."""
 
     def __init__(self):
         self.now = 50.0
@@ -34,7 +34,7 @@ def rig_of(clock, rig=None, **options):
 
 
 class TestItsSensor(ForceSensorContract):
-    """Above the specimen."""
+    """The sensor above the specimen."""
 
     load, tolerance = (0.0,) * 6, 1e-9
 
@@ -64,7 +64,7 @@ class TestItsStage(StageContract):
 
 @pytest.fixture
 def pressed():
-    """The samples of a way in to 3 mm below the surface at 5 mm/s, and back: time, place of the stage, forces."""
+    """Samples of a motion to 3 mm below the surface at 5 mm/s and back: time, position of the stage, forces."""
     def pressed(rig=None, **options):
         clock = Clock()
         virtual = rig_of(clock, rig, start_at=0.0, **options)
@@ -80,7 +80,7 @@ def pressed():
                 clock.now += 0.01
                 for sample in sensor.read():
                     taken = 50.0 + (sample.sequence + 1) / 100.0
-                    rows.append((taken, stage.tool_place(taken), sample.values[0]))
+                    rows.append((taken, stage.tool_position(taken), sample.values[0]))
         return np.array(rows).T
 
     return pressed
@@ -91,22 +91,22 @@ def pressed():
     "step_loss_depth": 1e-3}, {"sensor_gain": 0.02, "zero_offset": 0.3}, {"guide_friction": 0.05},
     {"rate_damping": 10.0}, {"sensor_drift": 0.01}, {"latency": 0.05},
 ])
-def test_it_reads_what_the_rig_of_a_simulation_reads(pressed, values):
-    """The rig of a recording, which is checked against closed forms elsewhere."""
+def test_the_virtual_rig_reads_the_forces_of_a_simulated_rig(pressed, values):
+    """Compared with the rig of a recording, which other tests compare with closed forms."""
     rig = ts.Rig(**values)
     time, place, force = pressed(rig)
     motion = place - SURFACE
     true = STIFFNESS * np.maximum(rig.tool_motion(np.append(-SURFACE, motion))[1:], 0.0)
     reported = rig.read(ts.Recording({"time": time, "displacement": motion, "force": true})).force
     speed = np.diff(motion, prepend=motion[0])
-    # Where it turns, and at its first samples, a speed is a matter of taste; a late sensor is interpolated there.
+    # Speeds at reversals and at the first samples depend on the difference scheme; latency is interpolated there.
     turns = np.convolve(np.abs(np.diff(np.sign(speed), prepend=0.0)), np.ones(21), "same") > 0
     inside = (time > time[0] + 0.1) & ~turns
-    drift = rig.sensor_drift * 0.01  # a recording's first sample is the sensor's first here, but for one period
+    drift = rig.sensor_drift * 0.01  # the recording begins one sampling period after the sensor
     np.testing.assert_allclose(force[inside], reported[inside], atol=2e-5 + 2 * drift + 300.0 * 5e-3 * rig.latency / 40)
 
 
-def test_noise_is_of_the_size_and_the_colour_that_is_stated(pressed):
+def test_noise_has_the_stated_deviation_and_correlation(pressed):
     rig = ts.Rig(force_noise=0.02, noise_correlation_time=0.05, seed=3)
     samples = []
     for seed in range(8):
@@ -130,7 +130,7 @@ def test_faults_of_sensor_and_motor(pressed):
 
 
 @pytest.mark.parametrize(("text", "field"), [("loss=2", "loss"), ("delay_ms=-1", "delay"), ("drft=1", "drft")])
-def test_faults_that_make_no_sense_are_refused(text, field):
+def test_invalid_faults_are_refused(text, field):
     with pytest.raises(InputError) as caught:
         read_faults(text)
     assert caught.value.field == field
@@ -143,7 +143,7 @@ def needle(depth, **material):
     return ts.Model(experiment, ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3), **material))
 
 
-def test_an_elastic_specimen_is_its_simulation():
+def test_the_force_of_an_elastic_specimen_equals_its_simulation():
     model = needle(2e-3)
     specimen = ElasticSpecimen(model, 2e-3, "fast")
     recording = ts.simulate(model)
@@ -155,20 +155,20 @@ def test_an_elastic_specimen_is_its_simulation():
     assert behind == pytest.approx(specimen.force(0.0, 2e-3 - 1e-3 * behind), rel=1e-4)
 
 
-def test_what_remembers_is_stepped():
+def test_a_history_dependent_specimen_relaxes():
     model = needle(2e-3, viscoelastic=ts.Prony((ts.PronyTerm(0.4, 0.5),)))
-    with pytest.raises(InputError, match="make a RememberingSpecimen"):
+    with pytest.raises(InputError, match="make a HistoryDependentSpecimen"):
         ElasticSpecimen(model, 2e-3)
-    specimen = RememberingSpecimen(model)
+    specimen = HistoryDependentSpecimen(model)
     way_in = [specimen.force(0.01 * step, 1e-4 * step) for step in range(11)]
     held = [specimen.force(0.1 + 0.05 * step, 1e-3) for step in range(1, 60)]
     assert way_in[-1] > 0 and held[-1] < 0.75 * way_in[-1] and (np.diff(held) < 1e-9).all()
     with pytest.raises(InputError, match="compliance"):
-        RememberingSpecimen(ts.with_values(model, {"rig.compliance": 1e-3}))
+        HistoryDependentSpecimen(ts.with_values(model, {"rig.compliance": 1e-3}))
 
 
-def test_a_rig_that_a_bench_does_not_have_is_refused():
+def test_unsupported_rigs_and_channels_are_refused():
     with pytest.raises(InputError, match="no sampling rate"):
         rig_of(Clock(), ts.Rig(sampling_rate=100.0))
-    with pytest.raises(InputError, match="name Fz"):
+    with pytest.raises(InputError, match="must contain Fz"):
         rig_of(Clock(), channels=("Fx",))

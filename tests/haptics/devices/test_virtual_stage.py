@@ -12,7 +12,7 @@ from tissue_sim.errors import InputError
 
 
 class Clock:
-    """s; goes as the test says."""
+    """Clock in s, advanced by the test."""
 
     def __init__(self):
         self.now = 100.0
@@ -34,7 +34,7 @@ class TestVirtualStage(StageContract):
 
 
 class TestByName(StageContract):
-    """Set by name."""
+    """A stage made by its name."""
 
     tolerance = 5e-6
 
@@ -48,7 +48,7 @@ class TestByName(StageContract):
         self.clock.now += seconds
 
 
-def test_homing_takes_its_way_and_its_encoder_counts():
+def test_homing_takes_its_time_and_counts_are_encoder_steps():
     clock = Clock()
     stage = VirtualStage(StageLimits(-0.01, 0.03, 0.02), resolution=1e-5, start_at=-0.01, clock=clock)
     stage.start()
@@ -80,13 +80,13 @@ def test_a_halt_while_homing_leaves_the_zero_unknown():
     ((0.01, 0.03, 0.02), {}, "limits"), ((-0.01, math.inf, 0.02), {}, "limits"),
     ((-0.01, 0.03, 0.0), {}, "limits.speed"), ((-0.01, 0.03, 0.02), {"resolution": 0.0}, "resolution"),
 ])
-def test_stages_that_make_no_sense_are_refused(limits, options, field):
+def test_invalid_stages_are_refused(limits, options, field):
     with pytest.raises(InputError) as caught:
         VirtualStage(StageLimits(*limits), **options)
     assert caught.value.field == field
 
 
-def test_an_unknown_name_names_the_nearest():
+def test_an_unknown_name_is_refused_with_the_nearest():
     with pytest.raises(InputError, match=r"unknown stage 'virtua'; did you mean 'virtual'\?"):
         open_stage("virtua:")
     assert "virtual" in STAGES

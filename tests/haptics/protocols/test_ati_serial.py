@@ -1,4 +1,4 @@
-"""Records of the ATI stand-alone controller: those that others have seen, and whatever comes."""
+"""Records of the ATI stand-alone controller: records of public sources, and arbitrary bytes."""
 
 import os
 
@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from haptics.protocols.ati_serial import (
     BINARY_LENGTH,
-    HIGHEST,
-    LOWEST,
+    HIGHEST_COUNT,
+    LOWEST_COUNT,
     PADDED_LENGTH,
     Record,
     decode_ascii,
@@ -18,7 +18,7 @@ from haptics.protocols.ati_serial import (
     encode_binary,
     is_at_end_of_range,
     is_padded,
-    seconds_on_the_line,
+    transmission_time,
 )
 
 CASES = settings(max_examples=int(os.environ.get("TISSUE_SIM_FUZZ_CASES", "500")), deadline=None)
@@ -27,29 +27,29 @@ OF_THE_MANUAL = b"0,-413,-1080,-2480,-3532,45,5890"
 PADDED = b"0,  -102,   -99,  -225,   -20,    39,   -39"
 BINARY = b"\x00\xff\x93\xff\x98\xfei\xff\xbb\x00\x06\xff\xdb"
 
-counts = st.integers(LOWEST, HIGHEST)
+counts = st.integers(LOWEST_COUNT, HIGHEST_COUNT)
 records = st.builds(Record, st.integers(0, 9), st.tuples(*[counts] * 6))
 pieces = st.lists(st.sampled_from([b"0", b",", b" ", b"-", b"45", b"-3532", b"\r", b"\n", b">", b"QS", b"\xff", b"00",
                                    b"+", b"1_0", "\u0663".encode()])).map(b"".join)
 
 
-def test_records_that_others_have_seen():
+def test_records_of_public_sources_are_decoded():
     assert decode_ascii(OF_THE_MANUAL) == Record(0, (-413, -1080, -2480, -3532, 45, 5890))
     assert decode_ascii(PADDED) == Record(0, (-102, -99, -225, -20, 39, -39))
     assert decode_binary(BINARY) == Record(0, (-109, -104, -407, -69, 6, -37))
     assert is_padded(PADDED) and not is_padded(OF_THE_MANUAL)
 
 
-def test_and_they_are_written_so():
+def test_records_are_encoded_in_the_public_form():
     assert encode_ascii(Record(0, (-413, -1080, -2480, -3532, 45, 5890)), padded=False) == OF_THE_MANUAL
     assert encode_ascii(Record(0, (-102, -99, -225, -20, 39, -39))) == PADDED
     assert encode_binary(Record(0, (-109, -104, -407, -69, 6, -37))) == BINARY
     assert len(PADDED) + 2 == PADDED_LENGTH and len(BINARY) == BINARY_LENGTH
 
 
-def test_how_long_a_record_takes():
-    assert seconds_on_the_line(len(OF_THE_MANUAL) + 2, 9600) == pytest.approx(35.4e-3, abs=0.1e-3)
-    assert seconds_on_the_line(PADDED_LENGTH, 9600) == pytest.approx(46.9e-3, abs=0.1e-3)
+def test_transmission_time_of_a_record():
+    assert transmission_time(len(OF_THE_MANUAL) + 2, 9600) == pytest.approx(35.4e-3, abs=0.1e-3)
+    assert transmission_time(PADDED_LENGTH, 9600) == pytest.approx(46.9e-3, abs=0.1e-3)
 
 
 @pytest.mark.parametrize("line", [
@@ -58,14 +58,14 @@ def test_how_long_a_record_takes():
     b"0,32768,2,3,4,5,6", b"0,-32769,2,3,4,5,6", b"0,1_0,2,3,4,5,6", b"0, 1,2,3,4,5,6", b"0,1 ,2,3,4,5,6",
     b"0,1,2,3,4,5,6\n", b"\n0,1,2,3,4,5,6", b"0,\xb2,2,3,4,5,6", "0,\u0663,2,3,4,5,6".encode(),
     PADDED[:-1], PADDED + b"0", PADDED.replace(b",  ", b", ", 1), b"Grbl 1.1h ['$' for help]"])
-def test_what_is_no_record(line):
+def test_lines_that_are_no_records_are_refused(line):
     assert decode_ascii(line) is None
 
 
 @CASES
 @given(records, st.booleans())
-@example(Record(0, (LOWEST,) * 6), True)
-def test_every_record_comes_back(record, padded):
+@example(Record(0, (LOWEST_COUNT,) * 6), True)
+def test_every_record_survives_encoding_and_decoding(record, padded):
     assert decode_ascii(encode_ascii(record, padded)) == record
     assert decode_ascii(encode_ascii(record, padded), padded) == record
     assert decode_binary(encode_binary(record)) == record
@@ -73,7 +73,7 @@ def test_every_record_comes_back(record, padded):
 
 @CASES
 @given(st.one_of(st.binary(max_size=60), pieces, st.text(alphabet="0123456789,- ", max_size=50).map(str.encode)))
-def test_only_what_is_written_so_is_read(line):
+def test_only_encoded_records_are_decoded(line):
     record = decode_ascii(line)
     assert record is None or line in (encode_ascii(record, padded=False), encode_ascii(record))
     record = decode_binary(line)
@@ -82,7 +82,7 @@ def test_only_what_is_written_so_is_read(line):
 
 @CASES
 @given(records, st.booleans(), st.integers(0, 60), st.integers(0, 255))
-def test_a_wrong_character_is_seen_unless_it_is_a_digit_a_sign_or_a_blank(record, padded, place, byte):
+def test_a_wrong_character_is_detected_unless_it_is_a_digit_a_sign_or_a_blank(record, padded, place, byte):
     line = encode_ascii(record, padded)
     place %= len(line)
     wrong = line[:place] + bytes([byte]) + line[place + 1:]
@@ -93,7 +93,7 @@ def test_a_wrong_character_is_seen_unless_it_is_a_digit_a_sign_or_a_blank(record
 
 @CASES
 @given(records, st.integers(0, 60), st.integers(0, 255), st.booleans())
-def test_where_fields_are_padded_a_missing_character_and_one_too_many_are_seen(record, place, byte, less):
+def test_with_padding_a_missing_or_additional_character_is_detected(record, place, byte, less):
     line = encode_ascii(record)
     place %= len(line)
     wrong = line[:place] + (b"" if less else bytes([byte])) + line[place + less:]
@@ -102,14 +102,14 @@ def test_where_fields_are_padded_a_missing_character_and_one_too_many_are_seen(r
 
 @CASES
 @given(records, records, st.integers(1, 60), st.integers(1, 60))
-def test_where_fields_are_padded_parts_of_two_records_are_none(one, other, end, begin):
-    """What is left where the line broke off between two: of another length, or torn in the same place."""
+def test_with_padding_parts_of_two_records_are_refused(one, other, end, begin):
+    """Parts of two records, as after an interruption of the line, have another length, or the parts fit together."""
     head, tail = encode_ascii(one)[:end], encode_ascii(other)[begin:]
     if len(head) + len(tail) != PADDED_LENGTH - 2:
         assert decode_ascii(head + tail, padded=True) is None
 
 
-def test_the_ends_of_the_range():
-    assert is_at_end_of_range(Record(0, (0, 0, HIGHEST, 0, 0, 0)))
-    assert is_at_end_of_range(Record(0, (0, 0, 0, 0, 0, LOWEST)))
-    assert not is_at_end_of_range(Record(1, (HIGHEST - 1, LOWEST + 1, 0, 0, 0, 0)))
+def test_counts_at_the_ends_of_the_range_are_detected():
+    assert is_at_end_of_range(Record(0, (0, 0, HIGHEST_COUNT, 0, 0, 0)))
+    assert is_at_end_of_range(Record(0, (0, 0, 0, 0, 0, LOWEST_COUNT)))
+    assert not is_at_end_of_range(Record(1, (HIGHEST_COUNT - 1, LOWEST_COUNT + 1, 0, 0, 0, 0)))

@@ -1,4 +1,4 @@
-"""Lines of Grbl 1.1: those of its documentation, and any others."""
+"""Lines of Grbl 1.1: examples of its documentation, and arbitrary text."""
 
 import os
 
@@ -53,7 +53,7 @@ def test_jogs_of_the_documentation_are_read():
         assert grbl.parse_jog(line) is None
 
 
-def test_all_texts_of_the_tables_have_a_remedy():
+def test_all_errors_and_alarms_have_a_text():
     # doc/csv/error_codes_en_US.csv and alarm_codes_en_US.csv.
     assert set(grbl.ALARMS) == set(range(1, 10)) and set(range(1, 17)) <= set(grbl.ERRORS)
     assert "home it" in grbl.alarm_text(1) and "tables" in grbl.alarm_text(77) and grbl.alarm_text(None)
@@ -62,7 +62,7 @@ def test_all_texts_of_the_tables_have_a_remedy():
 
 @given(st.sampled_from("XYZ"), thousandths, st.integers(1, 10**6).map(lambda number: number / 100))
 @settings(max_examples=CASES, deadline=None)
-def test_a_jog_comes_back(axis, target, feed):
+def test_a_jog_line_is_parsed_to_the_same_jog(axis, target, feed):
     jog = grbl.parse_jog(grbl.jog_line(axis, target, feed).decode().strip())
     assert jog == Jog(pytest.approx(feed, abs=1e-3), {axis: pytest.approx(target, abs=1e-4)}, machine=True)
 
@@ -76,14 +76,14 @@ reports = st.builds(
 
 @given(reports)
 @settings(max_examples=CASES, deadline=None)
-def test_a_report_comes_back(report):
+def test_a_formatted_report_is_parsed_to_the_same_report(report):
     assert grbl.parse_report(grbl.format_report(report)) == report
 
 
 @given(reports, st.data())
 @settings(max_examples=CASES, deadline=None)
-def test_a_garbled_report_says_what_it_says_or_nothing(report, data):
-    """Of text without a check no more can be asked: what was read is what stands there, and no part is missing."""
+def test_a_garbled_report_is_read_literally_or_refused(report, data):
+    """Text without a checksum can only be read literally and completely."""
     line = grbl.format_report(report)
     at = data.draw(st.integers(0, len(line) - 1))
     garbled = line[:at] + chr(data.draw(st.integers(0, 255))) + line[at + 1:]
@@ -98,7 +98,7 @@ def test_a_garbled_report_says_what_it_says_or_nothing(report, data):
 
 @given(st.text(max_size=80))
 @settings(max_examples=CASES, deadline=None)
-def test_any_text_is_read_or_not(text):
+def test_any_text_is_accepted_by_the_parsers(text):
     for parse in (grbl.parse_report, grbl.parse_answer, grbl.parse_setting, grbl.parse_version, grbl.parse_banner,
                   grbl.parse_jog):
         parse(text)

@@ -1,4 +1,4 @@
-"""Messages of the Haply Inverse service: those of others are understood, and nonsense is never a state."""
+"""Messages of the Haply Inverse service: messages of other programs are read, and invalid ones refused."""
 
 import contextlib
 import json
@@ -61,7 +61,7 @@ def test_the_first_message_of_the_documentation():
     assert newer.position == (0.0, -0.12, 0.15) and newer.orientation is None and newer.config == {}
 
 
-def test_a_later_message_that_others_have_seen():
+def test_a_later_message_from_a_public_log_is_read():
     state = read_state(LATER, "04EA")
     assert state.position == (0.10428079, -0.03648221, -0.06100729) and not state.config
     assert state.orientation == pytest.approx((0.71655273, 0.19647217, 0.6290283, -0.22833252), abs=1e-3)
@@ -69,18 +69,18 @@ def test_a_later_message_that_others_have_seen():
     assert read_state('{"session_id": 1}') is None and read_state('{"inverse3": []}') is None
 
 
-def test_a_force_is_asked_for_as_others_do():
+def test_force_messages_equal_those_of_other_clients():
     assert json.loads(force_message("04BA", (0.5, 0.0, -2.0))) == ASKED
     first = json.loads(force_message("04BA", (0.5, 0.0, -2.0), "a:b"))
     # docs.haply.co, "Sessions": on the first message.
     assert first.pop("session") == {"configure": {"profile": {"name": "a:b"}}} and first == ASKED
     assert read_force(json.dumps(ASKED), "04BA") == (0.5, 0.0, -2.0) and read_force(json.dumps(ASKED), "1") is None
-    # What a client sends that asks for states only, by the documentation.
+    # According to the documentation, a client that requests states only sends this message.
     assert read_force('{"inverse3": [{"device_id": "04BA", "commands": {"probe_position": {}}}]}', "04BA") is None
     assert read_force('{"session": {"force_render_full_state": {}}}', "04BA") is None
 
 
-def test_what_is_said_is_understood():
+def test_state_messages_are_read_back():
     assert read_state(state_message(STATE, (0.0, 0.0, 1.0), session=3)) == STATE
     message = json.loads(state_message(STATE, (0.0, 0.0, 1.0)))
     assert message["inverse3"][0]["state"]["current_cursor_force"] == {"x": 0.0, "y": 0.0, "z": 1.0}
@@ -88,27 +88,32 @@ def test_what_is_said_is_understood():
 
 
 @pytest.mark.parametrize(("message", "why"), [
-    ("", "no JSON"), ("[" * 100_000, "no JSON"), (b"\xff\x00", "no JSON"), ("7", "no object"),
-    ('{"inverse3": 1}', "no list"), ('{"inverse3": [1]}', "no list"), ('{"inverse3": [{}]}', "device_id"),
+    ("", "not valid JSON"), ("[" * 100_000, "not valid JSON"), (b"\xff\x00", "not valid JSON"),
+    ("7", "not a JSON object"),
+    ('{"inverse3": 1}', "must be a list of objects"),
+    ('{"inverse3": [1]}', "must be a list of objects"),
+    ('{"inverse3": [{}]}', "device_id"),
     ('{"inverse3": [{"device_id": "1"}]}', "state"),
     ('{"inverse3": [{"device_id": "1", "state": {}}]}', "cursor_position"),
     (FIRST_3_5.replace("-0.12", "NaN"), "finite"), (FIRST_3_5.replace("-0.12", "1e999"), "finite"),
-    (FIRST_3_5.replace("-0.12", "true"), "no number"), (FIRST_3_5.replace("-0.12", '"0"'), "no number"),
-    (FIRST_3_5.replace("-0.12", "-12"), "no device reaches"), (FIRST_3_5.replace("-0.12", "9" * 400), "finite"),
+    (FIRST_3_5.replace("-0.12", "true"), "must be a number"),
+    (FIRST_3_5.replace("-0.12", '"0"'), "must be a number"),
+    (FIRST_3_5.replace("-0.12", "-12"), "must have a length of at most 2"),
+    (FIRST_3_5.replace("-0.12", "9" * 400), "finite"),
     (FIRST_3_5.replace('"y": -0.12,', ""), "cursor_position.y")])
-def test_nonsense_is_no_state(message, why):
+def test_invalid_messages_are_refused(message, why):
     with pytest.raises(ValueError, match=why):
         read_state(message)
 
 
-def test_a_grip_that_sleeps_has_no_orientation():
+def test_an_inactive_grip_has_no_orientation():
     asleep = json.loads(LATER)
     asleep["wireless_verse_grip"][0]["state"]["orientation"] = {"w": 0, "x": 0, "y": 0, "z": 0}
     assert read_state(json.dumps(asleep)).orientation is None
 
 
 def check(message):
-    """Refused, or none of the devices, or a state that a device can have."""
+    """Check that a message is refused, lacks the device, or gives a possible state."""
     try:
         state = read_state(message)
     except ValueError:
@@ -122,7 +127,7 @@ def check(message):
 @settings(max_examples=CASES, deadline=None)
 @given(st.sampled_from([FIRST_3_1, FIRST_3_5, LATER]),
        st.lists(st.tuples(st.integers(0, 3000), st.integers(0, 255), st.sampled_from("rid")), max_size=6))
-def test_damaged_messages_never_make_a_wrong_state(message, damages):
+def test_damaged_messages_give_a_possible_state_or_an_error(message, damages):
     damaged = bytearray(message.encode())
     for at, byte, how in damages:
         at %= max(len(damaged), 1)
@@ -153,9 +158,9 @@ def test_any_json_is_a_state_or_is_refused(content):
 
 
 @settings(max_examples=CASES, deadline=None)
-# Libraries with fast mathematics make numbers below the normal ones zero in the whole process.
+# Libraries with fast mathematics set subnormal numbers to zero in the whole process.
 @given(st.tuples(*[st.floats(-1.1, 1.1, allow_subnormal=False)] * 3),
        st.tuples(*[st.floats(-1e3, 1e3, allow_subnormal=False)] * 3))
-def test_numbers_survive_both_ways(position, force):
+def test_positions_and_forces_survive_encoding_and_decoding(position, force):
     assert read_state(state_message(HapticState("1", position), force)).position == position
     assert read_force(force_message("1", force), "1") == force

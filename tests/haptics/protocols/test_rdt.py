@@ -1,4 +1,4 @@
-"""RDT: bytes of the manual, the settings page, and what nobody should send."""
+"""RDT: bytes of the manual, the settings page, and invalid bytes."""
 
 import os
 import struct
@@ -17,30 +17,30 @@ words = st.integers(0, 2**32 - 1)
 records = st.builds(Record, words, words, words, st.tuples(*[counts] * 6))
 
 
-def test_requests_are_those_of_the_manual():
+def test_requests_equal_the_manual():
     """Net F/T manual, section RDT: header 0x1234, command, number of samples, in network byte order."""
-    assert rdt.pack_request(Request(rdt.REAL_TIME, 0)) == bytes.fromhex("1234000200000000")
-    assert rdt.pack_request(Request(rdt.BUFFERED, 258)) == bytes.fromhex("1234000300000102")
-    assert rdt.pack_request(Request(rdt.BIAS)) == bytes.fromhex("1234004200000000")
-    assert rdt.pack_request(Request(rdt.STOP)) == bytes.fromhex("1234000000000000")
-    assert rdt.unpack_request(bytes.fromhex("1234000300000102")) == Request(rdt.BUFFERED, 258)
+    assert rdt.pack_request(Request(rdt.Command.REAL_TIME, 0)) == bytes.fromhex("1234000200000000")
+    assert rdt.pack_request(Request(rdt.Command.BUFFERED, 258)) == bytes.fromhex("1234000300000102")
+    assert rdt.pack_request(Request(rdt.Command.BIAS)) == bytes.fromhex("1234004200000000")
+    assert rdt.pack_request(Request(rdt.Command.STOP)) == bytes.fromhex("1234000000000000")
+    assert rdt.unpack_request(bytes.fromhex("1234000300000102")) == Request(rdt.Command.BUFFERED, 258)
 
 
-def test_a_record_is_that_of_the_manual():
+def test_a_record_equals_the_manual():
     """Net F/T manual: rdt_sequence, ft_sequence, status, Fx, Fy, Fz, Tx, Ty, Tz; here with a negative force."""
     data = bytes.fromhex("00000001 00000064 00000000 0000000a ffffffff 000f4240 00000000 80000000 7fffffff".replace(
         " ", ""))
     assert rdt.unpack_records(data) == [Record(1, 100, 0, (10, -1, 1_000_000, 0, -2**31, 2**31 - 1))]
 
 
-@given(st.lists(records, min_size=1, max_size=rdt.MOST_RECORDS))
-def test_records_come_back(sent):
+@given(st.lists(records, min_size=1, max_size=rdt.MAX_RECORDS))
+def test_records_survive_packing_and_unpacking(sent):
     assert rdt.unpack_records(rdt.pack_records(sent)) == sent
 
 
 @settings(max_examples=CASES, deadline=None)
 @given(st.binary(max_size=1500))
-def test_what_is_no_whole_number_of_records_is_none(data):
+def test_a_fraction_of_a_record_is_refused(data):
     found = rdt.unpack_records(data)
     if data and len(data) % 36 == 0 and len(data) // 36 <= 40:
         assert found is not None and rdt.pack_records(found) == data
@@ -50,7 +50,7 @@ def test_what_is_no_whole_number_of_records_is_none(data):
 
 @settings(max_examples=CASES, deadline=None)
 @given(st.binary(max_size=12))
-def test_requests_of_others_are_none(data):
+def test_other_bytes_are_no_request(data):
     asked = rdt.unpack_request(data)
     assert (asked is not None) == (len(data) == 8 and data[:2] == b"\x12\x34")
     assert asked is None or rdt.pack_request(asked) == data
@@ -62,8 +62,8 @@ def test_requests_of_others_are_none(data):
     (0x88000000, True, True, "a gage is out of range"), (0xC0000000, True, True, "force or torque is out of range"),
     (0x80020000, True, True, "saturated"), (0x00000008, True, False, "busy"),
 ])
-def test_status_words_are_those_of_the_manual(status, fault, out_of_range, said):
-    """Ethernet Axia manual 9610-05-Ethernet Axia-09, tables 4.7 and 4.9; its example 80000005 among them."""
+def test_status_words_equal_the_manual(status, fault, out_of_range, said):
+    """Ethernet Axia manual 9610-05-Ethernet Axia-09, tables 4.7 and 4.9, with the example 80000005."""
     assert (rdt.is_fault(status), rdt.is_out_of_range(status)) == (fault, out_of_range)
     assert said in rdt.describe_status(status) and f"0x{status:08x}" in rdt.describe_status(status)
 
@@ -73,28 +73,28 @@ def test_status_words_are_those_of_the_manual(status, fault, out_of_range, said)
     ("klbf", "lbf-ft", 4448.2216152605, 1.3558179483314004), ("kg", "kg-cm", 9.80665, 0.0980665),
     ("N", "N-mm", 1.0, 1e-3),
 ])
-def test_units_are_what_the_box_is_set_to(force, torque, newtons, newton_metres):
-    """Factors of NIST SP 811, appendix B."""
+def test_units_are_read_from_the_box(force, torque, newtons, newton_metres):
+    """Factors according to NIST SP 811, appendix B."""
     box = Settings(1000.0, 10.0, force, torque)
     assert box.newtons == pytest.approx(newtons / 1000.0, rel=1e-12)
     assert box.newton_metres == pytest.approx(newton_metres / 10.0, rel=1e-12)
 
 
 @pytest.mark.parametrize("name", ["stone", "", "Nm"])
-def test_a_unit_nobody_knows_is_refused_with_the_remedy(name):
-    with pytest.raises(InputError, match=r"no known unit of torque; set it to one of N-m, .* configurations page"):
+def test_an_unknown_unit_is_refused_with_the_remedy(name):
+    with pytest.raises(InputError, match=r"must be a known unit of torque; .* one of N-m, .* configurations page"):
         _ = Settings(1.0, 1.0, "N", name).newton_metres
-    with pytest.raises(InputError, match="no known unit of force"):
+    with pytest.raises(InputError, match="must be a known unit of force"):
         _ = Settings(1.0, 1.0, "furlong", "N-m").newtons
 
 
-def test_the_settings_page_comes_back():
+def test_a_written_settings_page_is_read_back():
     box = Settings(1e6, 2.5e5, "lbf", "lbf-in", 7000.0, "Net F/T <1>", "FT12345")
     assert rdt.read_settings_page(rdt.write_settings_page(box)) == box
 
 
-def test_a_page_as_boxes_send_it():
-    """Names of the fields: Net F/T manual, netftapi2.xml; more fields than are read, a namespace, no rate."""
+def test_a_page_of_a_real_box_is_read():
+    """Field names of the Net F/T manual, netftapi2.xml; with additional fields, a namespace, and without a rate."""
     page = (b'<?xml version="1.0"?><netft xmlns="urn:x"><runstat>0x00000000</runstat><setcfgsel>0</setcfgsel>'
             b"<cfgcpf>1000000</cfgcpf><cfgcpt>1000000000</cfgcpt><scfgfu>N</scfgfu><scfgtu>N-mm</scfgtu>"
             b"<cfgcalsn>FT01234</cfgcalsn></netft>")
@@ -107,7 +107,7 @@ def test_a_page_as_boxes_send_it():
     (b"<netft><cfgcpf>1</cfgcpf><cfgcpt>nan</cfgcpt></netft>", "cfgcpt"),
     (b'<!DOCTYPE n [<!ENTITY a "b">]><netft><cfgcpf>1</cfgcpf></netft>', "settings"),
 ])
-def test_other_pages_are_refused(page, field):
+def test_pages_of_other_servers_are_refused(page, field):
     with pytest.raises(InputError) as caught:
         rdt.read_settings_page(page)
     assert caught.value.field == field
@@ -118,7 +118,7 @@ def test_other_pages_are_refused(page, field):
                  st.lists(st.tuples(st.sampled_from(["cfgcpf", "cfgcpt", "scfgfu", "comrdtrate", "x"]),
                                     st.text(alphabet="0123456789.eE+-naninf<>&", max_size=8)), max_size=6)
                  .map(lambda parts: "".join(["<n>", *(f"<{k}>{v}</{k}>" for k, v in parts), "</n>"]).encode())))
-def test_no_page_is_accepted_with_a_count_that_is_none(page):
+def test_a_page_with_an_invalid_scale_is_refused(page):
     try:
         box = rdt.read_settings_page(page)
     except InputError:
@@ -126,5 +126,5 @@ def test_no_page_is_accepted_with_a_count_that_is_none(page):
     assert 0 < box.counts_per_force < float("inf") and 0 < box.counts_per_torque < float("inf")
 
 
-def test_sizes():
+def test_sizes_of_records_and_requests():
     assert rdt.RECORD_SIZE == 36 == struct.calcsize(">III6i")

@@ -97,7 +97,7 @@ def test_a_hand_stays_where_there_is_tissue(session):
     for wish, target in ((1.0, 4e-3), (-1.0, -CLEARANCE), (1e-3, 1e-3)):
         assert done(session, "aim", depth=wish) is None
         assert session.frame().target == target
-    assert "is not a depth to go to" in done(session, "aim", depth=math.nan)
+    assert "depth: must be a finite number" in done(session, "aim", depth=math.nan)
     assert session.frame().target == 1e-3, "what is refused changes nothing"
 
 
@@ -137,7 +137,7 @@ def test_a_played_protocol_is_the_test(session, needle, until):
 def test_a_protocol_that_cannot_be_is_refused(session, text, expected):
     problem = done(session, "play", text=text)
     assert problem.startswith(expected) and "\n" not in problem
-    assert "ends 2 mm from where it began" in done(session, "play", text="ramp 2mm", repeat=True)
+    assert "it ends 2 mm from it" in done(session, "play", text="ramp 2mm", repeat=True)
     assert session.frame().motion == "hand"
 
 

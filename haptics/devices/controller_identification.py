@@ -1,4 +1,4 @@
-"""Which other controller stands at a serial port, when the one that was asked for does not answer."""
+"""Identify the controller at a serial port when the expected one does not answer."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from haptics.devices.contracts import DeviceError
 from haptics.devices.serial_line import SerialLine
 from haptics.protocols import tic
 
-#: How long another controller has for its answer, s.
-_WAIT = 0.3
+#: Time allowed for the answer of another controller, s.
+_ANSWER_TIMEOUT = 0.3
 
 
-def who_answers(line: SerialLine) -> str:
-    """Half a sentence about another device that answers on a line, with its name for `open_stage`; empty: none known.
+def identify_controller(line: SerialLine) -> str:
+    """Return a hint such as ``"; a Tic answers there: name it tic:PORT"``, or ``""`` if no known controller answers.
 
-    It is sent an empty line and a question for a Tic: neither moves anything.
+    Sends an empty line and a status query of a Tic; neither moves a motor.
     """
     try:
-        text = _said_to(line, b"\r")
+        text = _query(line, b"\r")
         if b"Grbl" in text or text.strip() == b"ok" or b"\nok" in text or text.startswith((b"error:", b"ALARM:")):
             return f"; a Grbl answers there: name it grbl:{line.port}"
         if text.rstrip().endswith(b">"):
             return f"; an ATI controller answers there: name it ati-serial:{line.port}"
-        block = _said_to(line, tic.encode(tic.Command.GET_VARIABLE, tic.Variable.STATUS, tic.STATUS_SIZE))
+        block = _query(line, tic.encode(tic.Command.GET_VARIABLE, tic.Variable.STATUS, tic.STATUS_SIZE))
         if tic.parse_status(block) is not None:
             return f"; a Tic answers there: name it tic:{line.port}"
     except DeviceError:
@@ -31,11 +31,11 @@ def who_answers(line: SerialLine) -> str:
     return ""
 
 
-def _said_to(line: SerialLine, question: bytes) -> bytes:
-    """What comes back within a moment."""
+def _query(line: SerialLine, question: bytes) -> bytes:
+    """Send a question and return all bytes that arrive within `_ANSWER_TIMEOUT`."""
     line.read()
     line.write(question)
-    end, text = time.monotonic() + _WAIT, b""
+    end, text = time.monotonic() + _ANSWER_TIMEOUT, b""
     while time.monotonic() < end:
         text += line.read()
         time.sleep(0.01)

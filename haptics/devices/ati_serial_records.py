@@ -1,0 +1,140 @@
+"""Sources of the records of an ATI stand-alone controller: a stream of ASCII lines, or requested binary records."""
+
+from __future__ import annotations
+
+import time
+
+from haptics.devices.serial_line import SerialLine
+from haptics.protocols.ati_serial import (
+    BINARY_LENGTH,
+    CARRIAGE_RETURN,
+    ONE_RECORD,
+    PADDED_LENGTH,
+    Record,
+    decode_ascii,
+    decode_binary,
+    is_padded,
+    transmission_time,
+)
+
+
+class AsciiStream:
+    """Source of records as lines that the controller streams.
+
+    Args:
+        line: Open serial port.
+
+    Attributes:
+        length: Length of a record on the line, bytes.
+        wrong: Last line that was no record.
+    """
+
+    def __init__(self, line: SerialLine):
+        self._line, self._rest = line, b""
+        self._forms: set[bool] = set()
+        #: True if fields are padded; None: both forms are accepted.
+        self._padded: bool | None = None
+        self.length, self.wrong = PADDED_LENGTH, b""
+
+    def begin(self) -> None:
+        """Start the stream."""
+        self._line.write(b"QS" + CARRIAGE_RETURN)
+
+    def take(self, timeout: float) -> list[Record | None]:
+        """Return the records that arrive within `timeout` seconds, with None for each garbled one."""
+        *lines, self._rest = (self._rest + self._line.read_within(timeout)).split(CARRIAGE_RETURN)
+        if len(self._rest) > 4 * PADDED_LENGTH:
+            # Longer than any record: the line ending was lost.
+            lines, self._rest = [*lines, self._rest], b""
+        records = []
+        for text in (line.removeprefix(b"\n") for line in lines):
+            if text:
+                record = decode_ascii(text, self._padded)
+                records.append(record)
+                if record is None:
+                    self.wrong = text
+                elif self._padded is None:
+                    self._forms.add(is_padded(text))
+                    self.length = len(text) + 2
+        return records
+
+    def fix_form(self) -> None:
+        """Accept only the form, padded or not, that all records so far had."""
+        self._padded = self._forms == {True}
+
+
+class BinaryRequests:
+    """Source of binary records that are requested one at a time.
+
+    Args:
+        line: Open serial port.
+        baud: Baud rate.
+        timeout: Longest wait for the beginning of an answer, s.
+
+    Attributes:
+        length: Length of a request and a record on the line, bytes.
+        wrong: Last answer that was no record.
+    """
+
+    length = BINARY_LENGTH + 1
+
+    def __init__(self, line: SerialLine, baud: int, timeout: float):
+        self._line = line
+        #: Pause that ends an answer, s; adapters delay bytes by up to 16 ms.
+        self._pause = 0.03 + transmission_time(self.length, baud)
+        #: Longest wait for the first byte of an answer, s.
+        self._timeout = max(timeout, self._pause)
+        self.wrong = b""
+
+    def begin(self) -> None:
+        """Do nothing; each record is requested."""
+        return
+
+    def take(self, timeout: float) -> list[Record | None]:
+        """Request a record; return [record], [None] if its length is wrong, or [] if there is no answer."""
+        self._line.read()  # discards late bytes of an earlier answer
+        self._line.write(ONE_RECORD)
+        answer = self._line.read_within(self._timeout)
+        while 0 < len(answer) < BINARY_LENGTH and (more := self._line.read_within(self._pause)):
+            answer += more
+        answer += self._line.read()
+        if not answer:
+            return []
+        record = decode_binary(answer)
+        if record is None:
+            self.wrong = answer
+            if len(answer) > BINARY_LENGTH:
+                read_until_quiet(self._line, self._pause)
+        return [record]
+
+    def fix_form(self) -> None:
+        """Do nothing; binary records have one form."""
+        return
+
+
+def read_until_quiet(line: SerialLine, quiet: float, first: float = 0.0, longest: float = 1.5) -> bytes:
+    """Return all bytes received before a pause.
+
+    Args:
+        line: Serial port.
+        quiet: Duration of the pause, s.
+        first: Longest wait for the first byte, s.
+        longest: Longest duration of the call, s.
+    """
+    received, end = b"", time.monotonic() + longest
+    while time.monotonic() < end:
+        more = line.read_within(quiet if received else max(quiet, first))
+        if not more:
+            break
+        received += more
+    return received
+
+
+def is_text(data: bytes) -> bool:
+    """Return True if all bytes are printable ASCII, line ends, tabs, ACK or NUL."""
+    return all(byte in b"\r\n\t\x06\0" or 32 <= byte < 127 for byte in data)
+
+
+def quote(data: bytes) -> str:
+    """Return the last 40 bytes for a message."""
+    return repr(data.strip()[-40:].decode("ascii", "backslashreplace")) if data.strip() else "nothing arrived"
