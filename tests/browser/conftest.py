@@ -188,7 +188,7 @@ def shown(browser, tmp_path_factory):
     """One viewer for all tests of its page."""
     import tissue_sim as ts
     from scenes.commands.shared.tissue_flags import read_material
-    from scenes.viewer.measurement import measurement
+    from scenes.viewer.measurement import build_measurement
     from scenes.viewer.scene import Scene
     from tissue_sim.experiment.kinds.indentation import NEEDLE
     from tissue_sim.material.file import MaterialFile
@@ -201,7 +201,7 @@ def shown(browser, tmp_path_factory):
     folder = tmp_path_factory.mktemp("materials")
     softer = MaterialFile.of(with_values(scene.material, {"C10": 1200.0}), provenance={"method": "written by hand"})
     ts.write_material_file(softer, folder / "softer.material.json")
-    shown = Shown(replace(scene, measurements={NEEDLE.name: measurement(replicates)}), folder)
+    shown = Shown(replace(scene, measurements={NEEDLE.name: build_measurement(replicates)}), folder)
     SHARED.callback(shown.close)
     return shown
 

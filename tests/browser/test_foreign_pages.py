@@ -87,8 +87,8 @@ def test_name_that_is_bound_to_this_computer_may_not(server, stranger):
     """DNS rebinding: the browser takes the page for one of the foreign name, and so it may read all of it."""
     with stranger() as page:
         reply = page.goto(server.url.replace("127.0.0.1", "rebound.test"))
-        assert (reply.status, reply.text()) == (403, f"This server answers to http://localhost:{server.get_port()} and "
-                                                     "its own addresses only.\n")
+        assert (reply.status, reply.text()) == (403, "This server answers only requests to http://localhost:"
+                                                     f"{server.get_port()} and its own addresses.\n")
         assert attempt(page, server) == {"handshake": "refused", "page": "refused"}
 
 

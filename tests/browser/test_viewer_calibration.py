@@ -35,7 +35,7 @@ def calibrating(shown, reader):
     """The tab; afterwards no recording is left, and the first measurement is back."""
     reader.tab("Calibrate")
     yield reader
-    if shown.session.calibration.state.told is not None:
+    if shown.session.calibration.state.status is not None:
         shown.ask("cancel_calibration")
     shown.ask("remove_recordings")
     shown.session.scene = replace(shown.session.scene, measurements=shown.scene.measurements)

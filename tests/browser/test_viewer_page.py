@@ -144,7 +144,7 @@ def test_fault_in_a_protocol_is_answered_in_a_sentence_and_nothing_moves(shown, 
     reader.answer(str(fault.value))
     reader.fill("protocol", "ramp 9mm")
     reader.press("Play")
-    reader.answer("the mesh is made for 5 mm; start the viewer with a larger --depth-mm")
+    reader.answer("must have a depth of at most 5 mm")
     assert reader.read("phase") == "running · by hand"
     assert reader.read("depth") == "0.00"
     assert max(shown.frame.curves.trace.depth, default=0.0) < 1e-6

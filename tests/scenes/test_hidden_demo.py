@@ -117,13 +117,13 @@ def test_a_rig_effect_is_in_the_curve_and_the_session_begins_with_both(demo, mon
     (result,) = diagnose([out / "campaign.toml"], out / "diagnosis")
     scene = before_and_after_scene(result, out / "measured")
     asked = []
-    monkeypatch.setattr("scenes.viewer.model_curve.ModelCurve.ask", lambda self, model: asked.append(model))
+    monkeypatch.setattr("scenes.viewer.model_curve.ModelCurve.request", lambda self, model: asked.append(model))
     from dataclasses import replace
 
     session = Session(replace(scene, rig=ts.Rig(backlash=1e-4)))
     try:
         assert asked[0].rig.backlash == 1e-4
-        assert session.frame().curves.before is scene.compared
+        assert session.frame().curves.compared is scene.compared
     finally:
         session.close()
 

@@ -13,9 +13,9 @@ import pytest
 
 import tissue_sim as ts
 from scenes.viewer.calibration_commands import CALIBRATED, CALIBRATION_COMMANDS, take_result
-from scenes.viewer.calibration_run import CalibrationRun, CalibrationState, Told, replicates
-from scenes.viewer.calibration_task import PROGRESS_FILE, RECORDINGS, Calibrated, Value, calibrate_files
-from scenes.viewer.page.calibration_controls import recordings_html, told_html
+from scenes.viewer.calibration_run import CalibrationRun, CalibrationState, FitStatus, group_replicates
+from scenes.viewer.calibration_task import PROGRESS_FILE, RECORDINGS, CalibrationResult, FittedValue, calibrate_files
+from scenes.viewer.page.calibration_controls import calibration_html, recordings_html
 from scenes.viewer.recording_upload import read_recording_upload
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.parameters import with_values
@@ -67,7 +67,8 @@ class Stands:
 
 def result_for(scene):
     stiffer = with_values(scene.material, {"C10": 2000.0})
-    return Calibrated(stiffer, {"C10": Value(2000.0, (1900.0, 2100.0), "Pa")}, 0.02, (), 9, b'{"a": "file"}')
+    fitted = {"C10": FittedValue(2000.0, (1900.0, 2100.0), "Pa")}
+    return CalibrationResult(stiffer, fitted, 0.02, (), 9, b'{"a": "file"}')
 
 
 def test_what_was_uploaded_is_understood(run, needle):
@@ -86,18 +87,18 @@ def test_a_sidecar_finds_its_recording_in_any_order(run, needle, first):
     each, = run.state.recordings
     assert each.tool == "cone, radius 3 mm"
     kind, tool = each.warnings(needle)
-    assert kind == "is a bonded_compression, and the scene is a needle_indentation"
-    assert tool == "was measured with a cone of 3 mm radius, and the scene has another tool"
+    assert kind == "The recording is a bonded_compression; the scene is a needle_indentation."
+    assert tool == "The recording was measured with a cone of 3 mm radius; the scene has another tool."
 
 
 @pytest.mark.parametrize(("name", "content", "said"), [
     ("a.txt", b"", "a.txt: "),
     ("a.csv", b"\x00\x01", "a.csv"),
     ("b.csv", b"time [s],force [N]\n0,1\n1,1\n2,1\n3,1\n4,1\n5,1\n", "b.csv: the column with a motion is missing"),
-    ("b.json", b"[1]", "b.json: expected an object"),
+    ("b.json", b"[1]", "b.json: must be a JSON object"),
     ("b.json", b"{", "b.json:1"),
-    ("a.csv", csv(), "a.csv: is here already"),
-    ("a.json", sidecar(sha256="0" * 64), "a.json: sha256: a.csv was changed after it was recorded"),
+    ("a.csv", csv(), "a.csv: A recording of this name was uploaded before."),
+    ("a.json", sidecar(sha256="0" * 64), "a.json: sha256: must be the SHA-256 of a.csv."),
 ])
 def test_a_bad_file_is_one_sentence_and_changes_nothing(run, name, content, said):
     upload(run)
@@ -132,8 +133,8 @@ def test_a_file_of_a_machine_is_understood_and_said(run, needle, name):
 
 
 @pytest.mark.parametrize(("head", "said"), [
-    ("Zeit (s);Extension (mm);Load", "gel.txt: does not say the unit of column 'Load' (force); write it into the"),
-    ("Zeit (s);Strain (%);Stress (kPa)", "and a test of this page has displacement and force"),
+    ("Zeit (s);Extension (mm);Load", "gel.txt: does not state the unit of column 'Load' (force). Write the unit into"),
+    ("Zeit (s);Strain (%);Stress (kPa)", "must contain displacement and force; got"),
     ("red;green;blue", "gel.txt: "),
 ])
 def test_a_file_that_does_not_say_enough_is_one_sentence(head, said):
@@ -145,14 +146,15 @@ def test_a_file_that_does_not_say_enough_is_one_sentence(head, said):
 def test_of_several_recordings_all_are_taken_or_none(run):
     first, = read_recording_upload("a.csv", csv())
     second, = read_recording_upload("b.csv", csv())
-    with pytest.raises(InputError, match="is here already"):
+    with pytest.raises(InputError, match="A recording of this name was uploaded before"):
         run.add([first, second, first])
     assert run.state.recordings == ()
 
 
 def test_the_progress_has_the_units_of_the_result():
-    told = Told("fitting", 3, 0.02, {"C10": 1404.9, "bulk.bulk_ratio": 1e4}, {"C10": "Pa", "bulk.bulk_ratio": "1"})
-    assert "C10 1.4049 kPa, bulk.bulk_ratio 10000<" in told_html(CalibrationState(told=told))
+    status = FitStatus("fitting", 3, 0.02, {"C10": 1404.9, "bulk.bulk_ratio": 1e4},
+                       {"C10": "Pa", "bulk.bulk_ratio": "1"})
+    assert "C10 1.4049 kPa, bulk.bulk_ratio 10000<" in calibration_html(CalibrationState(status=status))
 
 
 def test_names_of_strangers_stay_in_their_folder():
@@ -163,7 +165,7 @@ def test_names_of_strangers_stay_in_their_folder():
 def test_what_moves_otherwise_is_a_test_of_its_own(run):
     for name, depth, seconds in (("a", 4e-3, 2.0), ("b", 4.2e-3, 2.0), ("c", 6e-3, 3.0), ("d", 4e-3, 20.0)):
         upload(run, f"{name}.csv", csv(depth, seconds))
-    assert replicates(run.state.recordings) == (("a.csv", "b.csv"), ("c.csv",), ("d.csv",))
+    assert group_replicates(run.state.recordings) == (("a.csv", "b.csv"), ("c.csv",), ("d.csv",))
 
 
 def test_a_fit_is_followed_and_its_material_is_put_under_the_needle(run, pool, needle):
@@ -175,18 +177,18 @@ def test_a_fit_is_followed_and_its_material_is_put_under_the_needle(run, pool, n
     assert (wanted.kind, wanted.tests, wanted.material) == (needle.kind.name, (("a.csv",),), needle.material)
     assert sorted(path.name for path in (Path(folder) / RECORDINGS).iterdir()) == ["a.csv", "a.json"]
     take_result(session)
-    assert run.state.told.sentence == "starting"
+    assert run.state.status.sentence == "starting"
     for command, values in (("calibrate", {}), ("remove_recordings", {})):
-        with pytest.raises(InputError, match="a calibration runs"):
+        with pytest.raises(InputError, match="A calibration is running"):
             session.do(command, **values)
     content = {"sentence": "3 starts", "solves": 2, "rmse": 0.1, "parameters": {"C10": 1800.0}}
     (Path(folder) / PROGRESS_FILE).write_text(json.dumps(content), encoding="utf-8")
     take_result(session)
-    assert (run.state.told.solves, run.state.told.parameters) == (2, {"C10": 1800.0}) and session.scene is needle
+    assert (run.state.status.solves, run.state.status.parameters) == (2, {"C10": 1800.0}) and session.scene is needle
 
     future.set_result(found := result_for(needle))
     take_result(session)
-    assert run.state.result is found and run.state.told is None and run.state.problem == ""
+    assert run.state.result is found and run.state.status is None and run.state.problem == ""
     assert session.scene.material == found.material and session.scene.source == CALIBRATED
     assert session.scene.measurement.recordings[0].metadata["kind"] == needle.kind.name
     assert not Path(folder).exists()
@@ -197,8 +199,8 @@ def test_a_fit_is_followed_and_its_material_is_put_under_the_needle(run, pool, n
 @pytest.mark.parametrize(("error", "said"), [
     (ConvergenceError("no start of any law gets through"), "no start of any law gets through"),
     (InputError("needs at least 5 samples", file="a.csv"), "a.csv: needs at least 5 samples"),
-    (BrokenProcessPool("terminated abruptly"), "The process that calibrates has died"),
-    (np.linalg.LinAlgError("Singular matrix"), "The calibration has failed, which should not happen (LinAlgError: "),
+    (BrokenProcessPool("terminated abruptly"), "The calibration process has died"),
+    (np.linalg.LinAlgError("Singular matrix"), "The calibration failed with an internal error (LinAlgError: "),
 ])
 def test_a_failure_is_a_sentence_and_leaves_everything(run, pool, needle, error, said):
     session = Stands(needle, run)
@@ -207,10 +209,10 @@ def test_a_failure_is_a_sentence_and_leaves_everything(run, pool, needle, error,
     (folder, _), future = pool.tasks[-1]
     future.set_exception(error)
     take_result(session)
-    assert run.state.problem.startswith(said) and run.state.told is None and run.state.result is None
+    assert run.state.problem.startswith(said) and run.state.status is None and run.state.result is None
     assert session.scene is needle and not Path(folder).exists()
     session.do("calibrate")
-    assert run.state.problem == "" and run.state.told is not None
+    assert run.state.problem == "" and run.state.status is not None
 
 
 def test_what_nobody_should_work_with_is_shown_but_not_felt(run, pool, needle):
@@ -221,20 +223,20 @@ def test_what_nobody_should_work_with_is_shown_but_not_felt(run, pool, needle):
     found = replace(result_for(needle), unusable=why, warnings=(why,))
     pool.tasks[-1][1].set_result(found)
     take_result(session)
-    assert session.scene is needle and run.state.result is found and "not under the needle" in run.state.problem
-    assert why in told_html(run.state)
+    assert session.scene is needle and run.state.result is found and "The fit is unusable" in run.state.problem
+    assert why in calibration_html(run.state)
 
 
 def test_a_fit_is_cancelled(run, pool, needle):
     session = Stands(needle, run)
-    with pytest.raises(InputError, match="no calibration runs"):
+    with pytest.raises(InputError, match="No calibration is running"):
         session.do("cancel_calibration")
-    with pytest.raises(InputError, match="upload one first"):
+    with pytest.raises(InputError, match="Upload a recording first"):
         session.do("calibrate")
     upload(run)
     session.do("calibrate")
     session.do("cancel_calibration")
-    assert pool.stopped and "was cancelled" in run.state.problem and run.state.told is None
+    assert pool.stopped and "was cancelled" in run.state.problem and run.state.status is None
     pool.tasks[-1][1].set_result(result_for(needle))
     take_result(session)
     assert session.scene is needle and run.state.result is None
@@ -247,7 +249,8 @@ def test_a_result_for_another_scene_is_kept_but_not_shown(run, pool, needle):
     session.scene = other = needle.with_scene("bonded_compression")
     pool.tasks[-1][1].set_result(found := result_for(needle))
     take_result(session)
-    assert session.scene is other and run.state.result is found and "another one" in run.state.problem
+    assert session.scene is other and run.state.result is found
+    assert "The scene changed during the calibration" in run.state.problem
 
 
 def test_a_material_that_the_scene_refuses_leaves_it(run, pool, needle):
@@ -257,12 +260,12 @@ def test_a_material_that_the_scene_refuses_leaves_it(run, pool, needle):
     session.do("calibrate")
     pool.tasks[-1][1].set_result(result_for(needle))
     take_result(session)
-    assert session.scene is needle and run.state.problem == "is too stiff. The material stays as it was."
+    assert session.scene is needle and run.state.problem == "is too stiff. The material is unchanged."
 
 
 def test_the_material_file_is_saved_and_never_over_another(run, pool, needle, tmp_path):
     session = Stands(needle, run)
-    with pytest.raises(InputError, match="nothing was calibrated yet"):
+    with pytest.raises(InputError, match="There is no calibrated material yet"):
         session.do("save_calibration", folder=tmp_path, name="mine")
     upload(run)
     session.do("calibrate")
@@ -271,7 +274,7 @@ def test_the_material_file_is_saved_and_never_over_another(run, pool, needle, tm
     session.do("save_calibration", folder=tmp_path, name="mine")
     path = tmp_path / "mine.material.json"
     assert path.read_bytes() == found.file and session.scene.source == path.name
-    with pytest.raises(InputError, match="is not replaced"):
+    with pytest.raises(InputError, match="exists already and is not overwritten"):
         session.do("save_calibration", folder=tmp_path, name="mine")
 
 

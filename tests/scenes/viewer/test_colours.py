@@ -70,7 +70,7 @@ def test_a_field_of_zeros_gets_levels_from_0_to_1():
 
 @pytest.mark.parametrize("ends", [(np.nan, 1.0), (0.0, np.inf), (2.0, 1.0)])
 def test_no_levels_for_what_is_no_range(ends):
-    with pytest.raises(ts.InputError, match="not a range"):
+    with pytest.raises(ts.InputError, match="must have a finite range"):
         band_levels(*ends)
     with pytest.raises(ts.InputError, match="at least 2"):
         band_levels(0.0, 1.0, 1)
@@ -151,5 +151,5 @@ def test_numbers_of_the_bar_are_short_and_exact(ends, numbers, power):
 
 
 def test_bar_needs_a_colour_for_each_band():
-    with pytest.raises(ts.InputError, match="9 colours for 10 bands"):
+    with pytest.raises(ts.InputError, match="must be one per band; got 9 for 10 bands"):
         colour_bar_html(band_levels(0.0, 1.0), PALETTE[1:], "x")

@@ -44,7 +44,7 @@ def needle_loop(needle, until):
     simulation = LiveSimulation(needle.model, HandMotion(0.0, 0.05), settings=LOOP)
     watched = Watched(simulation)
     assert simulation.phase is Phase.STARTING and simulation.readouts is None and simulation.snapshot is None
-    with pytest.raises(ts.InputError, match=r"the simulation is not running \(starting\)"):
+    with pytest.raises(ts.InputError, match=r"The simulation is not running \(starting\)\."):
         simulation.ask("aim", depth=1e-3)
     try:
         until(watched, lambda seen: seen.readouts is not None and seen.snapshot is not None)
@@ -270,15 +270,15 @@ def test_the_status_is_that_of_now_and_the_last_second_is_counted(written, statu
     loop.write(1, status=status)
     simulation.poll()
     now = simulation.readouts
-    assert (now.status, now.warning, now.doubtful) == (status.name.lower(), status.message, 1)
+    assert (now.status, now.warning, now.unconverged) == (status.name.lower(), status.message, 1)
     for _ in range(30):
         loop.write(33)
         simulation.poll()
         now = simulation.readouts
-        assert (now.status, now.warning, now.doubtful) == ("in equilibrium", "", 1)
+        assert (now.status, now.warning, now.unconverged) == ("in equilibrium", "", 1)
     loop.write(33)
     simulation.poll()
-    assert simulation.readouts.doubtful == 0
+    assert simulation.readouts.unconverged == 0
     loop.write(1, flags=PAUSED)
     simulation.poll()
     assert simulation.readouts.status == "paused"

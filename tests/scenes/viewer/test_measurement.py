@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from scenes.viewer.measurement import branches_on_grid, measurement, motion, read_measurement, residual
+from scenes.viewer.measurement import branches_on_grid, build_measurement, motion, read_measurement, residual
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.recording.segmentation import load_and_unload
 
@@ -78,7 +78,7 @@ def test_only_the_first_cycle_counts():
 
 def test_envelope_is_that_of_the_replicates():
     runs = [tried(lambda d, k=k: k * stiff(d), soft, hold=20) for k in (0.9, 1.0, 1.2)]
-    measured = measurement(runs)
+    measured = build_measurement(runs)
     assert (measured.depth[0], measured.depth[-1]) == (0.0, DEPTH)
     expected = stiff(measured.depth)
     np.testing.assert_allclose(measured.load.mean, 3.1 / 3 * expected, rtol=1e-4, atol=1e-9)
@@ -90,21 +90,21 @@ def test_envelope_is_that_of_the_replicates():
 
 
 def test_a_shorter_replicate_ends_the_mean():
-    measured = measurement([tried(stiff), tried(stiff, deepest=6e-3)])
+    measured = build_measurement([tried(stiff), tried(stiff, deepest=6e-3)])
     assert measured.depth[-1] == DEPTH and measured.unload is None
     assert np.isfinite(measured.load.mean[measured.depth <= 6e-3]).all()
     assert np.isnan(measured.load.mean[measured.depth > 6.001e-3]).all()
 
 
 def test_noise_is_that_of_the_sensor():
-    measured = measurement([tried(stiff, soft, noise=0.02, seed=seed) for seed in range(6)])
+    measured = build_measurement([tried(stiff, soft, noise=0.02, seed=seed) for seed in range(6)])
     assert measured.noise == pytest.approx(0.02, rel=0.1)
-    assert measurement([tried(stiff)]).noise is None
+    assert build_measurement([tried(stiff)]).noise is None
 
 
 def test_residual_and_rmse_of_a_known_error():
     """A model 3 % too stiff in, and 0.05 N too low out: the root mean square is that of the two, by hand."""
-    measured = measurement([tried(stiff, soft, hold=20) for _ in range(2)])
+    measured = build_measurement([tried(stiff, soft, hold=20) for _ in range(2)])
     model = tried(lambda d: 1.03 * stiff(d), lambda d: soft(d) - 0.05, hold=20, points=401)
     found = residual(model, measured)
     np.testing.assert_allclose(found.load, 0.03 * stiff(found.depth), atol=1e-6)
@@ -115,22 +115,22 @@ def test_residual_and_rmse_of_a_known_error():
 
 
 def test_rmse_of_the_truth_is_the_noise():
-    measured = measurement([tried(stiff, soft, hold=30, noise=0.02, seed=seed) for seed in range(3)])
+    measured = build_measurement([tried(stiff, soft, hold=30, noise=0.02, seed=seed) for seed in range(3)])
     assert residual(tried(stiff, soft, hold=30), measured).rmse == pytest.approx(0.02, rel=0.06)
 
 
 def test_model_that_goes_nowhere_near_is_refused():
     deep = tried(stiff)
     deep = deep.with_channels(displacement=deep.displacement + 20e-3)
-    with pytest.raises(ts.InputError, match="model: reaches none of the measured depths"):
-        residual(deep, measurement([tried(stiff)]))
+    with pytest.raises(ts.InputError, match="model: must reach the measured depths"):
+        residual(deep, build_measurement([tried(stiff)]))
 
 
 @pytest.mark.parametrize("hold", [0, 300])
 def test_motion_is_short_and_keeps_its_corners(hold):
     runs = [tried(lambda d, k=k: k * stiff(d), soft, points=1001, hold=hold, seed=i)
             for i, k in enumerate((0.8, 1.0, 1.2))]
-    found = motion(measurement(runs))
+    found = motion(build_measurement(runs))
     assert 40 <= found.time.size <= 50
     assert found.displacement[0] == 0 and found.depth == DEPTH and found.displacement[-1] == 0
     assert found.time[-1] == runs[0].time[-1]
@@ -142,19 +142,19 @@ def test_motion_ends_after_the_first_unloading():
     one = tried(stiff, soft)
     both = ts.Recording({"time": np.arange(2 * len(one)) * 0.05,
                          "displacement": np.tile(one.displacement, 2), "force": np.tile(one.force, 2)})
-    assert motion(measurement([both])).time[-1] == pytest.approx(one.time[-1])
+    assert motion(build_measurement([both])).time[-1] == pytest.approx(one.time[-1])
 
 
 def test_motion_without_time_takes_the_speed():
     def bare(**metadata):
         run = tried(stiff, **metadata)
-        return measurement([ts.Recording({name: run.channel(name) for name in ("displacement", "force")},
+        return build_measurement([ts.Recording({name: run.channel(name) for name in ("displacement", "force")},
                                          metadata=run.metadata)])
 
     assert motion(bare(speed_mm_s=2.0)).time[-1] == pytest.approx(5.0)
     assert motion(bare(speed_mm_s=2.0), speed=4e-3).time[-1] == pytest.approx(2.5)
     assert motion(bare()).time[-1] == pytest.approx(10 / 0.248)
-    with pytest.raises(ts.InputError, match=r"speed: 0 m/s is not a speed"):
+    with pytest.raises(ts.InputError, match=r"speed: must be positive and finite; got 0 m/s"):
         motion(bare(), speed=0.0)
 
 
@@ -165,11 +165,11 @@ def test_virtual_needle_test_is_compared_within_its_noise():
     material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4),
                            viscoelastic=ts.Prony((ts.PronyTerm(0.3, 2.0),)))
     true = ts.simulate(ts.Model(experiment, material), resolution="fast")
-    measured = measurement([ts.Rig(force_noise=0.02, seed=seed).measure(true) for seed in range(3)])
+    measured = build_measurement([ts.Rig(force_noise=0.02, seed=seed).measure(true) for seed in range(3)])
     short = ts.simulate(ts.Model(replace(experiment, protocol=motion(measured)), material), resolution="fast")
     assert len(short) <= 50
     assert residual(short, measured).rmse == pytest.approx(0.02, rel=0.05)
-    assert residual(short, measurement([true])).rmse < 5e-4
+    assert residual(short, build_measurement([true])).rmse < 5e-4
 
 
 def test_files_are_read_and_bad_ones_named(tmp_path):
@@ -178,21 +178,21 @@ def test_files_are_read_and_bad_ones_named(tmp_path):
     measured = read_measurement([tmp_path / "run_0.csv", tmp_path / "run_1.csv"])
     assert (len(measured.recordings), measured.name, measured.kind) == (2, "run 0", "needle_indentation")
     ts.write_recording(tried(stiff, kind="bonded_compression"), tmp_path / "other.csv")
-    with pytest.raises(ts.InputError, match=r"other\.csv: kind: is a bonded_compression"):
+    with pytest.raises(ts.InputError, match=r"other\.csv: kind: must be the same in all recordings"):
         read_measurement([tmp_path / "run_0.csv", tmp_path / "other.csv"])
     stretch = np.linspace(1, 0.8, 9)
     ts.write_recording(ts.Recording({"stretch": stretch, "nominal stress": stretch - 1}), tmp_path / "stress.csv")
-    with pytest.raises(ts.InputError, match=r"stress\.csv: displacement: has no displacement"):
+    with pytest.raises(ts.InputError, match=r"stress\.csv: displacement: must be a channel of the recording"):
         read_measurement([tmp_path / "stress.csv"])
-    with pytest.raises(ts.InputError, match=r"short\.csv: has 4 samples, expected at least 5"):
-        measurement([tried(stiff, source="short.csv").select(slice(0, 4))])
+    with pytest.raises(ts.InputError, match=r"short\.csv: must have at least 5 samples; got 4"):
+        build_measurement([tried(stiff, source="short.csv").select(slice(0, 4))])
     out = tried(stiff)
     ts.write_recording(out.with_channels(displacement=-out.displacement), tmp_path / "pull.csv")
-    with pytest.raises(ts.InputError, match=r"pull\.csv: displacement: never goes deeper"):
+    with pytest.raises(ts.InputError, match=r"pull\.csv: displacement: must increase above its first value"):
         read_measurement([tmp_path / "pull.csv"])
     with pytest.raises(ts.InputError, match=r"gone\.csv"):
         read_measurement([tmp_path / "gone.csv"])
-    with pytest.raises(ts.InputError, match="needs at least one recording"):
+    with pytest.raises(ts.InputError, match="must contain at least one recording"):
         read_measurement([])
 
 
@@ -234,4 +234,4 @@ def test_a_measurement_says_when_it_was_made_with_another_tool(said, expected):
     depth = np.linspace(0.0, 5e-3, 40)
     recording = ts.Recording({"time": depth / 1e-3, "displacement": depth, "force": 200.0 * depth}, {},
                              {"name": "a", **said})
-    assert measurement([recording]).other_tool(ts.Tool("flat", 8e-3)) == expected
+    assert build_measurement([recording]).other_tool(ts.Tool("flat", 8e-3)) == expected

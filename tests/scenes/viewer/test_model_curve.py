@@ -21,11 +21,11 @@ def test_the_newest_wish_wins(pool):
     """The tasks stand for models: nothing here looks into one."""
     curve = ModelCurve("accurate")
     assert not curve.busy and curve.recording is None
-    curve.ask("first")
+    curve.request("first")
     assert curve.busy and not pool.tasks, "the process of the page does not wait for one to start"
     curve.poll()
     for wish in ("second", "third", "fourth"):
-        curve.ask(wish)
+        curve.request(wish)
         curve.poll()
     assert [arguments for arguments, _ in pool.tasks] == [("first", "accurate", "axisymmetric", None)]
     pool.tasks[0][1].set_result(CURVE)
@@ -50,7 +50,7 @@ def test_a_model_without_a_curve_says_why(pool, error, left):
     """What a solver has reached is shown; a curve of the model before is not taken for that of this one."""
     curve = ModelCurve()
     for answer in ("set_result", CURVE), ("set_exception", error), ("set_result", CURVE):
-        curve.ask("a model")
+        curve.request("a model")
         curve.poll()
         getattr(pool.tasks[-1][1], answer[0])(answer[1])
         curve.poll()
@@ -61,12 +61,12 @@ def test_a_model_without_a_curve_says_why(pool, error, left):
 
 def test_a_dead_worker_is_a_sentence(pool):
     curve = ModelCurve()
-    curve.ask("a model")
+    curve.request("a model")
     curve.poll()
     pool.tasks[0][1].set_exception(BrokenProcessPool("terminated abruptly"))
     curve.poll()
     assert "has died" in curve.problem and not curve.busy
-    curve.ask("another")
+    curve.request("another")
     curve.poll()
     pool.tasks[1][1].set_result(CURVE)
     curve.poll()
@@ -76,12 +76,12 @@ def test_a_dead_worker_is_a_sentence(pool):
 def test_what_is_forgotten_does_not_come_back(pool):
     """The answer to a wish from before belongs to another test."""
     curve = ModelCurve()
-    curve.ask("compression")
+    curve.request("compression")
     curve.poll()
-    curve.ask("compression, softer")
+    curve.request("compression, softer")
     curve.forget()
     assert curve.recording is None
-    curve.ask("needle")
+    curve.request("needle")
     pool.tasks[0][1].set_result(CURVE)
     curve.poll()
     assert curve.recording is None and [arguments[0] for arguments, _ in pool.tasks] == ["compression", "needle"]
@@ -97,13 +97,13 @@ def test_a_worker_may_be_killed(monkeypatch, until):
     before = set(multiprocessing.active_children())
     curve = ModelCurve("fast")
     try:
-        curve.ask("needle, ")
+        curve.request("needle, ")
         curve.poll()
         worker, = set(multiprocessing.active_children()) - before
         os.kill(worker.pid, signal.SIGKILL)
         until(curve.poll, lambda _: not curve.busy)
         assert "has died" in curve.problem and curve.recording is None
-        curve.ask("needle, ")
+        curve.request("needle, ")
         until(curve.poll, lambda _: not curve.busy)
         assert (curve.recording, curve.problem, curve.number) == ("needle, fast, axisymmetric", "", 2)
     finally:

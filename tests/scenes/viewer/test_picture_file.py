@@ -95,10 +95,10 @@ def test_long_captions_are_wrapped_and_formulas_are_text():
 
 
 @pytest.mark.parametrize(("changes", "message"), [
-    ({"render": np.zeros((4, 4), np.uint8)}, r"^render: has shape \(4, 4\)"),
-    ({"render": np.zeros((4, 4, 3))}, r"^render: .*float64, expected"),
-    ({"levels": [0.0, 1.0]}, "^colours: 3 colours for 1 bands"),
-    ({"levels": [0.0, 1.0, 1.0, 2.0]}, "^levels: expected two or more numbers that ascend"),
+    ({"render": np.zeros((4, 4), np.uint8)}, r"^render: must have shape .*got \(4, 4\)"),
+    ({"render": np.zeros((4, 4, 3))}, r"^render: must .*uint8; got .*float64"),
+    ({"levels": [0.0, 1.0]}, "^colours: must be one per band; got 3 for 1 bands"),
+    ({"levels": [0.0, 1.0, 1.0, 2.0]}, "^levels: must be two or more ascending"),
     ({"levels": [0.0, np.nan, 1.0, 2.0]}, "^levels: "),
 ])
 def test_what_is_no_picture_is_refused(changes, message):

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from scenes.viewer.measurement import measurement, residual
+from scenes.viewer.measurement import build_measurement, residual
 from scenes.viewer.plots import (
     PARTS,
     SECONDS,
@@ -34,7 +34,7 @@ def there_and_back(factor=1.0, deepest=8e-3, **metadata):
 
 @pytest.fixture(scope="module")
 def measured():
-    return measurement([there_and_back(factor) for factor in (0.9, 1.0, 1.1)])
+    return build_measurement([there_and_back(factor) for factor in (0.9, 1.0, 1.1)])
 
 
 def names(options):
@@ -67,7 +67,7 @@ def test_force_over_depth(measured):
     np.testing.assert_allclose(found["model unload"], 0.15 * x, atol=1e-9)
     np.testing.assert_allclose(found["live load"][x <= 5], 0.21 * x[x <= 5], atol=1e-9)
     assert np.isnan(found["live load"][x > 5.01]).all() and np.isnan(found["measured load"][x > 8.01]).all()
-    assert np.isnan(found["before load"]).all()
+    assert np.isnan(found["compared load"]).all()
     point = np.isfinite(found["now"])
     assert (x[point], found["now"][point]) == (pytest.approx(3.33), 0.7)
     assert extent == pytest.approx((0, 2.0))
@@ -209,7 +209,7 @@ def test_options_are_what_viser_takes(measured):
 
 
 def test_legend_names_what_is_drawn():
-    everything = legend_html(measured=3, before="<friction>")
+    everything = legend_html(measured=3, compared="<friction>")
     assert "measured (3)" in everything and "&lt;friction&gt;" in everything and "live" in everything
     assert "(1)" not in legend_html(measured=1) and "measured" not in legend_html()
     assert legend_html() != legend_html(dark=True)

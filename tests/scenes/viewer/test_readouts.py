@@ -14,7 +14,7 @@ from scenes.viewer.scene import Scene
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 
 NOW = Readouts(time=3.0, depth=5.678e-3, force=1.2344, stiffness=211.0, step_time=0.31e-3, iterations=0.84, rate=999.7,
-               late=0.0042, status="in equilibrium", mesh="realtime_63, force within 1.1 %", doubtful=3)
+               late=0.0042, status="in equilibrium", mesh="realtime_63, force within 1.1 %", unconverged=3)
 FRAME = Frame(Phase.RUNNING, "running", None, None, NOW, Curves(), "protocol", 0.0)
 
 
@@ -32,8 +32,8 @@ def test_readouts_have_the_units_that_people_use():
 
 
 def test_a_force_that_is_none_of_an_equilibrium_is_marked_in_red():
-    doubtful = replace(NOW, status="stopped", warning="no equilibrium: move <back>")
-    shown = readouts_html(replace(FRAME, readouts=doubtful))
+    unreliable = replace(NOW, status="stopped", warning="no equilibrium: move <back>")
+    shown = readouts_html(replace(FRAME, readouts=unreliable))
     assert texts(shown)["badge"] == "STOPPED" and texts(shown)["solution"] == "stopped"
     assert "#C0392B" in shown and 'title="no equilibrium: move &lt;back&gt;"' in shown
     assert "badge" not in texts(readouts_html(FRAME))
@@ -89,7 +89,7 @@ def test_agreement_is_a_number_or_says_what_is_missing():
     assert single["other-tool"] == "measured with another tool: cone of 3 mm radius"
     computing = Curves(measurement=measured, residual=gap, computing=True)
     old = texts(agreement_html(replace(frame, curves=computing)))
-    assert old["rmse"] == "0.020" and "of the model before" in old["agreement"] and "old-curve" not in shown
+    assert old["rmse"] == "0.020" and "of the previous model" in old["agreement"] and "old-curve" not in shown
 
 
 @pytest.mark.parametrize("shape", ["flat", "sphere"])
@@ -107,9 +107,9 @@ def test_the_title_names_test_specimen_tool_and_material(shape):
 def test_the_gap_to_the_model_has_its_reasons():
     assert live_gap_html(None) == ""
     fast = texts(live_gap_html(LiveGap(0.1234, 3.35e-3, 20e-3, 0.012, 0.8)))["live-gap"]
-    assert fast == ("live \u2212 model: up to 0.123 N at 3.35 mm; at 20 mm/s the tissue's mass counts; 1.2% carried on "
-                    "by late ticks (grey)")
+    assert fast == ("live \u2212 model: up to 0.123 N at 3.35 mm; at 20 mm/s the inertia of the tissue contributes; "
+                    "1.2% of the points are extrapolated by late ticks (grey)")
     slow = texts(live_gap_html(LiveGap(-0.001, 1e-3, 1e-3, 0.0, 0.0)))["live-gap"]
     assert slow == "live \u2212 model: up to -0.001 N at 1 mm"
     # Of a tissue that has no mass, however fast the tool is.
-    assert "mass" not in live_gap_html(LiveGap(0.1, 1e-3, 20e-3, 0.0, 0.0))
+    assert "inertia" not in live_gap_html(LiveGap(0.1, 1e-3, 20e-3, 0.0, 0.0))

@@ -19,7 +19,7 @@ from haptics.loop.loop import LoopSettings
 from haptics.loop.ring import PAUSED, RingReader
 from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS
 from scenes.viewer.frame import NullViewer, Phase
-from scenes.viewer.measurement import measurement, motion, residual
+from scenes.viewer.measurement import build_measurement, motion, residual
 from scenes.viewer.scene import CLEARANCE
 from scenes.viewer.session import COMMANDS, PLOT_EVERY, STEP_TIME, Session
 from tissue_sim.errors import ConvergenceError
@@ -40,7 +40,8 @@ def measured(needle):
     """The needle with a measurement of a stiffer specimen."""
     model = replace(needle.model, material=with_values(needle.material, {"C10": 1700.0}),
                     experiment=replace(needle.experiment, protocol=ts.Protocol.parse(TEST, 21, SPEED)))
-    return replace(needle, measurements={"needle_indentation": measurement([ts.simulate(model, resolution=MESH)])})
+    recording = ts.simulate(model, resolution=MESH)
+    return replace(needle, measurements={"needle_indentation": build_measurement([recording])})
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +131,7 @@ def test_a_played_protocol_is_the_test(session, needle, until):
 
 
 @pytest.mark.parametrize(("text", "expected"), [
-    ("ramp 9mm", "protocol: goes to 9 mm, and the mesh is made for 4 mm"),
+    ("ramp 9mm", "protocol: must have a depth of at most 4 mm"),
     ("ramp 2", "protocol: column"),
     ("", "protocol"),
 ])
@@ -286,8 +287,8 @@ def test_a_material_is_saved_as_it_is(session, tmp_path):
     path = tmp_path / "softer.material.json"
     assert ts.load_material(path).parameters["C10"] == 1500.0
     assert session.frame().scene.source == path.name
-    assert "is there already" in done(session, "save_material", folder=tmp_path, name="softer")
-    assert "is no name of a file" in done(session, "save_material", folder=tmp_path, name="../softer")
+    assert "exists already" in done(session, "save_material", folder=tmp_path, name="softer")
+    assert "must be a file name" in done(session, "save_material", folder=tmp_path, name="../softer")
     assert [each.name for each in tmp_path.iterdir()] == [path.name]
 
 
@@ -295,12 +296,12 @@ def test_a_curve_is_kept_beside_the_next(session, until):
     until(session.frame, lambda _: not session._curve.busy)
     model = until(session.frame, lambda frame: frame.curves.model is session._curve.recording).curves.model
     assert done(session, "keep_curve", name="before") is None
-    assert session.frame().curves.before == ("before", model)
+    assert session.frame().curves.compared == ("before", model)
     done(session, "set_parameters", values={"C10": 1600.0})
     frame = until(session.frame, lambda frame: frame.curves.model is not model)
-    assert frame.curves.before == ("before", model)
+    assert frame.curves.compared == ("before", model)
     assert done(session, "keep_curve") is None
-    assert session.frame().curves.before is None
+    assert session.frame().curves.compared is None
 
 
 def test_of_a_hand_the_newest_wish_counts_and_all_are_answered(session, monkeypatch):
@@ -332,12 +333,12 @@ def test_commands_come_from_many_threads(session, until):
     assert sorted(told) == [(thread, n, None) for thread in range(8) for n in range(20)]
     for each in range(8):
         assert [n for thread, n, _ in told if thread == each] == list(range(20)), "in the order in which it asked"
-    assert frame.curves.before[0] == "{} {}".format(*told[-1][:2])
+    assert frame.curves.compared[0] == "{} {}".format(*told[-1][:2])
 
 
 def test_what_is_no_command_is_a_fault_of_the_caller(session):
     for name in ("close", "frame", "_begin", "fly"):
-        with pytest.raises(ValueError, match=f"no command '{name}'"):
+        with pytest.raises(ValueError, match=f"command must be one of .*; got '{name}'"):
             session.post(name)
     own = {name: command for name, command in COMMANDS.items() if name not in CALIBRATION_COMMANDS}
     assert all(command is getattr(Session, name) for name, command in own.items())
@@ -393,10 +394,10 @@ def test_what_comes_too_early_is_refused(springs, pool):
     frame = springs.frame()
     assert (frame.phase, frame.readouts, frame.snapshot, frame.curves.model) == (Phase.STARTING, None, None, None)
     for command, values in (("aim", {"depth": 1e-3}), ("play", {"text": "ramp 1mm"}), ("pause", {}), ("step", {})):
-        assert done(springs, command, **values) == "the simulation is not running (starting)"
+        assert done(springs, command, **values) == "The simulation is not running (starting)."
     frame = springs.frame()
     assert (frame.target, frame.motion) == (0.0, "hand"), "what is refused changes nothing"
-    assert "nothing was measured" in done(springs, "replay")
+    assert "has no measurement" in done(springs, "replay")
     assert done(springs, "set_parameters", values={"C10": 1500.0}) is None, "it gets the new material when it runs"
     assert springs.frame().scene.material.parameters["C10"] == 1500.0
     assert springs.simulation is first and first.process.alive
@@ -432,7 +433,7 @@ def test_another_scene_begins_anew_and_forgets_the_curves(springs, pool, needle)
     assert springs.simulation is not first and not first.process.alive
     frames = [springs.frame() for _ in range(PLOT_EVERY)]
     assert frames[-1].scene.kind.name == "bonded_compression"
-    assert (frames[-1].curves.model, frames[-1].curves.before) == (None, None)
+    assert (frames[-1].curves.model, frames[-1].curves.compared) == (None, None)
     assert newest_model(pool).experiment.tool.shape == "plate"
 
 
@@ -467,13 +468,13 @@ def test_a_hand_at_a_device_is_drawn_beside_the_tissue(of_gel, pool, needle, unt
     hand.largest_force = 0.1
     session = Session(needle, settings=LOOP, device=hand)
     try:
-        frame = until(session.frame, lambda frame: frame.curves.felt and len(frame.curves.trace) > 5
+        frame = until(session.frame, lambda frame: frame.curves.has_hand_force and len(frame.curves.trace) > 5
                       and frame.curves.trace.rendered_force[-1] > 0.09)
         trace = frame.curves.trace
         assert frame.motion == "device" and trace.rendered_force.max() <= 0.1 + 1e-12
         assert trace.force[-1] > 0.2, "that of the tissue"
         session.post("aim", depth=1e-3)
-        until(session.frame, lambda frame: frame.motion == "hand" and not frame.curves.felt)
+        until(session.frame, lambda frame: frame.motion == "hand" and not frame.curves.has_hand_force)
     finally:
         session.close()
 
@@ -485,7 +486,7 @@ def test_a_device_that_is_not_there_is_named_and_the_page_goes_on(of_gel, pool, 
         session = Session(needle, settings=LOOP, device=device)
         try:
             frame = until(session.frame, lambda frame: "no Haply Inverse service answers" in frame.message)
-            assert frame.phase is Phase.RUNNING and not frame.curves.felt
+            assert frame.phase is Phase.RUNNING and not frame.curves.has_hand_force
             session.post("aim", depth=1e-3)
             until(session.frame, at_rest(1e-3))
         finally:

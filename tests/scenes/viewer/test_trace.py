@@ -15,7 +15,7 @@ from scenes.catalogue import SCENES
 from scenes.cli import main
 from scenes.viewer.page.saving import curve_files
 from scenes.viewer.scene import Scene
-from scenes.viewer.trace import DEPTH_STEP, LONGEST, SHORTEST, Trace, on_grid, recording_files
+from scenes.viewer.trace import SETTINGS, Trace, interpolate_branch, recording_files
 from scenes.what_was_done import what_was_done
 from tissue_sim.recording.segmentation import HYSTERESIS, one_way
 from tissue_sim.tool_force import ForceStatus
@@ -53,10 +53,10 @@ def test_kept_points_are_apart_and_close_enough_to_draw():
     trace = fed(records)
     step, way = np.diff(trace.time), np.abs(np.diff(trace.depth))
     # The times are of 1 kHz ticks: a kept one may come a tick after it is due.
-    assert step.min() >= SHORTEST - 1.1e-3
-    assert step.max() <= LONGEST + SHORTEST + 1e-3
-    assert (way[step < LONGEST - 1e-9] >= DEPTH_STEP - 1e-12).all()
-    assert way.max() < 2 * DEPTH_STEP
+    assert step.min() >= SETTINGS.shortest - 1.1e-3
+    assert step.max() <= SETTINGS.longest + SETTINGS.shortest + 1e-3
+    assert (way[step < SETTINGS.longest - 1e-9] >= SETTINGS.depth_step - 1e-12).all()
+    assert way.max() < 2 * SETTINGS.depth_step
     assert len(trace) < 1300 < 14_000
 
 
@@ -72,7 +72,7 @@ def test_a_force_that_changes_at_rest_is_kept():
     time = np.arange(0, 1, 1e-3)
     trace = fed(ticks(time, np.full(time.size, 5e-3), np.exp(-time / 0.05)))
     early = trace.time < 0.08
-    assert early.sum() > 10 and np.diff(trace.time[~early]).max() > 0.9 * LONGEST
+    assert early.sum() > 10 and np.diff(trace.time[~early]).max() > 0.9 * SETTINGS.longest
 
 
 def test_a_catch_of_any_size_keeps_the_same_points():
@@ -105,13 +105,13 @@ def test_what_is_no_longer_the_tissues_is_not_drawn_and_what_is_carried_on_not_r
     recorded = trace.recording({}).time + trace.time[0]
     assert np.isin(recorded, trace.time[~trace.late]).all() and len(recorded) == (~trace.late).sum()
     records["status"] = ForceStatus.LATE
-    with pytest.raises(ts.InputError, match="in equilibrium"):
+    with pytest.raises(ts.InputError, match="two equilibrium points"):
         fed(records).recording({})
 
 
 def test_memory_is_bounded_and_the_oldest_points_go():
     records = played([(0, 0), *((i + 1, 5e-3 * ((i + 1) % 2)) for i in range(20))], 20)
-    whole, short = fed(records), fed(records, most=500)
+    whole, short = fed(records), fed(records, max_points=500)
     assert len(short) == 500 < len(whole)
     for name in ("time", "depth", "force"):
         assert getattr(short, name).tolist() == getattr(whole, name)[-500:].tolist()
@@ -131,8 +131,8 @@ def test_another_loop_begins_another_trace():
 def test_newest_branches_of_two_cycles():
     trace = fed(played([(0, 0), (4, 8e-3), (8, 2e-3), (12, 10e-3), (14, 6e-3)], 14))
     load, unload = trace.branches()
-    assert (load.depth.min(), load.depth.max()) == pytest.approx((2e-3, 10e-3), abs=2 * DEPTH_STEP)
-    assert (unload.depth.min(), unload.depth.max()) == pytest.approx((6e-3, 10e-3), abs=2 * DEPTH_STEP)
+    assert (load.depth.min(), load.depth.max()) == pytest.approx((2e-3, 10e-3), abs=2 * SETTINGS.depth_step)
+    assert (unload.depth.min(), unload.depth.max()) == pytest.approx((6e-3, 10e-3), abs=2 * SETTINGS.depth_step)
     assert load.time[0] == pytest.approx(8, abs=0.03) and unload.time[0] == pytest.approx(12, abs=0.03)
     assert load.time[-1] == unload.time[0]
 
@@ -218,7 +218,7 @@ def test_a_saved_curve_says_what_a_simulated_one_does(tmp_path, kind, specimen, 
 
 
 def test_nothing_felt_is_no_recording():
-    with pytest.raises(ts.InputError, match="nothing has been felt in equilibrium yet"):
+    with pytest.raises(ts.InputError, match="two equilibrium points"):
         Trace().recording({})
 
 
@@ -231,8 +231,8 @@ def test_monotone_motion_comes_back_as_it_is(steps):
     depth = np.cumsum(np.abs(steps) + 1e-6)
     force = np.random.default_rng(len(steps)).normal(size=depth.size)
     assert one_way(depth, 1).tolist() == one_way(depth[::-1], -1).tolist() == list(range(depth.size))
-    assert on_grid(depth, force, 1, depth).tolist() == force.tolist()
-    assert on_grid(depth[::-1], force[::-1], -1, depth).tolist() == force.tolist()
+    assert interpolate_branch(depth, force, 1, depth).tolist() == force.tolist()
+    assert interpolate_branch(depth[::-1], force[::-1], -1, depth).tolist() == force.tolist()
 
 
 @settings(max_examples=300, deadline=None)
