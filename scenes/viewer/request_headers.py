@@ -34,7 +34,7 @@ def refuse(hosts: list[str], origins: list[str], allowed: frozenset[str], port: 
         return None
     scheme, _, address = origins[0].partition("://")
     if len(origins) > 1 or scheme.lower() != "http" or _parse_address(address) != host:
-        return "This server answers only requests of its own page, not of pages of other sites."
+        return "This server answers only requests from this page, not from pages of other sites."
     return None
 
 

@@ -1,4 +1,4 @@
-"""The page of a bench: what it reads of a run and of devices; it moves nothing."""
+"""Bench page: it reads the folder of a run and devices, and moves nothing."""
 
 import json
 
@@ -17,7 +17,7 @@ from tissue_sim.errors import InputError
 HEADER = ["time [s]", "displacement [mm]", "force [N]", "segment"]
 
 
-def test_a_run_that_goes_is_read_row_by_row(tmp_path):
+def test_the_folder_of_a_running_recorder_is_read(tmp_path):
     source = RunSource(tmp_path / "run")
     assert "No run in" in source.read().title and "tissue-sim record" in source.read().message
     folder = RunFolder(tmp_path / "run", "digest")
@@ -41,7 +41,7 @@ def test_a_run_that_goes_is_read_row_by_row(tmp_path):
         assert source.read().message == "the force was 9 N"
 
 
-def test_what_a_run_shows_is_written_by_another_thread_and_gone_afterwards(tmp_path):
+def test_the_live_file_is_written_by_another_thread_and_removed_at_the_end(tmp_path):
     live = LiveFile(tmp_path)
     file = tmp_path / LIVE_FILE
     with live.shown():
@@ -64,7 +64,7 @@ def load(time):
     return (0.0, 0.0, time - 100.0, 0.0, 0.0, 0.0)
 
 
-def test_a_sensor_is_shown_and_a_stage_is_only_asked(monkeypatch):
+def test_a_sensor_is_displayed_and_the_stage_does_not_move(monkeypatch):
     from haptics.devices.contracts import StageLimits
     from haptics.devices.virtual.stage import VirtualStage
 
@@ -88,12 +88,12 @@ def test_a_sensor_is_shown_and_a_stage_is_only_asked(monkeypatch):
         sensor.read()
 
 
-def test_a_channel_that_is_not_there_is_refused():
+def test_an_unknown_channel_is_refused():
     with pytest.raises(InputError, match=r"axis: must be one of .*; got 'Fz'"):
         DevicesSource(VirtualForceSensor(load, ("Fx", "Fy")))
 
 
-def test_words_are_no_markup():
+def test_texts_are_escaped_in_html():
     from scenes.viewer.bench.sources import BenchView
 
     page = bench_html(BenchView("<b>", "a & b", None, None, 0.5))
