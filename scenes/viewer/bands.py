@@ -35,7 +35,7 @@ class Triangulation:
 
     @cached_property
     def _edges(self) -> tuple[np.ndarray, np.ndarray]:
-        """Unique edges.
+        """Edges of the triangles, each edge listed once.
 
         Returns:
             End points of each edge, shape (e, 2), and edge numbers of each triangle in the order of its corners 0-1,

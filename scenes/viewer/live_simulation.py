@@ -195,7 +195,7 @@ class LiveSimulation:
             self.phase = Phase.PAUSED if self._paused else Phase.RUNNING
 
     def close(self) -> None:
-        """Stop the process."""
+        """Stop the loop process and close its shared memory."""
         self._files.close()
         self._loop.stop()
 

@@ -94,7 +94,7 @@ class Measurement:
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """Model minus measurement.
+    """Difference between model and measurement over depth, with its root mean square.
 
     Attributes:
         depth: Grid of the measurement, m, shape (n,).

@@ -230,7 +230,7 @@ class Session:
         self._set_material(with_values(self.scene.material, values), self.scene.source)
 
     def use_material(self, material: ts.Material, source: str) -> None:
-        """Replace the material.
+        """Replace the material of the scene.
 
         New parameter values of the same law are set in the running simulation; otherwise, a new simulation starts.
 

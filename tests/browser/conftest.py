@@ -47,7 +47,7 @@ def chromium(root):
 def browser(chromium):
     """One Chromium for all tests; each test has separate pages that share no data."""
     if chromium.chromium_path() is None:
-        pytest.skip("looks at the page in a real browser, which pip cannot install: there is no chromium or "
+        pytest.skip("requires a browser, which pip cannot install: there is no chromium or "
                     "chromium-browser on PATH (Debian: apt install chromium fonts-dejavu-core; .ci/run does so)")
     return SHARED.enter_context(chromium.chromium())
 
@@ -108,21 +108,22 @@ def pages_of(browser, chromium):
 def open_page(browser, chromium):
     """Open a page of a server: ``open_page(server, width=, height=, scheme=, triangles=)`` -> Playwright's page.
 
-    Each has its own cookies and storage. At the end none may have asked for anything elsewhere, missed anything, or
-    met an error in a script. ``open_page.traffic(page)`` is what it asked for.
+    Each page has its own cookies and storage. The teardown checks that no page has requested anything from another
+    server, had a failed request, or had a script error. ``open_page.traffic(page)`` returns the `Traffic` of a page.
     """
     with pages_of(browser, chromium) as open_one:
         yield open_one
 
 
 class Shown:
-    """The page of the viewer, with its session in a thread: the needle in the study's specimen, to 5 mm.
+    """Running viewer: the page, with its session in a thread.
 
     Attributes:
-        session, page: as in `scenes.viewer`.
-        frame: the newest.
-        scene: the first, to which every test returns; its measurement is the model with the noise of a sensor.
-        folder: of its materials; it holds ``softer.material.json``.
+        session: Session of the viewer.
+        page: Page of the viewer.
+        frame: Newest frame.
+        scene: First scene, which `begin_again` restores; its measurement is the model with sensor noise.
+        folder: Folder of material files, which contains ``softer.material.json``.
     """
 
     def __init__(self, scene, folder: Path, patience: float = 0.05):
@@ -273,13 +274,13 @@ def shown_reduced(browser, tmp_path_factory):
 
 
 class Reader:
-    """What a person reads and does on the page of the viewer.
+    """Driver of a browser page of the viewer, with the actions and observations of a user.
 
     Attributes:
-        page: Playwright's.
-        shown: what is looked at.
-        traffic: of the page.
-        client: viser's, of this browser.
+        page: Page of Playwright.
+        shown: Displayed viewer.
+        traffic: Requests and errors of the page.
+        client: Client handle of viser for this browser.
     """
 
     def __init__(self, page, shown: Shown, chromium, traffic: Traffic):

@@ -96,11 +96,11 @@ def test_the_live_curve_is_downloaded_as_a_recording(shown, reader, tmp_path):
     reader.phase("paused")
     reader.tab("Save")
     trace = shown.frame.curves.trace
-    file, beside = reader.downloads("Save curve (CSV)", 2)
+    file, sidecar = reader.downloads("Save curve (CSV)", 2)
     assert file.suggested_filename == "needle_indentation.csv"
-    assert beside.suggested_filename == "needle_indentation.json"
+    assert sidecar.suggested_filename == "needle_indentation.json"
     file.save_as(tmp_path / "curve.csv")
-    beside.save_as(tmp_path / "curve.json")
+    sidecar.save_as(tmp_path / "curve.json")
     felt = ts.read_recording(tmp_path / "curve.csv")
     assert felt.metadata["specimen"]["shape"] == "cylinder" and felt.metadata["tool"]["shape"] == "flat"
     found = ~trace.late

@@ -63,7 +63,7 @@ class BenchPage:
         plot.data = (x, force)
 
     def run(self, stop: threading.Event, seconds: float | None = None) -> None:
-        """Read and display the source at intervals.
+        """Read the bench source and update the page at intervals of 0.2 s.
 
         Args:
             stop: Ends the run.

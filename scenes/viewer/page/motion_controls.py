@@ -118,7 +118,7 @@ class MotionControls:
         self._speed = gui.add_number("speed [mm/s]", 5.0, min=0.01, max=200.0, step=0.01,
                                      hint="speed of segments for which the protocol states no speed")
         self._repeat = gui.add_checkbox("repeat", False)
-        self._speed_factor = gui.add_number("times as fast", 10.0, min=0.1, max=1000.0, step=0.1, visible=False,
+        self._speed_factor = gui.add_number("speed factor", 10.0, min=0.1, max=1000.0, step=0.1, visible=False,
                                             hint="speed relative to the measurement. The force of viscoelastic tissue "
                                                  "depends on the speed")
 

@@ -148,7 +148,7 @@ def test_a_killed_process_gives_a_message(of_gel, needle, until):
         until(simulation.poll, lambda records: records is None)
         assert simulation.phase is Phase.DIED
         assert simulation.message == "the process of the loop was killed by signal 9; before that: running"
-        assert simulation.poll() is None and simulation.snapshot is seen, "what it was last stays to be looked at"
+        assert simulation.poll() is None and simulation.snapshot is seen, "the last snapshot is kept"
         with pytest.raises(ts.InputError, match=r"is not running .*killed by signal 9"):
             simulation.ask("pause")
         assert not process.alive and not process.ring_path.exists() and not process.snapshot_path.exists()

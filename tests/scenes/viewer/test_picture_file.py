@@ -39,9 +39,9 @@ def find(picture, part):
 def test_without_levels_there_is_no_bar():
     """For tissue without fields, the picture has the view only and no space for a bar."""
     view = render()
-    alone, beside = (opened(compose_png(view, levels, COLOURS, "von Mises stress [kPa]", CAPTION))
+    alone, with_bar = (opened(compose_png(view, levels, COLOURS, "von Mises stress [kPa]", CAPTION))
                      for levels in (None, LEVELS))
-    assert find(alone, view[60:-60, 80:-80, :3]) and alone.shape[1] < beside.shape[1] - 100
+    assert find(alone, view[60:-60, 80:-80, :3]) and alone.shape[1] < with_bar.shape[1] - 100
     assert not (alone == np.round(np.array(to_rgb(COLOURS[2])) * 255)).all(axis=2).any()
 
 

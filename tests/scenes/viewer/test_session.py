@@ -148,7 +148,7 @@ def test_aim_during_a_protocol_starts_at_the_position_of_the_tool(session, until
     frame = until(session.frame, lambda frame: frame.readouts.depth > 0.5e-3)
     with RingReader(session.simulation.process.ring_path) as ring:
         begin = ring.written
-        # It goes on before the page looks again.
+        # The tool moves before the next frame.
         until(ring.latest, lambda tick: tick["tool_depth"] > frame.readouts.depth + 0.1e-3)
         assert done(session, "aim", depth=4e-3) is None
         until(ring.latest, lambda tick: abs(tick["tool_depth"] - 4e-3) < 1e-6)
@@ -187,7 +187,7 @@ def test_a_step_pauses_first(session, until):
     assert done(session, "play", text="ramp 4mm", speed=4e-3) is None
     assert done(session, "step") is None
     assert session.frame().phase is Phase.PAUSED
-    assert done(session, "play", text="ramp 1mm", speed=20e-3) is None, "what is played goes on"
+    assert done(session, "play", text="ramp 1mm", speed=20e-3) is None, "playing resumes a paused motion"
     assert session.frame().phase is Phase.RUNNING
     until(session.frame, at_rest(1e-3))
 

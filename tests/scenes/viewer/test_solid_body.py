@@ -83,7 +83,7 @@ def check_remaining_body(mesh, body, wedge, left):
 
 def test_the_surface_is_split_at_sharp_edges():
     body = SolidBody.from_mesh(block(HEX27P1))
-    assert len(body.nodes) == 6 * 9 * 9 - 4 * 2 * 9, "each side of the block has points of its own"
+    assert len(body.nodes) == 6 * 9 * 9 - 4 * 2 * 9, "the sides of the block share no points"
     ends = body.mesh.nodes[body.nodes[body.sharp]]
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).sum()
     assert length == pytest.approx(8 * SIDE + 4 * HEIGHT)
