@@ -35,7 +35,7 @@ import tissue_sim as ts
 from haptics.loop.ring import RingReader
 from scenes.viewer.cut_away import CutAway
 from scenes.viewer.frame import Frame, NullViewer, Phase, Viewer
-from scenes.viewer.measurement import measurement
+from scenes.viewer.measurement import build_measurement
 from scenes.viewer.page import Page
 from scenes.viewer.page.readouts import readouts_html
 from scenes.viewer.scene import Scene
@@ -75,7 +75,7 @@ class Stopwatch:
         bodies.extrapolate = self.timed("fields", bodies.extrapolate)
         solid.field_range = self.timed("fields", solid.field_range)
         CutAway.bands = self.timed("bands", CutAway.bands)
-        page._write_words = self.timed("words", page._write_words)
+        page._update_panels = self.timed("words", page._update_panels)
         page.show, session.frame = self.timed("show", page.show), self.timed("frame", session.frame)
 
 
@@ -112,7 +112,7 @@ def study() -> Scene:
                                {}, {"name": f"needle_{number}", "kind": NEEDLE.name}) for number in range(REPLICATES)]
     material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4),
                            density=1040.0)
-    return Scene(NEEDLE, experiment, material, measurements={NEEDLE.name: measurement(recordings)})
+    return Scene(NEEDLE, experiment, material, measurements={NEEDLE.name: build_measurement(recordings)})
 
 
 def began_at(ring: RingReader) -> float:

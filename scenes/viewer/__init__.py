@@ -1,5 +1,6 @@
-"""The viewer: a page on which a needle is pushed into tissue, and measurement and simulation are seen together.
+"""Interactive viewer: a web page that shows a simulated tissue test in real time together with its measurement.
 
-Three processes: this one shows (a `Session` and a back-end such as the page), one runs the 1 kHz loop, one computes
-whole test curves. What the back-end gets is a `Frame`; what it asks for is a command of the session.
+The viewer uses three processes. The first one holds the `Session` and displays its frames through a back-end such as
+the page, the second one runs the 1 kHz haptic loop, and the third one computes the curves of whole tests. The session
+passes a `Frame` to the back-end, and the back-end posts commands to the session.
 """

@@ -1,4 +1,4 @@
-"""Iso-bands: triangles and lines cut where a field crosses levels, so that every piece has one colour."""
+"""Iso-bands: cut triangles and lines where a field crosses given levels, so that each piece has one colour."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
-class Pieces:
-    """Triangles cut at the levels, each in one band.
+class BandTriangles:
+    """Triangles that result from cutting a triangulation at the levels; each triangle lies in one band.
 
     Attributes:
-        points: those that were given, then the crossings of their edges with levels, shape (m, 2) or (m, 3).
-        triangles: point numbers, sorted by band, wound as those that were given, shape (k, 3).
-        band: of each triangle, ascending, shape (k,).
+        points: Original points, then the points where edges cross levels, shape (m, 2) or (m, 3).
+        triangles: Point numbers with the original orientation, sorted by band, shape (k, 3).
+        band: Band of each triangle, ascending, shape (k,).
     """
 
     points: np.ndarray
@@ -25,44 +25,50 @@ class Pieces:
 
 @dataclass(frozen=True, eq=False)
 class Triangulation:
-    """Triangles that keep their numbers while their points move and their values change.
+    """Fixed connectivity of triangles whose points and nodal values change from frame to frame.
 
     Attributes:
-        triangles: point numbers, shape (t, 3).
+        triangles: Point numbers, shape (t, 3).
     """
 
     triangles: np.ndarray
 
     @cached_property
     def _edges(self) -> tuple[np.ndarray, np.ndarray]:
-        """Ends of each edge once, shape (e, 2), and the edges of each triangle, shape (t, 3): corners 0-1, 1-2, 2-0."""
+        """Edges of the triangles, each edge listed once.
+
+        Returns:
+            End points of each edge, shape (e, 2), and edge numbers of each triangle in the order of its corners 0-1,
+            1-2, 2-0, shape (t, 3).
+        """
         ends = np.sort(self.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1).astype(np.int64)
         points = int(ends.max(initial=0)) + 1
         keys, number = np.unique(ends[:, 0] * points + ends[:, 1], return_inverse=True)
         return np.stack([keys // points, keys % points], axis=-1), number.reshape(-1, 3)
 
-    def cut(self, points: np.ndarray, values: np.ndarray, levels: np.ndarray) -> Pieces:
-        """Cut the triangles where the linear interpolation of `values` crosses the levels.
+    def cut(self, points: np.ndarray, values: np.ndarray, levels: np.ndarray) -> BandTriangles:
+        """Cut the triangles where the linear interpolant of the values crosses the levels.
 
         Args:
-            points: shape (n, 2) or (n, 3).
-            values: at the points, shape (n,).
-            levels: ascending, shape (bands + 1,). The first and the last band also take what lies beyond them.
+            points: Coordinates, shape (n, 2) or (n, 3).
+            values: Values at the points, shape (n,).
+            levels: Ascending levels, shape (bands + 1,). Values below the first level belong to the first band, values
+                above the last level to the last band.
         """
         inner = np.asarray(levels, dtype=float)[1:-1]
         edges, edges_of = self._edges
         at_ends = values[edges]
-        # Of every point: how many levels lie below it, and how many do not lie above it.
+        # For each point: the number of levels < value, and the number of levels <= value.
         below, reached = np.searchsorted(inner, values, "left"), np.searchsorted(inner, values, "right")
         first = reached[edges].min(axis=1)
         count = np.maximum(below[edges].max(axis=1) - first, 0)
         crossed = np.repeat(np.arange(len(edges)), count)
         start = np.cumsum(count) - count
         level = inner[first[crossed] + np.arange(crossed.size) - start[crossed]]
-        share = (level - at_ends[crossed, 0]) / (at_ends[crossed, 1] - at_ends[crossed, 0])
-        here, there = points[edges[crossed, 0]], points[edges[crossed, 1]]
-        all_points = np.concatenate([points, here + share[:, None] * (there - here)])
-        # Crossing of edge e with level l is point `of_edge[e] + l`.
+        fraction = (level - at_ends[crossed, 0]) / (at_ends[crossed, 1] - at_ends[crossed, 0])
+        first_end, second_end = points[edges[crossed, 0]], points[edges[crossed, 1]]
+        all_points = np.concatenate([points, first_end + fraction[:, None] * (second_end - first_end)])
+        # The crossing of edge e with level l is point number `of_edge[e] + l`.
         of_edge = len(points) + start - first
 
         reached_at = reached[self.triangles]
@@ -74,21 +80,26 @@ class Triangulation:
         triangles = np.concatenate([self.triangles[whole], pieces])
         band = np.concatenate([lowest[whole], band])
         order = np.argsort(band, kind="stable")
-        return Pieces(all_points, triangles[order], band[order])
+        return BandTriangles(all_points, triangles[order], band[order])
 
     def _split(self, split, values, below, reached, of_edge, edges_of, lowest, highest):
-        """The pieces of these triangles, and their bands.
+        """Cut the triangles numbered `split` into pieces.
 
-        Seen from its lowest to its highest corner, a triangle lies between its long edge and the two short ones. A band
-        cuts out: long edge at its lower level, short edges there, the middle corner if it is inside, short edges at the
-        upper level, long edge there.
+        The long edge of a triangle connects the corners with the lowest and the highest value; the two short edges
+        meet at the middle corner. The part of a triangle inside a band is a polygon with these corners: the crossing of
+        the long edge with the lower level, the crossing of a short edge with the lower level, the middle corner if its
+        value lies in the band, the crossing of a short edge with the upper level, and the crossing of the long edge
+        with the upper level.
+
+        Returns:
+            Point numbers of the pieces, shape (k, 3), and their bands, shape (k,).
         """
         corners = self.triangles[split]
         order = np.argsort(values[corners], axis=1, kind="stable")
         rows = np.arange(split.size)[:, None]
         low, middle, high = corners[rows, order].T
         odd = (order[:, 1] - order[:, 0]) % 3 == 2
-        # The edge opposite to corner k is number (k + 1) % 3.
+        # Edge (k + 1) % 3 lies opposite to corner k.
         short_high, long, short_low = edges_of[split][rows, (order + 1) % 3].T
 
         repeats = highest - lowest + 1
@@ -115,59 +126,62 @@ class Triangulation:
         return pieces[real], np.repeat(band, 3).reshape(-1, 3)[real]
 
 
-def by_band(triangles: np.ndarray, band: np.ndarray, points: int, bands: int) -> tuple[np.ndarray, np.ndarray, list]:
-    """Number the points anew, each band its own.
+def split_by_band(triangles: np.ndarray, band: np.ndarray, points: int,
+                  bands: int) -> tuple[np.ndarray, np.ndarray, list]:
+    """Split triangles into one mesh per band, each with its own point numbers.
 
     Args:
-        triangles: point numbers, sorted by band, shape (k, 3).
-        band: of each triangle, ascending, shape (k,).
-        points: number of points.
-        bands: number of bands.
+        triangles: Point numbers, sorted by band, shape (k, 3).
+        band: Band of each triangle, ascending, shape (k,).
+        points: Number of points.
+        bands: Number of bands.
 
     Returns:
-        Old numbers of the points of all bands, one band after the other; the triangles in numbers that start at 0 in
-        each band; and of each band the slices of its points and of its triangles.
+        Original numbers of the points of all meshes, mesh after mesh; the triangles in point numbers that start at 0 in
+        each mesh, shape (k, 3); and for each mesh the slice of its points and the slice of its triangles.
     """
-    wanted = triangles + (band * points)[:, None]
+    shifted = triangles + (band * points)[:, None]
     used = np.zeros(bands * points, dtype=bool)
-    used[wanted] = True
+    used[shifted] = True
     kept = np.flatnonzero(used)
     new = np.cumsum(used) - 1
     first_point = np.searchsorted(kept, np.arange(bands + 1) * points)
     first_triangle = np.searchsorted(band, np.arange(bands + 1))
     slices = [(slice(first_point[k], first_point[k + 1]), slice(first_triangle[k], first_triangle[k + 1]))
               for k in range(bands)]
-    return kept % points, new[wanted] - first_point[band][:, None], slices
+    return kept % points, new[shifted] - first_point[band][:, None], slices
 
 
 def fill_bands(points: np.ndarray, triangles: np.ndarray, values: np.ndarray,
                levels: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Triangles clipped to each band between two levels.
+    """Clip triangles to each band between two levels.
 
     Args:
-        points: shape (n, 2).
-        triangles: point numbers, shape (t, 3).
-        values: at the points, shape (n,); linear in every triangle.
-        levels: ascending, shape (bands + 1,). The first and the last band also take what lies beyond them.
+        points: Coordinates, shape (n, 2).
+        triangles: Point numbers, shape (t, 3).
+        values: Values at the points, interpolated linearly in each triangle, shape (n,).
+        levels: Ascending levels, shape (bands + 1,). Values below the first level belong to the first band, values
+            above the last level to the last band.
 
     Returns:
-        For each band its vertices (m, 2) and triangles (k, 3), wound as those that were given.
+        For each band its vertices, shape (m, 2), and its triangles with the original orientation, shape (k, 3).
     """
     pieces = Triangulation(np.asarray(triangles)).cut(points, values, levels)
-    kept, numbers, slices = by_band(pieces.triangles, pieces.band, len(pieces.points), len(levels) - 1)
+    kept, numbers, slices = split_by_band(pieces.triangles, pieces.band, len(pieces.points), len(levels) - 1)
     return [(pieces.points[kept[points_of]], numbers[cut]) for points_of, cut in slices]
 
 
 def split_polyline(points: np.ndarray, values: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A polyline with a point wherever its values, linear along each line, cross a level.
+    """Insert points into a polyline where its values, interpolated linearly along each line, cross a level.
 
     Args:
-        points: shape (n, 2).
-        values: at the points, shape (n,).
-        levels: ascending, shape (bands + 1,). The first and the last band also take what lies beyond them.
+        points: Coordinates, shape (n, 2).
+        values: Values at the points, shape (n,).
+        levels: Ascending levels, shape (bands + 1,). Values below the first level belong to the first band, values
+            above the last level to the last band.
 
     Returns:
-        The points in order, shape (m, 2), and the band of each line between two of them, shape (m - 1,).
+        The points in order, shape (m, 2), and the band of each line between two neighbours, shape (m - 1,).
     """
     inner = np.asarray(levels, dtype=float)[1:-1]
     low, high = np.minimum(values[:-1], values[1:]), np.maximum(values[:-1], values[1:])
@@ -177,8 +191,8 @@ def split_polyline(points: np.ndarray, values: np.ndarray, levels: np.ndarray) -
     step = np.arange(line.size) - np.repeat(np.cumsum(count) - count, count)
     falls = values[1:] < values[:-1]
     crossed = first[line] + np.where(falls[line], count[line] - 1 - step, step)
-    share = (inner[crossed] - values[line]) / (values[line + 1] - values[line])
-    crossings = points[line] + share[:, None] * (points[line + 1] - points[line])
+    fraction = (inner[crossed] - values[line]) / (values[line + 1] - values[line])
+    crossings = points[line] + fraction[:, None] * (points[line + 1] - points[line])
     all_points = np.insert(points, line + 1, crossings, axis=0)
     all_values = np.insert(values, line + 1, inner[crossed])
     return all_points, np.searchsorted(inner, np.minimum(all_values[:-1], all_values[1:]), "right")

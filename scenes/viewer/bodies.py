@@ -1,4 +1,4 @@
-"""Tissue as the page draws it: surfaces in bands of a field, and lines; one way for a section and for a solid."""
+"""Drawable tissue: surfaces in bands of a field, element edges, contact lines and outline, for 2D and 3D meshes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from scenes.viewer.cut_away import CutAway
 from scenes.viewer.revolution import Surface
 from scenes.viewer.solid_body import SolidBody
-from scenes.viewer.tool_picture import contact_picture
+from scenes.viewer.tool_picture import find_contact
 from scenes.viewer.wedge import Wedge
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.fem.axisymmetric.fields import Fields
@@ -19,64 +19,74 @@ from tissue_sim.fem.solid.fields import SolidFields
 
 
 class Body(Protocol):
-    """What is drawn of tissue. Places are those of its nodes, as `Snapshot.place` gives them; all lengths are in m."""
+    """Interface of tissue that the page can draw, from an axisymmetric or a 3D mesh.
 
-    def values(self, fields: Any, name: str, place: np.ndarray, wedge: Wedge) -> tuple[np.ndarray, np.ndarray, Any]:
-        """A field at the nodes that are seen, at points that stand for the whole body, and the fields of these."""
+    In all methods, `positions` are the deformed positions of the nodes as `Snapshot.place` gives them, and `wedge` is
+    the wedge that is removed from the picture. Lengths are in m.
+    """
 
-    def bands(self, place: np.ndarray, values: np.ndarray, levels: np.ndarray, wedge: Wedge) -> list[Surface]:
-        """One surface for each band between levels."""
+    def values(self, fields: Any, name: str, positions: np.ndarray,
+               wedge: Wedge) -> tuple[np.ndarray, np.ndarray, Any]:
+        """Evaluate a field for the picture.
 
-    def mesh_lines(self, place: np.ndarray, wedge: Wedge) -> np.ndarray:
-        """Element edges, shape (lines, 2, 3)."""
+        Returns:
+            Values at the nodes, of which the visible ones are valid, shape (nodes,); values at quadrature points that
+            represent the whole body, shape (elements, q); and the fields to which these points belong.
+        """
 
-    def contact_lines(self, place: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
-        """Where tissue touches the tool, shape (lines, 2, 3); None where it does not."""
+    def bands(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray, wedge: Wedge) -> list[Surface]:
+        """Return the visible surface of each band between two levels."""
+
+    def mesh_lines(self, positions: np.ndarray, wedge: Wedge) -> np.ndarray:
+        """Return the visible element edges, shape (lines, 2, 3)."""
+
+    def contact_lines(self, positions: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
+        """Return lines along the contact with the tool, shape (lines, 2, 3); None without contact."""
 
     def outline(self, wedge: Wedge, tool: tuple[float, float]) -> np.ndarray:
-        """Of the undeformed tissue, shape (lines, 2, 3).
+        """Return a dashed outline of the undeformed tissue, shape (lines, 2, 3).
 
         Args:
-            wedge: that is cut out.
-            tool: its radius and largest depth, m.
+            wedge: Wedge that is removed from the picture.
+            tool: Radius and largest depth of the tool, m.
         """
 
 
 @dataclass(frozen=True, eq=False)
 class RevolvedBody:
-    """A half section, turned about its axis.
+    """Body of revolution of an axisymmetric mesh.
 
     Attributes:
-        cut_away: the section.
+        cut_away: Half section of the body.
     """
 
     cut_away: CutAway
 
-    def values(self, fields: Fields, name: str, place: np.ndarray,
+    def values(self, fields: Fields, name: str, positions: np.ndarray,
                wedge: Wedge) -> tuple[np.ndarray, np.ndarray, Fields]:
         at_points = fields.at_points(name)
         nodal = fields.at_nodes(name) if name == "displacement" else extrapolate(fields.mesh, at_points)
         return nodal, at_points, fields
 
-    def bands(self, place: np.ndarray, values: np.ndarray, levels: np.ndarray, wedge: Wedge) -> list[Surface]:
-        return self.cut_away.bands(place, values, levels, wedge.opening)
+    def bands(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray, wedge: Wedge) -> list[Surface]:
+        return self.cut_away.bands(positions, values, levels, wedge.opening)
 
-    def mesh_lines(self, place: np.ndarray, wedge: Wedge) -> np.ndarray:
-        return self.cut_away.mesh_lines(place, wedge.opening)
+    def mesh_lines(self, positions: np.ndarray, wedge: Wedge) -> np.ndarray:
+        return self.cut_away.mesh_lines(positions, wedge.opening)
 
-    def contact_lines(self, place: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
-        contact = contact_picture(self.cut_away.surface_line(place), tool, wedge.pose.depth, wedge.opening)
+    def contact_lines(self, positions: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
+        contact = find_contact(self.cut_away.surface_line(positions), tool, wedge.pose.depth, wedge.opening)
         return None if contact is None else contact.lines
 
     def outline(self, wedge: Wedge, tool: tuple[float, float]) -> np.ndarray:
         return self.cut_away.undeformed_outline(wedge.opening, tool=tool)
 
 
-def body_of(mesh: Any) -> Body:
-    """What is drawn of a mesh, of a section or in space."""
-    return SolidBody.of(mesh) if mesh.nodes.shape[1] == 3 else RevolvedBody(CutAway.of(mesh))
+def make_body(mesh: Any) -> Body:
+    """Return the drawable body of a mesh in 3D or of an axisymmetric mesh."""
+    return SolidBody.from_mesh(mesh) if mesh.nodes.shape[1] == 3 else RevolvedBody(CutAway.from_mesh(mesh))
 
 
 def drawable(fields: Any) -> bool:
-    """Whether a body can be drawn of these fields."""
+    """Return whether the viewer can draw fields of this type."""
     return isinstance(fields, Fields | SolidFields)

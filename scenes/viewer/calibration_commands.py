@@ -1,4 +1,4 @@
-"""What a viewer may ask a session for about calibration, and what becomes of a result."""
+"""Calibration commands of a session, and use of the calibrated material in the scene."""
 
 from __future__ import annotations
 
@@ -15,78 +15,84 @@ from scenes.viewer.scene import Scene
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError
 
-#: Of a material that was calibrated on the page and not saved yet.
+#: Source of a material that was calibrated on the page and is not saved yet.
 CALIBRATED = "calibrated here"
 
 
-class Calibrating(Protocol):
-    """A session, as far as it is needed here."""
+class CalibrationHost(Protocol):
+    """Part of a session that the calibration commands use.
+
+    Attributes:
+        scene: The displayed scene.
+        calibration: Recordings and fit of the session.
+    """
 
     scene: Scene
     calibration: CalibrationRun
 
     def use_material(self, material: ts.Material, source: str) -> None:
-        """Look at another material."""
+        """Replace the material of the scene."""
 
 
-def take_result(session: Calibrating) -> None:
-    """Put what was calibrated under the needle, with the recordings as the scene's measurement, once it is there.
+def take_result(session: CalibrationHost) -> None:
+    """Use a finished calibration in the scene: its material, and its recordings as the measurement.
 
-    Where the scene has become another test meanwhile or refuses the material, or the fit is unusable, that is said and
-    nothing is changed.
+    The scene is unchanged, and the calibration state gets a message, if the fit is unusable, if the scene has changed
+    to another test since the start of the fit, or if the simulation refuses the material. Without a new result the
+    function does nothing.
     """
     run = session.calibration
     result = run.poll()
     if result is None or run.scene is None:
         return
     if result.unusable:
-        run.complain("Nobody should work with what came out, as it says below, so it is not under the needle.")
+        run.set_problem("The fit is unusable for the reason given below. The material of the scene is unchanged.")
         return
     before = session.scene
     if before.kind is not run.scene.kind or before.experiment != run.scene.experiment:
-        run.complain("The scene has become another one while this was calibrated, so its material is not shown; save "
-                     "it, or go back and calibrate again.")
+        run.set_problem("The scene changed during the calibration, so the calibrated material is not in use. Save the "
+                        "material, or return to the previous scene and calibrate again.")
         return
     session.scene = replace(before, measurements={**before.measurements, before.kind.name: run.measured})
     try:
         session.use_material(result.material, CALIBRATED)
     except InputError as error:
         session.scene = before
-        run.complain(f"{error} The material stays as it was.")
+        run.set_problem(f"{error} The material is unchanged.")
 
 
-def _save(session: Calibrating, folder: Path, name: str) -> None:
+def _save(session: CalibrationHost, folder: Path, name: str) -> None:
     """Write the material file of the newest result into a new file of a folder.
 
     Raises:
-        InputError: there is no result, or a name that is taken, or none.
+        InputError: There is no result, the name is empty, or the file exists already.
     """
     result = session.calibration.state.result
     if result is None:
-        raise InputError("nothing was calibrated yet")
+        raise InputError("There is no calibrated material yet. Press Calibrate first.")
     path = new_file(folder, name)
     write_bytes(path, result.file)
     if session.scene.source == CALIBRATED and session.scene.material == result.material:
         session.scene = replace(session.scene, source=path.name)
 
 
-def _add(session: Calibrating, uploads: Sequence[Upload]) -> None:
+def _add(session: CalibrationHost, uploads: Sequence[Upload]) -> None:
     session.calibration.add(uploads)
 
 
-def _remove(session: Calibrating) -> None:
+def _remove(session: CalibrationHost) -> None:
     session.calibration.remove_all()
 
 
-def _begin(session: Calibrating) -> None:
+def _begin(session: CalibrationHost) -> None:
     session.calibration.begin(session.scene)
 
 
-def _cancel(session: Calibrating) -> None:
+def _cancel(session: CalibrationHost) -> None:
     session.calibration.cancel()
 
 
-#: By name; what each raises is said to the one who asked.
+#: Calibration commands by name; the reply of a command contains the message of its InputError.
 CALIBRATION_COMMANDS: dict[str, Callable[..., None]] = {
     "add_recordings": _add,
     "remove_recordings": _remove,

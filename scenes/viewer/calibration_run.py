@@ -1,4 +1,4 @@
-"""Recordings that were uploaded, and the calibration of a scene's material with them; no browser in it."""
+"""Uploaded recordings, and the calibration of the scene's material with them in another process."""
 
 from __future__ import annotations
 
@@ -11,8 +11,14 @@ from pathlib import Path
 
 from calibration.tasks.errors import WorkerError
 from calibration.tasks.process_pool import ProcessPool
-from scenes.viewer.calibration_task import PROGRESS_FILE, RECORDINGS, Calibrated, Wanted, calibrate_files
-from scenes.viewer.measurement import Measurement, measurement
+from scenes.viewer.calibration_task import (
+    PROGRESS_FILE,
+    RECORDINGS,
+    CalibrationRequest,
+    CalibrationResult,
+    calibrate_files,
+)
+from scenes.viewer.measurement import Measurement, build_measurement
 from scenes.viewer.recording_upload import Upload
 from scenes.viewer.scene import Scene
 from tissue_sim.atomic_write import write_bytes
@@ -21,19 +27,20 @@ from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError,
 from tissue_sim.recording.recording import Recording
 
 _logger = logging.getLogger(__name__)
-#: How many recordings a calibration takes.
-MOST_RECORDINGS = 50
-#: Recordings whose depth and speed differ by no more than this share are replicates, as the calibration has it.
-_ALIKE = 0.2
+#: Largest number of recordings of a calibration.
+MAX_RECORDINGS = 50
+#: Largest relative difference of depth and of speed between replicates, as in the package `calibration`.
+_REPLICATE_TOLERANCE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Uploaded:
-    """A recording with its sidecar, and what was understood of it; SI.
+class UploadedRecording:
+    """Uploaded recording with its sidecar; SI units.
 
     Attributes:
-        file, sidecar: as they came; the sidecar is None where none came.
-        measured: the recording.
+        file: The uploaded file.
+        measured: The recording as a measurement of one replicate.
+        sidecar: The uploaded sidecar; None if there is none.
     """
 
     file: Upload
@@ -42,56 +49,63 @@ class Uploaded:
 
     @property
     def recording(self) -> Recording:
-        """The recording itself."""
+        """The recording, with the metadata of its sidecar."""
         return self.measured.recordings[0]
 
     @property
     def depth(self) -> float:
-        """Largest, m."""
+        """Largest displacement, m."""
         return float(self.recording.displacement.max())
 
     @property
     def duration(self) -> float | None:
-        """s; None without a time."""
+        """Duration, s; None if the recording has no time."""
         return float(self.recording.time[-1] - self.recording.time[0]) if "time" in self.recording else None
 
     @property
     def speed(self) -> float | None:
-        """Mean way over time of the first loading, m/s; None without a time."""
-        way, _ = self.measured.ways[0]
+        """Mean speed of the first loading, m/s; None if the recording has no time."""
+        loading, _ = self.measured.branches[0]
         if "time" not in self.recording:
             return None
-        taken = float(self.recording.time[way[-1]] - self.recording.time[way[0]])
-        gone = float(self.recording.displacement[way[-1]] - self.recording.displacement[way[0]])
-        return gone / taken if taken > 0 else None
+        duration = float(self.recording.time[loading[-1]] - self.recording.time[loading[0]])
+        travel = float(self.recording.displacement[loading[-1]] - self.recording.displacement[loading[0]])
+        return travel / duration if duration > 0 else None
 
     @property
     def tool(self) -> str:
-        """As its sidecar says it; empty where it does not."""
-        said = self.recording.metadata.get("tool")
-        if not isinstance(said, Mapping) or "shape" not in said:
+        """Tool that the sidecar states, such as "flat, radius 8 mm"; empty if it states none."""
+        stated = self.recording.metadata.get("tool")
+        if not isinstance(stated, Mapping) or "shape" not in stated:
             return ""
-        radius = said.get("radius_mm")
-        return f"{said['shape']}{f', radius {radius:g} mm' if isinstance(radius, (int, float)) else ''}"
+        radius = stated.get("radius_mm")
+        return f"{stated['shape']}{f', radius {radius:g} mm' if isinstance(radius, (int, float)) else ''}"
 
     def warnings(self, scene: Scene) -> tuple[str, ...]:
-        """Why it may not belong to a scene, sentences."""
-        said = []
+        """Return sentences about differences between the recording and a scene: kind of test, tool, depth."""
+        sentences = []
         kind, tool = self.measured.kind, self.measured.other_tool(scene.experiment.tool)
         if kind is not None and kind != scene.kind.name:
-            said.append(f"is a {kind}, and the scene is a {scene.kind.name}")
+            sentences.append(f"The recording is a {kind}; the scene is a {scene.kind.name}.")
         if tool:
-            said.append(f"was measured with a {tool}, and the scene has another tool")
+            sentences.append(f"The recording was measured with a {tool}; the scene has another tool.")
         if self.depth >= scene.experiment.specimen.height:
-            said.append(f"goes to {self.depth * 1e3:.4g} mm, and the specimen is "
-                        f"{scene.experiment.specimen.height * 1e3:.4g} mm high")
-        return tuple(said)
+            sentences.append(f"The recording has a depth of {self.depth * 1e3:.4g} mm; the height of the specimen is "
+                             f"{scene.experiment.specimen.height * 1e3:.4g} mm.")
+        return tuple(sentences)
 
 
 @dataclass(frozen=True)
-class Told:
-    """How far a fit is: what it does, simulations so far, root mean square misfit (N), parameters (SI) and the SI unit
-    of each."""
+class FitStatus:
+    """Progress of a running fit; the fields are the keys of the progress file.
+
+    Attributes:
+        sentence: Present activity.
+        solves: Number of simulations of the test so far.
+        rmse: Root mean square misfit, N; None before the first iteration.
+        parameters: Parameter -> present value, SI.
+        units: Parameter -> SI unit.
+    """
 
     sentence: str
     solves: int = 0
@@ -102,31 +116,32 @@ class Told:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationState:
-    """What a page shows; a new object where something in it is new.
+    """State of the calibration for a page; each change creates a new object.
 
     Attributes:
-        recordings: that were uploaded, in order.
-        told: how far the fit is; None where none runs.
-        result: of the last fit. problem: why the last one has none; empty where it has.
+        recordings: Uploaded recordings in order of upload.
+        status: Progress of the running fit; None if no fit runs.
+        result: Result of the last successful fit; None before.
+        problem: Why the last fit gave no usable result; empty otherwise.
     """
 
-    recordings: tuple[Uploaded, ...] = ()
-    told: Told | None = None
-    result: Calibrated | None = None
+    recordings: tuple[UploadedRecording, ...] = ()
+    status: FitStatus | None = None
+    result: CalibrationResult | None = None
     problem: str = ""
 
 
 class CalibrationRun:
-    """Holds the recordings, runs one fit at a time in another process, and knows what came out. Close it.
+    """Holds uploaded recordings and runs one fit at a time in another process; call `close` at the end.
 
     Attributes:
-        state: for the page.
-        scene: that the newest fit was asked for; None before.
+        state: State for the page.
+        scene: Scene for which the newest fit was started; None before the first fit.
     """
 
     def __init__(self) -> None:
         self._pool = ProcessPool(1)
-        #: Sidecars by the stem of recordings that are still to come.
+        #: Sidecars that were uploaded before their recordings, by the stem of the recording.
         self._waiting: dict[str, Upload] = {}
         self._computed: Future | None = None
         self._folder: tempfile.TemporaryDirectory | None = None
@@ -134,13 +149,13 @@ class CalibrationRun:
         self.scene: Scene | None = None
 
     def add(self, uploads: Sequence[Upload]) -> None:
-        """Take what was in a file.
+        """Add the recordings or the sidecar of an uploaded file; add all of them or, on an error, none.
 
         Raises:
-            InputError: a fit runs, a name that is there already, a sidecar of another file, or too many; nothing is
-                changed.
+            InputError: A fit runs, a recording of this name exists, a sidecar belongs to another file, or there are
+                too many recordings.
         """
-        self._require_rest()
+        self._require_no_fit()
         before, waiting = self.state, dict(self._waiting)
         try:
             for upload in uploads:
@@ -150,63 +165,66 @@ class CalibrationRun:
             raise
 
     def _add(self, upload: Upload) -> None:
-        there = self.state.recordings
+        present = self.state.recordings
         if upload.measured is None:
-            number = next((i for i, each in enumerate(there) if each.file.stem == upload.stem), None)
+            number = next((i for i, each in enumerate(present) if each.file.stem == upload.stem), None)
             if number is None:
                 self._waiting[upload.stem] = upload
                 return
-            joined = (*there[:number], _joined(there[number].file, upload), *there[number + 1:])
-            self.state = replace(self.state, recordings=joined)
+            changed = (*present[:number], _with_sidecar(present[number].file, upload), *present[number + 1:])
+            self.state = replace(self.state, recordings=changed)
             return
-        if any(each.file.stem.lower() == upload.stem.lower() for each in there):
-            raise InputError("is here already; rename one of the two, or remove all", file=upload.name)
-        if len(there) >= MOST_RECORDINGS:
-            raise InputError(f"is one too many; a calibration takes {MOST_RECORDINGS} recordings", file=upload.name)
-        new = _joined(upload, self._waiting.get(upload.stem))
+        if any(each.file.stem.lower() == upload.stem.lower() for each in present):
+            raise InputError("A recording of this name was uploaded before. Rename one of the files, or remove all "
+                             "recordings.", file=upload.name)
+        if len(present) >= MAX_RECORDINGS:
+            raise InputError(f"The recording was not added: a calibration takes at most {MAX_RECORDINGS} recordings.",
+                             file=upload.name)
+        new = _with_sidecar(upload, self._waiting.get(upload.stem))
         self._waiting.pop(upload.stem, None)
-        self.state = replace(self.state, recordings=(*there, new))
+        self.state = replace(self.state, recordings=(*present, new))
 
     def remove_all(self) -> None:
-        """Forget all recordings; what was found stays.
+        """Remove all recordings; keep the last result.
 
         Raises:
-            InputError: a fit runs.
+            InputError: A fit runs.
         """
-        self._require_rest()
+        self._require_no_fit()
         self._waiting.clear()
         self.state = replace(self.state, recordings=())
 
     @property
     def measured(self) -> Measurement:
-        """All recordings.
+        """Measurement of all recordings.
 
         Raises:
-            InputError: there is none, or they are of different tests.
+            InputError: There is no recording, or the recordings are of different kinds of tests.
         """
         if not self.state.recordings:
-            raise InputError("there is no recording; upload one first")
-        return measurement([each.recording for each in self.state.recordings])
+            raise InputError("There is no recording. Upload a recording first.")
+        return build_measurement([each.recording for each in self.state.recordings])
 
     def begin(self, scene: Scene) -> None:
-        """Fit the material of a scene to the recordings, from its parameters on.
+        """Start a fit of the scene's material to the recordings, with its parameters as start values.
 
         Raises:
-            InputError: a fit runs, there is no recording, they are of different tests, or no process starts.
+            InputError: A fit runs, there is no recording, the recordings are of different kinds of tests, or the
+                process does not start.
         """
-        self._require_rest()
-        _ = self.measured  # refuses what cannot be shown together
-        wanted = Wanted(scene.kind.name, scene.experiment, scene.rig, scene.material,
-                        replicates(self.state.recordings),
-                        {each.file.name: each.file.origin for each in self.state.recordings
-                         if each.file.origin is not None})
+        self._require_no_fit()
+        _ = self.measured  # raises if the recordings are of different kinds
+        request = CalibrationRequest(scene.kind.name, scene.experiment, scene.rig, scene.material,
+                                     group_replicates(self.state.recordings),
+                                     {each.file.name: each.file.origin for each in self.state.recordings
+                                      if each.file.origin is not None})
         folder = tempfile.TemporaryDirectory(prefix="tissue_sim_")
         try:
             for each in self.state.recordings:
                 write_bytes(Path(folder.name) / RECORDINGS / each.file.name, each.file.content)
                 if each.sidecar is not None:
                     write_bytes(Path(folder.name) / RECORDINGS / f"{each.file.stem}.json", each.sidecar.content)
-            self._computed = self._pool.submit(calibrate_files, (folder.name, wanted))
+            self._computed = self._pool.submit(calibrate_files, (folder.name, request))
         except WorkerError as error:
             folder.cleanup()
             raise InputError(str(error)) from None
@@ -214,70 +232,80 @@ class CalibrationRun:
             folder.cleanup()
             raise
         self._folder, self.scene = folder, scene
-        self.state = replace(self.state, told=Told("starting"), problem="")
+        self.state = replace(self.state, status=FitStatus("starting"), problem="")
 
     def cancel(self) -> None:
-        """End the fit, whatever it does; all stays as it was.
+        """Stop the running fit; material and last result are unchanged.
 
         Raises:
-            InputError: none runs.
+            InputError: No fit runs.
         """
         if self._computed is None:
-            raise InputError("no calibration runs")
+            raise InputError("No calibration is running.")
         self._pool.stop()
-        self._end(problem="The calibration was cancelled; the material stays as it was.")
+        self._end(problem="The calibration was cancelled. The material is unchanged.")
 
-    def poll(self) -> Calibrated | None:
-        """What came out, once; None while nothing has. Reads how far the fit is."""
+    def poll(self) -> CalibrationResult | None:
+        """Update the state from the process of the fit.
+
+        Returns:
+            The result, once, when the fit has ended successfully; otherwise None.
+        """
         if self._computed is None or self._folder is None:
             return None
         if not self._computed.done():
-            told = _read_told(Path(self._folder.name) / PROGRESS_FILE)
-            if told is not None and told != self.state.told:
-                self.state = replace(self.state, told=told)
+            status = _read_status(Path(self._folder.name) / PROGRESS_FILE)
+            if status is not None and status != self.state.status:
+                self.state = replace(self.state, status=status)
             return None
         try:
             result = self._computed.result()
         except (ConvergenceError, InputError, MissingBackendError) as error:
-            self._end(problem=f"{error} The material stays as it was.")
+            self._end(problem=f"{error} The material is unchanged.")
         except self._pool.death:
-            self._end(problem="The process that calibrates has died; the material stays as it was. Try again.")
-        except Exception as error:  # a fault of ours must not end the simulation beside it
-            _logger.exception("the calibration has failed")
-            self._end(problem=f"The calibration has failed, which should not happen ({type(error).__name__}: "
-                              f"{shortened(str(error), 200)}); the material stays as it was.")
+            self._end(problem="The calibration process has died. The material is unchanged. Press Calibrate to try "
+                              "again.")
+        except Exception as error:  # a programming error in the fit must not stop the running simulation
+            _logger.exception("the calibration failed with an internal error")
+            self._end(problem=f"The calibration failed with an internal error ({type(error).__name__}: "
+                              f"{shortened(str(error), 200)}). The material is unchanged.")
         else:
             self._end(result=result)
             return result
         return None
 
-    def complain(self, problem: str) -> None:
-        """Say beside a result why it is not shown."""
+    def set_problem(self, problem: str) -> None:
+        """Set the message that explains why the last result is not in use."""
         self.state = replace(self.state, problem=problem)
 
     def close(self) -> None:
-        """End the process and remove its folder."""
+        """Stop the process and delete its folder."""
         self._pool.stop()
         self._end()
 
-    def _require_rest(self) -> None:
+    def _require_no_fit(self) -> None:
         if self._computed is not None:
-            raise InputError("a calibration runs; wait for it, or cancel it")
+            raise InputError("A calibration is running. Wait for its end, or cancel it.")
 
-    def _end(self, result: Calibrated | None = None, problem: str = "") -> None:
+    def _end(self, result: CalibrationResult | None = None, problem: str = "") -> None:
+        """Delete the folder of the fit, and store its result or problem."""
         self._computed = None
         if self._folder is not None:
             self._folder.cleanup()
             self._folder = None
-        self.state = replace(self.state, told=None, result=self.state.result if result is None else result,
+        self.state = replace(self.state, status=None, result=self.state.result if result is None else result,
                              problem=problem)
 
 
-def replicates(recordings: Sequence[Uploaded]) -> tuple[tuple[str, ...], ...]:
-    """Names of the files of each test: recordings that go as deep and as fast as its first one are replicates."""
-    groups: list[list[Uploaded]] = []
+def group_replicates(recordings: Sequence[UploadedRecording]) -> tuple[tuple[str, ...], ...]:
+    """Group recordings into tests; a recording joins the first test whose first recording has its depth and speed.
+
+    Returns:
+        File names of the replicates of each test.
+    """
+    groups: list[list[UploadedRecording]] = []
     for each in recordings:
-        group = next((group for group in groups if _alike(group[0], each)), None)
+        group = next((group for group in groups if _are_replicates(group[0], each)), None)
         if group is None:
             groups.append([each])
         else:
@@ -285,32 +313,32 @@ def replicates(recordings: Sequence[Uploaded]) -> tuple[tuple[str, ...], ...]:
     return tuple(tuple(each.file.name for each in group) for group in groups)
 
 
-def _alike(first: Uploaded, second: Uploaded) -> bool:
+def _are_replicates(first: UploadedRecording, second: UploadedRecording) -> bool:
     pairs = [(first.depth, second.depth), (first.speed, second.speed)]
-    return all(a is None or b is None or max(a, b) <= (1.0 + _ALIKE) * min(a, b) for a, b in pairs)
+    return all(a is None or b is None or max(a, b) <= (1.0 + _REPLICATE_TOLERANCE) * min(a, b) for a, b in pairs)
 
 
-def _joined(file: Upload, sidecar: Upload | None) -> Uploaded:
-    """A recording with the metadata of its sidecar.
+def _with_sidecar(file: Upload, sidecar: Upload | None) -> UploadedRecording:
+    """Combine a recording with the metadata of its sidecar.
 
     Raises:
-        InputError: the sidecar of a file with other bytes.
+        InputError: The SHA-256 in the sidecar differs from that of the recording.
     """
     assert file.measured is not None
     recording = file.measured.recordings[0]
     if sidecar is None or sidecar.sidecar is None:
-        return Uploaded(file, file.measured)
+        return UploadedRecording(file, file.measured)
     own = recording.metadata.get("sha256")
     if sidecar.sidecar.get("sha256", own) != own:
-        raise InputError(f"{file.name} was changed after it was recorded, expected the SHA-256 given here",
-                         file=sidecar.name, field="sha256")
-    said = {key: value for key, value in sidecar.sidecar.items() if key not in ("source", "sha256")}
-    return Uploaded(file, measurement([recording.with_metadata(**said)]), sidecar)
+        raise InputError(f"must be the SHA-256 of {file.name}. The recording was changed after the sidecar was "
+                         "written; upload the original files.", file=sidecar.name, field="sha256")
+    metadata = {key: value for key, value in sidecar.sidecar.items() if key not in ("source", "sha256")}
+    return UploadedRecording(file, build_measurement([recording.with_metadata(**metadata)]), sidecar)
 
 
-def _read_told(path: Path) -> Told | None:
-    """What the process has written; None where it has not yet."""
+def _read_status(path: Path) -> FitStatus | None:
+    """Read the progress file of the fit; return None if the file does not exist or is incomplete."""
     try:
-        return Told(**read_json(path, "the progress of a calibration"))
+        return FitStatus(**read_json(path, "the progress of a calibration"))
     except (InputError, TypeError):
         return None

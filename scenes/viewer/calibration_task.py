@@ -1,4 +1,4 @@
-"""A calibration that was asked for on the page, as the process that computes it does it."""
+"""Calibration that the page starts; the functions run in the calibration process."""
 
 from __future__ import annotations
 
@@ -23,19 +23,23 @@ from tissue_sim.rig.file import write_rig
 if TYPE_CHECKING:
     from calibration.fit.fit import Fit, Iteration
 
-#: What is told of the fit, in its folder; and the folder of the recordings in that.
-PROGRESS_FILE, RECORDINGS = "progress.json", "recordings"
+#: Name of the file in the folder of a calibration to which the progress of the fit is written.
+PROGRESS_FILE = "progress.json"
+#: Name of the subfolder with the recordings.
+RECORDINGS = "recordings"
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """What is to be fitted.
+class CalibrationRequest:
+    """Input of a calibration.
 
     Attributes:
-        kind: of test, a name. experiment, rig: how it was done; the motion is that of the recordings.
-        material: its law is fitted from its parameters on; all other numbers of it stay.
-        tests: names of files of each test, replicates together.
-        origins: name of a file -> file and SHA-256 of the one of a test machine from which it was made.
+        kind: Name of the kind of test.
+        experiment: Specimen, tool and interfaces; the motion is taken from the recordings.
+        rig: Measuring rig.
+        material: Material whose law is fitted, starting from its parameters; its other parameters are fixed.
+        tests: File names of the replicates of each test.
+        origins: File name of a recording -> name and SHA-256 of the test-machine file from which it was converted.
     """
 
     kind: str
@@ -47,9 +51,15 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class Value:
-    """A parameter that was fitted; SI. `interval` is that of 95 %, None where it has none, with `note` that says why
-    it ends where it does."""
+class FittedValue:
+    """Fitted parameter.
+
+    Attributes:
+        value: Fitted value, SI.
+        interval: 95 % confidence interval, SI; None if it is not known.
+        unit: SI unit.
+        note: Limitation of the interval, such as "on its bound"; empty if there is none.
+    """
 
     value: float
     interval: tuple[float, float] | None
@@ -58,18 +68,21 @@ class Value:
 
 
 @dataclass(frozen=True)
-class Calibrated:
-    """What came out.
+class CalibrationResult:
+    """Result of a calibration.
 
     Attributes:
-        material: the law with what was fitted.
-        values: parameter -> what was found. rmse: of all samples, N; None where no fit says one.
-        warnings: sentences. solves: simulated tests. file: bytes of the material file, with uncertainty and provenance.
-        unusable: why nobody should work with it, a sentence that is among the warnings, too; empty where one may.
+        material: Material with the fitted parameters.
+        values: Parameter -> fitted value.
+        rmse: Root mean square error over all samples, N; None if not known.
+        warnings: Warnings, sentences.
+        solves: Number of simulated tests.
+        file: Content of the material file, with uncertainty and provenance.
+        unusable: Why the material must not be used, a sentence that is also in `warnings`; empty for a usable fit.
     """
 
     material: ts.Material
-    values: dict[str, Value]
+    values: dict[str, FittedValue]
     rmse: float | None
     warnings: tuple[str, ...]
     solves: int
@@ -77,112 +90,112 @@ class Calibrated:
     unusable: str = ""
 
 
-def calibrate_files(folder: str, wanted: Wanted) -> Calibrated:
-    """Calibrate as ``tissue-sim calibrate`` does, with what is in a folder of its own.
+def calibrate_files(folder: str, request: CalibrationRequest) -> CalibrationResult:
+    """Calibrate a material as ``tissue-sim calibrate`` does, and write the progress to `PROGRESS_FILE`.
 
     Args:
-        folder: its folder `RECORDINGS` holds the files. What the fit does is written to `PROGRESS_FILE` beside it.
-        wanted: what is to be fitted.
+        folder: Folder for all files of the calibration, with the recordings in its subfolder `RECORDINGS`.
+        request: Input of the calibration.
 
     Raises:
-        InputError: what the calibration refuses, or a fit that gives no material; files go by their names.
-        ConvergenceError: nothing could be fitted.
+        InputError: The calibration refuses the input, or the fit gives no material. The message names files without
+            their folder.
+        ConvergenceError: No test could be simulated.
     """
-    # Only here: the page starts without scipy.
+    # Imported here so that the page starts without loading SciPy.
     import calibration
 
-    place = Path(folder)
-    units = {path: each.declaration.unit for path, each in parameters(wanted.material).items()}
-    said: dict[str, Any] = {"sentence": "loading the solver", "solves": 0, "rmse": None, "parameters": {},
-                            "units": units}
+    root = Path(folder)
+    units = {path: each.declaration.unit for path, each in parameters(request.material).items()}
+    status: dict[str, Any] = {"sentence": "loading the solver", "solves": 0, "rmse": None, "parameters": {},
+                              "units": units}
 
-    def tell() -> None:
-        write_text(place / PROGRESS_FILE, json.dumps(said))
+    def write_status() -> None:
+        write_text(root / PROGRESS_FILE, json.dumps(status))
 
     def progress(sentence: str, done: int = 0, of: int = 0) -> None:
         sentence = sentence.partition(": ")[2] or sentence
-        said["sentence"] = f"{sentence}, {done} of {of}" if of else sentence
-        tell()
+        status["sentence"] = f"{sentence}, {done} of {of}" if of else sentence
+        write_status()
 
     def listen(_campaign: str, _law: str, iteration: Iteration) -> None:
-        said.update(solves=said["solves"] + 1, rmse=iteration.RMSE_N, parameters=iteration.parameters)
-        tell()
+        status.update(solves=status["solves"] + 1, rmse=iteration.RMSE_N, parameters=iteration.parameters)
+        write_status()
 
-    campaign = place / "page.toml"
+    campaign = root / "page.toml"
     try:
-        tell()
-        write_text(campaign, campaign_of(wanted, place))
-        # Without pictures: nobody sees the report.
-        result, = calibration.calibrate([campaign], place / "results", progress=progress, listen=listen, figures=False)
+        write_status()
+        write_text(campaign, build_campaign(request, root))
+        # The report is deleted with the folder, so its figures are not drawn.
+        result, = calibration.calibrate([campaign], root / "results", progress=progress, listen=listen, figures=False)
         fit = result.best
         if fit.material_file is None:
-            raise InputError(f"the fit gives no material: {fit.unusable or fit.message}")
-        file = place / "results" / fit.material_file
-        if wanted.origins:
-            _name_origins(file, wanted.origins)
-        return Calibrated(ts.load_material(file), _values(fit), fit.RMSE_N, _warnings(fit), fit.fem_solves,
-                          read_bytes(file, "a calibrated material"), fit.unusable or "")
+            raise InputError(f"The fit gives no material: {fit.unusable or fit.message}")
+        file = root / "results" / fit.material_file
+        if request.origins:
+            _add_origins(file, request.origins)
+        return CalibrationResult(ts.load_material(file), _fitted_values(fit), fit.RMSE_N, _warnings(fit),
+                                 fit.fem_solves, read_bytes(file, "a calibrated material"), fit.unusable or "")
     except InputError as error:
         own = error.file is None or Path(error.file) == campaign
-        # Nobody knows the folder.
+        # The temporary folder means nothing to the user.
         raise InputError(error.problem.replace(folder, "the upload"),
                          file=None if own else Path(str(error.file)).name, line=error.line) from None
     except ConvergenceError as error:
         raise ConvergenceError(str(error).removeprefix(f"{campaign}: ")) from None
 
 
-def _name_origins(file: Path, origins: Mapping[str, Mapping[str, str]]) -> None:
-    """Let the provenance of a material file say from which files of test machines its recordings were made."""
+def _add_origins(file: Path, origins: Mapping[str, Mapping[str, str]]) -> None:
+    """Add the names and SHA-256 of the original test-machine files to the provenance of a material file."""
     content = read_material_file(file)
     assert content.provenance is not None
     settings = {**content.provenance.settings, "made_from": origins}
     write_material_file(replace(content, provenance=replace(content.provenance, settings=settings)), file)
 
 
-def campaign_of(wanted: Wanted, folder: Path) -> str:
-    """The campaign (TOML) of what is wanted; a rig is written into the folder.
+def build_campaign(request: CalibrationRequest, folder: Path) -> str:
+    """Return the campaign file (TOML) of a request; also write ``rig.json`` into the folder if the rig is not ideal.
 
     Raises:
-        InputError: an adhesion, which a campaign states as a law of the contact.
+        InputError: The tool has an adhesion, which a campaign can state only as a contact law.
     """
     from calibration.importing.campaign_text import toml_value
 
     def table(heading: str, lines: dict[str, Any]) -> str:
         return "\n".join([heading, *(f"{key} = {toml_value(value)}" for key, value in lines.items())])
 
-    experiment, material = wanted.experiment, wanted.material
+    experiment, material = request.experiment, request.material
     if experiment.adhesion is not None:
-        raise InputError("the tool of this scene adheres, and that is not calibrated from the page; use tissue-sim "
-                         "calibrate with contact_laws")
+        raise InputError("The page cannot calibrate a scene with adhesion. Use tissue-sim calibrate with contact_laws.")
     specimen = experiment.specimen
     density = material.density if specimen.density is None else specimen.density
-    body: dict[str, Any] = {"shape": specimen.shape, **_reachable(specimen)}
+    body: dict[str, Any] = {"shape": specimen.shape, **_with_absolute_paths(specimen)}
     if density is not None:
         body |= {"density_kg_m3": density, "gravity": specimen.gravity > 0, "height_is": specimen.height_is}
-    how = {"kind": wanted.kind, **_experiment_keys(wanted)}
-    if wanted.rig != ts.Rig():
-        write_rig(wanted.rig, folder / "rig.json")
-        how["rig"] = "rig.json"
-    own: dict[str, float] = {}
-    others: dict[str, float] = {}
+    test = {"kind": request.kind, **_experiment_keys(request)}
+    if request.rig != ts.Rig():
+        write_rig(request.rig, folder / "rig.json")
+        test["rig"] = "rig.json"
+    start: dict[str, float] = {}
+    fixed: dict[str, float] = {}
     for path, each in parameters(material).items():
-        (own if path in material.parameters else others)[each.file_path] = float(each.value / each.declaration.factor)
-    fit = {"method": "inverse_fem", "laws": [material.law], "start": own, **({"fixed": others} if others else {})}
-    tests = [table("[[test]]", {"name": f"test {number}", **how,
+        (start if path in material.parameters else fixed)[each.file_path] = float(each.value / each.declaration.factor)
+    fit = {"method": "inverse_fem", "laws": [material.law], "start": start, **({"fixed": fixed} if fixed else {})}
+    tests = [table("[[test]]", {"name": f"test {number}", **test,
                                 "recordings": [f"{RECORDINGS}/{name}" for name in names]})
-             for number, names in enumerate(wanted.tests, start=1)]
+             for number, names in enumerate(request.tests, start=1)]
     return "\n\n".join([table("[[specimen]]", body), *tests, table("[fit]", fit)]) + "\n"
 
 
-def _reachable(specimen: ts.Specimen) -> dict[str, float | str]:
-    """What makes a specimen, its files by paths that hold from any folder."""
+def _with_absolute_paths(specimen: ts.Specimen) -> dict[str, float | str]:
+    """Return the stated dimensions and files of a specimen, with absolute paths."""
     return {key: str(Path(str(value)).resolve()) if key in specimen.paths else value
             for key, value in specimen.stated.items()}
 
 
-def _experiment_keys(wanted: Wanted) -> dict[str, Any]:
-    """Keys of a ``[[test]]`` that say how it is done; what the kind says itself is left out."""
-    experiment, kind = wanted.experiment, KINDS[wanted.kind]
+def _experiment_keys(request: CalibrationRequest) -> dict[str, Any]:
+    """Return the keys of a ``[[test]]`` table for tool and interfaces, without those that the kind of test fixes."""
+    experiment, kind = request.experiment, KINDS[request.kind]
     tool = experiment.tool
     file = getattr(tool, "profile_file", None)
     keys: dict[str, Any] = {"tool": tool.shape if file is None else str(Path(file).resolve())}
@@ -199,10 +212,11 @@ def _experiment_keys(wanted: Wanted) -> dict[str, Any]:
     return keys | ({"slip": experiment.slip} if experiment.slip else {})
 
 
-def _values(fit: Fit) -> dict[str, Value]:
+def _fitted_values(fit: Fit) -> dict[str, FittedValue]:
+    """Return the parameters that were free in the fit."""
     free = [name for name, error in fit.standard_errors.items() if error != 0]
-    return {name: Value(fit.parameters[name], fit.intervals95.get(name), fit.units.get(name, "1"),
-                        _note(name, fit.on_bound, fit.not_identifiable)) for name in free}
+    return {name: FittedValue(fit.parameters[name], fit.intervals95.get(name), fit.units.get(name, "1"),
+                              _note(name, fit.on_bound, fit.not_identifiable)) for name in free}
 
 
 def _note(name: str, on_bound: Sequence[str], not_identifiable: Sequence[str]) -> str:
@@ -210,6 +224,6 @@ def _note(name: str, on_bound: Sequence[str], not_identifiable: Sequence[str]) -
 
 
 def _warnings(fit: Fit) -> tuple[str, ...]:
-    odd = [f"{name} disagrees with the other recordings" for name in fit.odd_recordings]
-    said = [fit.unusable, *fit.warnings, *odd]
-    return tuple(each for each in said if each)
+    outliers = [f"{name} disagrees with the other recordings" for name in fit.odd_recordings]
+    warnings = [fit.unusable, *fit.warnings, *outliers]
+    return tuple(each for each in warnings if each)

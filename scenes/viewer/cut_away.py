@@ -1,4 +1,4 @@
-"""The deformed specimen as a solid with a wedge cut out, in the colours of a field."""
+"""Picture of a deformed axisymmetric specimen: a solid of revolution with a wedge cut out, coloured by a field."""
 
 from __future__ import annotations
 
@@ -10,40 +10,60 @@ from numpy.polynomial.legendre import leggauss
 from scipy.sparse import csr_array
 
 from scenes.viewer.bands import Triangulation, split_polyline
-from scenes.viewer.revolution import Opening, Surface, joined, revolved_surfaces, section_surfaces
+from scenes.viewer.revolution import Opening, Surface, join_surfaces, revolved_surfaces, section_surfaces
 from tissue_sim.mesh import Mesh
 
-#: Parts of an element's edge that are drawn straight: so many that a section has about `CELLS` of them, within reason.
-CELLS, FEWEST, MOST = 350, 2, 5
-#: How far lines lie in front of a surface, in radii of the specimen.
-LIFT = 1e-3
+
+@dataclass(frozen=True)
+class CutAwaySettings:
+    """Resolution of the picture of a half section.
+
+    Attributes:
+        cells: Desired number of cells into which the elements are divided; more cells draw curved edges more smoothly.
+        min_divisions: Smallest number of straight parts of an element edge.
+        max_divisions: Largest number of straight parts of an element edge.
+        line_offset: Distance of lines in front of a surface, in radii of the specimen, so that the surface does not
+            hide the lines.
+    """
+
+    cells: int = 350
+    min_divisions: int = 2
+    max_divisions: int = 5
+    line_offset: float = 1e-3
+
+
+#: Settings of the viewer.
+SETTINGS = CutAwaySettings()
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceLine:
-    """What of the half section may meet the tool: the top from the axis outwards, then the side.
+    """Part of the half section's boundary that can touch the tool: the top from the axis outwards, then the side.
 
     Attributes:
-        points: nodes, (r, z), shape (n, 2).
-        watched: where the solver watches for contact: a Gauss point between each two of them, shape (n - 1, 2).
+        points: Nodes (r, z), m, shape (n, 2).
+        gauss_points: Points (r, z) at which the solver enforces contact, one between two neighbouring nodes, m,
+            shape (n - 1, 2).
     """
 
     points: np.ndarray
-    watched: np.ndarray
+    gauss_points: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class CutAway:
-    """What does not change from frame to frame: the half section as small triangles between points of the elements.
+    """Half section divided into small triangles; the division stays the same from frame to frame.
 
     Attributes:
-        mesh: undeformed mesh.
-        weights: of the nodes in each point, by the elements' shape functions, shape (points, nodes).
-        triangulation: of the points, anticlockwise in the (r, z) plane.
-        outline: points from the axis along the top, down the side and along the base back to the axis, shape (m,).
-        surface: nodes of the top from the axis outwards, then of the side, shape (n,).
-        watched: of the nodes in the Gauss points between them, shape (n - 1, nodes).
-        edges: lines of the element edges, point numbers, shape (k, 2).
+        mesh: Undeformed mesh.
+        weights: Shape functions that interpolate from the nodes to the points, shape (points, nodes).
+        triangulation: Triangles between the points, anticlockwise in the (r, z) plane.
+        outline: Point numbers from the axis along the top, down the side and along the base back to the axis,
+            shape (m,).
+        surface: Node numbers of the top from the axis outwards, then of the side, shape (n,).
+        gauss_weights: Shape functions that interpolate from the nodes to the Gauss points between the nodes of
+            `surface`, shape (n - 1, nodes).
+        edges: Lines along the element edges, point numbers, shape (k, 2).
     """
 
     mesh: Mesh
@@ -51,24 +71,25 @@ class CutAway:
     triangulation: Triangulation
     outline: np.ndarray
     surface: np.ndarray
-    watched: csr_array
+    gauss_weights: csr_array
     edges: np.ndarray
 
     @classmethod
-    def of(cls, mesh: Mesh, divisions: int | None = None) -> CutAway:
-        """Divide the elements.
+    def from_mesh(cls, mesh: Mesh, divisions: int | None = None) -> CutAway:
+        """Divide the elements of a mesh into small triangles.
 
         Args:
-            mesh: quadrilaterals in the (r, z) half plane.
-            divisions: parts of each element's edge; None: as many as `CELLS` says.
+            mesh: Quadrilaterals in the (r, z) half plane.
+            divisions: Number of straight parts of each element edge; None: as `CutAwaySettings` states.
         """
         if divisions is None:
-            divisions = min(max(round((CELLS / len(mesh.connectivity)) ** 0.5), FEWEST), MOST)
+            divisions = min(max(round((SETTINGS.cells / len(mesh.connectivity)) ** 0.5), SETTINGS.min_divisions),
+                            SETTINGS.max_divisions)
         line = np.linspace(-1.0, 1.0, divisions + 1)
         shapes, _ = mesh.element.shape_functions(np.array([(a, b) for b in line for a in line]))
-        # Elements that share a point make it of the same nodes with the same weights.
+        # A point is identified by its nodes and weights, which are the same in all elements that share the point.
         points: dict[tuple, int] = {}
-        number = np.array([[points.setdefault(key, len(points)) for key in _recipes(nodes, shapes)]
+        number = np.array([[points.setdefault(key, len(points)) for key in _point_keys(nodes, shapes)]
                            for nodes in mesh.connectivity.tolist()])
         rows = np.repeat(np.arange(len(points)), [len(key) for key in points])
         nodes, weights = np.array([entry for key in points for entry in key]).T
@@ -81,47 +102,55 @@ class CutAway:
         rim = np.concatenate([grid[:, 0], grid[:, -1], grid[:, :, 0], grid[:, :, -1]])
         edges = np.unique(np.sort(np.stack([rim[:, :-1], rim[:, 1:]], axis=-1).reshape(-1, 2), axis=1), axis=0)
 
-        place = matrix @ mesh.nodes
-        top, side, base = (_on(mesh.sets[name], points) for name in ("top", "side", "base"))
-        top, side = top[np.argsort(place[top, 0])], side[np.argsort(-place[side, 1])]
-        base = base[np.argsort(-place[base, 0])]
+        coordinates = matrix @ mesh.nodes
+        top, side, base = (_points_on(mesh.sets[name], points) for name in ("top", "side", "base"))
+        top, side = top[np.argsort(coordinates[top, 0])], side[np.argsort(-coordinates[side, 1])]
+        base = base[np.argsort(-coordinates[base, 0])]
         outline = np.concatenate([top, side[1:], base[1:]])
-        return cls(mesh, matrix, Triangulation(triangles), outline, *_surface(mesh), edges)
+        return cls(mesh, matrix, Triangulation(triangles), outline, *_contact_surface(mesh), edges)
 
-    def bands(self, place: np.ndarray, values: np.ndarray, levels: np.ndarray, opening: Opening) -> list[Surface]:
-        """The solid, one surface a band: section faces and outer surface, which share no vertices.
+    def bands(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray, opening: Opening) -> list[Surface]:
+        """Return the surface of the solid in each band: its part of the section faces and of the outer surface.
 
         Args:
-            place: of the nodes in the deformed state, (r, z), shape (nodes, 2).
-            values: of the field at the nodes, shape (nodes,).
-            levels: ascending, shape (bands + 1,). The first and the last band also take what lies beyond them.
-            opening: what is cut out.
+            positions: Deformed positions (r, z) of the nodes, shape (nodes, 2).
+            values: Field at the nodes, shape (nodes,).
+            levels: Ascending levels, shape (bands + 1,). Values below the first level belong to the first band, values
+                above the last level to the last band.
+            opening: Wedge that is removed.
 
         Returns:
-            For each band its surface, in the unit of `place`; empty where no tissue is in the band.
+            One surface per band in the unit of `positions`; empty if no tissue lies in the band. Section faces and
+            outer surface share no vertices.
         """
-        points, at_points = self._at_points(place), self.weights @ values
+        points, at_points = self._interpolate(positions), self.weights @ values
         bands = len(levels) - 1
         line, band_of_line = split_polyline(points[self.outline], at_points[self.outline], levels)
         outside = revolved_surfaces(line, band_of_line, bands, opening)
-        if opening.closed:
+        if opening.is_closed:
             return outside
         pieces = self.triangulation.cut(points, at_points, levels)
         sections = section_surfaces(pieces.points, pieces.triangles, pieces.band, bands, opening)
-        return [joined(*both) for both in zip(sections, outside, strict=True)]
+        return [join_surfaces(*both) for both in zip(sections, outside, strict=True)]
 
-    def mesh_lines(self, place: np.ndarray, opening: Opening) -> np.ndarray:
-        """Element edges on both section faces, shape (lines, 2, 3); none on a closed solid."""
-        return opening.on_faces(self._at_points(place)[self.edges], LIFT * self.radius).reshape(-1, 2, 3)
+    def mesh_lines(self, positions: np.ndarray, opening: Opening) -> np.ndarray:
+        """Return the element edges on both section faces, shape (lines, 2, 3); a closed solid has none.
+
+        Args:
+            positions: Deformed positions (r, z) of the nodes, shape (nodes, 2).
+            opening: Wedge that is removed.
+        """
+        offset = SETTINGS.line_offset * self.radius
+        return opening.on_faces(self._interpolate(positions)[self.edges], offset).reshape(-1, 2, 3)
 
     def undeformed_outline(self, opening: Opening, dashes: int = 40,
                            tool: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
-        """Dashed outline of the undeformed specimen: both section faces and the rims, shape (lines, 2, 3).
+        """Return the dashed outline of the undeformed specimen: section faces and rims, shape (lines, 2, 3).
 
         Args:
-            opening: what is cut out; a closed solid shows four lines down its side.
-            dashes: along its height; dashes are equally long everywhere.
-            tool: radius and largest depth of a tool that comes in, m: no line runs across it.
+            opening: Wedge that is removed; a closed solid shows four lines along its side instead of section faces.
+            dashes: Number of dashes along the height; all dashes have the same length.
+            tool: Radius and largest depth of the tool, m; the outline leaves out lines that the tool would cross.
         """
         radius, height = self.radius, self.height
         length = 0.5 * height / dashes
@@ -131,68 +160,70 @@ class CutAway:
                 (opening.circle(radius, z) for z in ((-height,) if covered else (0.0, -height)))]
         side = np.array([[radius, -deepest if covered else 0.0], [radius, -height], [0.0, -height]])
         corners = side if covered else np.concatenate([[[inside, 0.0]], side])
-        if opening.closed:
+        if opening.is_closed:
             quarter = opening.directions[:: max(1, len(opening.directions) // 4)]
-            lines = [np.concatenate([radius * np.stack([way, way]), [[side[0, 1]], [-height]]], axis=1)
-                     for way in quarter]
+            lines = [np.concatenate([radius * np.stack([direction, direction]), [[side[0, 1]], [-height]]], axis=1)
+                     for direction in quarter]
         else:
-            lines = [*opening.on_faces(corners, LIFT * radius), np.array([[0.0, 0.0, -deepest], [0.0, 0.0, -height]])]
+            lines = [*opening.on_faces(corners, SETTINGS.line_offset * radius),
+                     np.array([[0.0, 0.0, -deepest], [0.0, 0.0, -height]])]
         return np.concatenate([*rims, *(_dashed(line, length) for line in lines)])
 
-    def surface_line(self, place: np.ndarray) -> SurfaceLine:
-        """The deformed line that may meet the tool.
+    def surface_line(self, positions: np.ndarray) -> SurfaceLine:
+        """Return the deformed boundary line that can touch the tool.
 
         Args:
-            place: of the nodes, (r, z), shape (nodes, 2).
+            positions: Deformed positions (r, z) of the nodes, shape (nodes, 2).
         """
-        return SurfaceLine(place[self.surface], self.watched @ place)
+        return SurfaceLine(positions[self.surface], self.gauss_weights @ positions)
 
     @property
     def radius(self) -> float:
-        """Of the undeformed specimen, m."""
+        """Radius of the undeformed specimen, m."""
         return float(self.mesh.nodes[:, 0].max())
 
     @property
     def height(self) -> float:
-        """Of the undeformed specimen, m."""
+        """Height of the undeformed specimen, m."""
         return float(-self.mesh.nodes[:, 1].min())
 
-    def _at_points(self, place: np.ndarray) -> np.ndarray:
-        points = self.weights @ place
-        # The axis stays where it is; rounding would leave slivers around it.
+    def _interpolate(self, positions: np.ndarray) -> np.ndarray:
+        """Interpolate nodal positions to the points, shape (points, 2)."""
+        points = self.weights @ positions
+        # Rounding errors at r = 0 would give thin triangles around the axis.
         points[np.abs(points[:, 0]) < 1e-9 * self.radius, 0] = 0.0
         return points
 
 
-def _recipes(nodes: list[int], shapes: np.ndarray) -> Iterator[tuple]:
-    """Of every point of an element, which nodes it is made of and with which weights."""
+def _point_keys(nodes: list[int], shapes: np.ndarray) -> Iterator[tuple]:
+    """Yield for each point of an element the nodes and weights that define the point."""
     for row in shapes.tolist():
         yield tuple(sorted((node, round(weight, 9)) for node, weight in zip(nodes, row, strict=True)
                            if abs(weight) > 1e-9))
 
 
-def _on(nodes: np.ndarray, points: dict[tuple, int]) -> np.ndarray:
-    """Points that are made of these nodes only."""
-    among = set(nodes.tolist())
-    return np.array([number for key, number in points.items() if all(node in among for node, _ in key)])
+def _points_on(nodes: np.ndarray, points: dict[tuple, int]) -> np.ndarray:
+    """Return the numbers of the points that depend on the given nodes only."""
+    members = set(nodes.tolist())
+    return np.array([number for key, number in points.items() if all(node in members for node, _ in key)])
 
 
-def _surface(mesh: Mesh) -> tuple[np.ndarray, csr_array]:
-    """Nodes of top and side in order, and what the Gauss points between them are made of."""
+def _contact_surface(mesh: Mesh) -> tuple[np.ndarray, csr_array]:
+    """Return the nodes of top and side in order, and the shape functions at the Gauss points between them."""
     top, side, order = mesh.sets["top"], mesh.sets["side"], mesh.element.order
     nodes = np.concatenate([top[np.argsort(mesh.nodes[top, 0])], side[np.argsort(-mesh.nodes[side, 1])][1:]])
     along, _ = leggauss(order)
     shapes, _ = mesh.element.shape_functions(np.column_stack([along, np.full(order, -1.0)]))
-    shares = shapes[:, list(mesh.element.edges[0])]
-    of_edge = nodes[np.arange(0, nodes.size - 1, order)[:, None] + np.arange(order + 1)]
-    columns = np.repeat(of_edge, order, axis=0)
+    edge_shapes = shapes[:, list(mesh.element.edges[0])]
+    edge_nodes = nodes[np.arange(0, nodes.size - 1, order)[:, None] + np.arange(order + 1)]
+    columns = np.repeat(edge_nodes, order, axis=0)
     rows = np.broadcast_to(np.arange(len(columns))[:, None], columns.shape)
-    weights = np.tile(shares, (len(of_edge), 1))
+    weights = np.tile(edge_shapes, (len(edge_nodes), 1))
     return nodes, csr_array((weights.ravel(), (rows.ravel(), columns.ravel())), shape=(len(columns), len(mesh.nodes)))
 
 
 def _dashed(line: np.ndarray, length: float) -> np.ndarray:
-    """Dashes along a polyline (n, 3), as long as the gaps between them, shape (k, 2, 3); it starts and ends on one."""
+    """Return dashes along a polyline (n, 3), shape (k, 2, 3); gaps are as long as dashes, and both ends are dashes."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     count = 2 * max(1, round(along[-1] / length / 2)) + 1
     marks = np.linspace(0.0, along[-1], count + 1)

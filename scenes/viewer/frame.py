@@ -1,4 +1,4 @@
-"""What a viewer shows, and what a viewer is."""
+"""Frames of a session, and the interface of the viewers that display them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tissue_sim.snapshot import Snapshot
 
 
 class Phase(Enum):
-    """What the simulation is doing; the value is the word for it."""
+    """Phase of the simulation; the value is the word that the page shows."""
 
     STARTING = "starting"
     RUNNING = "running"
@@ -29,20 +29,22 @@ class Phase(Enum):
 
 @dataclass(frozen=True)
 class Readouts:
-    """Numbers of the moment; SI.
+    """Present numbers of the simulation.
 
     Attributes:
-        time: of the loop, s.
-        depth, force, stiffness: of the tool along its axis, m; along z, N, N/m.
-        step_time: median of the last half second, s.
-        iterations: linear solves a tick, the mean of the same time.
-        rate: ticks a second of wall time.
-        late: share of the ticks so far that began late or were missed.
-        status: of the tissue's newest answer, in words.
-        warning: why its force is not that of an equilibrium, with what to do; empty where it is.
-        doubtful: answers of the last second that were none of an equilibrium.
-        mesh: of the tissue, in words.
-        across: force along x and y, N.
+        time: Time of the loop, s.
+        depth: Displacement of the tool along its axis, m.
+        force: Force of the tissue on the tool along z, N.
+        stiffness: Stiffness of the tissue along z, N/m.
+        step_time: Wall time of a solver step, median over the last 0.5 s, s.
+        iterations: Linear solves per tick, mean over the last 0.5 s.
+        rate: Ticks per second of wall time, Hz.
+        late: Fraction of all ticks that began late or were missed.
+        status: Status of the newest force, in words.
+        mesh: Resolution of the mesh and error of its force, in words.
+        warning: Why the newest force is not an accurate equilibrium force, with a remedy; empty if it is.
+        unconverged: Number of ticks in the last second whose force is not an accurate equilibrium force.
+        across: Force of the tissue on the tool along x and y, N.
     """
 
     time: float
@@ -56,53 +58,53 @@ class Readouts:
     status: str
     mesh: str = ""
     warning: str = ""
-    doubtful: int = 0
+    unconverged: int = 0
     across: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """What the plots show. A new object where something in it is new.
+    """Curves for the plots; each change creates a new object.
 
     Attributes:
-        model: the whole test with the material as it is; None until it is computed.
-        before: another curve to compare with, and its name.
-        measurement: None where nothing was measured in this scene.
-        residual: model minus measurement.
-        trace: what was felt since the last reset.
-        replayed: time of the loop (s) and force (N) of the recording whose motion is repeated; None where none is.
-        number: grows with the trace.
-        felt: whether a hand is at a device, so that the force on it is drawn beside that of the tissue.
-        computing: whether `model` and `residual` are still those of an earlier material or test.
+        model: Simulation of the whole test with the present material; None until it is computed.
+        compared: Name and recording of a model curve that was kept for comparison; None if there is none.
+        measurement: Measurement of the scene; None if there is none.
+        residual: Model minus measurement; None if one of the two is missing.
+        trace: Motion and force since the last reset.
+        replayed: Time of the loop, s, and force, N, of the recording whose motion is repeated; None if none is.
+        number: Number that changes with each change of the trace.
+        has_hand_force: Whether a haptic device renders the force, so that the force on the hand is drawn too.
+        computing: Whether `model` and `residual` still belong to an earlier material or test.
     """
 
     model: ts.Recording | None = None
-    before: tuple[str, ts.Recording] | None = None
+    compared: tuple[str, ts.Recording] | None = None
     measurement: Measurement | None = None
     residual: Residual | None = None
     trace: Trace | None = None
     replayed: tuple[np.ndarray, np.ndarray] | None = None
     number: int = 0
-    felt: bool = False
+    has_hand_force: bool = False
     computing: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One moment.
+    """State of a session at one moment, for display.
 
     Attributes:
-        phase: of the simulation.
-        message: what it does, or why it ended and what to do.
-        scene: what is looked at.
-        snapshot: the tissue; None before the first.
-        readouts: None before the first tick.
-        curves: for the plots.
+        phase: Phase of the simulation.
+        message: Present activity, or why the simulation has stopped and the remedy.
+        scene: The displayed scene.
+        snapshot: State of the tissue; None before the first one.
+        readouts: Present numbers; None before the first tick.
+        curves: Curves for the plots.
         motion: ``"hand"``, ``"protocol"``, ``"recording"``, or ``"device"`` for a device or any other motion.
-        target: where a hand points, along the tool's axis, m.
-        surface: of the tissue where its snapshot has no fields to draw, m, in the frame of the scene; else None.
-        calibration: recordings that were uploaded, and their fit.
-        across: x and y where the axis of the tool that a hand points meets the height of the touch, m.
+        target: Commanded displacement of the tool along its axis, m.
+        surface: Surface of tissue whose snapshot has no fields to draw, in the frame of the scene, m; otherwise None.
+        calibration: Uploaded recordings and their fit.
+        across: Commanded x and y at which the tool's axis crosses the undeformed surface, m.
     """
 
     phase: Phase
@@ -119,27 +121,34 @@ class Frame:
 
 
 class Commands(Protocol):
-    """What a viewer may ask for: a name of a command of `Session` with its values."""
+    """Receiver of commands, such as a `Session`."""
 
     def post(self, command: str, *, reply: Callable[[str | None], None] | None = None, **values: Any) -> None:
-        """Ask; `reply` gets None when it is done, or a sentence that says why not."""
+        """Queue a command.
+
+        Args:
+            command: Name of a command of `Session`.
+            reply: Called with None after the execution, or with a sentence that states why the command was refused.
+            values: Arguments of the command.
+        """
 
 
 class Viewer(Protocol):
-    """A back-end that shows frames. `show` is called about 30 times a second and must not block."""
+    """Back-end that displays frames; a session calls `show` about 30 times per second, so `show` must not block."""
 
     def show(self, frame: Frame) -> None:
-        """Show a frame, or skip it."""
+        """Display a frame, or skip it."""
 
     def close(self) -> None:
-        """Nothing more comes."""
+        """Release all resources; no frame follows."""
 
 
 class NullViewer:
-    """Shows nothing, for runs without a screen.
+    """Viewer that displays nothing, for runs without a screen.
 
     Attributes:
-        frames: how many frames came; latest: the last of them.
+        frames: Number of frames received.
+        latest: Last frame; None before the first one.
     """
 
     def __init__(self) -> None:

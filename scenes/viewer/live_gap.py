@@ -1,4 +1,4 @@
-"""By how much what was felt differs from the model's curve, and what may be the reason."""
+"""Difference between the live force and the model curve, with its likely causes."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ import numpy as np
 from scenes.viewer.trace import Trace
 
 Pair = tuple[np.ndarray, np.ndarray]
-#: A slower tool stands, m/s.
-_STANDS = 1e-5
+#: Speed below which the tool counts as standing, m/s.
+_STANDING_SPEED = 1e-5
 
 
 @dataclass(frozen=True)
 class LiveGap:
-    """Felt minus model where it is largest.
+    """Largest difference between the live force and the model curve.
 
     Attributes:
-        force: N. depth: where, m.
-        speed: of the tool where it moved in the newest way in and out, median, m/s.
-        late: share of their points whose force was carried on by late ticks.
-        inertial: share of them at which the mass of the tissue counted.
+        force: Live force minus model force, N.
+        depth: Depth of the largest difference, m.
+        speed: Median speed of the moving tool in the newest loading and unloading, m/s.
+        late: Fraction of the points of these branches whose force late ticks extrapolated.
+        inertial: Fraction of these points at which the inertia of the tissue was included.
     """
 
     force: float
@@ -32,16 +33,25 @@ class LiveGap:
 
 
 def live_gap(trace: Trace, grid: np.ndarray, live: Pair, model: Pair) -> LiveGap | None:
-    """The gap between two curves on a grid of depths (m, shape (n,)), load and unload in N; None where they do not
-    overlap."""
-    gaps = np.concatenate([felt - there for felt, there in zip(live, model, strict=True)])
+    """Compute the largest difference between the live force and the model curve.
+
+    Args:
+        trace: Motion and force of the run.
+        grid: Depths, m, shape (n,).
+        live: Live loading and unloading force on the grid, N, each of shape (n,), NaN where missing.
+        model: Loading and unloading force of the model on the grid, N, each of shape (n,), NaN where missing.
+
+    Returns:
+        The difference; None if the curves do not overlap.
+    """
+    gaps = np.concatenate([live_force - model_force for live_force, model_force in zip(live, model, strict=True)])
     if not np.isfinite(gaps).any():
         return None
     worst = int(np.nanargmax(np.abs(gaps)))
     branches = [each for each in trace.branches() if each is not None]
     speeds = np.concatenate([np.abs(np.diff(each.depth) / np.diff(each.time)) for each in branches]) \
         if branches else np.zeros(1)
-    moving = speeds[speeds > _STANDS]
+    moving = speeds[speeds > _STANDING_SPEED]
     late, inertial = (np.concatenate([getattr(each, name) for each in branches]) if branches else np.zeros(1)
                       for name in ("late", "inertial"))
     return LiveGap(float(gaps[worst]), float(grid[worst % grid.size]), float(np.median(moving)) if moving.size else 0.0,
@@ -49,8 +59,15 @@ def live_gap(trace: Trace, grid: np.ndarray, live: Pair, model: Pair) -> LiveGap
 
 
 def late_forces(trace: Trace, grid: np.ndarray) -> np.ndarray:
-    """Forces of the newest way in and out that late ticks carried on, N, at the nearest depth of a grid (m, shape
-    (n,)); NaN elsewhere."""
+    """Return the forces of the newest loading and unloading that late ticks extrapolated.
+
+    Args:
+        trace: Motion and force of the run.
+        grid: Equally spaced depths, m, shape (n,).
+
+    Returns:
+        Force at the grid depth nearest to each such point, N, shape (n,); NaN elsewhere.
+    """
     forces = np.full(grid.size, np.nan)
     for branch in trace.branches():
         if branch is not None:

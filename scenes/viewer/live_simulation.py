@@ -1,4 +1,4 @@
-"""The simulation that is felt: its loop, what it says of itself, and what it publishes."""
+"""Running simulation of a session: starts the loop process, reads its ticks and snapshots, and computes read-outs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import time
 from collections import deque
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,36 +27,55 @@ from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus
 
-#: Wall time of a step in a tick of 1000, s: the rest is for ring and snapshots.
+#: Wall-time budget of a step in a tick of 1 ms, s; the rest of the tick is left for the ring and the snapshots.
 BUDGET = 0.8e-3
-#: Over which time read-outs are taken, and rates are counted, s.
-_LOOK_BACK, _DOUBTS_OVER, _COUNT_OVER = 0.5, 1.0, 2.0
-_COUNTED = ("time", "compute_time", "iterations", "status")
-#: A tick each millisecond, and the tissue 30 times a second.
+
+
+@dataclass(frozen=True)
+class ReadoutSettings:
+    """Time windows of the read-outs; longer windows give steadier and slower numbers.
+
+    Attributes:
+        statistics: Window of step time and iterations, simulated time, s.
+        unconverged: Window in which ticks without an accurate equilibrium are counted, simulated time, s.
+        rate: Window of the loop rate, wall time, s.
+    """
+
+    statistics: float = 0.5
+    unconverged: float = 1.0
+    rate: float = 2.0
+
+
+_READOUTS = ReadoutSettings()
+#: Fields of a tick from which the statistics are computed.
+_STATISTICS_FIELDS = ("time", "compute_time", "iterations", "status")
+#: Loop settings of the viewer: one tick per millisecond, 30 snapshots per second.
 SETTINGS = LoopSettings(snapshot_rate=30.0)
-#: The same for tissue whose equilibria take longer than a tick; meanwhile its forces are carried on, and said to be
-#: LATE. Not for a hand at a device.
+#: Loop settings for tissue whose equilibria take longer than a tick: its forces are extrapolated with the status LATE
+#: for up to 60 s. Not for a haptic device.
 PATIENT = replace(SETTINGS, patience=60.0)
-#: N, and N per tick: limits of the rendered force, which no device takes; what is shown is the force of the tissue.
-_LIMITS = 1e3, 1e3
+#: Limits of the rendered force, N, and of its change per tick, N. They are so large that they have no effect: no device
+#: receives the force, and the page shows the force of the tissue.
+_NO_LIMITS = ForceLimits(1e3, 1e3)
 
 
 class LiveSimulation:
-    """A loop process, seen without ever waiting for it. Close it.
+    """Simulation in a loop process that the viewer observes without waiting for it; call `close` at the end.
 
     Args:
-        model: what is simulated.
-        device: gives poses and takes forces, or a motion.
-        solver: name in `tissue_sim.fem.solver.SOLVERS`.
-        resolution: of the `Simulator`.
-        settings: of the loop.
-        reduced: what the solver ``"reduced"`` steps.
+        model: Experiment and material.
+        device: Haptic device, or a motion.
+        solver: Name in `tissue_sim.fem.solver.SOLVERS`.
+        resolution: Resolution of the `Simulator`.
+        settings: Settings of the loop.
+        reduced: Reduced model for the solver ``"reduced"``; otherwise None.
 
     Attributes:
-        phase, message: what it does, or why it ended.
-        snapshot: newest; None before the first.
-        surface: of the tissue at that snapshot, where it has no fields to draw; else None.
-        readouts: None before the first tick.
+        phase: Phase of the simulation.
+        message: Present activity, or why the simulation has stopped.
+        snapshot: Newest snapshot; None before the first one.
+        surface: Surface of the tissue at that snapshot if the snapshot has no fields to draw; otherwise None.
+        readouts: Present numbers; None before the first tick.
     """
 
     def __init__(self, model: ts.Model, device: HapticDevice, *, solver: str = "axisymmetric",
@@ -65,17 +84,18 @@ class LiveSimulation:
         self._loop = LoopProcess(
             real_time_tissue(model, solver=solver, resolution=resolution, budget=BUDGET, mesh=reduced,
                              simulator=ViewedSimulator), device,
-            ForceRendering(ForceLimits(*_LIMITS)), settings)
+            ForceRendering(_NO_LIMITS), settings)
         if settings.patience > PATIENCE:
-            # Of tissue that may take long for a tick a command is done no sooner.
+            # The loop answers a command after the present tick, which may take as long as `settings.patience`.
             self._loop.patience = settings.patience
         self._files = ExitStack()
         self._ring: RingReader | None = None
         self._snapshots: SnapshotReader | None = None
         self._number, self._published = 0, 0
-        self._recent: deque[tuple[float, int]] = deque()
-        #: What is counted of the ticks of the last `_DOUBTS_OVER` s, columns as in `_COUNTED`.
-        self._felt = np.empty((0, len(_COUNTED)))
+        #: Wall time, s, and number of ticks at the polls of the last `ReadoutSettings.rate` s.
+        self._tick_counts: deque[tuple[float, int]] = deque()
+        #: Ticks of the last `ReadoutSettings.unconverged` s, columns as in `_STATISTICS_FIELDS`.
+        self._statistics = np.empty((0, len(_STATISTICS_FIELDS)))
         self._paused = False
         self._model = model
         self.phase, self.message = Phase.STARTING, "starting"
@@ -86,24 +106,24 @@ class LiveSimulation:
 
     @property
     def process(self) -> LoopProcess:
-        """The process, for those who measure it."""
+        """The loop process, for measurements and tests."""
         return self._loop
 
     @property
     def _cosine(self) -> float:
-        """Of a way along the tool's axis the share that is depth."""
+        """Depth over displacement along the axis of the tool: the cosine of its inclination."""
         approach = self._model.experiment.approach
         return 1.0 if approach is None else math.cos(approach.angle)
 
     @property
     def tool_depth(self) -> float:
-        """How far along its axis the tool is now, m; where it has not been seen yet, the touch."""
+        """Present displacement of the tool along its axis, m; 0 before the first tick."""
         last = None if self._ring is None else self._ring.latest()
         return 0.0 if last is None else float(last["tool_depth"]) / self._cosine
 
     @property
     def tool_across(self) -> tuple[float, float] | None:
-        """x and y where the tool's axis meets the height of the touch now, m; None where it has not been seen yet."""
+        """Present x and y at which the tool's axis crosses the undeformed surface, m; None before the first tick."""
         last = None if self._ring is None else self._ring.latest()
         if last is None:
             return None
@@ -112,11 +132,11 @@ class LiveSimulation:
         return x - u / max(w, 0.1) * z, y - v / max(w, 0.1) * z
 
     def poll(self) -> np.ndarray | None:
-        """Take in what is new.
+        """Read new ticks and the newest snapshot, and update phase, message and read-outs.
 
         Returns:
-            The ticks since the last time, dtype `haptics.loop.ring.TICK`, their depths along the axis of a tool that
-            leans, as displacements are; None before the first and after the last.
+            The ticks since the last call, dtype `haptics.loop.ring.TICK`, with `tool_depth` converted to the
+            displacement along the axis of an inclined tool; None before the first tick and after the end of the loop.
         """
         if self.phase is Phase.DIED:
             return None
@@ -148,19 +168,23 @@ class LiveSimulation:
             published = self._snapshots.latest(after=self._published)
             if published is not None:
                 self._published = published.number
-                self._take(published.snapshot)
+                self._store(published.snapshot)
         if len(records):
-            self._read_out(records)
+            self._update_readouts(records)
         return records
 
     def ask(self, command: str, **values: Any) -> None:
-        """Ask the loop for something and wait until it has done so, some milliseconds.
+        """Send a command to the loop and wait some milliseconds for its execution.
+
+        Args:
+            command: Name of a command of the loop.
+            values: Arguments of the command.
 
         Raises:
-            InputError: what it refuses, or it is not running.
+            InputError: The loop refuses the command, or the simulation is not running.
         """
         if self.phase not in (Phase.RUNNING, Phase.PAUSED):
-            raise ts.InputError(f"the simulation is not running ({self.message})")
+            raise ts.InputError(f"The simulation is not running ({self.message}).")
         try:
             self._loop.ask(command, **values)
         except LoopError as error:
@@ -171,17 +195,17 @@ class LiveSimulation:
             self.phase = Phase.PAUSED if self._paused else Phase.RUNNING
 
     def close(self) -> None:
-        """End the process."""
+        """Stop the loop process and close its shared memory."""
         self._files.close()
         self._loop.stop()
 
     def forget(self) -> None:
-        """Leave out the ticks that have not been polled yet."""
+        """Skip the ticks that have not been polled yet."""
         if self._ring is not None:
             self._number = self._ring.written
-        self._felt = self._felt[:0]
+        self._statistics = self._statistics[:0]
 
-    def _take(self, snapshot: Snapshot) -> None:
+    def _store(self, snapshot: Snapshot) -> None:
         skin = snapshot.skin
         if skin is not None:
             self.surface = Surface(skin.vertices.astype(np.float32), skin.triangles.astype(np.uint32))
@@ -190,44 +214,45 @@ class LiveSimulation:
     def _die(self, reason: str) -> None:
         self.phase, self.message = Phase.DIED, reason
 
-    def _read_out(self, records: np.ndarray) -> None:
+    def _update_readouts(self, records: np.ndarray) -> None:
         now, last = time.monotonic(), records[-1]
-        self._recent.append((now, self._number))
-        while now - self._recent[0][0] > _COUNT_OVER:
-            self._recent.popleft()
-        (then, before) = self._recent[0]
+        self._tick_counts.append((now, self._number))
+        while now - self._tick_counts[0][0] > _READOUTS.rate:
+            self._tick_counts.popleft()
+        (then, before) = self._tick_counts[0]
         rate = (self._number - before) / (now - then) if now > then else 0.0
-        # A record of the ring is long: its columns that are wanted alone are copied.
-        felt = np.concatenate([self._felt, np.column_stack([records[name] for name in _COUNTED])])
-        self._felt = felt = felt[felt[:, 0] > last["time"] - _DOUBTS_OVER]
-        times, compute_time, iterations, statuses = felt.T
-        recent = times > last["time"] - _LOOK_BACK
+        # Copy only the needed columns, because a tick has many fields.
+        added = np.column_stack([records[name] for name in _STATISTICS_FIELDS])
+        ticks = np.concatenate([self._statistics, added])
+        self._statistics = ticks = ticks[ticks[:, 0] > last["time"] - _READOUTS.unconverged]
+        times, compute_time, iterations, statuses = ticks.T
+        recent = times > last["time"] - _READOUTS.statistics
         status = ForceStatus(int(last["status"]))
         deadlines = last["tick"]
         self.readouts = Readouts(
             float(last["time"]), float(last["tool_depth"]), float(last["tissue_force"]), float(last["stiffness"]),
             float(np.median(compute_time[recent])), float(iterations[recent].mean()), rate,
-            float((last["late"] + last["missed"]) / max(deadlines, 1)), _in_words(status, last),
-            _mesh_in_words(self._loop.resolution, self._loop.force_error),
-            _message(status, last),
+            float((last["late"] + last["missed"]) / max(deadlines, 1)), _status_text(status, last),
+            _mesh_text(self._loop.resolution, self._loop.force_error),
+            _warning_text(status, last),
             int(np.count_nonzero(statuses != ForceStatus.CONVERGED)),
             (float(last["tissue_wrench"][0]), float(last["tissue_wrench"][1])))
 
 
-def _mesh_in_words(resolution: str, force_error: float | None) -> str:
-    """The mesh, and how good it is known to be."""
+def _mesh_text(resolution: str, force_error: float | None) -> str:
+    """Return the resolution of the mesh, with the relative error of its force if it is known."""
     return resolution if force_error is None else f"{resolution}, force within {100 * force_error:.2g} %"
 
 
-def _in_words(status: ForceStatus, last: np.void) -> str:
-    """How the newest force came about."""
+def _status_text(status: ForceStatus, last: np.void) -> str:
+    """Return the status of the newest force in words."""
     if status is ForceStatus.CONVERGED:
         return "paused" if last["flags"] & PAUSED else "in equilibrium"
     return "inaccurate" if _is_inaccurate(status, last) else status.name.lower()
 
 
-def _message(status: ForceStatus, last: np.void) -> str:
-    """Cause and remedy of a status; empty in equilibrium."""
+def _warning_text(status: ForceStatus, last: np.void) -> str:
+    """Return cause and remedy of a status; empty for an accurate equilibrium."""
     if _is_inaccurate(status, last):
         return (f"The force is in equilibrium, but its estimated error is {last['force_error']:.2g} N. "
                 "Use a finer mesh or a deeper indentation.")
@@ -235,5 +260,5 @@ def _message(status: ForceStatus, last: np.void) -> str:
 
 
 def _is_inaccurate(status: ForceStatus, last: np.void) -> bool:
-    """Whether the newest force is one of an equilibrium that the mesh does not resolve."""
+    """Return whether the newest force is an equilibrium force whose estimated mesh error is too large."""
     return status is ForceStatus.LATE and last["age"] == 0.0 and bool(np.isfinite(last["force_error"]))

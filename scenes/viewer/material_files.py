@@ -1,4 +1,4 @@
-"""Materials on the page: found in a folder, uploaded, changed by sliders, saved as new files."""
+"""Material files of the page: list, upload, slider ranges of the parameters, save as new files."""
 
 from __future__ import annotations
 
@@ -13,27 +13,45 @@ from tissue_sim.material.material import BULK_RATIOS, Material
 from tissue_sim.parameters import Parameter, parameters, with_values
 from tissue_sim.units import shown
 
+#: Suffix of material files.
 SUFFIX = ".material.json"
-#: Largest upload, bytes; a material file has some thousands.
+#: Largest size of an uploaded material file, bytes; typical files have some thousand bytes.
 LARGEST_UPLOAD = 1_000_000
-#: A slider reaches so many times the value; and where zero is refused, down to one part in so many.
-REACH = 5.0
-#: A parameter of the law that is smaller than this share of the shear modulus is about zero.
-_NEAR_ZERO = 1e-3
-#: No slider alone makes a material softer than this share of what it is.
-_SOFTEST = 0.01
-#: Steps of a slider, about.
-_STEPS = 500
+
+
+@dataclass(frozen=True)
+class SliderSettings:
+    """Rules for the ranges of the parameter sliders.
+
+    Attributes:
+        span: Largest value of a slider over the present value; also the present value over the smallest value if the
+            material refuses zero.
+        zero_tolerance: Magnitude of a parameter relative to the shear modulus below which the slider is centred at
+            zero.
+        smallest_modulus: Smallest shear modulus that one slider can set, relative to the present one.
+        steps: Approximate number of steps of a slider.
+    """
+
+    span: float = 5.0
+    zero_tolerance: float = 1e-3
+    smallest_modulus: float = 0.01
+    steps: int = 500
+
+
+#: Settings of the viewer.
+SETTINGS = SliderSettings()
 
 
 @dataclass(frozen=True)
 class SliderRange:
-    """A linear slider for a parameter; `low`, `high` and `step` are in the unit of the page.
+    """Range of a linear slider for a parameter, in the unit of the page.
 
     Attributes:
-        low, high: multiples of `step`, with the value between them.
-        unit: on the page; ``""`` of a ratio.
-        factor: number on the page over the parameter's value, SI.
+        low: Smallest value, a multiple of `step`.
+        high: Largest value, a multiple of `step`; the present value lies between `low` and `high`.
+        step: Step.
+        unit: Unit on the page; empty for a ratio.
+        factor: Number on the page over the parameter's value in SI.
     """
 
     low: float
@@ -44,30 +62,30 @@ class SliderRange:
 
 
 def list_materials(folder: str | Path) -> list[Path]:
-    """The ``*.material.json`` of a folder, sorted by name.
+    """Return the paths of the ``*.material.json`` files in a folder, sorted by name.
 
     Raises:
-        InputError: no such folder.
+        InputError: The folder does not exist.
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise InputError("is not a folder; name the one with the *.material.json files", file=folder)
+        raise InputError("must be an existing folder with *.material.json files", file=folder)
     return sorted((path for path in folder.glob(f"*{SUFFIX}") if path.is_file()), key=lambda path: path.name)
 
 
 def read_upload(name: str, content: bytes) -> Material:
-    """The material in an uploaded file.
+    """Read the material of an uploaded file.
 
     Args:
-        name: of the file on the user's machine, for messages.
-        content: its bytes.
+        name: Name of the file on the user's computer, for messages.
+        content: Content of the file.
 
     Raises:
-        InputError: more than `LARGEST_UPLOAD`, or what `tissue_sim.read_material_file` refuses, with the field's path.
+        InputError: The file is larger than `LARGEST_UPLOAD`, or `tissue_sim.read_material_file` refuses it.
     """
     if len(content) > LARGEST_UPLOAD:
-        raise InputError(f"has {len(content) / 1e6:.1f} MB, expected a material file of at most "
-                         f"{LARGEST_UPLOAD / 1e6:g} MB; upload NAME{SUFFIX}", file=name)
+        raise InputError(f"must be at most {LARGEST_UPLOAD / 1e6:g} MB; got {len(content) / 1e6:.1f} MB. Upload a "
+                         f"material file NAME{SUFFIX}.", file=name)
     with tempfile.TemporaryDirectory(prefix="tissue_sim_") as folder:
         path = Path(folder) / f"upload{SUFFIX}"
         path.write_bytes(content)
@@ -78,18 +96,18 @@ def read_upload(name: str, content: bytes) -> Material:
 
 
 def parameter_ranges(material: Material) -> dict[str, SliderRange]:
-    """A slider for every parameter that the material has, by its path.
+    """Return the slider range of each parameter of a material, by the path of the parameter.
 
-    From 0, or from 1/`REACH` of the value where the material refuses zero, to `REACH` times the value, shortened to
-    what the material accepts, and the finite elements are checked for, while its other parameters stay; mirrored for a
-    negative value. Around zero the slider reaches as far as the shear modulus (of an exponent or a ratio: 1) at either
-    side. The numbers on it are round.
+    With s = `SliderSettings.span`, the range of a positive value v is [0, s v], or [v / s, s v] if the material refuses
+    zero; for a negative value it is mirrored. A value near zero gets a range of plus and minus the shear modulus, or
+    plus and minus 1 for exponents and ratios. Each range is then reduced to values that the material accepts and for
+    which the finite elements are verified, with the other parameters fixed, and rounded to a round step.
     """
     return {name: _range(material, each) for name, each in parameters(material).items()}
 
 
 def exact_values(material: Material) -> dict[str, str]:
-    """Path -> value of every parameter, with its unit on pages and all its digits."""
+    """Return the value of each parameter with nine digits and its unit on the page, by the path of the parameter."""
     texts = {}
     for each in parameters(material).values():
         unit, factor = shown(each.declaration.unit)
@@ -100,67 +118,72 @@ def exact_values(material: Material) -> dict[str, str]:
 def _range(material: Material, parameter: Parameter) -> SliderRange:
     name, value = parameter.path, parameter.value
     unit, factor = shown(parameter.declaration.unit)
-    size = material.mu0 if unit == "kPa" else 1.0
-    if value == 0 or (name in material.parameters and abs(value) < _NEAR_ZERO * size):
-        ends = [_accepted(material, name, value, -size), _accepted(material, name, value, size)]
+    scale = material.mu0 if unit == "kPa" else 1.0
+    if value == 0 or (name in material.parameters and abs(value) < SETTINGS.zero_tolerance * scale):
+        ends = [_nearest_accepted(material, name, value, -scale), _nearest_accepted(material, name, value, scale)]
     else:
-        inner = 0.0 if _accepts(material, name, 0.0) else value / REACH
-        ends = sorted([_accepted(material, name, value, inner), _accepted(material, name, value, REACH * value)])
+        inner = 0.0 if _accepts(material, name, 0.0) else value / SETTINGS.span
+        ends = sorted([_nearest_accepted(material, name, value, inner),
+                       _nearest_accepted(material, name, value, SETTINGS.span * value)])
     low, high = (factor * end for end in ends)
     now = factor * value
-    step = 10.0 ** math.floor(math.log10(max(high - low, 1e-3 * abs(now), 1e-12) / _STEPS))
-    step *= max(n for n in (1, 2, 5) if n * step <= max((high - low) / _STEPS, step))
-    # Rounded inwards to what is accepted, yet never past the value itself.
+    step = 10.0 ** math.floor(math.log10(max(high - low, 1e-3 * abs(now), 1e-12) / SETTINGS.steps))
+    step *= max(n for n in (1, 2, 5) if n * step <= max((high - low) / SETTINGS.steps, step))
+    # Round inwards to accepted values, but keep the present value inside.
     low, high = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    low += not _accepts(material, name, _tidy(low * step) / factor)
-    high -= not _accepts(material, name, _tidy(high * step) / factor)
-    return SliderRange(min(_tidy(low * step), now), max(_tidy(high * step), now), step, unit, factor)
+    low += not _accepts(material, name, _round_decimal(low * step) / factor)
+    high -= not _accepts(material, name, _round_decimal(high * step) / factor)
+    return SliderRange(min(_round_decimal(low * step), now), max(_round_decimal(high * step), now), step, unit, factor)
 
 
-def _tidy(number: float) -> float:
-    """Without the dust of binary multiples of a decimal step."""
+def _round_decimal(number: float) -> float:
+    """Round to 12 digits, which removes the binary rounding error of a multiple of a decimal step."""
     return float(f"{number:.12g}")
 
 
 def _accepts(material: Material, name: str, value: float) -> bool:
-    """Whether the material takes the value and stays one that can be simulated."""
+    """Return whether a value of a parameter is valid and the material can still be simulated."""
     try:
         changed = with_values(material, {name: value})
     except InputError:
         return False
-    if changed.mu0 < _SOFTEST * material.mu0:
+    if changed.mu0 < SETTINGS.smallest_modulus * material.mu0:
         return False
     low, high = BULK_RATIOS
     return math.isinf(changed.bulk_modulus) or low <= changed.bulk_modulus / changed.mu0 <= high
 
 
-def _accepted(material: Material, name: str, value: float, wanted: float) -> float:
-    """`wanted`, or the number nearest to it on the way from `value` that the material accepts."""
-    if _accepts(material, name, wanted):
-        return wanted
-    good, bad = value, wanted
+def _nearest_accepted(material: Material, name: str, value: float, target: float) -> float:
+    """Return the number between the accepted `value` and `target` that is nearest to `target` and accepted.
+
+    The function bisects 40 times, so the result is exact up to 1e-12 of the interval.
+    """
+    if _accepts(material, name, target):
+        return target
+    accepted, refused = value, target
     for _ in range(40):
-        middle = 0.5 * (good + bad)
-        good, bad = (middle, bad) if _accepts(material, name, middle) else (good, middle)
-    return good
+        middle = 0.5 * (accepted + refused)
+        accepted, refused = (middle, refused) if _accepts(material, name, middle) else (accepted, middle)
+    return accepted
 
 
 def save_edited(material: Material, folder: str | Path, name: str, *, source: str) -> Path:
-    """Write a material that was changed by hand as a new file.
+    """Write a material that was edited by hand into a new file.
 
-    Standard errors, covariance, residual and valid range stay behind: they belong to the values that were fitted.
+    The file contains no standard errors, covariance, residual and valid range, because they belong to the fitted
+    values.
 
     Args:
-        material: as it is to be.
-        folder: where the file goes; it is made where it is missing.
-        name: of the material, and of the file without ``.material.json``.
-        source: the material that was changed, such as the name of its file; it stands in the provenance.
+        material: The edited material.
+        folder: Folder for the file; the function creates a missing folder.
+        name: Name of the material and of the file without ``.material.json``.
+        source: Material that was edited, such as the name of its file; it is written into the provenance.
 
     Returns:
-        The file.
+        Path of the file.
 
     Raises:
-        InputError: a name that cannot be a file's, a file that is there already, a place that cannot be written.
+        InputError: The name is not a valid file name, the file exists already, or the folder cannot be written.
     """
     path = new_file(folder, name)
     provenance = {"method": "edited by hand", "settings": {"edited_from": source}}
@@ -170,16 +193,20 @@ def save_edited(material: Material, folder: str | Path, name: str, *, source: st
 
 
 def new_file(folder: str | Path, name: str) -> Path:
-    """Where a material of this name goes, with or without ``.material.json``; nothing is written.
+    """Return the path for a new material file without writing the file.
+
+    Args:
+        folder: Folder of the file.
+        name: Name with or without ``.material.json``.
 
     Raises:
-        InputError: a name that cannot be a file's, a file that is there already.
+        InputError: The name is not a valid file name, or the file exists already.
     """
     name = name.strip().removesuffix(SUFFIX)
     if not name or name.startswith(".") or not name.isprintable() or set(name) & set('/\\:*?"<>|') or len(name) > 100:
-        raise InputError(f"{name!r} is no name of a file; give up to 100 letters, digits, blanks or - _ .",
+        raise InputError(f"must be a file name of at most 100 letters, digits, blanks or - _ . ; got {name!r}",
                          field="name")
     path = Path(folder) / f"{name}{SUFFIX}"
     if path.exists():
-        raise InputError("is there already and is not replaced; give another name", file=path)
+        raise InputError("exists already and is not overwritten. Choose another name.", file=path)
     return path

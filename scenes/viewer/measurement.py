@@ -1,4 +1,4 @@
-"""The measurement that a scene is compared with: replicates of one test, their spread, and the model's residual."""
+"""Measurement of a scene: replicates of one test, their mean and spread, and the residual of the model."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from scenes.viewer.trace import on_grid
+from scenes.viewer.trace import interpolate_branch
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
 from tissue_sim.experiment.tools.tool import Tool
@@ -19,17 +19,26 @@ from tissue_sim.recording.origin import other_tool
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 from tissue_sim.recording.segmentation import load_and_unload
 
-#: Depths of the grid on which replicates are averaged.
+#: Number of depths of the grid on which replicates are averaged.
 GRID_POINTS = 201
-#: Samples of a motion that is simulated for a comparison: about 25 ms of the fast solver.
+#: Number of samples of a measured motion that is simulated for comparison; the fast solver needs about 25 ms for them.
 MOTION_SAMPLES = 50
-#: How the samples of a motion are shared out: the time counts this much beside the way.
+#: Weight of time relative to path length in the distribution of these samples.
 _TIME_WEIGHT = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """A branch of several replicates on the grid; N, each of shape (n,), NaN where a replicate does not reach."""
+    """Statistics of one branch, loading or unloading, over the replicates on a grid of depths.
+
+    All arrays have shape (n,) and are NaN at depths that a replicate does not reach.
+
+    Attributes:
+        mean: Mean force, N.
+        low: Smallest force, N.
+        high: Largest force, N.
+        standard_deviation: Sample standard deviation of the force, N; None for one replicate.
+    """
 
     mean: np.ndarray
     low: np.ndarray
@@ -39,39 +48,44 @@ class Envelope:
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """Replicates of one test, and their first loading and first unloading on one grid of depths.
+    """Replicates of one test, with their first loading and first unloading on a common grid of depths.
 
     Attributes:
-        recordings: the replicates, with displacement and force.
-        depth: the grid, m, ascending from 0 (or from where the first replicate begins) to the deepest sample.
-        load: of the first way in.
-        unload: of the first way out after it; None where no replicate has one.
-        ways: `load_and_unload` of each replicate.
+        recordings: The replicates, with displacement and force.
+        depth: Grid of depths, m, ascending from the smallest displacement (at least 0) to the largest one, shape (n,).
+        load: Statistics of the first loading.
+        unload: Statistics of the first unloading after it; None if no replicate has one.
+        branches: Sample numbers of loading and unloading of each replicate, from `load_and_unload`.
     """
 
     recordings: tuple[Recording, ...]
     depth: np.ndarray
     load: Envelope
     unload: Envelope | None
-    ways: tuple[tuple[np.ndarray, np.ndarray], ...]
+    branches: tuple[tuple[np.ndarray, np.ndarray], ...]
 
     @property
     def name(self) -> str:
-        """Of the first replicate."""
+        """Name of the first replicate."""
         return self.recordings[0].name
 
     @property
     def kind(self) -> str | None:
-        """Kind of test, where the recordings say it."""
+        """Kind of test that the recordings state; None if they state none."""
         return next((str(each.metadata["kind"]) for each in self.recordings if "kind" in each.metadata), None)
 
     def other_tool(self, tool: Tool) -> str:
-        """With which tool it was measured, where its recordings say another shape or radius (1 %); else empty."""
+        """Describe the tool of the recordings if its shape, or its radius by more than 1 %, differs from a tool.
+
+        Returns:
+            The description; empty if the tools agree or the recordings state none.
+        """
         return next(filter(None, (other_tool(each, tool.shape, tool.radius) for each in self.recordings)), "")
 
     @property
     def noise(self) -> float | None:
-        """Root mean square over depth and branches of the standard deviation of the replicates, N; None of one."""
+        """Root mean square over depths and branches of the replicates' standard deviation, N; None for one replicate.
+        """
         spreads = [each.standard_deviation for each in (self.load, self.unload)
                    if each is not None and each.standard_deviation is not None]
         known = np.concatenate([each[np.isfinite(each)] for each in spreads]) if spreads else np.empty(0)
@@ -80,14 +94,15 @@ class Measurement:
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """Model minus measurement.
+    """Difference between model and measurement over depth, with its root mean square.
 
     Attributes:
-        depth: m, shape (n,), the grid of the measurement.
-        load, unload: model minus mean measured force, N, shape (n,), NaN where one of the two is missing.
-        rmse: root mean square over the samples of both branches of all replicates that the model reaches, N: the model
-            at the depth of each sample minus its force. Samples at which the tool stands or trembles do not count.
-        samples: how many.
+        depth: Grid of the measurement, m, shape (n,).
+        load: Model minus mean measured force in loading, N, shape (n,), NaN where one of the two is missing.
+        unload: The same in unloading.
+        rmse: Root mean square of model minus measured force over the samples of both branches of all replicates, N;
+            samples at depths that the model does not reach, holds and reversals are excluded.
+        samples: Number of samples in `rmse`.
     """
 
     depth: np.ndarray
@@ -98,169 +113,188 @@ class Residual:
 
 
 def read_measurement(paths: Sequence[str | Path], **reading) -> Measurement:
-    """The replicates in these files.
+    """Read replicates of one test from files.
 
     Args:
-        paths: of files with one replicate or several.
-        reading: as `tissue_sim.read_recordings` takes it, such as ``columns`` of a foreign CSV.
+        paths: Files with one replicate or several.
+        reading: Options of `tissue_sim.read_recordings`, such as ``columns`` for a CSV of another program.
 
     Raises:
-        InputError: no file, an unreadable one, one without displacement and force or with too few samples, or files
-            of different tests.
+        InputError: There is no file, a file cannot be read, displacement or force is missing, a recording has too few
+            samples, or the recordings are of different kinds of tests.
     """
-    return measurement([each for path in paths for each in read_recordings(path, **reading)])
+    return build_measurement([each for path in paths for each in read_recordings(path, **reading)])
 
 
-def measurement(recordings: Sequence[Recording]) -> Measurement:
-    """A measurement of replicates; errors as `read_measurement`."""
+def build_measurement(recordings: Sequence[Recording]) -> Measurement:
+    """Build a measurement from replicates of one test.
+
+    Raises:
+        InputError: As `read_measurement`.
+    """
     recordings = tuple(recordings)
     if not recordings:
-        raise InputError("needs at least one recording", field="measurement")
+        raise InputError("must contain at least one recording", field="measurement")
     kinds: dict[Any, Any] = {}
     for recording in recordings:
         file = recording.metadata.get("source")
         for channel in ("displacement", "force"):
             if channel not in recording:
-                raise InputError(f"has no {channel}, which an overlay needs; it has {', '.join(recording.channels)}",
+                raise InputError(f"must be a channel of the recording; got {', '.join(recording.channels)}",
                                  file=file, field=channel)
         if len(recording) < MIN_POINTS:
-            raise InputError(f"has {len(recording)} samples, expected at least {MIN_POINTS}", file=file)
+            raise InputError(f"must have at least {MIN_POINTS} samples; got {len(recording)}", file=file)
         if not recording.displacement.max() > max(0.0, recording.displacement[0]):
-            raise InputError("never goes deeper than where it begins; expected a displacement that is positive into "
-                             "the tissue", file=file, field="displacement")
+            raise InputError("must increase above its first value. Displacements are positive into the tissue; check "
+                             "the sign.", file=file, field="displacement")
         kinds.setdefault(recording.metadata.get("kind"), file)
     named = [kind for kind in kinds if kind is not None]
     if len(named) > 1:
-        raise InputError(f"is a {named[1]}, and the recordings before it are {named[0]}; give replicates of one test",
-                         file=kinds[named[1]], field="kind")
+        raise InputError(f"must be the same in all recordings; got {named[0]} and {named[1]}. Give replicates of one "
+                         "test.", file=kinds[named[1]], field="kind")
     grid = np.linspace(max(0.0, min(each.displacement.min() for each in recordings)),
                        max(each.displacement.max() for each in recordings), GRID_POINTS)
-    ways = tuple(load_and_unload(each) for each in recordings)
-    out = [way for _, way in ways if way.size]
+    branches = tuple(load_and_unload(each) for each in recordings)
+    unloadings = [unloading for _, unloading in branches if unloading.size]
     unload = None
-    if out:
-        unload = _envelope([each for each, (_, way) in zip(recordings, ways, strict=True) if way.size], out, -1, grid)
-    return Measurement(recordings, grid, _envelope(recordings, [way for way, _ in ways], 1, grid), unload, ways)
+    if unloadings:
+        unload = _envelope([each for each, (_, unloading) in zip(recordings, branches, strict=True) if unloading.size],
+                           unloadings, -1, grid)
+    load = _envelope(recordings, [loading for loading, _ in branches], 1, grid)
+    return Measurement(recordings, grid, load, unload, branches)
 
 
-def _envelope(recordings: Sequence[Recording], ways: Sequence[np.ndarray], direction: int,
+def _envelope(recordings: Sequence[Recording], branches: Sequence[np.ndarray], direction: int,
               grid: np.ndarray) -> Envelope:
-    forces = np.array([on_grid(each.displacement[way], each.force[way], direction, grid)
-                       for each, way in zip(recordings, ways, strict=True)])
+    """Return the statistics of one branch per recording; `direction` is 1 for loading and -1 for unloading."""
+    forces = np.array([interpolate_branch(each.displacement[branch], each.force[branch], direction, grid)
+                       for each, branch in zip(recordings, branches, strict=True)])
     spread = forces.std(axis=0, ddof=1) if len(forces) > 1 else None
     return Envelope(forces.mean(axis=0), forces.min(axis=0), forces.max(axis=0), spread)
 
 
 def branches_on_grid(recording: Recording, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Load and unload of a recording on a grid of depths, N, NaN where it does not reach.
+    """Interpolate loading and unloading of a recording to a grid of depths.
 
-    Monotone cubics between the samples (Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984) 300): a simulation
-    for a comparison has few.
+    The interpolant is a monotone cubic (Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984) 300), because a
+    simulation for comparison has few samples.
+
+    Args:
+        recording: The recording.
+        grid: Depths, m, shape (n,).
+
+    Returns:
+        Force in loading and in unloading, N, each of shape (n,), NaN at depths that the branch does not reach.
     """
     load, unload = load_and_unload(recording)
-    return _smooth(recording, load, 1, grid), _smooth(recording, unload, -1, grid)
+    return _interpolate_monotone(recording, load, 1, grid), _interpolate_monotone(recording, unload, -1, grid)
 
 
-def _smooth(recording: Recording, way: np.ndarray, direction: int, depth: np.ndarray) -> np.ndarray:
+def _interpolate_monotone(recording: Recording, branch: np.ndarray, direction: int, depth: np.ndarray) -> np.ndarray:
     from scipy.interpolate import PchipInterpolator
 
-    way = way[::direction]
-    if way.size < 2:
+    branch = branch[::direction]
+    if branch.size < 2:
         return np.full(depth.shape, np.nan)
-    x = recording.displacement[way]
-    # A sample at the very end of the way may miss it by rounding of its file.
-    slack = 1e-9 * (x[-1] - x[0])
-    inside = (depth >= x[0] - slack) & (depth <= x[-1] + slack)
-    return np.where(inside, PchipInterpolator(x, recording.force[way])(np.clip(depth, x[0], x[-1])), np.nan)
+    x = recording.displacement[branch]
+    # A sample at the end of the branch may lie outside by the rounding of its file.
+    tolerance = 1e-9 * (x[-1] - x[0])
+    inside = (depth >= x[0] - tolerance) & (depth <= x[-1] + tolerance)
+    return np.where(inside, PchipInterpolator(x, recording.force[branch])(np.clip(depth, x[0], x[-1])), np.nan)
 
 
 def residual(model: Recording, measured: Measurement) -> Residual:
-    """What the model misses; see `Residual`.
+    """Compute model minus measurement.
 
     Args:
-        model: `simulate` of `motion(measured)`, or of any motion that reaches the same depths.
-        measured: the measurement.
+        model: Simulation of `motion(measured)`, or of another motion that reaches the same depths.
+        measured: The measurement.
 
     Raises:
-        InputError: the model reaches no sample of the measurement.
+        InputError: The model reaches no sample of the measurement.
     """
     load, unload = branches_on_grid(model, measured.depth)
-    ways = dict(zip((1, -1), load_and_unload(model), strict=True))
-    gaps = []
-    for recording, both in zip(measured.recordings, measured.ways, strict=True):
-        for direction, way in zip((1, -1), both, strict=True):
-            at = _smooth(model, ways[direction], direction, recording.displacement[way])
-            gaps.append(at - recording.force[way])
-    missed = np.concatenate(gaps)
-    missed = missed[np.isfinite(missed)]
-    if not missed.size:
-        raise InputError("reaches none of the measured depths; simulate the measured motion", field="model")
+    model_branches = dict(zip((1, -1), load_and_unload(model), strict=True))
+    differences = []
+    for recording, branches in zip(measured.recordings, measured.branches, strict=True):
+        for direction, branch in zip((1, -1), branches, strict=True):
+            force = _interpolate_monotone(model, model_branches[direction], direction, recording.displacement[branch])
+            differences.append(force - recording.force[branch])
+    errors = np.concatenate(differences)
+    errors = errors[np.isfinite(errors)]
+    if not errors.size:
+        raise InputError("must reach the measured depths. Simulate the measured motion.", field="model")
     out = np.full(measured.depth.size, np.nan) if measured.unload is None else unload - measured.unload.mean
-    return Residual(measured.depth, load - measured.load.mean, out, float(np.sqrt(np.mean(missed**2))), missed.size)
+    return Residual(measured.depth, load - measured.load.mean, out, float(np.sqrt(np.mean(errors**2))), errors.size)
 
 
 def motion(measured: Measurement, *, samples: int = MOTION_SAMPLES, speed: float | None = None) -> Protocol:
-    """The motion to simulate for a comparison: that of the replicate nearest to the mean, from its first sample to the
-    end of its first unloading, thinned.
+    """Return a protocol of the measured motion with few samples, to simulate it for comparison.
 
-    The samples are spread evenly over way and time; where the tool turns round or starts to hold one is kept.
+    The motion is that of the typical replicate from its first sample to the end of its first unloading. The samples are
+    distributed evenly over path length and time; the first and last samples of loading and unloading are kept.
 
     Args:
-        measured: the measurement.
-        samples: about how many; never more.
-        speed: m/s, for recordings without time; None: ``speed_mm_s`` of their metadata, else the study's.
+        measured: The measurement.
+        samples: Largest number of samples; the result has about as many.
+        speed: Speed for recordings without time, m/s; None: ``speed_mm_s`` of their metadata, or else the speed of the
+            reference study.
 
     Raises:
-        InputError: a speed that is not positive.
+        InputError: The speed is not positive.
     """
-    recording, (load, unload) = typical(measured)
+    recording, (load, unload) = typical_replicate(measured)
     end = int(unload[-1] if unload.size else load[-1]) + 1
     depth = recording.displacement[:end]
     time = recording.time[:end] if "time" in recording else _time(depth, recording, speed)
-    # Time that stands still is no step of a motion; the first of such samples stays.
+    # A protocol needs increasing times: keep the first of several samples with the same time.
     later = np.concatenate([[True], np.diff(np.maximum.accumulate(time)) > 0])
     kept = np.flatnonzero(later)
     time, depth = time[kept], depth[kept]
-    turns = [0, load[0], load[-1], *([unload[0], unload[-1]] if unload.size else [])]
-    corners = np.unique(np.minimum(np.searchsorted(kept, turns), kept.size - 1))
-    chosen = np.union1d(corners, _spread(time, depth, corners, max(samples - corners.size, 2)))
+    ends = [0, load[0], load[-1], *([unload[0], unload[-1]] if unload.size else [])]
+    corners = np.unique(np.minimum(np.searchsorted(kept, ends), kept.size - 1))
+    chosen = np.union1d(corners, _distribute(time, depth, corners, max(samples - corners.size, 2)))
     labels = {name: values[:end][kept][chosen] for name, values in recording.labels.items()
               if values.dtype.kind in {"segment": "U", "cycle": "iu"}[name]}
     return Protocol(time[chosen], depth[chosen], **labels)
 
 
-def typical(measured: Measurement) -> tuple[Recording, tuple[np.ndarray, np.ndarray]]:
-    """The replicate whose loading is nearest to the mean, and its `Measurement.ways`."""
+def typical_replicate(measured: Measurement) -> tuple[Recording, tuple[np.ndarray, np.ndarray]]:
+    """Return the replicate whose loading is nearest to the mean in least squares, and its `Measurement.branches`."""
     def distance(pair) -> float:
-        recording, (way, _) = pair
-        away = on_grid(recording.displacement[way], recording.force[way], 1, measured.depth) - measured.load.mean
-        return float(np.nansum(away**2))
+        recording, (loading, _) = pair
+        force = interpolate_branch(recording.displacement[loading], recording.force[loading], 1, measured.depth)
+        return float(np.nansum((force - measured.load.mean)**2))
 
-    return min(zip(measured.recordings, measured.ways, strict=True), key=distance)
+    return min(zip(measured.recordings, measured.branches, strict=True), key=distance)
 
 
 def _time(depth: np.ndarray, recording: Recording, speed: float | None) -> np.ndarray:
+    """Return the times of a motion at constant speed, s, shape (n,)."""
     if speed is None:
         stated = recording.metadata.get("speed_mm_s")
         speed = stated * 1e-3 if isinstance(stated, int | float) and not isinstance(stated, bool) else STUDY_SPEED
     if not 0 < speed < np.inf:
-        raise InputError(f"{speed:g} m/s is not a speed; give a number above zero",
+        raise InputError(f"must be positive and finite; got {speed:g} m/s",
                          file=recording.metadata.get("source"), field="speed")
     return np.concatenate([[0.0], np.cumsum(np.abs(np.diff(depth)))]) / speed
 
 
-def _spread(time: np.ndarray, depth: np.ndarray, corners: np.ndarray, count: int) -> np.ndarray:
-    """Indices of about `count` samples, evenly spread over way (between corners, without its trembling) and time."""
-    way = np.zeros(depth.size)
+def _distribute(time: np.ndarray, depth: np.ndarray, corners: np.ndarray, count: int) -> np.ndarray:
+    """Return the numbers of about `count` samples that are evenly distributed over path length and time.
+
+    The path length between two corners ignores reversals, which are noise.
+    """
+    path = np.zeros(depth.size)
     for begin, end in pairwise(corners.tolist()):
-        gone = np.maximum.accumulate(np.sign(depth[end] - depth[begin]) * (depth[begin:end + 1] - depth[begin]))
-        way[begin:end + 1] = way[begin] + np.maximum(gone, 0.0)
-    measure = way / max(way[-1], 1e-12) + _TIME_WEIGHT * (time - time[0]) / max(time[-1] - time[0], 1e-12)
+        travel = np.maximum.accumulate(np.sign(depth[end] - depth[begin]) * (depth[begin:end + 1] - depth[begin]))
+        path[begin:end + 1] = path[begin] + np.maximum(travel, 0.0)
+    measure = path / max(path[-1], 1e-12) + _TIME_WEIGHT * (time - time[0]) / max(time[-1] - time[0], 1e-12)
     return np.unique(np.searchsorted(measure, np.linspace(0.0, measure[-1], count)).clip(0, depth.size - 1))
 
 
-def gap(model: Recording | None, measured: Measurement | None) -> Residual | None:
-    """Model minus measurement; None where there is nothing to compare, as of a model that stopped at once."""
+def residual_or_none(model: Recording | None, measured: Measurement | None) -> Residual | None:
+    """Return `residual`; None if one of the two is missing or the model reaches no measured depth."""
     if model is None or measured is None:
         return None
     try:

@@ -1,6 +1,7 @@
-"""The token of a page: who has its printed address may open it, as with Jupyter; no other program of this computer may.
+"""Access token of a page: only browsers that know the printed address may open the page, as with Jupyter.
 
-The address brings the token once; from then on a cookie does, which no page of another site sends and no script reads.
+The address transmits the token once. Afterwards, a cookie transmits it; pages of other sites cannot send this cookie
+(SameSite=Strict), and scripts cannot read it (HttpOnly).
 """
 
 from __future__ import annotations
@@ -11,37 +12,39 @@ from collections.abc import Sequence
 from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qs, urlsplit
 
-REFUSAL = "This page opens with the address that was printed where it was started, its token included."
+#: Answer to a request without a valid token.
+REFUSAL = ("The token is missing or wrong. Open this page with the complete address that was printed when the page was "
+           "started.")
 
 
 def new_token() -> str:
-    """One that nobody guesses."""
+    """Return a random token of 192 bits."""
     return secrets.token_urlsafe(24)
 
 
 def admits(token: str, port: int, path: str, cookies: Sequence[str]) -> bool:
-    """Whether a request may be answered.
+    """Return whether a request contains the token, in its query or in a cookie.
 
     Args:
-        token: of the page.
-        port: of the server; cookies are those of all servers of a computer.
-        path: of the request, with its query.
-        cookies: values of all headers of that name.
+        token: Token of the page.
+        port: Port of the server, which is part of the cookie's name because all ports of a computer share cookies.
+        path: Path of the request with its query.
+        cookies: Values of all ``Cookie`` headers.
     """
     try:
-        shown = parse_qs(urlsplit(path).query).get("token", [])
+        given = parse_qs(urlsplit(path).query).get("token", [])
         for each in cookies:
-            if (morsel := SimpleCookie(each).get(_name(port))) is not None:
-                shown.append(morsel.value)
+            if (morsel := SimpleCookie(each).get(_cookie_name(port))) is not None:
+                given.append(morsel.value)
     except (ValueError, CookieError):
         return False
-    return any(hmac.compare_digest(one.encode(), token.encode()) for one in shown)
+    return any(hmac.compare_digest(candidate.encode(), token.encode()) for candidate in given)
 
 
 def cookie(token: str, port: int) -> str:
-    """The header that brings the token from now on, until the browser is closed."""
-    return f"{_name(port)}={token}; Path=/; HttpOnly; SameSite=Strict"
+    """Return the ``Set-Cookie`` header that stores the token until the browser is closed."""
+    return f"{_cookie_name(port)}={token}; Path=/; HttpOnly; SameSite=Strict"
 
 
-def _name(port: int) -> str:
+def _cookie_name(port: int) -> str:
     return f"tissue_sim_{port}"

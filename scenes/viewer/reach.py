@@ -1,4 +1,4 @@
-"""How deep and how far aside a tool may go."""
+"""Limits of the tool's depth and lateral position."""
 
 from __future__ import annotations
 
@@ -12,12 +12,16 @@ from tissue_sim.snapshot import Snapshot
 
 
 def within_top(experiment: Experiment, snapshot: Snapshot, across: tuple[float, float]) -> tuple[float, float]:
-    """The place that is nearest to one, on the way to the middle, at which the whole tool is over the top.
+    """Move a lateral position towards the middle of the specimen until the whole tool is above the top surface.
 
     Args:
-        experiment: with the tool.
-        snapshot: of the tissue; its undeformed top is what its mesh says, or else that of the specimen.
+        experiment: Experiment with the tool and the specimen.
+        snapshot: Snapshot of the tissue; if its fields have a mesh in 3D, the top of that mesh is used, otherwise the
+            circle with the radius of the specimen.
         across: x and y, m.
+
+    Returns:
+        x and y, m.
     """
     from scipy.spatial import ConvexHull
 
@@ -30,30 +34,42 @@ def within_top(experiment: Experiment, snapshot: Snapshot, across: tuple[float, 
         top = experiment.specimen.outer_radius * np.column_stack([np.cos(angles), np.sin(angles)])
     hull = ConvexHull(top)
     middle = top[hull.vertices].mean(axis=0)
-    way = np.asarray(across, dtype=float) - middle
-    # Of each side its outward normal, and how far it is from the middle.
-    normals, far = hull.equations[:, :2], -(hull.equations[:, :2] @ middle + hull.equations[:, 2])
-    gains = normals @ way
-    ahead = gains > 0.0
-    share = min(1.0, float((np.maximum(far[ahead] - radius, 0.0) / gains[ahead]).min(initial=1.0)))
-    x, y = (middle + share * way).tolist()
+    offset = np.asarray(across, dtype=float) - middle
+    # Outward normal of each side of the hull, and its distance from the middle.
+    normals, distances = hull.equations[:, :2], -(hull.equations[:, :2] @ middle + hull.equations[:, 2])
+    approach = normals @ offset
+    approached = approach > 0.0
+    fraction = min(1.0, float((np.maximum(distances[approached] - radius, 0.0)
+                               / approach[approached]).min(initial=1.0)))
+    x, y = (middle + fraction * offset).tolist()
     return x, y
 
 
 def within_reach(scene: Scene, snapshot: Snapshot, across: tuple[float, float]) -> tuple[float, float]:
-    """The place within the reach of a scene that is nearest to one over the top; see `within_top`."""
+    """Limit a lateral position, x and y in m, to the top surface (`within_top`) and to `Scene.reach`."""
     x, y = (min(max(value, low), high) for value, (low, high) in zip(
         within_top(scene.experiment, snapshot, across), scene.reach, strict=True))
     return x, y
 
 
 def require_within_reach(scene: Scene, protocol: Protocol, field: str) -> None:
-    """Raises InputError: a motion along the axis that goes deeper than a scene is made for, or lifts what cannot be."""
-    deepest, mesh = float(protocol.displacement.max()), scene.deepest
-    # A measured depth trembles.
-    if deepest > 1.01 * mesh:
-        raise InputError(f"goes to {deepest * 1e3:.4g} mm, and the mesh is made for {mesh * 1e3:.4g} mm; start the "
-                         "viewer with a larger --depth-mm", field=field)
-    if scene.highest == 0.0 and float(protocol.displacement.min()) < -0.01 * mesh:
-        raise InputError("lifts the tool, and a reduced solid that it holds cannot be lifted; leave approach and "
-                         "retract out", field=field)
+    """Check that a motion stays within the depths of a scene.
+
+    Args:
+        scene: The scene.
+        protocol: Motion along the axis of the tool.
+        field: Name of the motion in messages.
+
+    Raises:
+        InputError: The motion is deeper than the scene's mesh allows, or lifts a tool that is attached to a reduced
+            solid.
+    """
+    deepest, mesh_depth = float(protocol.displacement.max()), scene.deepest
+    # The tolerance of 1 % allows for noise of measured displacements.
+    if deepest > 1.01 * mesh_depth:
+        raise InputError(f"must have a depth of at most {mesh_depth * 1e3:.4g} mm, because the mesh is made for "
+                         f"{mesh_depth * 1e3:.4g} mm; got {deepest * 1e3:.4g} mm. Restart the viewer with a larger "
+                         "--depth-mm.", field=field)
+    if scene.highest == 0.0 and float(protocol.displacement.min()) < -0.01 * mesh_depth:
+        raise InputError("must not lift the tool: a reduced solid that it holds cannot be lifted. Remove approach and "
+                         "retract.", field=field)

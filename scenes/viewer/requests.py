@@ -1,7 +1,8 @@
-"""Which requests need no obeying, and which changes of a material no new simulation."""
+"""Queue of the requests to a session, with rules for superseded requests and for changes of the material."""
 
 from __future__ import annotations
 
+import queue
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -11,12 +12,47 @@ from tissue_sim.errors import InputError
 from tissue_sim.parameters import parameter_values, with_values
 
 
-def superseded(command: str, values: dict[str, Any], later: list[tuple[str, Callable | None, dict[str, Any]]]) -> bool:
-    """Whether a later request replaces this one: of those of a hand, and of one slider, only the newest counts.
+class RequestQueue:
+    """Thread-safe queue of commands with their arguments and reply functions."""
+
+    def __init__(self) -> None:
+        self._queue: queue.SimpleQueue[tuple[str, Callable | None, dict[str, Any]]] = queue.SimpleQueue()
+
+    def put(self, command: str, reply: Callable[[str | None], None] | None, values: dict[str, Any]) -> None:
+        """Queue a command; any thread may call this method."""
+        self._queue.put((command, reply, values))
+
+    def execute(self, run: Callable[[str, dict[str, Any]], None]) -> None:
+        """Execute the queued commands in order, except superseded ones, and call their reply functions.
+
+        Args:
+            run: Executes a command with its arguments. Its InputError becomes the reply.
+        """
+        requests = []
+        while not self._queue.empty():
+            requests.append(self._queue.get())
+        for number, (command, reply, values) in enumerate(requests):
+            problem = None
+            try:
+                if not is_superseded(command, values, requests[number + 1:]):
+                    run(command, values)
+            except InputError as error:
+                problem = str(error)
+            if reply is not None:
+                reply(problem)
+
+
+def is_superseded(command: str, values: dict[str, Any],
+                  later: list[tuple[str, Callable | None, dict[str, Any]]]) -> bool:
+    """Return whether a later request makes a request unnecessary.
+
+    A later ``aim`` with the same arguments replaces an ``aim``; a directly following ``set_parameters`` of the same
+    parameters replaces a ``set_parameters``.
 
     Args:
-        command, values: of the request.
-        later: those that have come since, as command, reply and values.
+        command: Command of the request.
+        values: Arguments of the request.
+        later: Later requests as command, reply and arguments.
     """
     if command == "aim":
         return any(other == "aim" and values.keys() <= named.keys() for other, _, named in later)
@@ -25,11 +61,11 @@ def superseded(command: str, values: dict[str, Any], later: list[tuple[str, Call
 
 
 def differ_in_parameters_only(a: ts.Material, b: ts.Material) -> bool:
-    """Whether one material becomes the other by changing numbers."""
+    """Return whether two materials have the same law and the same parameters up to their values."""
     values = parameter_values(b)
     if parameter_values(a).keys() != values.keys():
         return False
     try:
         return replace(with_values(a, values), name=b.name) == b
-    except InputError:  # on the way from one to the other
+    except InputError:  # the mixture of both is invalid
         return False

@@ -1,4 +1,4 @@
-"""Surfaces of revolution that stand open on one side, so that one looks at the section."""
+"""Surfaces of revolution from which a wedge is removed, so that the section is visible."""
 
 from __future__ import annotations
 
@@ -8,20 +8,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from scenes.viewer.bands import by_band
+from scenes.viewer.bands import split_by_band
 from tissue_sim.errors import InputError
 
-#: Lines that meet at a larger angle are an edge and are shaded so.
+#: Angle between neighbouring lines or triangles above which they are shaded as a sharp edge, rad.
 EDGE_ANGLE = np.radians(30.0)
+#: Largest angle of the removed wedge, rad.
 LARGEST_CUT = np.pi
 
 
 class Surface(NamedTuple):
-    """Triangles in space.
+    """Triangulated surface in 3D.
 
     Attributes:
-        vertices: shape (v, 3), float32.
-        faces: vertex numbers, their normals outwards, shape (f, 3), uint32.
+        vertices: Coordinates, shape (v, 3), float32.
+        faces: Vertex numbers with outward normals, shape (f, 3), uint32.
     """
 
     vertices: np.ndarray
@@ -30,15 +31,15 @@ class Surface(NamedTuple):
 
 @dataclass(frozen=True)
 class Opening:
-    """The wedge that is left out of a solid of revolution, and how finely the rest is divided.
+    """Wedge that is removed from a solid of revolution, and angular resolution of the rest.
 
     Attributes:
-        cut: angle of the wedge, rad, 0 (closed) to pi.
-        facing: azimuth of its middle, rad; the default opens it towards -y.
-        segments: of a whole turn.
+        cut: Angle of the wedge, rad, from 0 (closed) to pi.
+        facing: Azimuth of the middle of the wedge, rad; the default opens the wedge towards -y.
+        segments: Number of segments in a full turn.
 
     Raises:
-        InputError: an angle out of range.
+        InputError: An angle is outside its range.
     """
 
     cut: float = np.radians(120.0)
@@ -47,70 +48,76 @@ class Opening:
 
     def __post_init__(self):
         if not (np.isfinite(self.cut) and 0.0 <= self.cut <= LARGEST_CUT * (1 + 1e-9)):
-            raise InputError(f"a cut of {np.degrees(self.cut):g} degrees; give 0 (closed) to 180", field="cut")
+            raise InputError(f"must be between 0 (closed) and 180 degrees; got {np.degrees(self.cut):g}", field="cut")
         if not np.isfinite(self.facing):
-            raise InputError("the direction that the cut faces is not a number; give an azimuth", field="facing")
+            raise InputError(f"must be a finite azimuth in rad; got {self.facing}", field="facing")
 
     @property
-    def closed(self) -> bool:
+    def is_closed(self) -> bool:
+        """Whether nothing is removed."""
         return self.cut == 0.0
 
     @cached_property
     def angles(self) -> np.ndarray:
-        """Azimuths of the half planes that divide the solid, rad, ascending. Those of a closed solid leave out the last
-        one, which is the first."""
+        """Azimuths of the half planes that divide the solid, rad, ascending.
+
+        A closed solid lists its first half plane, which is also its last one, only once.
+        """
         start, turn = self.facing + 0.5 * self.cut, 2.0 * np.pi - self.cut
         count = max(1, int(np.ceil(self.segments * turn / (2.0 * np.pi) - 1e-9)))
-        return np.linspace(start, start + turn, count + 1)[: count if self.closed else count + 1]
+        return np.linspace(start, start + turn, count + 1)[: count if self.is_closed else count + 1]
 
     @cached_property
     def directions(self) -> np.ndarray:
-        """Unit vectors of `angles`, shape (angles, 2)."""
+        """Unit vectors (x, y) of `angles`, shape (angles, 2)."""
         return np.stack([np.cos(self.angles), np.sin(self.angles)], axis=-1)
 
     @cached_property
     def faces(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """In-plane direction and outward normal, (x, y), of both section faces; none where it is closed."""
-        if self.closed:
+        """Horizontal direction and outward normal (x, y) of both section faces; empty for a closed solid."""
+        if self.is_closed:
             return []
         first, last = self.directions[[0, -1]]
         return [(first, np.array([first[1], -first[0]])), (last, np.array([-last[1], last[0]]))]
 
-    def on_faces(self, points: np.ndarray, lift: float = 0.0) -> np.ndarray:
-        """Points (..., 2) of the half section on both section faces, shape (faces, ..., 3).
+    def on_faces(self, points: np.ndarray, offset: float = 0.0) -> np.ndarray:
+        """Map points of the half section to both section faces.
 
         Args:
-            points: (r, z).
-            lift: how far in front of the faces, in the unit of the points.
+            points: Points (r, z), shape (..., 2).
+            offset: Distance in front of the faces, in the unit of the points.
+
+        Returns:
+            Points (x, y, z), shape (faces, ..., 3).
         """
-        lifted = [np.concatenate([points[..., :1] * way + lift * normal, points[..., 1:]], axis=-1)
-                  for way, normal in self.faces]
-        return np.array(lifted).reshape(len(lifted), *points.shape[:-1], 3)
+        mapped = [np.concatenate([points[..., :1] * direction + offset * normal, points[..., 1:]], axis=-1)
+                  for direction, normal in self.faces]
+        return np.array(mapped).reshape(len(mapped), *points.shape[:-1], 3)
 
     def circle(self, radius: float, z: float) -> np.ndarray:
-        """Lines of the part of a circle around the axis that the solid has, shape (k, 2, 3)."""
+        """Return the lines of a circle around the axis, without the part inside the wedge, shape (k, 2, 3)."""
         ring = np.column_stack([radius * self.directions, np.full(len(self.directions), z)])
         after = np.roll(ring, -1, axis=0)
         lines = np.stack([ring, after], axis=1)
-        return lines if self.closed else lines[:-1]
+        return lines if self.is_closed else lines[:-1]
 
 
 def section_surfaces(points: np.ndarray, triangles: np.ndarray, band: np.ndarray, bands: int,
-                     opening: Opening, lift: float = 0.0) -> list[Surface]:
-    """Both section faces, one surface a band.
+                     opening: Opening, offset: float = 0.0) -> list[Surface]:
+    """Return both section faces, split into one surface per band.
 
     Args:
-        points: (r, z) of the half section, shape (n, 2).
-        triangles: anticlockwise in the (r, z) plane, sorted by band, shape (k, 3).
-        band: of each triangle, ascending, shape (k,).
-        bands: number of bands.
-        opening: where the faces are; a closed solid has none.
-        lift: how far in front of that they are.
+        points: Points (r, z) of the half section, shape (n, 2).
+        triangles: Point numbers, anticlockwise in the (r, z) plane, sorted by band, shape (k, 3).
+        band: Band of each triangle, ascending, shape (k,).
+        bands: Number of bands.
+        opening: Wedge between the faces; a closed solid has no faces.
+        offset: Distance of the surfaces in front of the faces, in the unit of the points.
     """
-    if opening.closed:
-        return [_nothing()] * bands
-    kept, numbers, slices = by_band(triangles, band, len(points), bands)
-    first, last = opening.on_faces(points[kept], lift).astype(np.float32)
+    if opening.is_closed:
+        return [_empty_surface()] * bands
+    kept, numbers, slices = split_by_band(triangles, band, len(points), bands)
+    first, last = opening.on_faces(points[kept], offset).astype(np.float32)
     numbers = numbers.astype(np.uint32)
     back = numbers[:, ::-1]
     return [Surface(np.concatenate([first[points_of], last[points_of]]),
@@ -119,44 +126,45 @@ def section_surfaces(points: np.ndarray, triangles: np.ndarray, band: np.ndarray
 
 
 def revolved_surfaces(points: np.ndarray, band: np.ndarray, bands: int, opening: Opening) -> list[Surface]:
-    """A polyline revolved around the axis, one surface a band.
+    """Revolve a polyline around the axis; return one surface per band.
 
     Args:
-        points: (r, z), with the body to the right of the way along it, shape (n, 2).
-        band: of each of its lines, shape (n - 1,).
-        bands: number of bands.
-        opening: what is left out.
+        points: Points (r, z) with the body on the right-hand side of the polyline, shape (n, 2).
+        band: Band of each line, shape (n - 1,).
+        bands: Number of bands.
+        opening: Wedge that is removed.
     """
-    way = np.diff(points, axis=0)
-    way /= np.maximum(np.linalg.norm(way, axis=1), np.finfo(float).tiny)[:, None]
-    apart = (band[1:] != band[:-1]) | (np.einsum("ki,ki->k", way[1:], way[:-1]) < np.cos(EDGE_ANGLE))
-    # A run of lines shares its vertices; the runs of a band come one after the other.
-    run = np.concatenate([[0], np.cumsum(apart)])
+    direction = np.diff(points, axis=0)
+    direction /= np.maximum(np.linalg.norm(direction, axis=1), np.finfo(float).tiny)[:, None]
+    cosine = np.einsum("ki,ki->k", direction[1:], direction[:-1])
+    separate = (band[1:] != band[:-1]) | (cosine < np.cos(EDGE_ANGLE))
+    # The lines of a run share vertices; the runs of a band are contiguous.
+    run = np.concatenate([[0], np.cumsum(separate)])
     order = np.argsort(band, kind="stable")
     in_order = run[order]
     starts_run = np.concatenate([[True], in_order[1:] != in_order[:-1]])
-    # Before line k of the order stand k lines, each with one vertex of its own, and one more vertex a run.
+    # A run of n lines has n + 1 vertices: line k of the order is preceded by k vertices plus one for each earlier run.
     vertex = np.arange(order.size) + np.cumsum(starts_run) - 1
-    place = np.empty((order.size + int(starts_run.sum()), 2))
-    place[vertex], place[vertex + 1] = points[order], points[order + 1]
+    profile = np.empty((order.size + int(starts_run.sum()), 2))
+    profile[vertex], profile[vertex + 1] = points[order], points[order + 1]
     first_line = np.searchsorted(band[order], np.arange(bands + 1))
-    first_vertex = np.append(vertex, len(place))[first_line]
+    first_vertex = np.append(vertex, len(profile))[first_line]
 
     count = len(opening.angles)
-    space = np.empty((len(place), count, 3), dtype=np.float32)
-    space[..., :2] = place[:, :1, None] * opening.directions
-    space[..., 2] = place[:, 1:]
-    here = np.arange(count if opening.closed else count - 1)
-    beside = (here + 1) % count
+    space = np.empty((len(profile), count, 3), dtype=np.float32)
+    space[..., :2] = profile[:, :1, None] * opening.directions
+    space[..., 2] = profile[:, 1:]
+    segment = np.arange(count if opening.is_closed else count - 1)
+    next_segment = (segment + 1) % count
     inner = ((vertex - first_vertex[band[order]]) * count)[:, None]
     outer = inner + count
-    quads = np.empty((order.size, here.size, 2, 3), dtype=np.uint32)
-    quads[:, :, 0, 0] = quads[:, :, 1, 0] = inner + here
-    quads[:, :, 0, 1] = outer + here
-    quads[:, :, 0, 2] = quads[:, :, 1, 1] = outer + beside
-    quads[:, :, 1, 2] = inner + beside
-    # On the axis one half of each quad has no area.
-    r = place[:, 0]
+    quads = np.empty((order.size, segment.size, 2, 3), dtype=np.uint32)
+    quads[:, :, 0, 0] = quads[:, :, 1, 0] = inner + segment
+    quads[:, :, 0, 1] = outer + segment
+    quads[:, :, 0, 2] = quads[:, :, 1, 1] = outer + next_segment
+    quads[:, :, 1, 2] = inner + next_segment
+    # A quad with two vertices on the axis is a triangle: one of its halves has no area.
+    r = profile[:, 0]
     flat = np.stack([r[vertex + 1] == 0.0, r[vertex] == 0.0], axis=-1)
     surfaces = []
     for k in range(bands):
@@ -168,12 +176,12 @@ def revolved_surfaces(points: np.ndarray, band: np.ndarray, bands: int, opening:
     return surfaces
 
 
-def joined(*surfaces: Surface) -> Surface:
-    """Several surfaces as one; no vertices are shared between them."""
+def join_surfaces(*surfaces: Surface) -> Surface:
+    """Combine several surfaces into one without merging their vertices."""
     before = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)]).astype(np.uint32)
     return Surface(np.concatenate([surface.vertices for surface in surfaces]),
                    np.concatenate([surface.faces + first for surface, first in zip(surfaces, before, strict=False)]))
 
 
-def _nothing() -> Surface:
+def _empty_surface() -> Surface:
     return Surface(np.empty((0, 3), dtype=np.float32), np.empty((0, 3), dtype=np.uint32))

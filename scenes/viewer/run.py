@@ -1,4 +1,4 @@
-"""Run a viewer until somebody stops it."""
+"""Run a session with the page, or without a screen, until it is stopped."""
 
 from __future__ import annotations
 
@@ -19,27 +19,28 @@ from scenes.viewer.web_server import exposure
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import STUDY_SPEED
 
-#: What a browser without a graphics card is asked for.
+#: Query parameters of the address with which viser renders at half resolution, for browsers without a graphics card.
 HALF_RESOLUTION = {"fixedDpr": "0.5"}
 
 
 def run_page(scene: Scene, materials: Path, page: dict[str, Any], *, seconds: float | None = None, json: bool = False,
              **options: Any) -> int:
-    """Serve the page until Ctrl-C, SIGTERM or the end of the time.
+    """Serve the page of a session until Ctrl-C, SIGTERM or the end of a given time.
 
     Args:
-        scene: what to look at.
-        materials: folder of material files.
-        page: ``host``, ``port``, ``exposed``, ``token``, ``open``, ``low_graphics``, ``dark``.
-        seconds: None: until it is stopped.
-        json: say the address as an object.
-        options: of `Session`.
+        scene: First scene.
+        materials: Folder of material files.
+        page: Options of `Page`: ``host``, ``port``, ``exposed``, ``token``, ``low_graphics``, ``dark``; and ``open``,
+            whether to open a browser.
+        seconds: Time after which the function returns, s; None: no limit.
+        json: Print the address as a JSON object.
+        options: Options of `Session`.
 
     Returns:
         Exit code.
 
     Raises:
-        InputError: what the page refuses; nothing runs then.
+        InputError: The page cannot start, for example because the port is in use.
     """
     from scenes.viewer.page import Page
 
@@ -59,7 +60,7 @@ def run_page(scene: Scene, materials: Path, page: dict[str, Any], *, seconds: fl
             if opens:
                 webbrowser.open_new_tab(address)
             gc.collect()
-            gc.freeze()  # what is there stays, and need not be looked through between two frames
+            gc.freeze()  # exempts the existing objects from garbage collection, which would delay frames
             stop = threading.Event()
             with stopped_by_signals(stop.set):
                 session.run(viewer, stop, seconds)
@@ -73,16 +74,20 @@ def run_page(scene: Scene, materials: Path, page: dict[str, Any], *, seconds: fl
 
 def run_headless(scene: Scene, seconds: float, *, protocol: str | None = None, speed: float = STUDY_SPEED,
                  **options: Any) -> dict[str, Any]:
-    """Play a protocol without a screen, and say what was felt.
+    """Play a protocol without a screen, and return the recorded curve.
 
     Args:
-        seconds: from the first tick on; the solver may have to be compiled before it.
-        protocol: to play; None: the tool stays at the touch.
-        speed: where the protocol states none, m/s.
-        options: of `Session`.
+        scene: The scene.
+        seconds: Duration after the first tick, s; compilation of the solver comes before.
+        protocol: Protocol to play; None: the tool stays at the undeformed surface.
+        speed: Speed of segments for which the protocol states none, m/s.
+        options: Options of `Session`.
+
+    Returns:
+        Phase, message, curve, rates and RMSE with the keys of ``tissue-sim view --headless --json``.
 
     Raises:
-        InputError: a protocol that is refused.
+        InputError: The session refuses the protocol.
     """
     session, viewer = Session(scene, **options), NullViewer()
     try:
@@ -97,7 +102,7 @@ def run_headless(scene: Scene, seconds: float, *, protocol: str | None = None, s
             while session.waits_for_curve and not stop.is_set():
                 viewer.show(session.frame())
                 stop.wait(0.05)
-        frame = viewer.latest or session.frame()  # stopped before its time
+        frame = viewer.latest or session.frame()  # no frame was shown if a signal stopped the run early
         if refused and refused[0] is not None and frame.phase is not Phase.DIED:
             raise InputError(refused[0])
         trace = frame.curves.trace or Trace()

@@ -1,4 +1,4 @@
-"""What is looked at: an experiment of some kind, a material and measurements of it."""
+"""Scene of the viewer: an experiment of some kind, a material, and measurements."""
 
 from __future__ import annotations
 
@@ -10,30 +10,30 @@ from typing import Any
 
 import tissue_sim as ts
 from scenes.catalogue import SCENES
-from scenes.viewer.measurement import Measurement, measurement
+from scenes.viewer.measurement import Measurement, build_measurement
 from tissue_sim.experiment.kinds.kind import TestKind
 
-#: Of a material that comes from no file.
+#: Source of the default material, which is not read from a file.
 BUILT_IN = "silicone of the study"
-#: How far above the touch a tool may be lifted, m.
+#: Largest height of the tool above the undeformed surface, m.
 CLEARANCE = 5e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Everything that the pictures depend on but for the motion of the tool.
+    """Input of a simulation in the viewer, except for the motion of the tool.
 
     Attributes:
-        kind: of test.
-        experiment: with specimen, tool and interfaces; its protocol is what the model's curve is computed for where
-            nothing was measured, and its largest depth is where the slider ends.
-        material: as it is now.
-        source: where the material comes from, for people.
-        measurements: by the name of the kind that they belong to.
-        solver: name in `tissue_sim.fem.solver.SOLVERS`.
-        rig: that the model's curve is measured with; the tool that is felt moves without it.
-        reduced: the solid that the solver ``"reduced"`` steps; else None.
-        compared: a curve of this kind of test to begin with, beside the model's, and its name.
+        kind: Kind of test.
+        experiment: Specimen, tool, interfaces and protocol. The largest depth of the protocol is the end of the depth
+            slider; without a measurement, the model curve is computed for this protocol.
+        material: Present material.
+        source: Origin of the material for display, such as a file name.
+        measurements: Name of a kind of test -> measurement.
+        solver: Name in `tissue_sim.fem.solver.SOLVERS`.
+        rig: Measuring rig of the model curve; the live simulation has an ideal rig.
+        compared: Name and recording of a curve that is shown next to the model curve at the start; otherwise None.
+        reduced: Reduced model for the solver ``"reduced"``; otherwise None.
     """
 
     kind: TestKind
@@ -48,12 +48,12 @@ class Scene:
 
     @property
     def model(self) -> ts.Model:
-        """Experiment and material."""
+        """Experiment and material as a model."""
         return ts.Model(self.experiment, self.material)
 
     @property
     def measurement(self) -> Measurement | None:
-        """That of this scene; None where there is none."""
+        """Measurement of this kind of test; None if there is none."""
         return self.measurements.get(self.kind.name)
 
     @property
@@ -63,56 +63,61 @@ class Scene:
 
     @property
     def half_width(self) -> float:
-        """How far from its axis the undeformed specimen reaches, m."""
+        """Largest distance of the undeformed specimen from its axis, m."""
         return self.experiment.specimen.outer_radius
 
     @property
     def reach(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """From where to where the tool's axis may be at the height of the touch, along x, and along y, m; of a reduced
-        solid where the tool stays in its box on its whole way down, or else where it comes nearest to that."""
+        """Range of x and range of y at which the tool's axis may cross the undeformed surface, m.
+
+        Without a reduced model, the ranges end at the edges of the specimen's top. With a reduced model, the tool stays
+        inside the box of the model on its whole path to the largest depth; if that is impossible, the range of x is one
+        value, at which the path leaves the box equally far on both sides.
+        """
         if self.reduced is None:
-            return self._edges
-        (x, y, _), aside = self.experiment.tool_pose(0.0).position, self.reduced.box.sideways
-        # A tool that leans goes aside as it goes down.
+            return self._top_edges
+        (x, y, _), half_width = self.experiment.tool_pose(0.0).position, self.reduced.box.sideways
+        # An inclined tool moves along x as it goes deeper.
         (end, *_) = self.experiment.tool_pose(self.deepest).position
-        low, high = x - aside - min(end - x, 0.0), x + aside - max(end - x, 0.0)
+        low, high = x - half_width - min(end - x, 0.0), x + half_width - max(end - x, 0.0)
         if low > high:
             low = high = 0.5 * (low + high)
-        return (low, high), (y - aside, y + aside)
+        return (low, high), (y - half_width, y + half_width)
 
     @cached_property
-    def _edges(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Where the top ends along x, and along y, m."""
+    def _top_edges(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Range of x and range of y of the specimen's top along the two axes, m."""
         specimen = self.experiment.specimen
-        return ((-_edge(specimen, -1.0, 0.0), _edge(specimen, 1.0, 0.0)),
-                (-_edge(specimen, 0.0, -1.0), _edge(specimen, 0.0, 1.0)))
+        return ((-_distance_to_edge(specimen, -1.0, 0.0), _distance_to_edge(specimen, 1.0, 0.0)),
+                (-_distance_to_edge(specimen, 0.0, -1.0), _distance_to_edge(specimen, 0.0, 1.0)))
 
     @property
     def highest(self) -> float:
-        """Smallest tool displacement, m: above the tissue, but of a reduced solid that the tool holds."""
+        """Smallest tool displacement, m: `CLEARANCE` above the tissue; 0 if the tool is attached to a reduced solid."""
         return 0.0 if self.reduced is not None and self.reduced.lifting else -CLEARANCE
 
     def with_scene(self, name: str, *, tool: ts.Tool | None = None, friction: str | float | None = None) -> Scene:
-        """Another kind of test, tool or interface of the tool's face, on the same specimen with the same protocol.
+        """Return the scene with another kind of test, tool or interface; specimen and protocol stay the same.
 
         Args:
-            name: of a scene in `scenes.SCENES`.
-            tool: None: the one at hand where it fits the kind, else the kind's own.
-            friction: None: the one at hand for the same kind, else the kind's own.
+            name: Name of a scene in `scenes.SCENES`.
+            tool: New tool; None: the present tool if it fits the kind of test, otherwise the default of the kind.
+            friction: New interface of the tool's face; None: the present one for the same kind of test, otherwise the
+                default of the kind.
 
         Raises:
-            InputError: no such scene, or what does not fit it.
+            InputError: The scene does not exist, the tool does not fit it, or the scene has a reduced model.
         """
         if self.reduced is not None:
-            raise ts.InputError("a reduced solid has the test, tool and interfaces that it was made of; look at others "
-                                "without it", field="scene")
+            raise ts.InputError("cannot be changed for a reduced solid, which is valid for one test, one tool and one "
+                                "interface. Start the viewer without the reduced solid.", field="scene")
         if name not in SCENES:
-            raise ts.InputError(f"no scene {name!r}; known: {', '.join(SCENES)}", field="scene")
+            raise ts.InputError(f"must be one of {', '.join(SCENES)}; got {name!r}", field="scene")
         kind, before = SCENES[name], self.experiment
         if tool is None:
             tool = before.tool if kind.fits(before.tool) else kind.require_tool()
         if not kind.fits(tool):
-            raise ts.InputError(f"{kind.title.lower()} is not done with the tool {tool.shape!r}", field="tool")
+            raise ts.InputError(f"must fit the scene {kind.title.lower()}; got a {tool.shape!r} tool", field="tool")
         changes: dict[str, Any] = kind.interfaces(tool)
         if kind is self.kind:
             changes = {key: getattr(before, key) for key in changes}
@@ -122,24 +127,30 @@ class Scene:
 
 
 def read_measurements(paths: Sequence[str | Path], scene: str) -> dict[str, Measurement]:
-    """Recordings by the scene that they belong to: the kind of test in their sidecar, or else `scene`.
+    """Read recordings and group them into one measurement per kind of test.
+
+    Args:
+        paths: Recording files.
+        scene: Kind of test of recordings whose sidecar does not state one.
+
+    Returns:
+        Name of a kind of test -> measurement.
 
     Raises:
-        InputError: an unreadable file, or one of a kind that is no scene.
+        InputError: A file cannot be read, or its kind of test is not a scene of the viewer.
     """
     by_kind: dict[str, list[ts.Recording]] = {}
     for path in paths:
         recording = ts.read_recording(path)
         kind = str(recording.metadata.get("kind", scene))
         if kind not in SCENES:
-            raise ts.InputError(f"is of kind {kind!r}, for which there is no scene; known: {', '.join(SCENES)}",
-                                file=path, field="kind")
+            raise ts.InputError(f"must be one of {', '.join(SCENES)}; got {kind!r}", file=path, field="kind")
         by_kind.setdefault(kind, []).append(recording)
-    return {kind: measurement(recordings) for kind, recordings in by_kind.items()}
+    return {kind: build_measurement(recordings) for kind, recordings in by_kind.items()}
 
 
-def _edge(specimen: ts.Specimen, x: float, y: float) -> float:
-    """How far its top goes from the axis in a direction, m."""
+def _distance_to_edge(specimen: ts.Specimen, x: float, y: float) -> float:
+    """Return the distance of the top's edge from the axis in the direction of the unit vector (x, y), m."""
     low, high = 0.0, specimen.outer_radius
     if specimen.margin(high * x, high * y) >= 0.0:
         return high

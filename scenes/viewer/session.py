@@ -1,8 +1,7 @@
-"""What a viewer shows and what it may ask for; no browser in it."""
+"""Session of the viewer: runs the simulation, executes commands and produces frames, independently of a browser."""
 
 from __future__ import annotations
 
-import queue
 import threading
 import time
 from collections.abc import Callable
@@ -10,113 +9,117 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import tissue_sim as ts
 from haptics.devices.contracts import HapticDevice, Motion
-from haptics.devices.motions import HandMotion, ProtocolMotion
+from haptics.devices.motions import HandMotion
 from haptics.loop.loop import LoopSettings
 from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS, take_result
 from scenes.viewer.calibration_run import CalibrationRun
 from scenes.viewer.frame import Curves, Frame, Phase, Viewer
 from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from scenes.viewer.material_files import save_edited
-from scenes.viewer.measurement import gap, motion, typical
+from scenes.viewer.measurement import motion, residual_or_none
 from scenes.viewer.model_curve import ModelCurve
-from scenes.viewer.reach import require_within_reach, within_reach
-from scenes.viewer.requests import differ_in_parameters_only, superseded
+from scenes.viewer.reach import within_reach
+from scenes.viewer.requests import RequestQueue, differ_in_parameters_only
 from scenes.viewer.scene import Scene
+from scenes.viewer.tool_motions import HAND_SPEED, hand_motion, protocol_motion, replay_motion
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
 from tissue_sim.live_material import require_tissue
 from tissue_sim.parameters import parameter_values, with_values
 
-#: Frames a second, and how many of them from one drawing of the plots to the next.
-FRAME_RATE, PLOT_EVERY = 30.0, 3
-#: How far the motion goes on in a single step, s.
+#: Frames per second.
+FRAME_RATE = 30.0
+#: Number of frames between two updates of the plots.
+PLOT_EVERY = 3
+#: Duration of a single step of a paused motion, s.
 STEP_TIME = 1.0 / FRAME_RATE
-#: Largest speed of a tool that follows the mouse, m/s.
-HAND_SPEED = 0.1
-#: Points of a segment of a protocol.
-_POINTS = 21
 
 
 class Session:
-    """Holds the simulation, the curve of the whole test and the trace of what was felt. Close it.
+    """Runs the live simulation, the model curve and calibrations of a scene; call `close` at the end.
 
-    Commands come from any thread through `post` and are obeyed, in their order, in the thread that asks for frames.
+    Any thread may post commands. The thread that calls `frame` executes them in the order of posting.
 
     Args:
-        scene: what to look at first.
-        resolution: of the loop's simulator.
-        curve_resolution: of the whole test's curve.
-        settings: of the loop.
-        device: that each simulation follows from its beginning on; None: the tool waits for a command.
+        scene: First scene.
+        resolution: Resolution of the live simulation.
+        curve_resolution: Resolution of the model curve.
+        settings: Settings of the haptic loop.
+        device: Haptic device or motion that moves the tool from the start of each simulation; None: none.
+
+    Attributes:
+        scene: Present scene.
+        calibration: Uploaded recordings and their fit.
     """
 
     def __init__(self, scene: Scene, *, resolution: str = "realtime", curve_resolution: str = "fast",
                  settings: LoopSettings = SETTINGS, device: HapticDevice | None = None):
         self.scene, self._device = scene, device
-        #: Whether the device is still to be followed, and why it was not.
+        #: Whether the device has not been connected yet, and why the connection failed.
         self._device_waits, self._refused = False, ""
         self._resolution, self._settings = resolution, settings
-        self._requests: queue.SimpleQueue[tuple[str, Callable | None, dict[str, Any]]] = queue.SimpleQueue()
+        self._requests = RequestQueue()
         self._curve, self.calibration = ModelCurve(curve_resolution, scene.solver, scene.reduced), CalibrationRun()
-        self._curves, self._trace, self._frames = Curves(before=scene.compared), Trace(), 0
-        #: Time from the beginning of a replay, and force, of the recording.
+        self._curves, self._trace, self._frames = Curves(compared=scene.compared), Trace(), 0
+        #: Time since the start of the replay, s, and force, N, of the repeated recording.
         self._replayed: tuple | None = None
-        #: Grows with every point of the trace, and where the trace starts again.
-        self._felt = 0
+        #: Version of the trace: increases with each new point and with each clearing.
+        self._trace_version = 0
         self._motion, self._target, self._across = "hand", 0.0, (0.0, 0.0)
-        #: Whether somebody's hand is at a device; a motion feels nothing.
-        self._hand_feels = False
-        #: Whether the material was changed while the simulation was starting, so that it still has the old one.
-        self._material_is_late = False
+        #: Whether a haptic device renders the force; a motion renders none.
+        self._has_hand_force = False
+        #: Whether the material was changed during the start of the simulation, which still has the old material.
+        self._material_pending = False
         self._simulation = self._begin()
 
     @property
     def simulation(self) -> LiveSimulation:
-        """The simulation that runs now."""
+        """The present simulation."""
         return self._simulation
 
     def post(self, command: str, *, reply: Callable[[str | None], None] | None = None, **values: Any) -> None:
-        """Ask for one of the commands below, from any thread.
+        """Queue a command; any thread may call this method.
 
         Args:
-            command: one of `COMMANDS`.
-            reply: called with None when it is done, or with a sentence that says why not.
-            values: arguments of the command.
+            command: A key of `COMMANDS`.
+            reply: Called with None after the execution, or with a sentence that states why the command was refused.
+            values: Arguments of the command.
+
+        Raises:
+            ValueError: The command does not exist.
         """
         if command not in COMMANDS:
-            raise ValueError(f"no command {command!r}")
-        self._requests.put((command, reply, values))
+            raise ValueError(f"command must be one of {', '.join(COMMANDS)}; got {command!r}.")
+        self._requests.put(command, reply, values)
 
     def frame(self) -> Frame:
-        """Obey what was asked for and look at the simulation."""
-        self._obey()
+        """Execute the queued commands, poll all processes, and return the present state."""
+        self._requests.execute(lambda command, values: COMMANDS[command](self, **values))
         take_result(self)
         simulation = self._simulation
         records = simulation.poll()
-        if self._material_is_late and simulation.phase is Phase.RUNNING:
-            self._material_is_late = False
+        if self._material_pending and simulation.phase is Phase.RUNNING:
+            self._material_pending = False
             try:
                 simulation.ask("set_parameters", **parameter_values(self.scene.material))
             except InputError:
-                # A new simulation begins with that material, or says why it cannot.
-                self._begin_anew()
+                # A new simulation starts with the new material, or reports the reason.
+                self.restart()
                 simulation, records = self._simulation, None
         if self._device_waits and simulation.phase is Phase.RUNNING:
-            self._begin_to_follow()
+            self._connect_device()
             records = None
         if records is not None and len(records):
-            self._felt += self._trace.append(records)
+            self._trace_version += self._trace.append(records)
         self._curve.poll()
         if self._frames % PLOT_EVERY == 0:
-            self._draw_curves()
+            self._update_curves()
         self._frames += 1
         message = simulation.message
         if simulation.phase is Phase.DIED:
-            message = f"The simulation has stopped: {message}. Press Restart to begin again."
+            message = f"The simulation has stopped: {message.removesuffix('.')}. Press Restart to begin again."
         elif self._refused:
             message = self._refused
         elif self._curve.problem:
@@ -125,261 +128,259 @@ class Session:
                      self._motion, self._target, simulation.surface, self.calibration.state, self._across)
 
     def run(self, viewer: Viewer, stop: threading.Event, seconds: float | None = None) -> None:
-        """Show frames until `stop` is set, or for so many seconds."""
+        """Display frames until `stop` is set.
+
+        Args:
+            viewer: Displays the frames.
+            stop: Ends the run.
+            seconds: Time after which the run ends, s; None: no limit.
+        """
         began = due = time.monotonic()
         while not stop.is_set() and (seconds is None or time.monotonic() - began < seconds):
             viewer.show(self.frame())
-            # A frame that took too long is not caught up with.
+            # After a slow frame, the following frames keep their distance instead of catching up.
             due = max(due + 1.0 / FRAME_RATE, time.monotonic())
             stop.wait(due - time.monotonic())
 
     def aim(self, depth: float | None = None, across: tuple[float, float] | None = None) -> None:
-        """Let the tool go to a place, as a hand would.
+        """Move the tool by hand, at most with `HAND_SPEED`.
 
         Args:
-            depth: along its axis, m; None: as deep as it is.
-            across: x and y where its axis meets the height of the touch, m, of tissue in space, kept within reach;
-                None: where it is.
+            depth: Target displacement along the tool's axis, m, limited to the range of the scene; None: keep it.
+            across: Target x and y at which the tool's axis crosses the undeformed surface, m, limited to the reach of
+                the scene; used for tissue in 3D only; None: keep them.
 
         Raises:
-            InputError: it stands still in a pause, or is not running.
+            InputError: The motion is paused, or the simulation is not running.
         """
         simulation = self._simulation
         if simulation.phase is Phase.PAUSED:
-            raise InputError("the tool stands still while the motion is paused; press Play to go on, or Reset")
+            raise InputError("The tool cannot move while the motion is paused. Press Play to continue, or Reset.")
         if self._motion != "hand":
-            # What is known here of the tool's place is a frame old: the tool would jump back.
+            # HandMotion(None) starts at the tool's present position; the position known here is one frame old.
             simulation.ask("follow", device=HandMotion(None, HAND_SPEED))
-            self._motion, self._target, self._hand_feels = "hand", simulation.tool_depth, False
+            self._motion, self._target, self._has_hand_force = "hand", simulation.tool_depth, False
             self._across = simulation.tool_across or self._across
         depth = min(max(self._target if depth is None else depth, self.scene.highest), self.scene.deepest)
-        place: dict[str, Any] = {"depth": depth}
+        target: dict[str, Any] = {"depth": depth}
         if across is not None and simulation.snapshot is not None and simulation.snapshot.in_space:
-            place["across"] = within_reach(self.scene, simulation.snapshot, across)
-        simulation.ask("aim", **place)
-        self._target, self._across = depth, place.get("across", self._across)
+            target["across"] = within_reach(self.scene, simulation.snapshot, across)
+        simulation.ask("aim", **target)
+        self._target, self._across = depth, target.get("across", self._across)
 
     def play(self, text: str, speed: float = 5e-3, repeat: bool = False) -> None:
-        """Play a protocol from its beginning, on undeformed tissue.
+        """Play a protocol from its beginning on undeformed tissue.
 
         Args:
-            text: as in `tissue_sim.Protocol.parse`.
-            speed: where the protocol states none, m/s.
-            repeat: begin again at its end.
+            text: Protocol in the notation of `tissue_sim.Protocol.parse`.
+            speed: Speed of segments for which the protocol states none, m/s.
+            repeat: Whether to repeat the protocol without end.
 
         Raises:
-            InputError: a fault in the protocol, or one that goes deeper than the scene.
+            InputError: The protocol is invalid, or deeper than the scene.
         """
-        protocol = ts.Protocol.parse(text, _POINTS, speed)
-        require_within_reach(self.scene, protocol, "protocol")
-        self._follow("protocol", ProtocolMotion(protocol, repeat, self.scene.experiment.approach))
+        self._start_motion("protocol", protocol_motion(self.scene, text, speed, repeat))
 
     def replay(self, speed: float = 1.0) -> None:
-        """Repeat the measured motion, `speed` times as fast.
+        """Repeat the measured motion on undeformed tissue.
+
+        Args:
+            speed: Speed relative to the measurement.
 
         Raises:
-            InputError: nothing was measured in this scene, or it goes deeper than the scene.
+            InputError: The scene has no measurement, or the measured motion is deeper than the scene.
         """
-        if self.scene.measurement is None:
-            raise InputError("nothing was measured in this scene; start the viewer with --measured FILE")
-        measured, (recording, _) = motion(self.scene.measurement), typical(self.scene.measurement)
-        require_within_reach(self.scene, measured, "recording")
-        way = measured.displacement
-        if self.scene.highest == 0.0:
-            # What trembles about the touch lifts no tool that holds tissue.
-            way = np.maximum(way, 0.0)
-        self._follow("recording", ProtocolMotion(ts.Protocol(measured.time / speed, way),
-                                                 approach=self.scene.experiment.approach))
-        if "time" in recording:
-            self._replayed = ((recording.time - measured.time[0]) / speed, recording.force)
+        measured_motion, force = replay_motion(self.scene, speed)
+        self._start_motion("recording", measured_motion)
+        self._replayed = force
 
     def follow(self, device: HapticDevice) -> None:
-        """Follow a haptic device, or any motion, on undeformed tissue."""
+        """Move the tool with a haptic device or a motion, on undeformed tissue."""
         device.set_approach(self.scene.experiment.approach)
-        self._follow("device", device)
+        self._start_motion("device", device)
 
     def pause(self) -> None:
-        """Let the motion stand still."""
+        """Pause the motion of the tool."""
         self._simulation.ask("pause")
 
     def resume(self) -> None:
-        """Let the motion go on."""
+        """Continue a paused motion."""
         self._simulation.ask("resume")
 
     def step(self) -> None:
-        """Stand still, but go on for the time of one frame."""
+        """Pause the motion, and advance it by the time of one frame."""
         if self._simulation.phase is not Phase.PAUSED:
             self.pause()
         self._simulation.ask("advance", seconds=STEP_TIME)
 
     def reset(self) -> None:
-        """Lift the tool to the touch, with undeformed tissue."""
-        self._follow("hand", self._hand())
-        self._target, self._across = 0.0, self._entrance
+        """Move the tool to the undeformed surface, and reset the tissue to its undeformed state."""
+        self._start_motion("hand", hand_motion(self.scene))
+        self._target, self._across = 0.0, self._entry_point
 
     def set_parameters(self, values: dict[str, float]) -> None:
-        """Change the material while it is felt.
+        """Change parameters of the material in the running simulation.
+
+        Args:
+            values: Path of a parameter -> new value, SI.
 
         Raises:
-            InputError: what the material or the simulation refuses; nothing is changed.
+            InputError: The material or the simulation refuses the values; nothing is changed.
         """
-        self._take_material(with_values(self.scene.material, values), self.scene.source)
+        self._set_material(with_values(self.scene.material, values), self.scene.source)
 
     def use_material(self, material: ts.Material, source: str) -> None:
-        """Look at another material; one that differs in its parameters only is felt at once.
+        """Replace the material of the scene.
+
+        New parameter values of the same law are set in the running simulation; otherwise, a new simulation starts.
+
+        Args:
+            material: New material.
+            source: Origin of the material for display, such as a file name.
 
         Raises:
-            InputError: what the simulation refuses; nothing is changed.
+            InputError: The simulation refuses the material; nothing is changed.
         """
-        self._take_material(material, source)
+        self._set_material(material, source)
 
-    def _take_material(self, material: ts.Material, source: str) -> None:
-        require_tissue(material)  # also where no simulation runs that would refuse it
+    def _set_material(self, material: ts.Material, source: str) -> None:
+        require_tissue(material)  # checked here because there may be no running simulation to refuse the material
         if (reduced := self.scene.reduced) is not None:
             reduced.require_material(material)
         scene = replace(self.scene, material=material, source=source)
         if not differ_in_parameters_only(self.scene.material, material):
-            self._change(scene)
+            self._change_scene(scene)
             return
         if self._simulation.phase in (Phase.RUNNING, Phase.PAUSED):
             self._simulation.ask("set_parameters", **parameter_values(material))
-        # Another simulation would begin with it; one that is about to run gets it then.
-        self._material_is_late = self._simulation.phase is Phase.STARTING
+        # A starting simulation has the old material; `frame` sets the new one when the simulation runs.
+        self._material_pending = self._simulation.phase is Phase.STARTING
         self.scene = scene
-        self._curve.ask(self._test())
+        self._curve.request(self._test_model())
 
     def save_material(self, folder: Path, name: str) -> None:
-        """Write the material as it is now into a new file.
+        """Write the present material into a new file.
+
+        Args:
+            folder: Folder of the file.
+            name: Name of the file without ``.material.json``.
 
         Raises:
-            InputError: a name that is taken, or none.
+            InputError: The name is empty or invalid, or the file exists already.
         """
         path = save_edited(self.scene.material, folder, name, source=self.scene.source)
         self.scene = replace(self.scene, source=path.name)
 
     def use_scene(self, name: str, tool: ts.Tool | None = None, friction: str | float | None = None) -> None:
-        """Look at another scene, tool or interface.
+        """Change the scene, the tool or the interface; arguments as `Scene.with_scene`.
 
         Raises:
-            InputError: what does not fit.
+            InputError: The scene does not exist, or the tool does not fit it.
         """
-        self._change(self.scene.with_scene(name, tool=tool, friction=friction))
+        self._change_scene(self.scene.with_scene(name, tool=tool, friction=friction))
 
     def keep_curve(self, name: str = "") -> None:
-        """Keep the model's curve as it is now, to compare later ones with it; without a name forget the one kept."""
+        """Keep the present model curve for comparison.
+
+        Args:
+            name: Name of the curve in the legend; empty: remove the curve that was kept.
+        """
         kept = (name, self._curve.recording) if name and self._curve.recording is not None else None
-        self._curves = replace(self._curves, before=kept)
+        self._curves = replace(self._curves, compared=kept)
 
     def restart(self) -> None:
-        """Begin again with a new process."""
-        self._begin_anew()
+        """Start a new simulation process."""
+        self._simulation.close()
+        self._simulation = self._begin()
 
     @property
     def waits_for_curve(self) -> bool:
-        """Whether the curve of the newest model is still to come, or to be drawn."""
+        """Whether the curve of the newest model is not computed, or not part of a frame, yet."""
         return self._curve.busy or self._curve.recording is not self._curves.model
 
     def close(self) -> None:
-        """End the processes."""
+        """Stop all processes."""
         if self._simulation is not None:
             self._simulation.close()
         self._curve.close()
         self.calibration.close()
 
-    def _obey(self) -> None:
-        requests = []
-        while not self._requests.empty():
-            requests.append(self._requests.get())
-        for number, (command, reply, values) in enumerate(requests):
-            problem = None
-            try:
-                if not superseded(command, values, requests[number + 1:]):
-                    COMMANDS[command](self, **values)
-            except InputError as error:
-                problem = str(error)
-            if reply is not None:
-                reply(problem)
-
-    def _change(self, scene: Scene) -> None:
-        """Show another scene; `Scene` has refused a bad one before anything is changed."""
-        other = scene.kind is not self.scene.kind
+    def _change_scene(self, scene: Scene) -> None:
+        """Start a simulation of a valid scene."""
+        kind_changed = scene.kind is not self.scene.kind
         self.scene = scene
-        if other:
+        if kind_changed:
             self._curves = Curves()
             self._curve.forget()
-        self._begin_anew()
+        self.restart()
 
-    def _begin_anew(self) -> None:
-        self._simulation.close()
-        self._simulation = self._begin()
 
     def _begin(self) -> LiveSimulation:
-        self._motion, self._target, self._across, self._hand_feels = "hand", 0.0, self._entrance, False
-        self._forget_trace()
-        self._material_is_late = False
+        """Start a simulation with the tool at the undeformed surface, and request its model curve."""
+        self._motion, self._target, self._across, self._has_hand_force = "hand", 0.0, self._entry_point, False
+        self._clear_trace()
+        self._material_pending = False
         self._device_waits = self._device is not None
-        simulation = LiveSimulation(self.scene.model, self._hand(), solver=self.scene.solver,
+        simulation = LiveSimulation(self.scene.model, hand_motion(self.scene), solver=self.scene.solver,
                                     resolution=self._resolution, settings=self._settings, reduced=self.scene.reduced)
-        self._curve.ask(self._test())
+        self._curve.request(self._test_model())
         return simulation
 
-    def _hand(self) -> HandMotion:
-        """At the touch."""
-        return HandMotion(0.0, HAND_SPEED, approach=self.scene.experiment.approach)
-
     @property
-    def _entrance(self) -> tuple[float, float]:
-        """Where the tool first touches."""
+    def _entry_point(self) -> tuple[float, float]:
+        """x and y at which the tool first touches the undeformed surface, m."""
         x, y, _ = self.scene.experiment.tool_pose(0.0).position
         return x, y
 
-    def _follow(self, kind: str, device: HapticDevice) -> None:
+    def _start_motion(self, kind: str, device: HapticDevice) -> None:
+        """Reset the tissue and move the tool with a device or motion; `kind` is the value of `Frame.motion`."""
         simulation = self._simulation
         if simulation.phase is Phase.PAUSED:
             simulation.ask("resume")
-        # In one command: between two the tool would be drawn out of tissue that it is bonded to.
+        # Reset and new device in one command: with two, the tool would pull at tissue to which it is bonded.
         simulation.ask("follow", device=device, anew=True)
         simulation.forget()
-        self._forget_trace()
-        self._motion, self._hand_feels = kind, not isinstance(device, Motion)
+        self._clear_trace()
+        self._motion, self._has_hand_force = kind, not isinstance(device, Motion)
 
-    def _begin_to_follow(self) -> None:
+    def _connect_device(self) -> None:
         self._device_waits, self._refused = False, ""
         if self._device is not None:
             try:
                 self.follow(self._device)
             except InputError as error:
-                self._refused = f"{error}. Press Restart to try again."
+                self._refused = f"{str(error).removesuffix('.')}. Press Restart to try again."
 
-    def _forget_trace(self) -> None:
+    def _clear_trace(self) -> None:
         self._trace.clear()
         self._replayed = None
-        self._felt += 1
+        self._trace_version += 1
 
-    def _test(self) -> ts.Model:
-        """The whole test whose curve is computed: with the measured motion, where there is one."""
+    def _test_model(self) -> ts.Model:
+        """Return the model of the whole test, with the measured motion if there is a measurement."""
         model, measurement = replace(self.scene.model, rig=self.scene.rig), self.scene.measurement
         if measurement is None:
             return model
         return replace(model, experiment=replace(model.experiment, protocol=motion(measurement)))
 
-    def _draw_curves(self) -> None:
+    def _update_curves(self) -> None:
         curves, trace, measurement = self._curves, self._trace, self.scene.measurement
         recording = self._curve.recording
         if recording is not curves.model or measurement is not curves.measurement:
-            curves = replace(curves, model=recording, measurement=measurement, residual=gap(recording, measurement))
-        if self._felt != curves.number or curves.trace is None:
+            curves = replace(curves, model=recording, measurement=measurement,
+                             residual=residual_or_none(recording, measurement))
+        if self._trace_version != curves.number or curves.trace is None:
             replayed = None
             if self._replayed is not None and len(trace):
                 time, force = self._replayed
                 replayed = (trace.time[0] + time, force)
-            curves = replace(curves, trace=trace, replayed=replayed, number=self._felt)
-        if (self._hand_feels, self._curve.busy) != (curves.felt, curves.computing):
-            curves = replace(curves, felt=self._hand_feels, computing=self._curve.busy)
+            curves = replace(curves, trace=trace, replayed=replayed, number=self._trace_version)
+        if (self._has_hand_force, self._curve.busy) != (curves.has_hand_force, curves.computing):
+            curves = replace(curves, has_hand_force=self._has_hand_force, computing=self._curve.busy)
         self._curves = curves
 
 
-#: What a viewer may ask a session for, by name; the values of a command are its arguments.
+#: Commands of a session by name.
 COMMANDS: dict[str, Callable[..., None]] = {
     "aim": Session.aim,
     "play": Session.play,

@@ -1,4 +1,4 @@
-"""A deformed solid in space with a wedge cut out at the tool, in the colours of a field."""
+"""Picture of a deformed solid in 3D: its surface with a wedge cut out at the tool, coloured by a field."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from scenes.viewer.bands import Triangulation, by_band
+from scenes.viewer.bands import Triangulation, split_by_band
 from scenes.viewer.revolution import EDGE_ANGLE, Surface
 from scenes.viewer.wedge import Wedge
 from tissue_sim.experiment.tools.tool import Tool
@@ -19,31 +19,48 @@ from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.mesh.sections import clip, section, section_lines
 from tissue_sim.mesh.subdivision import side_edges, surface_triangles, tetrahedra
 
-#: How far lines lie in front of a surface, in sizes of the body.
-LIFT = 1e-3
-#: What is nearer to the tool than this, in its radii, touches it.
-TOUCH = 1e-3
-#: Along the longest side of a body, with the gaps between them.
-_DASHES = 60
-#: Most quadrature points that are looked at for a picture, and most elements for the range of its colours: of a larger
-#: body elements are seen in their mean, and some of them stand for all.
-MOST_POINTS, MOST_OF_RANGE = 40_000, 3000
+
+@dataclass(frozen=True)
+class SolidPictureSettings:
+    """Accuracy of the picture of a solid.
+
+    Attributes:
+        line_offset: Distance of lines in front of a surface, in sizes of the body, so that the surface does not hide
+            the lines.
+        contact_gap: Largest gap of a point in contact, in radii of the tool.
+        dashes: Number of dashes and gaps of the outline along the longest side of the body.
+        max_points: Largest number of quadrature points at which fields are evaluated; a body with more points shows
+            one mean value per element.
+        max_range_elements: Largest number of elements from which the colour range of such a body is computed.
+    """
+
+    line_offset: float = 1e-3
+    contact_gap: float = 1e-3
+    dashes: int = 60
+    max_points: int = 40_000
+    max_range_elements: int = 3000
+
+
+#: Settings of the viewer.
+SETTINGS = SolidPictureSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class SolidBody:
-    """What does not change from frame to frame.
+    """Surface, edges and element data of a mesh in 3D that stay the same from frame to frame.
+
+    A point of the surface is a node on one smooth piece of the surface; a node on a sharp edge has several points.
 
     Attributes:
-        mesh: undeformed; see `tissue_sim.mesh.solid.SolidMesh`.
-        cells: tetrahedra of each element, node numbers, shape (elements, t, 4).
-        nodes: of the points of the surface, shape (p,): a node has one for each smooth piece of surface that it is on.
-        triangles: of the surface, numbers of points, shape (k, 3).
-        lines: element edges on the surface, numbers of points, shape (l, 2).
-        sharp: edges of the undeformed body, numbers of points, shape (e, 2).
-        at_surface: elements that have a node on the surface, shape (m,).
-        for_range: elements that stand for all in the range of the colours, shape (r,).
-        corners: the nodes of the elements, one row for each of their places, shape (nodes of an element, elements).
+        mesh: Undeformed mesh, a `tissue_sim.mesh.solid.SolidMesh`.
+        cells: Tetrahedra of each element, node numbers, shape (elements, t, 4).
+        nodes: Node of each point, shape (p,).
+        triangles: Triangles of the surface, point numbers, shape (k, 3).
+        lines: Element edges on the surface, point numbers, shape (l, 2).
+        sharp: Sharp edges of the undeformed body, point numbers, shape (e, 2).
+        at_surface: Elements with a node on the surface, shape (m,).
+        for_range: Sample of the elements that represents the body in the colour range, shape (r,).
+        corners: Transposed connectivity, node numbers, shape (nodes per element, elements).
     """
 
     mesh: Any
@@ -58,17 +75,17 @@ class SolidBody:
     _means: dict[int, tuple[np.ndarray, SolidFields]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, mesh: Any) -> SolidBody:
-        """Divide the elements of a mesh in space."""
+    def from_mesh(cls, mesh: Any) -> SolidBody:
+        """Extract the surface and its edges from a mesh in 3D, and divide its elements into tetrahedra."""
         element, sides = mesh.element, np.concatenate(list(mesh.faces.values()))
         triangles = surface_triangles(element, sides)
-        nodes, numbers, sharp = _smooth_pieces(mesh.nodes, triangles)
+        nodes, numbers, sharp = _split_at_sharp_edges(mesh.nodes, triangles)
         per_side = len(triangles) // len(sides)
-        # Of each side the point at each of its nodes: they are those of its first triangle's piece, and of the others.
-        known = dict(zip(zip(np.repeat(np.arange(len(sides)), 3 * per_side).tolist(), triangles.ravel().tolist(),
-                             strict=True), numbers.ravel().tolist(), strict=True))
-        around = sides[:, side_edges(element)]
-        lines = np.array([[known[side, node] for node in pair] for side, pairs in enumerate(around.tolist())
+        # (side, node) -> point.
+        point_of = dict(zip(zip(np.repeat(np.arange(len(sides)), 3 * per_side).tolist(), triangles.ravel().tolist(),
+                                strict=True), numbers.ravel().tolist(), strict=True))
+        edges_of_sides = sides[:, side_edges(element)]
+        lines = np.array([[point_of[side, node] for node in pair] for side, pairs in enumerate(edges_of_sides.tolist())
                           for pair in pairs])
         _, first = np.unique(np.sort(nodes[lines], axis=1), axis=0, return_index=True)
         on_surface = np.zeros(len(mesh.nodes), dtype=bool)
@@ -76,100 +93,114 @@ class SolidBody:
         at_surface = np.flatnonzero(on_surface[mesh.connectivity].any(axis=1))
         count = len(mesh.connectivity)
         return cls(mesh, mesh.connectivity[:, tetrahedra(element)], nodes, numbers, lines[first], sharp, at_surface,
-                   np.arange(0, count, -(-count // MOST_OF_RANGE)), np.ascontiguousarray(mesh.connectivity.T))
+                   np.arange(0, count, -(-count // SETTINGS.max_range_elements)),
+                   np.ascontiguousarray(mesh.connectivity.T))
 
     @property
     def size(self) -> float:
         """Longest extent of the undeformed body, m."""
         return float(np.ptp(self.mesh.nodes, axis=0).max())
 
-    def values(self, fields: SolidFields, name: str, place: np.ndarray,
+    def values(self, fields: SolidFields, name: str, positions: np.ndarray,
                wedge: Wedge) -> tuple[np.ndarray, np.ndarray, SolidFields]:
-        """A field where it is seen.
+        """Evaluate a field at the visible nodes and at points that represent the body.
 
         Args:
-            fields: of this body.
-            name: of the field.
-            place: of the nodes, m, shape (nodes, 3).
-            wedge: that is cut out.
+            fields: Fields of this body.
+            name: Name of the field.
+            positions: Deformed positions of the nodes, m, shape (nodes, 3).
+            wedge: Wedge that is removed.
 
         Returns:
-            At the nodes that are seen, shape (nodes,); at points that stand for the whole body; and the fields there.
+            Values at the nodes, valid at the visible ones, shape (nodes,); values at quadrature points that represent
+            the whole body, shape (elements, q); and the fields to which these points belong.
         """
-        whole = fields.weights.size <= MOST_POINTS
-        means = fields if whole else self._mean_of(fields)
-        few = fields if whole else means.part(self.for_range)
-        at_points = few.at_points(name)
+        small = fields.weights.size <= SETTINGS.max_points
+        means = fields if small else self._element_means(fields)
+        sample = fields if small else means.part(self.for_range)
+        at_points = sample.at_points(name)
         if name == "displacement":
-            return fields.at_nodes(name), at_points, few
-        if whole:
-            return extrapolate(self.mesh, at_points), at_points, few
-        seen = np.zeros(len(self.mesh.connectivity), dtype=bool)
-        seen[self.at_surface] = True
+            return fields.at_nodes(name), at_points, sample
+        if small:
+            return extrapolate(self.mesh, at_points), at_points, sample
+        visible = np.zeros(len(self.mesh.connectivity), dtype=bool)
+        visible[self.at_surface] = True
         at_cut = np.zeros(len(self.mesh.nodes), dtype=bool)
-        for _, _, elements in self._cut(place, wedge):
+        for _, _, elements in self._cut(positions, wedge):
             at_cut[self.mesh.connectivity[elements]] = True
-        # All that share a node with these, since a node has the mean of its elements.
-        seen |= _any(at_cut, self.corners)
-        return means.part(np.flatnonzero(seen)).at_nodes(name), at_points, few
+        # The value of a node is the mean over its elements, so all elements at these nodes are needed.
+        visible |= _any_node(at_cut, self.corners)
+        return means.part(np.flatnonzero(visible)).at_nodes(name), at_points, sample
 
-    def _mean_of(self, fields: SolidFields) -> SolidFields:
-        """`SolidFields.means`, with what does not change from frame to frame kept."""
-        known = self._means.get(0)
-        if known is None or known[0] is not fields.gradients:
-            known = self._means[0] = fields.gradients, fields.means()
+    def _element_means(self, fields: SolidFields) -> SolidFields:
+        """Return `SolidFields.means`, with a cache of the parts that stay the same from frame to frame."""
+        cached = self._means.get(0)
+        if cached is None or cached[0] is not fields.gradients:
+            cached = self._means[0] = fields.gradients, fields.means()
         if fields.stresses is not None:
             return fields.means()
-        mean = known[1]
+        mean = cached[1]
         return replace(fields, gradients=mean.gradients, pressure_modes=mean.pressure_modes, weights=mean.weights)
 
-    def bands(self, place: np.ndarray, values: np.ndarray, levels: np.ndarray, wedge: Wedge) -> list[Surface]:
-        """The solid, one surface a band: section faces and outer surface, which share no vertices.
+    def bands(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray, wedge: Wedge) -> list[Surface]:
+        """Return the surface of the solid in each band: its part of the section faces and of the outer surface.
 
         Args:
-            place: of the nodes in the deformed state, m, shape (nodes, 3).
-            values: of the field at the nodes, shape (nodes,).
-            levels: ascending, shape (bands + 1,). The first and the last band also take what lies beyond them.
-            wedge: what is cut out.
+            positions: Deformed positions of the nodes, m, shape (nodes, 3).
+            values: Field at the nodes, shape (nodes,).
+            levels: Ascending levels, shape (bands + 1,). Values below the first level belong to the first band, values
+                above the last level to the last band.
+            wedge: Wedge that is removed.
 
         Returns:
-            For each band its surface, m; empty where no tissue is in the band.
+            One surface per band, m; empty if no tissue lies in the band. Section faces and outer surface share no
+            vertices.
         """
-        points, triangles, (carried,) = wedge.left_of(place[self.nodes], self.triangles, values[self.nodes])
-        all_points, all_triangles, all_values = [points], [triangles], [carried]
+        points, triangles, (at_points,) = wedge.clip_triangles(positions[self.nodes], self.triangles,
+                                                               values[self.nodes])
+        all_points, all_triangles, all_values = [points], [triangles], [at_points]
         before = len(points)
-        for corners, between, at in self._faces(place, values, wedge):
-            all_points.append(corners)
-            all_triangles.append(between + before)
-            all_values.append(at)
-            before += len(corners)
+        for face_points, face_triangles, face_values in self._section_faces(positions, values, wedge):
+            all_points.append(face_points)
+            all_triangles.append(face_triangles + before)
+            all_values.append(face_values)
+            before += len(face_points)
         bands = len(levels) - 1
         pieces = Triangulation(np.concatenate(all_triangles)).cut(np.concatenate(all_points),
                                                                  np.concatenate(all_values), levels)
-        kept, numbers, slices = by_band(pieces.triangles, pieces.band, len(pieces.points), bands)
+        kept, numbers, slices = split_by_band(pieces.triangles, pieces.band, len(pieces.points), bands)
         space, numbers = pieces.points[kept].astype(np.float32), numbers.astype(np.uint32)
         return [Surface(space[points_of], numbers[cut]) for points_of, cut in slices]
 
-    def mesh_lines(self, place: np.ndarray, wedge: Wedge) -> np.ndarray:
-        """Element edges on the surface and on the section faces, m, shape (lines, 2, 3)."""
-        lift = LIFT * self.size
-        points = place[self.nodes]
-        raised = points + lift * _normals(points, self.triangles)
-        on_surface = wedge.into(points)[self.lines]
-        lines = [wedge.lines_left(on_surface, raised[self.lines])]
-        element, local = self.mesh.element, wedge.into(place)
-        for (heights, along, elements), (_, normal) in zip(self._cut(place, wedge), wedge.opening.faces, strict=True):
+    def mesh_lines(self, positions: np.ndarray, wedge: Wedge) -> np.ndarray:
+        """Return the element edges on the surface and on the section faces, m, shape (lines, 2, 3).
+
+        Args:
+            positions: Deformed positions of the nodes, m, shape (nodes, 3).
+            wedge: Wedge that is removed.
+        """
+        offset = SETTINGS.line_offset * self.size
+        points = positions[self.nodes]
+        raised = points + offset * _normals(points, self.triangles)
+        on_surface = wedge.to_tool_frame(points)[self.lines]
+        lines = [wedge.clip_lines(on_surface, raised[self.lines])]
+        element, local = self.mesh.element, wedge.to_tool_frame(positions)
+        for (heights, along, elements), (_, normal) in zip(self._cut(positions, wedge), wedge.opening.faces,
+                                                           strict=True):
             sides = self.mesh.connectivity[elements][:, element.faces].reshape(-1, element.faces.shape[1])
             ends = section_lines(surface_triangles(element, sides), heights)
             kept = (ends.carry(along).reshape(-1, 2) >= 0.0).all(axis=1)
-            flat = ends.carry(local).reshape(-1, 2, 3)[kept] + lift * np.append(normal, 0.0)
-            lines.append(wedge.out_of(flat))
+            on_face = ends.carry(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
+            lines.append(wedge.to_scene_frame(on_face))
         return np.concatenate(lines)
 
     def outline(self, wedge: Wedge, tool: tuple[float, float]) -> np.ndarray:
-        """Dashes along the edges of the undeformed body, whatever is cut out and wherever the tool is, in the frame of
-        the mesh, m, shape (dashes, 2, 3)."""
-        length, dashes = self.size / _DASHES, []
+        """Return dashes along the sharp edges of the undeformed body, m, shape (dashes, 2, 3).
+
+        The dashes are in the frame of the mesh. They do not depend on `wedge` and `tool`, which are part of the
+        interface `Body`.
+        """
+        length, dashes = self.size / SETTINGS.dashes, []
         ends = self.mesh.nodes[self.nodes[self.sharp]]
         for start, end in ends:
             count = max(1, round(float(np.linalg.norm(end - start)) / (2.0 * length)))
@@ -177,84 +208,107 @@ class SolidBody:
             dashes.append(start + at[..., None] * (end - start))
         return np.concatenate(dashes) if dashes else np.empty((0, 2, 3))
 
-    def contact_lines(self, place: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
-        """Around the tissue that touches the tool, and where section faces meet it, m, shape (lines, 2, 3); None where
-        none touches."""
-        points = place[self.nodes]
-        local = wedge.into(points)
-        near = TOUCH * (tool.radius or self.size)
+    def contact_lines(self, positions: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
+        """Return lines around the tissue in contact with the tool and along its sections, m, shape (lines, 2, 3).
+
+        Args:
+            positions: Deformed positions of the nodes, m, shape (nodes, 3).
+            tool: The tool.
+            wedge: Wedge that is removed.
+
+        Returns:
+            The lines; None without contact.
+        """
+        points = positions[self.nodes]
+        local = wedge.to_tool_frame(points)
+        largest_gap = SETTINGS.contact_gap * (tool.radius or self.size)
         gaps = tool.profile.gap(np.column_stack([np.hypot(local[:, 0], local[:, 1]), local[:, 2]]))
-        touches = (gaps <= near)[self.triangles].all(axis=1)
+        touches = (gaps <= largest_gap)[self.triangles].all(axis=1)
         if not touches.any():
             return None
         touching = self.triangles[touches]
-        lift = 2.0 * LIFT * self.size
+        offset = 2.0 * SETTINGS.line_offset * self.size
         edges = np.sort(touching[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-        different, times = np.unique(edges, axis=0, return_counts=True)
-        rim = local[different[times == 1]]
-        away = np.linalg.norm(rim[..., :2], axis=-1, keepdims=True)
-        raised = rim * np.concatenate([np.repeat(1.0 + lift / np.maximum(away, lift), 2, axis=-1),
-                                       np.ones_like(away)], axis=-1)
-        lines = [wedge.out_of(wedge.lines_left(rim, raised))]
-        for (heights, along), (_, normal) in zip(wedge.over_faces(local), wedge.opening.faces, strict=True):
+        unique_edges, counts = np.unique(edges, axis=0, return_counts=True)
+        rim = local[unique_edges[counts == 1]]
+        radius = np.linalg.norm(rim[..., :2], axis=-1, keepdims=True)
+        raised = rim * np.concatenate([np.repeat(1.0 + offset / np.maximum(radius, offset), 2, axis=-1),
+                                       np.ones_like(radius)], axis=-1)
+        lines = [wedge.to_scene_frame(wedge.clip_lines(rim, raised))]
+        for (heights, along), (_, normal) in zip(wedge.heights_over_faces(local), wedge.opening.faces, strict=True):
             ends = section_lines(touching, heights)
             kept = (ends.carry(along).reshape(-1, 2) >= 0.0).all(axis=1)
-            lines.append(wedge.out_of(ends.carry(local).reshape(-1, 2, 3)[kept] + lift * np.append(normal, 0.0)))
+            on_face = ends.carry(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
+            lines.append(wedge.to_scene_frame(on_face))
         return np.concatenate(lines)
 
-    def _cut(self, place: np.ndarray, wedge: Wedge) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Of each section face: heights of the nodes over its plane, how far they are from its edge, and the elements
-        that may have a part of it."""
-        known = wedge.known.get(id(place))
-        if known is None:
-            known = []
-            for heights, along in wedge.over_faces(wedge.into(place)):
-                above = heights > 0.0
-                crossed = _any(above, self.corners) & _any(~above, self.corners) & _any(along >= 0.0, self.corners)
-                known.append((heights, along, np.flatnonzero(crossed)))
-            wedge.known[id(place)] = known
-        return known
+    def _cut(self, positions: np.ndarray, wedge: Wedge) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Find the elements that each section face cuts.
 
-    def _faces(self, place: np.ndarray, values: np.ndarray,
-               wedge: Wedge) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Points, triangles and values of each section face."""
-        for heights, along, elements in self._cut(place, wedge):
+        Returns:
+            For each section face the heights of the nodes above its plane, m, shape (nodes,), the distances of the
+            nodes from its edge, m, shape (nodes,), and the numbers of the elements that the face may cut.
+        """
+        cached = wedge.cache.get(id(positions))
+        if cached is None:
+            cached = []
+            for heights, along in wedge.heights_over_faces(wedge.to_tool_frame(positions)):
+                above = heights > 0.0
+                crossed = (_any_node(above, self.corners) & _any_node(~above, self.corners)
+                           & _any_node(along >= 0.0, self.corners))
+                cached.append((heights, along, np.flatnonzero(crossed)))
+            wedge.cache[id(positions)] = cached
+        return cached
+
+    def _section_faces(self, positions: np.ndarray, values: np.ndarray,
+                       wedge: Wedge) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Yield points, triangles and values of each section face."""
+        for heights, along, elements in self._cut(positions, wedge):
             crossings, triangles = section(self.cells[elements].reshape(-1, 4), heights)
             edge, _, kept = clip(triangles, crossings.carry(along))
-            yield edge.extend(crossings.carry(place)), kept, edge.extend(crossings.carry(values))
+            yield edge.extend(crossings.carry(positions)), kept, edge.extend(crossings.carry(values))
 
 
-def _any(of_nodes: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Which elements have a node of which this is true; by rows, which is quicker than by elements."""
+def _any_node(of_nodes: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Return which elements have at least one node with a true flag; loops over rows, which is faster in memory."""
     found = of_nodes[corners[0]]
     for nodes in corners[1:]:
         found |= of_nodes[nodes]
     return found
 
 
-def _smooth_pieces(place: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A surface in pieces that are bent by no more than `EDGE_ANGLE` between two triangles: the node of each point, the
-    triangles between points, and the lines where pieces meet, numbers of points, shape (e, 2)."""
-    a, b, c = np.moveaxis(place[triangles], 1, 0)
+def _split_at_sharp_edges(positions: np.ndarray,
+                          triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Split a surface into smooth pieces along edges whose triangles meet at more than `EDGE_ANGLE`.
+
+    Args:
+        positions: Positions of the nodes, shape (nodes, 3).
+        triangles: Node numbers, shape (k, 3).
+
+    Returns:
+        The node of each point, shape (p,); the triangles in point numbers, shape (k, 3); and the sharp edges in point
+        numbers, shape (e, 2).
+    """
+    a, b, c = np.moveaxis(positions[triangles], 1, 0)
     normals = np.cross(b - a, c - a)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
     ends = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    keys = np.sort(ends, axis=1) @ [len(place), 1]
+    keys = np.sort(ends, axis=1) @ [len(positions), 1]
     order = np.argsort(keys, kind="stable")
     pair = np.flatnonzero(keys[order][1:] == keys[order][:-1])
     first, second = order[pair], order[pair + 1]
     bent = np.einsum("ti,ti->t", normals[first // 3], normals[second // 3]) < np.cos(EDGE_ANGLE)
     links = coo_array((np.ones((~bent).sum()), (first[~bent] // 3, second[~bent] // 3)), shape=(len(triangles),) * 2)
     _, piece = connected_components(links, directed=False)
-    points, numbers = np.unique(piece[:, None].astype(np.int64) * len(place) + triangles, return_inverse=True)
+    points, numbers = np.unique(piece[:, None].astype(np.int64) * len(positions) + triangles, return_inverse=True)
     numbers = numbers.reshape(-1, 3)
     sharp = numbers[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)[first[bent]]
-    return points % len(place), numbers, sharp
+    return points % len(positions), numbers, sharp
 
 
 def _normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Unit normals at the points, shape (n, 3)."""
+    """Return the area-weighted unit normals at the points, shape (n, 3)."""
     a, b, c = np.moveaxis(points[triangles], 1, 0)
-    each = np.repeat(np.cross(b - a, c - a), 3, axis=0)
-    sums = np.column_stack([np.bincount(triangles.ravel(), each[:, axis], len(points)) for axis in range(3)])
+    normals = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    sums = np.column_stack([np.bincount(triangles.ravel(), normals[:, axis], len(points)) for axis in range(3)])
     return sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), np.finfo(float).tiny)

@@ -1,4 +1,4 @@
-"""The tool and the base plate as bodies, the force on the tool as an arrow, and where tool and tissue touch."""
+"""Pictures of the tool and the base plate, of the force arrow, and of the contact between tool and tissue."""
 
 from __future__ import annotations
 
@@ -8,33 +8,62 @@ from functools import lru_cache
 import numpy as np
 
 from scenes.viewer.cut_away import SurfaceLine
-from scenes.viewer.revolution import Opening, Surface, joined, revolved_surfaces, section_surfaces
+from scenes.viewer.revolution import Opening, Surface, join_surfaces, revolved_surfaces, section_surfaces
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.specimen import Specimen
 
-#: Height of a needle above its deepest point, in heights of the specimen, and at least above its shoulder, in radii.
-SHAFT, SHAFT_ABOVE_SHOULDER = 0.5, 1.0
-#: Radius of a plate in radii of the specimen, which bulges; its thickness in heights.
-PLATE_RADIUS, PLATE_THICKNESS = 1.2, 0.06
-#: How far a drawn tool stays inside its outline, which the tissue shares, in radii, and its section faces behind those
-#: of the tissue, whose curved edges reach into it by the error of the mesh, in radii of the specimen.
-INSET, RECESS = 1e-3, 1e-3
-#: Length of the arrow of a full force in heights of the specimen; its shaft's radius, its head's radius and length;
-#: and the largest share of its length that its head has.
-ARROW, ARROW_SHAFT, HEAD_RADIUS, HEAD_LENGTH, LARGEST_HEAD = 0.25, 0.012, 0.032, 0.085, 0.5
-#: Forces below this share of the full scale have no arrow.
-LEAST_FORCE = 5e-3
-#: What is nearer than this, in radii of the tool, touches; lines of it lie so far in front of the tissue, in its radii.
-TOUCH, LIFT = 1e-3, 2e-3
+
+@dataclass(frozen=True)
+class ToolPictureSettings:
+    """Proportions of the drawn tool and plates, of the force arrow and of the contact lines.
+
+    Attributes:
+        shaft_height: Height of a needle above its deepest point, in heights of the specimen.
+        shaft_above_shoulder: Smallest height of the shaft above the shoulder of the needle, in radii of the tool.
+        plate_radius: Radius of the plates, in radii of the specimen; larger than 1 because the specimen bulges.
+        plate_thickness: Thickness of the plates, in heights of the specimen.
+        inset: Distance of the drawn tool inside its true outline, in radii of the tool, so that the tool does not hide
+            the tissue that touches it.
+        recess: Distance of the tool's section faces behind those of the tissue, in radii of the specimen, so that they
+            do not hide curved edges of the tissue that overlap the tool by the error of the mesh.
+        arrow_length: Length of the arrow at full scale, in heights of the specimen.
+        arrow_radius: Radius of its shaft, in heights of the specimen.
+        head_radius: Radius of its head, in heights of the specimen.
+        head_length: Length of its head, in heights of the specimen.
+        largest_head: Largest length of the head as a fraction of the arrow.
+        smallest_force: Smallest force with an arrow, as a fraction of the full scale.
+        contact_gap: Largest gap of tissue in contact, in radii of the tool.
+        line_offset: Distance of the contact lines in front of the tissue, in radii of the specimen.
+    """
+
+    shaft_height: float = 0.5
+    shaft_above_shoulder: float = 1.0
+    plate_radius: float = 1.2
+    plate_thickness: float = 0.06
+    inset: float = 1e-3
+    recess: float = 1e-3
+    arrow_length: float = 0.25
+    arrow_radius: float = 0.012
+    head_radius: float = 0.032
+    head_length: float = 0.085
+    largest_head: float = 0.5
+    smallest_force: float = 5e-3
+    contact_gap: float = 1e-3
+    line_offset: float = 2e-3
+
+
+#: Settings of the viewer.
+SETTINGS = ToolPictureSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class Arrow:
-    """A force in the frame of the tool.
+    """Force arrow in the frame of the tool.
 
     Attributes:
-        surface: m.
-        start, tip: where the arrow begins, and where it points, m, shape (3,).
+        surface: Surface of the arrow, m.
+        start: Tail of the arrow, m, shape (3,).
+        tip: Tip of the arrow, m, shape (3,).
     """
 
     surface: Surface
@@ -44,12 +73,12 @@ class Arrow:
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """Tissue that touches the tool.
+    """Contact between an axisymmetric specimen and the tool.
 
     Attributes:
-        lines: along the contact on both section faces, and around its rim, m, shape (k, 2, 3).
-        radius: distance of its rim from the axis, m.
-        area: of the tissue's deformed surface that touches, all around the axis, m2.
+        lines: Lines along the contact on both section faces and around its rim, m, shape (k, 2, 3).
+        radius: Distance of the rim from the axis, m.
+        area: Area of the deformed surface in contact, over the full turn, m2.
     """
 
     lines: np.ndarray
@@ -59,19 +88,23 @@ class Contact:
 
 @lru_cache(maxsize=16)
 def tool_outline(tool: Tool, specimen: Specimen) -> np.ndarray:
-    """What is drawn of a tool, (r, z), from the axis below to the axis above, m, shape (n, 2), read-only; z = 0 is its
-    deepest point, from which it is drawn `INSET` away."""
+    """Return the drawn outline of a tool, (r, z), m, shape (n, 2), read-only.
+
+    The outline runs from the axis at the bottom to the axis at the top. The deepest point of the tool is at z = 0, and
+    the drawn outline lies `ToolPictureSettings.inset` inside the true one.
+    """
     if tool.is_plate:
-        radius, top = PLATE_RADIUS * specimen.outer_radius, plate_thickness(specimen)
+        radius, top = SETTINGS.plate_radius * specimen.outer_radius, plate_thickness(specimen)
         outline = np.array([[0.0, 0.0], [radius, 0.0], [radius, top]])
-        inset = INSET * specimen.outer_radius
+        inset = SETTINGS.inset * specimen.outer_radius
     else:
         profile, radius = tool.profile, tool.require_radius()
-        # A ball ends by itself; the others have a shaft.
-        top = max(SHAFT * specimen.height, profile.vertices[-2, 1] + SHAFT_ABOVE_SHOULDER * radius) if tool.has_shaft \
+        # A sphere has no shaft.
+        top = max(SETTINGS.shaft_height * specimen.height,
+                  profile.vertices[-2, 1] + SETTINGS.shaft_above_shoulder * radius) if tool.has_shaft \
             else profile.vertices[-2, 1] + profile.rounding
         outline = profile.outline(top)
-        inset = INSET * radius
+        inset = SETTINGS.inset * radius
     shrunk = outline * [1.0 - inset / outline[:, 0].max(), 1.0] + [0.0, inset]
     shrunk[:, 1] = np.minimum(shrunk[:, 1], top)
     shrunk[np.abs(shrunk[:, 0]) < 1e-9 * outline[:, 0].max(), 0] = 0.0
@@ -84,35 +117,44 @@ def tool_outline(tool: Tool, specimen: Specimen) -> np.ndarray:
 
 
 def tool_mesh(tool: Tool, specimen: Specimen, opening: Opening) -> Surface:
-    """A tool as a body, cut open as the specimen is.
+    """Return the surface of a tool from which the same wedge as from the specimen is removed.
 
     Args:
-        tool: what is pushed in.
-        specimen: its size tells how much of the tool is drawn.
-        opening: what is cut out.
+        tool: The tool.
+        specimen: The specimen, whose height sets the drawn length of the shaft.
+        opening: Wedge that is removed.
 
     Returns:
-        Closed surface, m; the origin is the tool's deepest point.
+        Closed surface, m; the origin is the deepest point of the tool.
     """
-    return _body(tool_outline(tool, specimen), opening, RECESS * specimen.outer_radius)
+    return _revolve(tool_outline(tool, specimen), opening, SETTINGS.recess * specimen.outer_radius)
 
 
 def base_plate(specimen: Specimen, opening: Opening) -> Surface:
-    """The plate under the specimen, whole, in as many segments as the specimen, m."""
-    radius, top = PLATE_RADIUS * specimen.outer_radius, -specimen.height - INSET * specimen.outer_radius
+    """Return the surface of the plate under the specimen, m; the plate is not cut open.
+
+    Args:
+        specimen: The specimen.
+        opening: Opening whose number of segments is used.
+    """
+    radius = SETTINGS.plate_radius * specimen.outer_radius
+    top = -specimen.height - SETTINGS.inset * specimen.outer_radius
     bottom = top - plate_thickness(specimen)
     outline = np.array([[0.0, bottom], [radius, bottom], [radius, top], [0.0, top]])
-    return _body(outline, replace(opening, cut=0.0))
+    return _revolve(outline, replace(opening, cut=0.0))
 
 
 def picture_height(tool: Tool, specimen: Specimen) -> float:
-    """How far tool and arrow reach above the tool's deepest point, m."""
-    return float(tool_outline(tool, specimen)[:, 1].max()) + ARROW * specimen.height
+    """Return the height of tool and full-scale arrow above the deepest point of the tool, m."""
+    return float(tool_outline(tool, specimen)[:, 1].max()) + SETTINGS.arrow_length * specimen.height
 
 
 def scale_bar(specimen: Specimen) -> tuple[np.ndarray, float]:
-    """A bar of a round length on the base in front of the specimen, with its ends: lines, m, shape (3, 2, 3), and its
-    length, m."""
+    """Return a scale bar of a round length on the base in front of the specimen.
+
+    Returns:
+        Lines of the bar and of its two end marks, m, shape (3, 2, 3), and the length of the bar, m.
+    """
     radius, tick = specimen.outer_radius, 0.03 * specimen.outer_radius
     power = 10.0 ** np.floor(np.log10(0.6 * radius))
     length = float(max(step for step in (1.0, 2.0, 5.0) if step * power <= 0.6 * radius * (1 + 1e-9)) * power)
@@ -123,100 +165,103 @@ def scale_bar(specimen: Specimen) -> tuple[np.ndarray, float]:
 
 
 def force_arrow(force: float, full_scale: float, tool: Tool, specimen: Specimen) -> Arrow | None:
-    """The force on the tool as an arrow over it: up where the tissue pushes back, down where it pulls.
+    """Return the arrow above the tool that shows the force on the tool.
+
+    The arrow points upwards if the tissue pushes the tool back, and downwards if the tissue pulls the tool.
 
     Args:
-        force: N.
-        full_scale: force of the longest arrow, N; larger ones are as long.
-        tool: over which it stands.
-        specimen: its height scales the arrow.
+        force: Force on the tool along its axis, N.
+        full_scale: Force of the longest arrow, N; larger forces have the same length.
+        tool: The tool.
+        specimen: The specimen, whose height scales the arrow.
 
     Returns:
-        The arrow, its length in proportion to the force; None below `LEAST_FORCE` of the full scale.
+        The arrow, whose length is proportional to the force; None below `ToolPictureSettings.smallest_force`.
     """
-    share = min(abs(force) / full_scale, 1.0)
-    if not share >= LEAST_FORCE:
+    fraction = min(abs(force) / full_scale, 1.0)
+    if not fraction >= SETTINGS.smallest_force:
         return None
     size = specimen.height
     bottom = arrow_foot(tool, specimen)
-    length = share * ARROW * size
-    # The head of a short arrow is smaller, not blunter.
-    head = min(HEAD_LENGTH * size, LARGEST_HEAD * length)
-    wide, narrow = (width / HEAD_LENGTH * head for width in (HEAD_RADIUS, ARROW_SHAFT))
+    length = fraction * SETTINGS.arrow_length * size
+    # A short arrow has a smaller head of the same proportions.
+    head = min(SETTINGS.head_length * size, SETTINGS.largest_head * length)
+    wide, narrow = (width / SETTINGS.head_length * head for width in (SETTINGS.head_radius, SETTINGS.arrow_radius))
     outline = np.array([[0.0, 0.0], [narrow, 0.0], [narrow, length - head], [wide, length - head], [0.0, length]])
     ends = np.array([[0.0, 0.0, bottom], [0.0, 0.0, bottom + length]])
     if force < 0:
         outline = (outline * [1.0, -1.0] + [0.0, length])[::-1]
         ends = ends[::-1]
-    return Arrow(_body(outline + ends[:, 1:].min(axis=0), Opening(0.0, segments=24)), *ends)
+    return Arrow(_revolve(outline + ends[:, 1:].min(axis=0), Opening(0.0, segments=24)), *ends)
 
 
 def arrow_foot(tool: Tool, specimen: Specimen) -> float:
-    """Height of the lower end of the arrow of a force over the tool's deepest point, along its axis, m."""
-    return float(tool_outline(tool, specimen)[:, 1].max()) + INSET * specimen.height
+    """Return the height of the lower end of the force arrow above the deepest point of the tool, m."""
+    return float(tool_outline(tool, specimen)[:, 1].max()) + SETTINGS.inset * specimen.height
 
 
-def turned_arrow(arrow: Arrow, aside: tuple[float, float]) -> Arrow:
-    """An arrow along z that points as much aside, turned about its lower end.
+def rotated_arrow(arrow: Arrow, lateral: tuple[float, float]) -> Arrow:
+    """Rotate an arrow along z about its lower end, so that its direction has the given lateral components.
 
     Args:
-        arrow: of `force_arrow`.
-        aside: shares of its direction along x and y.
+        arrow: Arrow of `force_arrow`.
+        lateral: x and y components of the unit vector of the new direction.
     """
     foot = min(arrow.start, arrow.tip, key=lambda end: end[2])
-    x, y = aside if arrow.tip[2] > arrow.start[2] else (-aside[0], -aside[1])
-    share = min(float(np.hypot(x, y)), 1.0)
-    cosine = (1.0 - share * share) ** 0.5
-    # The rotation that takes z to the direction, the shortest way.
-    axis = np.array([-y, x, 0.0]) / max(share, np.finfo(float).tiny)
+    x, y = lateral if arrow.tip[2] > arrow.start[2] else (-lateral[0], -lateral[1])
+    sine = min(float(np.hypot(x, y)), 1.0)
+    cosine = (1.0 - sine * sine) ** 0.5
+    # Rodrigues' formula for the smallest rotation from z to the direction.
+    axis = np.array([-y, x, 0.0]) / max(sine, np.finfo(float).tiny)
     skew = np.array([[0.0, 0.0, axis[1]], [0.0, 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    rotation = np.eye(3) + share * skew + (1.0 - cosine) * skew @ skew
+    rotation = np.eye(3) + sine * skew + (1.0 - cosine) * skew @ skew
 
-    def turned(points: np.ndarray) -> np.ndarray:
+    def rotate(points: np.ndarray) -> np.ndarray:
         return (foot + (points - foot) @ rotation.T).astype(points.dtype)
 
-    return Arrow(Surface(turned(arrow.surface.vertices), arrow.surface.faces), turned(arrow.start), turned(arrow.tip))
+    return Arrow(Surface(rotate(arrow.surface.vertices), arrow.surface.faces), rotate(arrow.start), rotate(arrow.tip))
 
 
-def contact_picture(surface: SurfaceLine, tool: Tool, depth: float, opening: Opening) -> Contact | None:
-    """Where the tissue touches the tool: between two nodes, where the Gauss point between them does.
+def find_contact(surface: SurfaceLine, tool: Tool, depth: float, opening: Opening) -> Contact | None:
+    """Find the part of an axisymmetric surface that touches the tool.
 
-    The nodes themselves stand in front of a curved tool or in it by turns: the solver keeps the Gauss points on it.
+    A line between two nodes touches if its Gauss point touches: the solver enforces contact at the Gauss points, while
+    the nodes lie alternately outside and inside a curved tool.
 
     Args:
-        surface: of the deformed tissue.
-        tool: whose deepest point is at z = -depth.
-        depth: m.
-        opening: on whose section faces the lines are.
+        surface: Boundary of the deformed tissue.
+        tool: The tool, whose deepest point is at z = -depth.
+        depth: Depth of the tool, m.
+        opening: Wedge on whose section faces the contact lines are drawn.
 
     Returns:
-        The contact, or None where there is none.
+        The contact; None if nothing touches.
     """
     width = float(surface.points[:, 0].max())
-    near = TOUCH * min(width, tool.radius or width)
-    touching = tool.profile.gap(surface.watched + np.array([0.0, depth])) <= near
+    largest_gap = SETTINGS.contact_gap * min(width, tool.radius or width)
+    touching = tool.profile.gap(surface.gauss_points + np.array([0.0, depth])) <= largest_gap
     if not touching.any():
         return None
     lines = np.stack([surface.points[:-1], surface.points[1:]], axis=1)[touching]
     length = np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1)
     area = float(np.pi * lines[..., 0].sum(axis=1) @ length)
     rim = lines.reshape(-1, 2)[np.argmax(lines[..., 0])]
-    lift = LIFT * width
-    return Contact(np.concatenate([opening.on_faces(lines, lift).reshape(-1, 2, 3),
-                                   opening.circle(rim[0] + lift, rim[1])]), float(rim[0]), area)
+    offset = SETTINGS.line_offset * width
+    return Contact(np.concatenate([opening.on_faces(lines, offset).reshape(-1, 2, 3),
+                                   opening.circle(rim[0] + offset, rim[1])]), float(rim[0]), area)
 
 
-def _body(outline: np.ndarray, opening: Opening, recess: float = 0.0) -> Surface:
-    """A closed body of revolution.
+def _revolve(outline: np.ndarray, opening: Opening, recess: float = 0.0) -> Surface:
+    """Return the closed surface of a body of revolution.
 
     Args:
-        outline: (r, z) from the axis below to the axis above, nowhere downwards, shape (n, 2).
-        opening: what is cut out.
-        recess: how far the section faces stay behind the cut.
+        outline: Points (r, z) from the axis at the bottom to the axis at the top with ascending z, shape (n, 2).
+        opening: Wedge that is removed.
+        recess: Distance of the section faces behind the cut, in the unit of the outline.
     """
-    # The body is to the right of a way that comes down.
+    # `revolved_surfaces` expects the body on the right-hand side, hence the outline from top to bottom.
     outside, = revolved_surfaces(outline[::-1], np.zeros(len(outline) - 1, dtype=int), 1, opening)
-    if opening.closed:
+    if opening.is_closed:
         return outside
     count = len(outline)
     points = np.concatenate([outline, outline * [0.0, 1.0]])
@@ -227,9 +272,9 @@ def _body(outline: np.ndarray, opening: Opening, recess: float = 0.0) -> Surface
     area = np.cross(np.c_[b - a, np.zeros(len(a))], np.c_[c - a, np.zeros(len(a))])[:, 2]
     triangles = triangles[area > 1e-12 * outline.max() ** 2]
     sections, = section_surfaces(points, triangles, np.zeros(len(triangles), dtype=int), 1, opening, -recess)
-    return joined(sections, outside)
+    return join_surfaces(sections, outside)
 
 
 def plate_thickness(specimen: Specimen) -> float:
-    """Of the plates above and below a specimen, m."""
-    return PLATE_THICKNESS * max(specimen.height, 0.5 * specimen.outer_radius)
+    """Return the thickness of the plates above and below a specimen, m."""
+    return SETTINGS.plate_thickness * max(specimen.height, 0.5 * specimen.outer_radius)

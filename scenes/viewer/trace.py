@@ -1,10 +1,11 @@
-"""What has been felt so far in a run: kept small, split into loading and unloading, and written as a recording."""
+"""Trace of a run: thinned motion and force of the tool, split into loading and unloading, and saved as a recording."""
 
 from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
@@ -17,25 +18,65 @@ from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segmentation import HOLD_TIME, HYSTERESIS, Reversals, count_cycles, label_motion, one_way
 from tissue_sim.tool_force import ForceStatus
 
-#: At least so long between two kept points, s, and at most so long where nothing moves.
-SHORTEST, LONGEST = 5e-3, 0.1
-#: A point is kept where depth (m), or force as a share of the largest so far, has changed by this much.
-DEPTH_STEP, FORCE_SHARE = 0.02e-3, 0.01
-MOST_POINTS = 20_000
-#: Statuses of ticks whose force is drawn; a recording has no LATE ones, which are carried on from an equilibrium.
-OF_TISSUE = (ForceStatus.CONVERGED, ForceStatus.LATE)
-#: Of a kept point: time, depth, force, pose (7), wrench (6), rendered force, status, inertial; and the channels of a
-#: recording of the wrench.
-_ROWS, _POSE, _WRENCH, _RENDERED, _STATUS, _INERTIAL = 19, slice(3, 10), slice(10, 16), 16, 17, 18
+
+@dataclass(frozen=True)
+class TraceSettings:
+    """Rules for the points that a trace keeps; smaller steps give a finer curve and a shorter history.
+
+    Attributes:
+        shortest: Shortest time between two points, s.
+        longest: Longest time between two points, also of a standing tool, s.
+        depth_step: Change of depth for which a point is kept, m.
+        force_step: Change of force for which a point is kept, relative to the largest force so far.
+        max_points: Largest number of points; older points are dropped. 20 000 points last 100 s for a fast tool and
+            half an hour for a standing one.
+    """
+
+    shortest: float = 5e-3
+    longest: float = 0.1
+    depth_step: float = 0.02e-3
+    force_step: float = 0.01
+    max_points: int = 20_000
+
+
+#: Settings of the viewer.
+SETTINGS = TraceSettings()
+#: Statuses of ticks whose force is drawn. A saved recording excludes LATE ticks, whose force is extrapolated from an
+#: earlier equilibrium.
+DRAWN_STATUSES = (ForceStatus.CONVERGED, ForceStatus.LATE)
+
+
+class Row(IntEnum):
+    """Row numbers of the points of a trace; pose and wrench have seven and six rows."""
+
+    TIME = 0
+    DEPTH = 1
+    FORCE = 2
+    POSE = 3
+    WRENCH = 10
+    RENDERED_FORCE = 16
+    STATUS = 17
+    INERTIAL = 18
+    COUNT = 19
+
+
+#: Channels of the wrench in a recording.
 _CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
-#: A branch that ends on a point of a grid may miss it by so much, m.
+#: Tolerance at the ends of a branch for rounding errors of the depth, m.
 _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """Points of one way in or out; s, m and N, each of shape (n,), and whether the force is that of a late tick, and
-    of tissue whose mass counted."""
+    """Points of one loading or unloading.
+
+    Attributes:
+        time: Time, s, shape (n,).
+        depth: Displacement of the tool, m, shape (n,).
+        force: Force of the tissue, N, shape (n,).
+        late: Whether a late tick extrapolated the force, shape (n,).
+        inertial: Whether the force includes the inertia of the tissue, shape (n,).
+    """
 
     time: np.ndarray
     depth: np.ndarray
@@ -44,13 +85,17 @@ class Branch:
     inertial: np.ndarray
 
 
-def on_grid(depth: np.ndarray, force: np.ndarray, direction: int, grid: np.ndarray) -> np.ndarray:
-    """Force of a branch on a grid of depths by straight lines, NaN where the branch does not reach.
+def interpolate_branch(depth: np.ndarray, force: np.ndarray, direction: int, grid: np.ndarray) -> np.ndarray:
+    """Interpolate the force of a branch linearly to a grid of depths.
 
     Args:
-        depth, force: of the branch in the order of time, shape (n,).
-        direction: 1 in, -1 out.
-        grid: ascending, shape (m,).
+        depth: Depths of the branch in the order of time, m, shape (n,).
+        force: Forces of the branch, N, shape (n,).
+        direction: 1 for loading, -1 for unloading.
+        grid: Ascending depths, m, shape (m,).
+
+    Returns:
+        Force, N, shape (m,), NaN at depths that the branch does not reach.
     """
     if not len(depth):
         return np.full(grid.size, np.nan)
@@ -61,29 +106,27 @@ def on_grid(depth: np.ndarray, force: np.ndarray, direction: int, grid: np.ndarr
 
 
 class Trace:
-    """Poses of the tool and wrenches on it in a run, fed with the ticks of a loop; depth and force are what is drawn.
+    """Thinned history of tool poses and wrenches in a run.
 
-    A point is kept every `SHORTEST` s at most, where depth or force has changed by `DEPTH_STEP` or `FORCE_SHARE`, and
-    every `LONGEST` s at least. Dropped are the ticks between, paused ones, those whose force is no longer the tissue's
-    (`OF_TISSUE`) or whose depth or force is no number, and the oldest points where there are more than `most`: a tool
-    that stands still fills these in half an hour, one that hurries in 100 s. Times are those of the loop; where they
-    run backwards another loop has begun, and the trace begins anew.
+    A tick becomes a point if depth or force has changed enough, as `TraceSettings` states. Ticks of a pause, ticks with
+    other statuses than `DRAWN_STATUSES`, and ticks whose depth or force is not finite are skipped. If the time of the
+    loop decreases, another loop has started, and the trace starts with empty data.
 
     Args:
-        most: kept points.
+        max_points: Largest number of points; older points are dropped.
     """
 
-    def __init__(self, most: int = MOST_POINTS):
-        self._most = most
+    def __init__(self, max_points: int = SETTINGS.max_points):
+        self._max_points = max_points
         self.clear()
 
     def clear(self) -> None:
-        """Forget everything, as at a reset."""
-        # Twice the room: the points are moved to its beginning once in `most` points, not at every one.
-        self._points = np.empty((_ROWS, 2 * self._most))
+        """Delete all points."""
+        # The array has twice the necessary length, so that points are moved to its start only once per `max_points`.
+        self._points = np.empty((Row.COUNT, 2 * self._max_points))
         self._first = self._end = 0
-        #: Points that were moved out: how far the indices of the reversals are ahead of those of `_points`.
-        self._gone = 0
+        #: Number of dropped points: index of a point in the reversals minus its index in `_points`.
+        self._dropped = 0
         self._reversals = Reversals()
         self._last = (-np.inf, np.nan, np.nan)
         self._bin = -1
@@ -93,91 +136,91 @@ class Trace:
         return self._end - self._first
 
     def append(self, records: np.ndarray) -> int:
-        """Take in ticks, dtype `haptics.loop.ring.TICK`, in their order; returns how many were kept."""
-        felt = ((records["flags"] & PAUSED) == 0) & np.any([records["status"] == status for status in OF_TISSUE],
-                                                                      axis=0)
-        records = records[felt & np.isfinite(records["tool_depth"]) & np.isfinite(records["tissue_force"])]
+        """Append ticks, dtype `haptics.loop.ring.TICK`, in the order of time; return the number of new points."""
+        drawn = ((records["flags"] & PAUSED) == 0) & np.any([records["status"] == status for status in DRAWN_STATUSES],
+                                                            axis=0)
+        records = records[drawn & np.isfinite(records["tool_depth"]) & np.isfinite(records["tissue_force"])]
         if not records.size:
             return 0
         time = records["time"]
-        back = np.flatnonzero(np.diff(time, prepend=self._last[0]) < 0)
-        if back.size:
+        restarts = np.flatnonzero(np.diff(time, prepend=self._last[0]) < 0)
+        if restarts.size:
             self.clear()
-            records, time = records[back[-1]:], time[back[-1]:]
-        bins = np.floor(time / SHORTEST).astype(np.int64)
+            records, time = records[restarts[-1]:], time[restarts[-1]:]
+        bins = np.floor(time / SETTINGS.shortest).astype(np.int64)
         chosen = np.diff(bins, prepend=self._bin) != 0
         self._bin = int(bins[-1])
-        before = self._gone + self._end
+        before = self._dropped + self._end
         records = records[chosen]
         for point in np.column_stack([records[name] for name in (
                 "time", "tool_depth", "tissue_force", "tool_pose", "tissue_wrench", "force", "status",
                 "inertial")]).tolist():
             if self._differs(*point[:3]):
-                self._keep(point)
-        return self._gone + self._end - before
+                self._add(point)
+        return self._dropped + self._end - before
 
     def _differs(self, time: float, depth: float, force: float) -> bool:
         last_time, last_depth, last_force = self._last
         self._largest = max(self._largest, abs(force))
-        return (time - last_time >= LONGEST or abs(depth - last_depth) >= DEPTH_STEP
-                or abs(force - last_force) > FORCE_SHARE * self._largest)
+        return (time - last_time >= SETTINGS.longest or abs(depth - last_depth) >= SETTINGS.depth_step
+                or abs(force - last_force) > SETTINGS.force_step * self._largest)
 
-    def _keep(self, point: list[float]) -> None:
+    def _add(self, point: list[float]) -> None:
         if self._end == self._points.shape[1]:
             self._points[:, :len(self)] = self._points[:, self._first:self._end].copy()
-            self._gone += self._first
+            self._dropped += self._first
             self._first, self._end = 0, self._end - self._first
         self._points[:, self._end] = point
-        self._reversals.add(self._gone + self._end, point[1])
+        self._reversals.add(self._dropped + self._end, point[Row.DEPTH])
         self._end += 1
         time, depth, force, *_ = point
         self._last = time, depth, force
-        if len(self) > self._most:
+        if len(self) > self._max_points:
             self._first += 1
-            self._reversals.forget_before(self._gone + self._first)
+            self._reversals.forget_before(self._dropped + self._first)
 
     @property
     def time(self) -> np.ndarray:
-        """Of the loop, s, shape (n,)."""
-        return self._points[0, self._first:self._end]
+        """Time of the loop, s, shape (n,)."""
+        return self._points[Row.TIME, self._first:self._end]
 
     @property
     def depth(self) -> np.ndarray:
-        """m, shape (n,)."""
-        return self._points[1, self._first:self._end]
+        """Displacement of the tool along its axis, m, shape (n,)."""
+        return self._points[Row.DEPTH, self._first:self._end]
 
     @property
     def force(self) -> np.ndarray:
-        """N, shape (n,)."""
-        return self._points[2, self._first:self._end]
+        """Force of the tissue on the tool along z, N, shape (n,)."""
+        return self._points[Row.FORCE, self._first:self._end]
 
     @property
     def late(self) -> np.ndarray:
-        """Whether the budget of the tick ended before equilibrium, so that its force is carried on, shape (n,)."""
-        return self._points[_STATUS, self._first:self._end] == ForceStatus.LATE
+        """Whether the budget of the tick ended before equilibrium, so that its force is extrapolated, shape (n,)."""
+        return self._points[Row.STATUS, self._first:self._end] == ForceStatus.LATE
 
     @property
     def inertial(self) -> np.ndarray:
-        """Whether the mass of the tissue was taken into account, shape (n,)."""
-        return self._points[_INERTIAL, self._first:self._end] != 0.0
+        """Whether the force includes the inertia of the tissue, shape (n,)."""
+        return self._points[Row.INERTIAL, self._first:self._end] != 0.0
 
     @property
     def rendered_force(self) -> np.ndarray:
-        """Along z, as the hand gets it after coupling, control and limits, N, shape (n,)."""
-        return self._points[_RENDERED, self._first:self._end]
+        """Force on the hand along z after coupling, control and limits, N, shape (n,)."""
+        return self._points[Row.RENDERED_FORCE, self._first:self._end]
 
     @property
     def pose(self) -> np.ndarray:
-        """Of the tool: x, y, z, m, then the quaternion w, x, y, z; shape (n, 7)."""
-        return self._points[_POSE, self._first:self._end].T
+        """Pose of the tool: x, y, z, m, then the quaternion w, x, y, z; shape (n, 7)."""
+        return self._points[Row.POSE:Row.WRENCH, self._first:self._end].T
 
     @property
     def wrench(self) -> np.ndarray:
-        """Of the tissue on the tool about its deepest point, N and N m, shape (n, 6)."""
-        return self._points[_WRENCH, self._first:self._end].T
+        """Force and torque of the tissue on the tool about its deepest point, N and N m, shape (n, 6)."""
+        return self._points[Row.WRENCH:Row.RENDERED_FORCE, self._first:self._end].T
 
     def branches(self) -> tuple[Branch | None, Branch | None]:
-        """The newest loading branch and the newest unloading branch; None where there was none."""
+        """Return the newest loading and the newest unloading; None instead of a branch that does not exist."""
         newest: dict[int, Branch] = {}
         for direction, first, last in reversed(self._branches()):
             newest.setdefault(direction, self._branch(first, last))
@@ -185,55 +228,58 @@ class Trace:
                 break
         return newest.get(1), newest.get(-1)
 
-    def newest_passes(self, grid: np.ndarray, most: int = 40) -> tuple[np.ndarray, np.ndarray]:
-        """Force at each depth of a grid when the tool last went in past it, and when it last went out past it.
+    def newest_passes(self, grid: np.ndarray, max_branches: int = 40) -> tuple[np.ndarray, np.ndarray]:
+        """Return the force of the last loading and of the last unloading at each depth of a grid.
 
-        So a small step back leaves what was felt above it standing.
+        Each depth has its own last branch, so a short reversal replaces only the part of the curve that it covers.
 
         Args:
-            grid: m, ascending, shape (n,).
-            most: branches to look back.
+            grid: Ascending depths, m, shape (n,).
+            max_branches: Number of newest branches to search.
 
         Returns:
             Load and unload, N, each of shape (n,), NaN where the tool did not pass.
         """
         passes = {1: np.full(grid.size, np.nan), -1: np.full(grid.size, np.nan)}
-        for direction, first, last in reversed(self._branches()[-most:]):
-            # A branch begins and ends at its extremes.
+        for direction, first, last in reversed(self._branches()[-max_branches:]):
+            # A branch has its smallest and largest depth at its ends.
             low, high = sorted((self.depth[first], self.depth[last]))
             missing = np.isnan(passes[direction]) & (grid >= low - _ROUNDING) & (grid <= high + _ROUNDING)
             if missing.any():
                 branch = self._branch(first, last)
-                passes[direction][missing] = on_grid(branch.depth, branch.force, direction, grid[missing])
+                passes[direction][missing] = interpolate_branch(branch.depth, branch.force, direction, grid[missing])
         return passes[1], passes[-1]
 
     def recording(self, metadata: Mapping[str, Any]) -> Recording:
-        """What was felt, as a recording that begins at time 0, with segments (ramp, hold, unload, reload) and cycles;
-        where the wrench is more than a force along z, with the channels Fx to Tz. Points whose force was carried on
-        from an earlier equilibrium are left out.
+        """Return the equilibrium points of the trace as a recording.
+
+        The recording starts at time 0 and has the labels segment (ramp, hold, unload, reload) and cycle. If the wrench
+        has other components than a force along z, the recording has the channels Fx to Tz. Points of late ticks are
+        excluded.
 
         Args:
-            metadata: such as ``name`` and ``kind``.
+            metadata: Metadata of the recording, such as ``name`` and ``kind``.
 
         Raises:
-            InputError: fewer than two points were felt.
+            InputError: There are fewer than two equilibrium points.
         """
-        felt = ~self.late
-        if felt.sum() < 2:
-            raise InputError("nothing has been felt in equilibrium yet; push the tool into the tissue first, slowly "
-                             "where this computer is often late", field="trace")
-        time, depth, wrench = self.time[felt], self.depth[felt], self.wrench[felt]
+        in_equilibrium = ~self.late
+        if in_equilibrium.sum() < 2:
+            raise InputError("must have at least two equilibrium points. Push the tool into the tissue first, and "
+                             "slowly if many ticks are late.", field="trace")
+        time, depth, wrench = self.time[in_equilibrium], self.depth[in_equilibrium], self.wrench[in_equilibrium]
         labels = label_motion(time, depth, 0.5 * HYSTERESIS, shortest_hold=HOLD_TIME)
         segment, cycle = count_cycles(labels)
-        channels = {"time": time - time[0], "displacement": depth, "force": self.force[felt]}
+        channels = {"time": time - time[0], "displacement": depth, "force": self.force[in_equilibrium]}
         if wrench[:, [0, 1, 3, 4, 5]].any():
             channels |= zip(_CHANNELS, wrench.T, strict=True)
         return Recording(channels, {"segment": segment, "cycle": cycle}, dict(metadata))
 
     def _branches(self) -> list[tuple[int, int, int]]:
-        """As `Reversals.branches`, with indices of `depth`."""
-        gone = self._gone + self._first
-        return [(way, first - gone, last - gone) for way, first, last in self._reversals.branches(gone + len(self) - 1)]
+        """Return direction (1 or -1), first index and last index of each branch in the arrays of the trace."""
+        dropped = self._dropped + self._first
+        return [(direction, first - dropped, last - dropped)
+                for direction, first, last in self._reversals.branches(dropped + len(self) - 1)]
 
     def _branch(self, first: int, last: int) -> Branch:
         part = slice(first, last + 1)
@@ -242,11 +288,17 @@ class Trace:
 
 
 def recording_files(recording: Recording, stem: str) -> dict[str, bytes]:
-    """Name -> content of the files that `tissue_sim.write_recording` makes of a recording: ``STEM.csv``, every digit
-    kept, and ``STEM.json``, its sidecar.
+    """Return the files of a recording: ``STEM.csv`` with all digits, and its sidecar ``STEM.json``.
+
+    Args:
+        recording: The recording.
+        stem: Name of the files without suffix.
+
+    Returns:
+        File name -> content, as `tissue_sim.write_recording` writes it.
 
     Raises:
-        InputError: labels or metadata that a file cannot hold.
+        InputError: The labels or the metadata cannot be written to a file.
     """
     with tempfile.TemporaryDirectory(prefix="tissue_sim_") as folder:
         path = Path(folder) / f"{stem}.csv"

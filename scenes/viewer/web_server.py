@@ -1,11 +1,11 @@
-"""The viewer's web server: viser on loopback, with a check of who asks before anything is answered.
+"""Web server of the viewer: viser on the loopback interface, with access checks before each answer.
 
-viser answers everybody: a page of any other site that is open in the same browser could move the tool, and every client
-could have a public tunnel opened to this computer. Here each request and each websocket handshake must name this server
-(`Host`, against DNS rebinding), come from its own page (`Origin`) and show its token, where it has one; nothing is
-shared, and nothing is printed.
+viser itself answers every request: a page of another site in the same browser could move the tool, and every client
+could open a public tunnel to this computer. This server requires that each HTTP request and each websocket handshake
+names this server (`Host`, against DNS rebinding), comes from its own page (`Origin`), and contains its token if it has
+one. Sharing and printing of viser are switched off.
 
-This touches private parts of viser. They are those of one version, `VISER_VERSION`; with another nothing is served.
+The checks use private parts of viser, so the server starts only with the version `VISER_VERSION`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import ipaddress
 import logging
 import os
 import platform
-import re
 import threading
 import traceback
 from collections.abc import Callable, Iterator
@@ -33,101 +32,108 @@ import websockets.asyncio.server
 from websockets.exceptions import WebSocketException
 
 from scenes.viewer.page_token import REFUSAL, admits, cookie
-from scenes.viewer.shell import LARGEST_UPLOAD, dress
+from scenes.viewer.request_headers import normalise_name, refuse
+from scenes.viewer.shell import LARGEST_UPLOAD, inject_shell
 from tissue_sim.errors import InputError, MissingBackendError
 
+#: Version of viser whose private parts this module uses.
 VISER_VERSION = "1.1.1"
-LOOPBACK, PORT = "127.0.0.1", 8080
+#: Default address.
+LOOPBACK = "127.0.0.1"
+#: Default port.
+PORT = 8080
+#: Names of this computer on the loopback interface.
 _LOCAL_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
-_START_S = 10.0
-#: Bytes of a part of an upload of viser's page; only the last is smaller.
-_PART = 512 * 1024
-_HTTP_PORT = 80
-_PLACE = re.compile(r"(?P<name>\[[0-9a-f:.]+\]|[a-z0-9._-]+)(?::(?P<port>[1-9][0-9]{0,4}))?", re.ASCII | re.IGNORECASE)
-#: What is put in place of module state while a server starts or stops is one server's at a time.
-_alone = threading.RLock()
+#: Time limit for the start of listening, s.
+_START_TIMEOUT = 10.0
+#: Largest part in which viser's page sends an upload, bytes.
+_MAX_PART_SIZE = 512 * 1024
+#: Lock for changes of module state of viser and rich while a server starts or stops.
+_module_state = threading.RLock()
 
 
 def open_server(host: str = LOOPBACK, port: int = PORT, *, exposed: bool = False,
                 title: str = "tissue_sim", token: str = "") -> ViewerServer:
-    """A viser server that answers its own page only; it listens when this returns.
+    """Start a viser server that answers only its own page; the server listens when the function returns.
 
     Args:
-        host: address of the network interface; one that other computers reach needs `exposed`.
-        port: 1 to 65535, or 0 for any free one (`get_port()` says which).
-        title: of the browser's tab and of the panel.
-        token: that a visitor must show; empty: none.
+        host: Address of the network interface. An address that other computers can reach requires `exposed`.
+        port: Port, 1 to 65535, or 0 for any free port (see `get_port()`).
+        exposed: Allow an address that other computers can reach.
+        title: Title of the browser tab and of the panel.
+        token: Token that a request must contain; empty: no token.
 
     Raises:
-        InputError: `host` is no address of this computer or is reached by others without `exposed`; the port is taken.
-        MissingBackendError: this version of viser is not the one whose private parts are known here.
+        InputError: `host` is not an address of this computer, other computers can reach it without `exposed`, or the
+            port is in use.
+        MissingBackendError: The installed version of viser is not `VISER_VERSION`.
     """
     host = LOOPBACK if host == "localhost" else host
     if not _is_loopback(host) and not exposed:
-        raise InputError(f"{exposure(host, port)}; say --expose if that is meant, or leave --host out for {LOOPBACK}",
+        raise InputError(f"{exposure(host, port)}. Use --expose to allow this, or omit --host for {LOOPBACK}.",
                          field="host")
     if not 0 <= port <= 65535:
-        raise InputError(f"{port} is not a port; give 1 to 65535, or 0 for any free one", field="port")
+        raise InputError(f"must be between 1 and 65535, or 0 for any free port; got {port}", field="port")
     _require_known_viser()
     return ViewerServer(host, port, title, token)
 
 
 def exposure(host: str, port: int) -> str:
-    """What it means to serve on `host`, in one sentence without a full stop.
+    """Describe who can access a server on `host`, in one sentence without a full stop.
 
     Raises:
         InputError: `host` is not an address.
     """
     if _is_loopback(host):
-        return f"{host} is reached by programs of this computer only"
-    who = "any address of this computer" if ipaddress.ip_address(host).is_unspecified else host
-    where = f"port {port}" if port else "the port that is chosen"
-    return (f"anybody who reaches {who} at {where} can watch, move the tool, change the material, and read and "
+        return f"only programs of this computer can reach {host}"
+    address = "any address of this computer" if ipaddress.ip_address(host).is_unspecified else host
+    at_port = f"port {port}" if port else "the chosen port"
+    return (f"anyone who can reach {address} at {at_port} can watch, move the tool, change the material, and read and "
             "save recordings and materials, without a password")
 
 
 class ViewerServer(viser.ViserServer):
-    """A running server; use `open_server`. It is a context manager, and `stop` may be called twice."""
+    """Running web server with access checks, opened by `open_server`; a context manager that stops it at the end."""
 
     def __init__(self, host: str, port: int, title: str, token: str):
-        self._token, door = token, _Door(host, port, title, token)
-        with _silence(), door.instead_of_serve():
+        self._token, listener = token, _CheckedListener(host, port, title, token)
+        with _silence(), listener.replace_serve():
             super().__init__(host=host, port=port, label=title, verbose=False)
         try:
-            if door.failure is not None:
-                raise door.failure
+            if listener.failure is not None:
+                raise listener.failure
             self._unregister_sharing()
-            self._bound_uploads()
+            self._limit_uploads()
             self.set_theme()
-            # Nobody waits for it yet.
-            self._websock_server.get_message_buffer().message_event = _WakeUp()
-            door.listen()
+            # Safe to replace here: no task waits for the event before the server listens.
+            self._websock_server.get_message_buffer().message_event = _MessageEvent()
+            listener.listen()
         except OSError as error:
             self.stop()
-            raise _unusable(host, port, error) from None
+            raise _address_error(host, port, error) from None
         except BaseException:
             self.stop()
             raise
 
     @property
     def url(self) -> str:
-        """Address of the server, for a browser on this computer."""
+        """Address of the server for a browser on this computer, without the token."""
         host = self.get_host()
         if ipaddress.ip_address(host).is_unspecified:
             host = LOOPBACK if ":" not in host else "::1"
         return f"http://{f'[{host}]' if ':' in host else host}:{self.get_port()}"
 
     def address(self, **query: str) -> str:
-        """Address of the page with its token, and with what else the page is asked."""
-        asked = urlencode(({"token": self._token} if self._token else {}) | query)
-        return f"{self.url}/?{asked}" if asked else self.url
+        """Return the address of the page with its token and with additional query parameters."""
+        parameters = urlencode(({"token": self._token} if self._token else {}) | query)
+        return f"{self.url}/?{parameters}" if parameters else self.url
 
     def set_theme(self, **theme: Any) -> None:
-        """`configure_theme` of viser, always without a logo and a share button."""
+        """Call viser's `configure_theme` without logo and share button."""
         self.gui.configure_theme(**theme, show_logo=False, show_share_button=False)
 
     def stop(self) -> None:
-        """Close the port and all connections."""
+        """Stop the server and close all connections; a second call does nothing."""
         with _silence():
             super().stop()
 
@@ -140,79 +146,80 @@ class ViewerServer(viser.ViserServer):
     def _unregister_sharing(self) -> None:
         for message in (viser._messages.ShareUrlRequest, viser._messages.ShareUrlDisconnect):
             if message not in self._websock_server._incoming_handlers:
-                raise _unknown_viser(f"it has no handler of {message.__name__} to take away")
+                raise _unknown_viser(f"viser has no handler for {message.__name__}")
             self._websock_server.unregister_handler(message)
 
-
-    def _bound_uploads(self) -> None:
-        """Keep nothing of files above `LARGEST_UPLOAD`, which the page does not send: viser would keep all of it."""
+    def _limit_uploads(self) -> None:
+        """Ignore uploads above `LARGEST_UPLOAD`, which a manipulated client could send and viser would store."""
         messages = viser._messages
 
-        def only(kind: type, fits: Callable[[Any], bool]) -> None:
+        def accept_only(kind: type, is_acceptable: Callable[[Any], bool]) -> None:
             handlers = self._websock_server._incoming_handlers.get(kind, [])
             if len(handlers) != 1:
-                raise _unknown_viser("it does not take uploads in the way that it is known for")
-            take = handlers[0]
-            handlers[0] = lambda client, message: take(client, message) if fits(message) else None
+                raise _unknown_viser(f"viser has {len(handlers)} handlers for {kind.__name__} instead of one")
+            handle = handlers[0]
+            handlers[0] = lambda client, message: handle(client, message) if is_acceptable(message) else None
 
-        only(messages.FileTransferStartUpload, lambda start: start.size_bytes <= LARGEST_UPLOAD
-             and start.part_count <= LARGEST_UPLOAD // _PART + 1)
-        only(messages.FileTransferPart, lambda part: len(part.content) <= _PART)
+        accept_only(messages.FileTransferStartUpload, lambda start: start.size_bytes <= LARGEST_UPLOAD
+                    and start.part_count <= LARGEST_UPLOAD // _MAX_PART_SIZE + 1)
+        accept_only(messages.FileTransferPart, lambda part: len(part.content) <= _MAX_PART_SIZE)
 
 
-class _WakeUp(asyncio.Event):
-    """What browsers' tasks wait for when there is nothing to send.
+class _MessageEvent(asyncio.Event):
+    """Event for which the tasks of the browsers wait when there is nothing to send; `set` is thread-safe.
 
-    viser sets it in the thread that has something to say, and once more in the loop. Python's event would go through
-    the tasks that wait while others begin to, "deque mutated during iteration", which ended that thread.
+    viser sets the event in the thread that queues a message, and again in the event loop. The event of Python would
+    iterate over the waiting tasks in the first thread while tasks are added, which ends that thread with the error
+    "deque mutated during iteration".
     """
 
     def set(self) -> None:
-        """From any thread; tasks are woken in the loop only."""
+        """Set the event; only a call in the event loop wakes the waiting tasks."""
         try:
             asyncio.get_running_loop()
         except RuntimeError:
             self._value = True
             return
-        # Set already by the other thread, it would wake nobody.
+        # `Event.set` wakes the tasks only if the event is not set, but the other thread has set it already.
         self._value = False
         super().set()
 
 
-class _Door:
-    """Takes the place of `websockets.asyncio.server.serve` while viser starts: binds, and listens only when told."""
+class _CheckedListener:
+    """Replacement for `websockets.asyncio.server.serve` that checks requests and starts to listen at `listen`."""
 
     def __init__(self, host: str, port: int, title: str, token: str):
         self.host, self.port, self.title, self._token = host, port, title, token
-        self.failure: Exception | None = _unknown_viser("it does not start the websocket server that it is known for")
+        self.failure: Exception | None = _unknown_viser("viser does not start a websocket server with serve")
         self._server: Any = None
 
     @contextmanager
-    def instead_of_serve(self) -> Iterator[None]:
-        """viser's view of websockets, and no other module's, has this door for the time."""
+    def replace_serve(self) -> Iterator[None]:
+        """Replace `serve` in viser, but not in other modules, inside a with statement."""
         infra: Any = viser.infra._infra
         view = SimpleNamespace(**vars(websockets))
         view.asyncio = SimpleNamespace(server=SimpleNamespace(
             serve=self.serve, ServerConnection=websockets.asyncio.server.ServerConnection))
-        with _alone:
-            usual, infra.websockets = infra.websockets, view
+        with _module_state:
+            original, infra.websockets = infra.websockets, view
             try:
                 yield
             finally:
-                infra.websockets = usual
+                infra.websockets = original
 
     @asynccontextmanager
     async def serve(self, handler: Callable, *_address: Any, process_request: Callable | None = None, **options: Any):
-        """What viser enters in its thread: the server, or a stand-in where there is none.
+        """Bind the server in viser's thread; on an error, store the error in `failure` and yield a dummy server.
 
-        After an OSError viser would try the next port, and after any other its constructor would wait for ever.
+        The error must not reach viser, which would try the next port after an OSError, and would wait without end in
+        its constructor after any other error.
         """
         try:
             if process_request is None:
-                raise _unknown_viser("it has no answer to HTTP requests before which a check could stand")
+                raise _unknown_viser("viser passes no function for HTTP requests to serve")
             options.update(logger=_logger, start_serving=False)
             self._server = await websockets.asyncio.server.serve(
-                _of_this_version(handler), self.host, self.port,
+                _with_version_check(handler), self.host, self.port,
                 process_request=self._checked(process_request), **options)
         except Exception as error:
             self.failure = error
@@ -227,11 +234,16 @@ class _Door:
             await self._server.wait_closed()
 
     def listen(self) -> None:
-        """Listen. Raises OSError where another program has come to listen there in the meantime."""
+        """Start to listen.
+
+        Raises:
+            OSError: Another program has started to listen at this address.
+        """
         loop = self._server.get_loop()
-        asyncio.run_coroutine_threadsafe(self._server.start_serving(), loop).result(_START_S)
+        asyncio.run_coroutine_threadsafe(self._server.start_serving(), loop).result(_START_TIMEOUT)
 
     def _checked(self, answer: Callable) -> Callable:
+        """Return viser's function for HTTP requests with the access checks before it."""
         def process_request(connection, request):
             allowed = self._allowed_names(connection)
             refusal = refuse(request.headers.get_all("Host"), request.headers.get_all("Origin"), allowed, self.port)
@@ -239,73 +251,41 @@ class _Door:
                 return connection.respond(HTTPStatus.FORBIDDEN, refusal + "\n")
             if self._token and not admits(self._token, self.port, request.path, request.headers.get_all("Cookie")):
                 return connection.respond(HTTPStatus.FORBIDDEN, REFUSAL + "\n")
-            _drop(request.headers, "Accept-Encoding")  # the title is written into the page below
+            _delete(request.headers, "Accept-Encoding")  # the page must be uncompressed to be changed
             response = answer(connection, request)
             if response is not None:
-                self._finish(response, request.headers["Host"])
+                self._complete_response(response, request.headers["Host"])
             return response
 
         return process_request
 
     def _allowed_names(self, connection) -> frozenset[str]:
         if _is_loopback(self.host):
-            return _LOCAL_NAMES | {_normal(self.host)}
+            return _LOCAL_NAMES | {normalise_name(self.host)}
         name = platform.node().lower()
-        reached = _normal(str(connection.local_address[0]))
-        return _LOCAL_NAMES | {_normal(self.host), reached, name, f"{name.removesuffix('.local')}.local"} - {""}
+        reached = normalise_name(str(connection.local_address[0]))
+        return _LOCAL_NAMES | {normalise_name(self.host), reached, name, f"{name.removesuffix('.local')}.local"} - {""}
 
-    def _finish(self, response, place: str) -> None:
-        """No other page may frame this one and catch its clicks, and this one fetches nothing from elsewhere."""
-        response.body = dress(response.body, self.title)
+    def _complete_response(self, response, address: str) -> None:
+        """Insert the shell into the page, and set the cookie and the security headers.
+
+        The headers forbid other pages to embed this page (clickjacking), and forbid this page to load anything from
+        other servers.
+        """
+        response.body = inject_shell(response.body, self.title)
         if self._token:
             response.headers["Set-Cookie"] = cookie(self._token, self.port)
-        _drop(response.headers, "Content-Length")
+        _delete(response.headers, "Content-Length")
         response.headers.update({
             "Content-Length": str(len(response.body)),
             "X-Frame-Options": "DENY",
             "Content-Security-Policy": "default-src 'self' 'unsafe-inline' 'unsafe-eval' blob: data:; "
-                                       f"connect-src 'self' ws://{place} blob: data:; frame-ancestors 'none'; "
+                                       f"connect-src 'self' ws://{address} blob: data:; frame-ancestors 'none'; "
                                        "object-src 'none'; base-uri 'none'; form-action 'none'"})
 
 
-def refuse(hosts: list[str], origins: list[str], allowed: frozenset[str], port: int) -> str | None:
-    """Why a request is not answered, in one sentence; None: it is.
-
-    A browser writes `Host` from the address of the page and `Origin` from the page that asks, and no page can change
-    them. A request without an origin is the visit of the page itself, or of a program, which could write anything.
-
-    Args:
-        hosts, origins: values of all headers of that name.
-        allowed: names of this server, lower case, without brackets and final dot.
-        port: of this server.
-    """
-    host = _place(hosts[0]) if len(hosts) == 1 else None
-    if host is None or host[0] not in allowed or host[1] != port:
-        return f"This server answers to http://localhost:{port} and its own addresses only."
-    if not origins:
-        return None
-    scheme, _, place = origins[0].partition("://")
-    if len(origins) > 1 or scheme.lower() != "http" or _place(place) != host:
-        return "This server answers its own page only, not a page of another site."
-    return None
-
-
-def _place(text: str) -> tuple[str, int] | None:
-    """Normal name and port of ``name:port``; None where it is not one."""
-    match = _PLACE.fullmatch(text)
-    return (_normal(match["name"].strip("[]")), int(match["port"] or _HTTP_PORT)) if match else None
-
-
-def _normal(name: str) -> str:
-    name = name.lower().removesuffix(".")
-    try:
-        address = ipaddress.ip_address(name)
-    except ValueError:
-        return name
-    return str(getattr(address, "ipv4_mapped", None) or address)
-
-
-def _drop(headers, name: str) -> None:
+def _delete(headers, name: str) -> None:
+    """Delete a header if it exists."""
     if name in headers:
         del headers[name]
 
@@ -314,11 +294,11 @@ def _is_loopback(host: str) -> bool:
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
-        raise InputError(f"{host!r} is not an address; give one such as {LOOPBACK}", field="host") from None
+        raise InputError(f"must be an IP address such as {LOOPBACK}; got {host!r}", field="host") from None
 
 
-def _of_this_version(handler: Callable) -> Callable:
-    """The handler, after a check that viser makes too, but prints."""
+def _with_version_check(handler: Callable) -> Callable:
+    """Return viser's connection handler with a check of the client's version, because viser's own check prints."""
 
     async def handle(connection) -> None:
         if connection.subprotocol == f"viser-v{VISER_VERSION}":
@@ -332,30 +312,33 @@ def _of_this_version(handler: Callable) -> Callable:
 
 def _require_known_viser() -> None:
     if viser.__version__ != VISER_VERSION:
-        raise _unknown_viser(f"this is {viser.__version__}")
+        raise _unknown_viser(f"viser {viser.__version__} is installed")
 
 
-def _unknown_viser(what: str) -> MissingBackendError:
-    return MissingBackendError(f"the viewer keeps other sites out with private parts of viser {VISER_VERSION}, and "
-                               f"{what}; python -m pip install viser=={VISER_VERSION}")
+def _unknown_viser(reason: str) -> MissingBackendError:
+    """Return the error for a version of viser in which the access checks do not work."""
+    return MissingBackendError(f"The access checks of the viewer require viser {VISER_VERSION}: {reason}. Install it "
+                               f"with: python -m pip install viser=={VISER_VERSION}")
 
 
-def _unusable(host: str, port: int, error: OSError) -> InputError:
-    remedy = "give another with --port, or 0 for any free one"
+def _address_error(host: str, port: int, error: OSError) -> InputError:
+    """Convert an error of binding or listening to a message with a remedy."""
+    remedy = "choose another port with --port, or 0 for any free port"
     if error.errno == errno.EADDRINUSE:
-        return InputError(f"port {port} of {host} is taken by another program; close that, or {remedy}", field="port")
+        return InputError(f"port {port} of {host} is in use by another program. Close that program, or {remedy}.",
+                          field="port")
     if error.errno == errno.EACCES:
-        return InputError(f"port {port} needs rights that this user lacks; {remedy}", field="port")
-    why = os.strerror(error.errno) if error.errno else str(error)
-    return InputError(f"{host}, port {port} cannot be used ({why}); give an address of this computer with --host, or "
-                      f"leave it out for {LOOPBACK}", field="host")
+        return InputError(f"port {port} requires rights that this user does not have. Please {remedy}.", field="port")
+    reason = os.strerror(error.errno) if error.errno else str(error)
+    return InputError(f"{host}, port {port} cannot be used ({reason}). Give an address of this computer with --host, "
+                      f"or omit --host for {LOOPBACK}.", field="host")
 
 
 @contextmanager
 def _silence() -> Iterator[None]:
-    """viser prints where it listens and that it stopped, through rich's own console, which is nobody else's here."""
+    """Suppress the messages that viser prints at start and stop through the global console of rich."""
     console = rich.get_console()
-    with _alone:
+    with _module_state:
         before, console.quiet = console.quiet, True
         try:
             yield
@@ -363,19 +346,19 @@ def _silence() -> Iterator[None]:
             console.quiet = before
 
 
-def _is_news(record: logging.LogRecord) -> bool:
-    """Not: somebody knocked and left, or spoke something else than HTTP."""
+def _is_relevant(record: logging.LogRecord) -> bool:
+    """Return whether a log record reports more than a broken connection or a client that does not speak HTTP."""
     error = record.exc_info[1] if record.exc_info else None
-    # What comes while a request is answered, and is none, breaks an assertion of websockets' own.
+    # Data that arrive while a request is answered fail an assertion inside websockets.
     return not (isinstance(error, WebSocketException | OSError | EOFError)
                 or (isinstance(error, AssertionError) and _raised_in(error).startswith("websockets.")))
 
 
 def _raised_in(error: BaseException) -> str:
-    """The module."""
+    """Return the name of the module that raised an error."""
     *_, (frame, _) = traceback.walk_tb(error.__traceback__)
     return str(frame.f_globals.get("__name__", ""))
 
 
 _logger = logging.getLogger(__name__)
-_logger.addFilter(_is_news)
+_logger.addFilter(_is_relevant)

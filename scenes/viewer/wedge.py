@@ -1,4 +1,4 @@
-"""The wedge that is cut out of a solid in space, around the axis of the tool."""
+"""Wedge around the axis of the tool that is removed from the picture of a solid in 3D."""
 
 from __future__ import annotations
 
@@ -12,101 +12,109 @@ from scenes.viewer.revolution import Opening
 from tissue_sim.mesh.sections import clip
 from tissue_sim.pose import Pose
 
-#: Places nearer to a cut than this, in units of the size of what is cut, lie on it.
-_ON_CUT = 1e-9
+#: Distance from a cutting plane below which a point counts as on the plane, in sizes of the body.
+_PLANE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Wedge:
-    """An opening whose axis is that of the tool.
+    """Wedge between two half planes that meet in a line parallel to the axis of the tool.
 
     Attributes:
-        opening: in the frame of the tool.
-        pose: of the tool.
-        ahead: how far the edge of the wedge is from the tool's axis, to where it opens, m.
-        known: what a body has found of itself at this wedge, by the places for which that is.
+        opening: Angles of the wedge in the frame of the tool.
+        pose: Pose of the tool.
+        ahead: Distance of the edge of the wedge from the tool's axis towards the opening, m.
+        cache: Results that a body stores for this wedge, by the ``id`` of the array of nodal positions.
     """
 
     opening: Opening
     pose: Pose
     ahead: float = 0.0
-    known: dict[int, Any] = field(default_factory=dict)
+    cache: dict[int, Any] = field(default_factory=dict)
 
     @cached_property
     def _rotation(self) -> np.ndarray:
         return np.array(self.pose.rotation)
 
-    def into(self, points: np.ndarray) -> np.ndarray:
-        """Points of the scene (n, 3) in the frame of the tool, m."""
+    def to_tool_frame(self, points: np.ndarray) -> np.ndarray:
+        """Transform points from the frame of the scene to the frame of the tool, m, shape (n, 3)."""
         x, y, z = (points - np.array(self.pose.position)).T
-        # Not as a product of matrices, whose library wakes other cores for it.
+        # A matrix product would start the threads of BLAS on other cores.
         return np.stack([x * u + y * v + z * w for u, v, w in self._rotation.T], axis=-1)
 
-    def out_of(self, points: np.ndarray) -> np.ndarray:
-        """Points of the tool's frame in the scene, shape (..., 3), m."""
+    def to_scene_frame(self, points: np.ndarray) -> np.ndarray:
+        """Transform points from the frame of the tool to the frame of the scene, m, shape (..., 3)."""
         return np.array(self.pose.position) + points @ self._rotation.T
 
-    def over_faces(self, local: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Of each section face: how high points of the tool's frame are above its plane, towards the wedge, and how far
-        from its edge, m, each of shape (n,)."""
-        size = _ON_CUT * float(np.abs(local).max(initial=0.0))
+    def heights_over_faces(self, local: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return the positions of points relative to each section face.
+
+        Args:
+            local: Points in the frame of the tool, m, shape (n, 3).
+
+        Returns:
+            For each section face the heights of the points above its plane, positive towards the wedge, and their
+            horizontal distances from the edge of the wedge along the face, m, both of shape (n,).
+        """
+        tolerance = _PLANE_TOLERANCE * float(np.abs(local).max(initial=0.0))
         facing = self.opening.facing
         edge = self.ahead * np.array([np.cos(facing), np.sin(facing)])
         faces = []
-        for way, normal in self.opening.faces:
+        for direction, normal in self.opening.faces:
             heights = local[:, :2] @ normal - edge @ normal
-            faces.append((np.where(np.abs(heights) < size, 0.0, heights), local[:, :2] @ way - edge @ way))
+            faces.append((np.where(np.abs(heights) < tolerance, 0.0, heights),
+                          local[:, :2] @ direction - edge @ direction))
         return faces
 
-    def removes(self, local: np.ndarray) -> np.ndarray:
-        """Which points of the tool's frame lie in the wedge, shape (n,)."""
-        inside = np.full(len(local), not self.opening.closed)
-        for heights, _ in self.over_faces(local):
+    def contains(self, local: np.ndarray) -> np.ndarray:
+        """Return which points, given in the frame of the tool, lie inside the wedge, shape (n,)."""
+        inside = np.full(len(local), not self.opening.is_closed)
+        for heights, _ in self.heights_over_faces(local):
             inside &= heights > 0.0
         return inside
 
-    def lines_left(self, lines: np.ndarray, drawn: np.ndarray) -> np.ndarray:
-        """Lines without what lies in the wedge.
+    def clip_lines(self, lines: np.ndarray, drawn: np.ndarray) -> np.ndarray:
+        """Remove the parts of lines that lie inside the wedge.
 
         Args:
-            lines: in the tool's frame, shape (l, 2, 3).
-            drawn: where they are drawn, such as in front of what they are on, shape (l, 2, 3); these are cut alike.
+            lines: True positions in the frame of the tool, which decide about the parts, m, shape (l, 2, 3).
+            drawn: Drawn positions of the same lines, for example in front of a surface, shape (l, 2, 3).
 
         Returns:
-            What is left of `drawn`, shape (m, 2, 3).
+            The remaining parts of `drawn`, shape (m, 2, 3).
         """
         for number in range(len(self.opening.faces)):
-            heights, _ = self.over_faces(lines.reshape(-1, 3))[number]
+            heights, _ = self.heights_over_faces(lines.reshape(-1, 3))[number]
             start, end = heights.reshape(-1, 2).T
             cut = (start > 0.0) != (end > 0.0)
-            share = (start[cut] / (start[cut] - end[cut]))[:, None]
+            fraction = (start[cut] / (start[cut] - end[cut]))[:, None]
             parts = []
             for each in (lines, drawn):
-                between = each[cut, 0] + share * (each[cut, 1] - each[cut, 0])
-                parts.append(np.concatenate([each[~cut], np.stack([each[cut, 0], between], axis=1),
-                                             np.stack([between, each[cut, 1]], axis=1)]))
+                crossing = each[cut, 0] + fraction * (each[cut, 1] - each[cut, 0])
+                parts.append(np.concatenate([each[~cut], np.stack([each[cut, 0], crossing], axis=1),
+                                             np.stack([crossing, each[cut, 1]], axis=1)]))
             lines, drawn = parts
-        return drawn[~self.removes(lines.mean(axis=1)) & (lines[:, 0] != lines[:, 1]).any(axis=1)]
+        return drawn[~self.contains(lines.mean(axis=1)) & (lines[:, 0] != lines[:, 1]).any(axis=1)]
 
-    def left_of(self, points: np.ndarray, triangles: np.ndarray,
-                *carried: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
-        """Triangles without what lies in the wedge.
+    def clip_triangles(self, points: np.ndarray, triangles: np.ndarray,
+                       *values: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+        """Remove the parts of triangles that lie inside the wedge.
 
         Args:
-            points: in the scene, shape (n, 3).
-            triangles: shape (t, 3).
-            carried: what is known of each point, shape (n, ...).
+            points: Points in the frame of the scene, m, shape (n, 3).
+            triangles: Point numbers, shape (t, 3).
+            values: Values at the points, which are interpolated to new points, each of shape (n, ...).
 
         Returns:
-            Points, triangles, and what was carried along; points that no triangle has any more are left over.
+            Points, remaining triangles, and the values at the points. Points without a triangle are kept.
         """
-        if self.opening.closed:
-            return points, triangles, list(carried)
-        whole, rest = [], triangles
-        everything = [points, *carried]
+        if self.opening.is_closed:
+            return points, triangles, list(values)
+        parts, rest = [], triangles
+        at_points = [points, *values]
         for number in range(len(self.opening.faces)):
-            heights, _ = self.over_faces(self.into(everything[0]))[number]
+            heights, _ = self.heights_over_faces(self.to_tool_frame(at_points[0]))[number]
             crossings, below, rest = clip(rest, heights)
-            everything = [crossings.extend(values) for values in everything]
-            whole.append(below)
-        return everything[0], np.concatenate(whole), everything[1:]
+            at_points = [crossings.extend(each) for each in at_points]
+            parts.append(below)
+        return at_points[0], np.concatenate(parts), at_points[1:]

@@ -1,4 +1,4 @@
-"""A real Chromium, and a record of everything that its pages ask for."""
+"""Fixtures of the browser tests: Chromium with a record of all requests, and viewers with their readers."""
 
 import importlib.util
 import threading
@@ -24,19 +24,19 @@ SHARED = ExitStack()
 
 @pytest.hookimpl(trylast=True)
 def pytest_runtest_teardown(item, nextitem):
-    """While Playwright runs, the main thread has a running event loop, which the tests that follow may not find."""
+    """Stop Playwright after the browser tests, because its running event loop would disturb other tests."""
     if nextitem is None or HERE not in nextitem.path.parents:
         SHARED.close()
 
 
 def pytest_sessionfinish():
-    """Where tests were broken off."""
+    """Release the shared resources also after an interrupted run."""
     SHARED.close()
 
 
 @pytest.fixture(scope="session")
 def chromium(root):
-    """The module with which the screenshots of the documentation are made."""
+    """Module `docs/chromium.py`, which also makes the screenshots of the documentation."""
     spec = importlib.util.spec_from_file_location("docs_chromium", root / "docs" / "chromium.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -45,16 +45,16 @@ def chromium(root):
 
 @pytest.fixture(scope="session")
 def browser(chromium):
-    """One Chromium for all tests; each has pages of its own, which share nothing."""
+    """One Chromium for all tests; each test has separate pages that share no data."""
     if chromium.chromium_path() is None:
-        pytest.skip("looks at the page in a real browser, which pip cannot install: there is no chromium or "
+        pytest.skip("requires a browser, which pip cannot install: there is no chromium or "
                     "chromium-browser on PATH (Debian: apt install chromium fonts-dejavu-core; .ci/run does so)")
     return SHARED.enter_context(chromium.chromium())
 
 
 @dataclass
 class Traffic:
-    """What a page asked for, and what went wrong in it."""
+    """Requests and errors of a page."""
 
     urls: list[str] = field(default_factory=list)
     failed: list[str] = field(default_factory=list)
@@ -75,7 +75,7 @@ class Traffic:
         websocket.on("socketerror", lambda error: self.failed.append(f"{websocket.url}: {error}"))
 
     def foreign(self, server):
-        """Addresses outside the server; what a page keeps in itself (blob, data) is not asked of anybody."""
+        """Requested addresses outside the server, without blob and data URLs, which cause no request."""
         place = server.url.removeprefix("http://")
         own = tuple(f"{scheme}://{place}/" for scheme in ("http", "ws", "blob:http"))
         return [url for url in self.urls if not url.startswith(own) and not url.startswith("data:")]
@@ -83,7 +83,7 @@ class Traffic:
 
 @contextmanager
 def pages_of(browser, chromium):
-    """A function that opens pages, as `open_page` says."""
+    """Yield the function that `open_page` describes."""
     opened = []
 
     def open_one(server, *, width=1000, height=700, scheme="light", triangles=0, pixel_ratio=0.2):
@@ -108,21 +108,22 @@ def pages_of(browser, chromium):
 def open_page(browser, chromium):
     """Open a page of a server: ``open_page(server, width=, height=, scheme=, triangles=)`` -> Playwright's page.
 
-    Each has its own cookies and storage. At the end none may have asked for anything elsewhere, missed anything, or
-    met an error in a script. ``open_page.traffic(page)`` is what it asked for.
+    Each page has its own cookies and storage. The teardown checks that no page has requested anything from another
+    server, had a failed request, or had a script error. ``open_page.traffic(page)`` returns the `Traffic` of a page.
     """
     with pages_of(browser, chromium) as open_one:
         yield open_one
 
 
 class Shown:
-    """The page of the viewer, with its session in a thread: the needle in the study's specimen, to 5 mm.
+    """Running viewer: the page, with its session in a thread.
 
     Attributes:
-        session, page: as in `scenes.viewer`.
-        frame: the newest.
-        scene: the first, to which every test returns; its measurement is the model with the noise of a sensor.
-        folder: of its materials; it holds ``softer.material.json``.
+        session: Session of the viewer.
+        page: Page of the viewer.
+        frame: Newest frame.
+        scene: First scene, which `begin_again` restores; its measurement is the model with sensor noise.
+        folder: Folder of material files, which contains ``softer.material.json``.
     """
 
     def __init__(self, scene, folder: Path, patience: float = 0.05):
@@ -163,14 +164,14 @@ class Shown:
         return self.page.server.address()
 
     def ask(self, command: str, **values) -> None:
-        """Let the session do something, as another browser could."""
+        """Post a command to the session and wait for its execution, like another browser."""
         answered = threading.Event()
         said = []
         self.session.post(command, reply=lambda problem: (said.append(problem), answered.set()), **values)
         assert answered.wait(PATIENCE) and said == [None], said
 
     def begin_again(self) -> None:
-        """The tool at the touch, in the tissue of `scene`."""
+        """Restore `scene`, with the tool at the undeformed surface."""
         first, scene = self.scene, self.session.scene
         if scene.experiment != first.experiment:
             self.ask("use_scene", name=first.kind.name, tool=first.experiment.tool, friction=first.experiment.friction)
@@ -185,10 +186,10 @@ class Shown:
 
 @pytest.fixture(scope="session")
 def shown(browser, tmp_path_factory):
-    """One viewer for all tests of its page."""
+    """Viewer with a needle scene, shared by all tests of the page."""
     import tissue_sim as ts
     from scenes.commands.shared.tissue_flags import read_material
-    from scenes.viewer.measurement import measurement
+    from scenes.viewer.measurement import build_measurement
     from scenes.viewer.scene import Scene
     from tissue_sim.experiment.kinds.indentation import NEEDLE
     from tissue_sim.material.file import MaterialFile
@@ -201,14 +202,14 @@ def shown(browser, tmp_path_factory):
     folder = tmp_path_factory.mktemp("materials")
     softer = MaterialFile.of(with_values(scene.material, {"C10": 1200.0}), provenance={"method": "written by hand"})
     ts.write_material_file(softer, folder / "softer.material.json")
-    shown = Shown(replace(scene, measurements={NEEDLE.name: measurement(replicates)}), folder)
+    shown = Shown(replace(scene, measurements={NEEDLE.name: build_measurement(replicates)}), folder)
     SHARED.callback(shown.close)
     return shown
 
 
 @pytest.fixture(scope="module")
 def shown_solid(browser, tmp_path_factory):
-    """A viewer of a coarse solid in space, under a tool that leans and stands off the axis."""
+    """Viewer of a coarse solid in 3D under an inclined tool away from the axis."""
     import math
 
     from coarse_solid import make_coarse_solid
@@ -234,7 +235,7 @@ def shown_solid(browser, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def shown_block(browser, tmp_path_factory):
-    """A viewer of a reduced block with a skin, whose top a needle holds off its middle."""
+    """Viewer of a reduced block whose top is attached to a needle away from its middle."""
     import tissue_sim as ts
     from scenes.viewer.scene import Scene
     from tissue_sim.experiment.kinds.indentation import NEEDLE
@@ -255,7 +256,7 @@ def shown_block(browser, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def shown_reduced(browser, tmp_path_factory):
-    """A viewer of a reduced solid under a flat needle that holds its tissue."""
+    """Viewer of a reduced solid attached to a flat needle."""
     import tissue_sim as ts
     from scenes.viewer.scene import Scene
     from tissue_sim.experiment.kinds.indentation import NEEDLE
@@ -273,13 +274,13 @@ def shown_reduced(browser, tmp_path_factory):
 
 
 class Reader:
-    """What a person reads and does on the page of the viewer.
+    """Driver of a browser page of the viewer, with the actions and observations of a user.
 
     Attributes:
-        page: Playwright's.
-        shown: what is looked at.
-        traffic: of the page.
-        client: viser's, of this browser.
+        page: Page of Playwright.
+        shown: Displayed viewer.
+        traffic: Requests and errors of the page.
+        client: Client handle of viser for this browser.
     """
 
     def __init__(self, page, shown: Shown, chromium, traffic: Traffic):
@@ -297,25 +298,25 @@ class Reader:
         return float(self.read(name).split()[0])
 
     def wait_for(self, name: str, text: str) -> None:
-        """Until a read-out says this."""
+        """Wait until a read-out has this text."""
         self.until(lambda: self.read(name), lambda seen: seen == text)
 
     def until(self, look, fits, seconds: float = PATIENCE):
-        """Look again and again until what is seen fits, and return that; the browser goes on meanwhile."""
+        """Call `look` until its result satisfies `fits`, and return the result; the browser runs in the meantime."""
         deadline = time.monotonic() + seconds
         while not fits(seen := look()):
-            assert time.monotonic() < deadline, f"this is still so: {seen}"
+            assert time.monotonic() < deadline, f"the condition is not satisfied by {seen}"
             self.page.wait_for_timeout(20)
         return seen
 
     def reload(self) -> None:
-        """As with F5."""
+        """Reload the page."""
         self.page.reload()
         self._chromium.come_up(self.page)
         self._meet()
 
     def phase(self, name: str) -> None:
-        """Until the simulation is in this phase."""
+        """Wait until the simulation is in this phase."""
         self.page.locator(f"[data-testid=phase][data-phase={name}]").wait_for(timeout=PATIENCE * 1e3)
 
     def tab(self, name: str) -> None:
@@ -326,11 +327,11 @@ class Reader:
         self.page.get_by_role("button", name=name, exact=True).click()
 
     def field(self, label: str):
-        """The input field with a label; of a slider its number."""
+        """Return the input field with a label; for a slider, its number field."""
         return self._chromium.text_field(self.page, label)
 
     def slider(self, label: str):
-        """The thumb of a slider."""
+        """Return the thumb of a slider."""
         return self.page.locator(f'xpath=//label[normalize-space(.)="{label}"]/following::*[@role="slider"][1]')
 
     def _rest(self) -> None:
@@ -349,7 +350,7 @@ class Reader:
         self.field(label).press("Enter")
 
     def enter(self, label: str, number: str) -> None:
-        """Key by key: put in at once, a number that stood there before the program wrote another one is overlooked."""
+        """Type a number key by key, because the page ignores a filled-in number that equals an earlier one."""
         self._rest()
         field = self.field(label)
         field.press("Control+a")
@@ -357,31 +358,31 @@ class Reader:
         field.press("Enter")
 
     def tick(self, label: str) -> None:
-        """A box, or take its tick away."""
+        """Toggle a checkbox."""
         self._rest()
         self.field(label).click()
 
     def choose(self, label: str, option: str) -> None:
-        """From a list."""
+        """Choose an option of a list."""
         self._rest()
         self.field(label).click()
         self.page.get_by_role("option", name=option, exact=True).click()
 
     def answer(self, text: str) -> None:
-        """Until a notification says this somewhere; then close it."""
+        """Wait for a notification that contains this text, and close it."""
         notice = self.page.get_by_role("alert").filter(has_text=text)
         self.until(self.page.get_by_role("alert").all_inner_texts, lambda said: any(text in each for each in said))
         notice.get_by_role("button").click()
         notice.wait_for(state="detached")
 
     def download(self, button: str):
-        """Press a button and take the file that comes."""
+        """Press a button and return the downloaded file."""
         with self.page.expect_download() as coming:
             self.press(button)
         return coming.value
 
     def downloads(self, button: str, count: int) -> list:
-        """Press a button and take the files that come, in their order."""
+        """Press a button and return the downloaded files in order."""
         files: list = []
 
         def take(download) -> None:
@@ -395,14 +396,14 @@ class Reader:
             self.page.remove_listener("download", take)
 
     def curves(self) -> list[dict]:
-        """Of each plot, from the top: the finite values of each series by its label."""
+        """Return for each plot, from the top, the finite values of each series by its label."""
         return self.page.evaluate("""() => Object.values(window.__viserTestpoints.uplots)
             .map(({chart}) => ({top: chart.root.getBoundingClientRect().top, series: Object.fromEntries(
                 chart.series.map((one, k) => [one.label, Array.from(chart.data[k]).filter(Number.isFinite)]))}))
             .sort((a, b) => a.top - b.top).map(plot => plot.series)""")
 
     def place(self, point) -> tuple[float, float]:
-        """Where a point of the scene, in its own unit, is seen on the page, pixels."""
+        """Return the position on the page, pixels, of a point of the scene, browser units."""
         import numpy as np
 
         camera = self.client.camera
@@ -419,7 +420,7 @@ class Reader:
 
 @pytest.fixture(scope="session")
 def desk(shown, browser, chromium):
-    """A browser that stays open from test to test."""
+    """Reader of a browser page that stays open for all tests."""
     open_one = SHARED.enter_context(pages_of(browser, chromium))
     page = open_one(shown, width=1200, height=760, triangles=100)
     return Reader(page, shown, chromium, open_one.traffic(page))
@@ -433,7 +434,7 @@ def reader_of(open_page, chromium):
 
 @pytest.fixture
 def reader(desk):
-    """`desk`, with the tool at the touch, in tissue that nobody has touched."""
+    """`desk` after a reset of the scene: tool at the surface of undeformed tissue."""
     desk.shown.begin_again()
     desk.tab("Motion")
     desk.wait_for("depth", "0.00")
@@ -443,14 +444,14 @@ def reader(desk):
 
 @pytest.fixture
 def another(reader, open_page, chromium):
-    """A second browser that looks at the same."""
+    """Reader of a second browser page of the same viewer."""
     page = open_page(reader.shown, width=1200, height=760, triangles=100)
     return Reader(page, reader.shown, chromium, open_page.traffic(page))
 
 
 @pytest.fixture
 def stranger(browser):
-    """A page of no server of ours: ``with stranger() as page``; its errors are its own."""
+    """Open a page of another server, ``with stranger() as page``, without checks for errors."""
 
     @contextmanager
     def open_one():

@@ -1,4 +1,4 @@
-"""The page of a bench in a real browser: the run of a recorder as it goes."""
+"""Bench page in a browser: the run of a recorder."""
 
 import threading
 
@@ -22,12 +22,12 @@ def watched(tmp_path):
     page.close()
 
 
-def test_a_run_is_shown_as_it_goes(watched, open_page):
+def test_a_running_recorder_is_displayed(watched, open_page):
     from haptics.recorder.live import LiveFile
 
     shown, path = watched
     page = open_page(shown.server)
-    page.get_by_text("no run in").wait_for()
+    page.get_by_text("No run in").wait_for()
     folder = RunFolder(path, "digest")
     live = LiveFile(path)
     with folder, live.publish():

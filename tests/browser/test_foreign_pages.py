@@ -1,4 +1,4 @@
-"""What a page of another site, open in the same browser, can do to the viewer: nothing."""
+"""Access checks in a browser: pages of other sites cannot use the viewer."""
 
 import http.server
 import threading
@@ -28,7 +28,7 @@ def server():
 
 @contextmanager
 def site(html=""):
-    """A site of somebody else on this computer: its address, and the paths that were asked of it."""
+    """Web server of another site on this computer: its address and the requested paths."""
     asked = []
 
     class Handler(http.server.BaseHTTPRequestHandler):
@@ -84,11 +84,11 @@ def test_sandboxed_frame_without_an_origin_may_not(server, stranger):
 
 
 def test_name_that_is_bound_to_this_computer_may_not(server, stranger):
-    """DNS rebinding: the browser takes the page for one of the foreign name, and so it may read all of it."""
+    """DNS rebinding: the browser assigns the page to the foreign name, whose scripts could then read it."""
     with stranger() as page:
         reply = page.goto(server.url.replace("127.0.0.1", "rebound.test"))
-        assert (reply.status, reply.text()) == (403, f"This server answers to http://localhost:{server.get_port()} and "
-                                                     "its own addresses only.\n")
+        assert (reply.status, reply.text()) == (403, "This server answers only requests to http://localhost:"
+                                                     f"{server.get_port()} and its own addresses.\n")
         assert attempt(page, server) == {"handshake": "refused", "page": "refused"}
 
 
@@ -101,7 +101,7 @@ def test_page_of_another_site_cannot_frame_ours(server, stranger):
 
 
 def test_our_page_fetches_nothing_from_another_site(server, stranger, chromium):
-    """Not even where a name in a file that somebody sent is written into the page."""
+    """The page contains HTML with a foreign address, as an uploaded file name could contain it."""
     with site() as (address, asked), stranger() as page:
         server.gui.add_html(f"<b>sample</b><img alt='' src='{address}/pixel.png'>")
         blocked = []

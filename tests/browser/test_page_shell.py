@@ -1,4 +1,4 @@
-"""What the page says where viser's own controls say nothing: fields, uploads, keys, and the height of the plots."""
+"""Additions to viser's page: notes about rejected numbers and uploads, keys, and the height of the plots."""
 
 import pytest
 
@@ -6,40 +6,39 @@ from scenes.viewer.shell import LARGEST_UPLOAD
 
 
 def note(reader, text):
-    """Until a sentence beside a field says this. One look for all: a sentence that fades between two of them would be
-    waited for."""
+    """Wait for a note next to a field with this text; a single wait, because the note disappears after 8 s."""
     reader.page.get_by_test_id("field-note").filter(has_text=text).first.wait_for()
 
 
-def test_a_field_takes_numbers_only_and_says_what_it_did_not_take(shown, reader):
+def test_a_field_accepts_decimal_numbers_only_and_explains_each_rejection(shown, reader):
     reader.enter("depth [mm]", "2")
     reader.wait_for("depth", "2.00")
     field = reader.field("depth [mm]")
     for typed in ("1e300", "nan", "0x4"):
-        # On the field, not on the keyboard of the page, whose keys wait without an end.
+        # Keys of the field; keys of the page would wait for ever.
         field.press("Control+a")
         field.press_sequentially(typed)
-        note(reader, "is not taken")
+        note(reader, "is not a decimal number")
         reader.until(field.input_value, lambda value: value == "2")
         field.press("Tab")
         reader.until(lambda: shown.frame.target, lambda depth: depth == pytest.approx(2e-3))
     reader.enter("depth [mm]", "99999")
-    note(reader, "99999 is outside of what this field takes: 5 is used")
+    note(reader, "99999 is outside the range of this field. The nearest limit 5 is used.")
     reader.wait_for("depth", "5.00")
     field.press("Control+a")
     field.press("Delete")
     field.press("Tab")
-    note(reader, "Nothing was entered: 5 stays.")
+    note(reader, "No number was entered. The field keeps 5.")
     assert field.input_value() == "5" and shown.frame.target == pytest.approx(5e-3)
 
 
-def type_slowly(reader, label, text, obeyed):
-    """Key by key, each when the page has shown two frames with what the program made of the key before."""
+def type_slowly(reader, label, text, is_applied):
+    """Type key by key; before each key, wait for two frames with the effect of the previous key."""
     field, shown = reader.field(label), reader.shown
     field.press("Control+a")
     for count, key in enumerate(text, 1):
         field.press(key)
-        reader.until(lambda: shown.frame, lambda frame, typed=text[:count]: obeyed(frame, typed))
+        reader.until(lambda: shown.frame, lambda frame, typed=text[:count]: is_applied(frame, typed))
         for _ in range(2):
             before = shown.frame
             reader.until(lambda: shown.frame, lambda frame, before=before: frame is not before)
@@ -48,10 +47,10 @@ def type_slowly(reader, label, text, obeyed):
     field.press("Enter")
 
 
-def test_who_types_slowly_outside_of_the_range_is_not_interrupted(shown, reader):
+def test_slow_typing_of_a_number_outside_the_range_is_not_interrupted(shown, reader):
     type_slowly(reader, "depth [mm]", "34",
                 lambda frame, typed: frame.target == pytest.approx(min(int(typed), 5) * 1e-3))
-    note(reader, "34 is outside of what this field takes: 5 is used")
+    note(reader, "34 is outside the range of this field. The nearest limit 5 is used.")
     reader.wait_for("depth", "5.00")
     reader.tab("Material")
     type_slowly(reader, "C10 [kPa]", "0.9",
@@ -68,12 +67,12 @@ def test_a_file_that_is_too_large_does_not_leave_the_browser(shown, reader, tmp_
     with reader.page.expect_file_chooser() as chooser:
         reader.press("Upload material")
     chooser.value.set_files(large)
-    note(reader, "large.material.json has 21 MB; this page takes files of up to 20 MB.")
+    note(reader, "Files must be at most 20 MB; large.material.json has 21 MB.")
     assert shown.session.scene.material is material
     assert not shown.page.server.gui._current_file_upload_states
 
 
-def test_keys_move_the_tool_and_reset_it_but_not_while_somebody_types(shown, reader):
+def test_keys_move_and_reset_the_tool_except_while_typing(shown, reader):
     page = reader.page
 
     def leave_fields():
@@ -96,11 +95,11 @@ def test_keys_move_the_tool_and_reset_it_but_not_while_somebody_types(shown, rea
     reader.wait_for("depth", "0.00")
 
 
-def test_a_tool_that_is_held_by_a_pause_says_so(shown, reader):
+def test_moving_a_paused_tool_is_refused_with_a_message(shown, reader):
     reader.press("Pause")
     reader.phase("paused")
     reader.enter("depth [mm]", "3")
-    reader.answer("the tool stands still while the motion is paused")
+    reader.answer("The tool cannot move while the motion is paused")
     assert shown.frame.target == 0.0
     reader.press("Play")
     reader.phase("running")

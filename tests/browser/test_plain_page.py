@@ -1,4 +1,4 @@
-"""A page of viser behind our server: it comes up without a network, and speaks both ways."""
+"""Page of viser behind the checked server: it loads without a network and communicates in both directions."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def server():
         yield running
 
 
-def test_page_comes_up_offline(server, open_page):
+def test_the_page_loads_offline(server, open_page):
     depth = np.linspace(0.0, 1.0, 11)
     server.gui.add_uplot(data=(depth, depth**2), series=(viser.uplot.Series(label="depth"),
                                                          viser.uplot.Series(label="force", stroke="red")))
@@ -35,7 +35,7 @@ def test_page_comes_up_offline(server, open_page):
     assert f"ws://127.0.0.1:{server.get_port()}/" in asked
 
 
-def test_clicks_arrive_and_answers_come_back(server, open_page, chromium):
+def test_clicks_and_replies_are_transmitted(server, open_page, chromium):
     button = server.gui.add_button("push")
     answer = server.gui.add_html("<span data-testid='answer'>not yet</span>")
 
@@ -69,8 +69,8 @@ def guarded():
         yield running
 
 
-def test_a_page_with_a_token_comes_up_from_its_address_and_again_without(guarded, open_page, chromium):
-    """The cookie that the address brought opens the websocket, and the page when it is loaded anew."""
+def test_the_address_with_token_opens_the_page_and_the_cookie_reopens_it(guarded, open_page, chromium):
+    """The cookie from the first visit also opens the websocket and a reload."""
     page = open_page(guarded)
     page.get_by_text("behind a token").wait_for()
     page.goto(guarded.url)
@@ -78,8 +78,8 @@ def test_a_page_with_a_token_comes_up_from_its_address_and_again_without(guarded
     page.get_by_text("behind a token").wait_for()
 
 
-def test_a_page_without_the_token_is_told_what_to_do(guarded, browser):
+def test_a_request_without_the_token_gets_an_explanation(guarded, browser):
     page = browser.new_page()
     reply = page.goto(guarded.url)
-    assert reply.status == 403 and "the address that was printed where it was started" in reply.text()
+    assert reply.status == 403 and "the complete address that was printed" in reply.text()
     page.close()

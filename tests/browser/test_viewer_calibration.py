@@ -1,4 +1,4 @@
-"""Calibration from the page: recordings come in, a material comes out, is felt, drawn and saved."""
+"""Calibration tab in a browser: upload recordings, fit the material, use and save the result."""
 
 import json
 from dataclasses import replace
@@ -14,14 +14,14 @@ STIFFER = {"C10": 2200.0, "C20": 900.0}
 
 @pytest.fixture
 def recordings(shown, tmp_path):
-    """Two noisy recordings of a stiffer material with their sidecars, one also as machines write it, and a bad one."""
+    """Two noisy recordings of a stiffer material with sidecars, one also as a test-machine file, and a bad file."""
     scene = shown.scene
     true = ts.simulate(replace(scene.model, material=with_values(scene.material, STIFFER)), resolution="fast")
     said = {"kind": scene.kind.name, "tool": {"shape": "flat", "radius_mm": 8.0}}
     for seed in range(2):
         ts.write_recording(ts.Rig(force_noise=0.01, seed=seed).measure(true).with_metadata(**said),
                            tmp_path / f"stiff_{seed}.csv")
-    # The second as a test machine writes it.
+    # The second recording in the format of a test machine.
     second = ts.read_recording(tmp_path / "stiff_1.csv")
     rows = zip(second.time, -1e3 * second.displacement, -second.force, strict=True)
     (tmp_path / "stiff 1.txt").write_text("Time (s)\tExtension (mm)\tLoad (N)\n" + "".join(
@@ -32,10 +32,10 @@ def recordings(shown, tmp_path):
 
 @pytest.fixture
 def calibrating(shown, reader):
-    """The tab; afterwards no recording is left, and the first measurement is back."""
+    """Reader of the calibration tab; the teardown removes all recordings and restores the measurement."""
     reader.tab("Calibrate")
     yield reader
-    if shown.session.calibration.state.told is not None:
+    if shown.session.calibration.state.status is not None:
         shown.ask("cancel_calibration")
     shown.ask("remove_recordings")
     shown.session.scene = replace(shown.session.scene, measurements=shown.scene.measurements)
@@ -47,13 +47,13 @@ def upload(reader, path):
     chooser.value.set_files(path)
 
 
-def test_recordings_are_uploaded_and_calibrated_and_the_material_is_felt_drawn_and_saved(
+def test_uploaded_recordings_are_calibrated_and_the_material_is_used_and_saved(
         shown, calibrating, recordings):
     reader = calibrating
     for name, read in (("stiff_0.csv", "stiff_0.csv"), ("stiff_0.json", "stiff_0.json"),
                        ("stiff 1.txt", "stiff 1.csv")):
         upload(reader, recordings / name)
-        reader.answer(f"{read} is read")
+        reader.answer(f"Read {read}.")
     upload(reader, recordings / "bad.csv")
     reader.answer("bad.csv: the column with a motion is missing")
     reader.until(lambda: reader.read("recordings"), lambda text: "flat, radius 8 mm" in text
@@ -74,20 +74,20 @@ def test_recordings_are_uploaded_and_calibrated_and_the_material_is_felt_drawn_a
 
     reader.fill("new name", "from the page")
     file = reader.download("Save calibrated material")
-    reader.answer(f"saved as from the page{SUFFIX}")
+    reader.answer(f"Saved as from the page{SUFFIX}")
     saved = shown.folder / f"from the page{SUFFIX}"
     assert file.path().read_bytes() == saved.read_bytes()
     content = json.loads(saved.read_text(encoding="utf-8"))
     assert content["parameters"]["C10"]["standard_error"] > 0
     assert {each["file"] for each in content["provenance"]["recordings"]} == {"stiff_0.csv", "stiff 1.csv"}
     reader.press("Save calibrated material")
-    reader.answer("is there already and is not replaced; give another name")
+    reader.answer("exists already and is not overwritten. Choose another name.")
 
 
-def test_a_calibration_is_cancelled_and_leaves_the_material(shown, calibrating, recordings):
+def test_a_cancelled_calibration_keeps_the_material(shown, calibrating, recordings):
     reader, material = calibrating, shown.session.scene.material
     upload(reader, recordings / "stiff_0.csv")
-    reader.answer("stiff_0.csv is read")
+    reader.answer("Read stiff_0.csv.")
     reader.press("Calibrate")
     reader.press("Cancel calibration")
     reader.page.get_by_text("The calibration was cancelled").wait_for()

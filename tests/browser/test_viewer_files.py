@@ -1,4 +1,4 @@
-"""Files of the viewer's page: materials that come and go, curves, pictures and replays that are saved."""
+"""Files of the page in a browser: upload and save materials, save curves, pictures and replays."""
 
 import json
 
@@ -18,13 +18,13 @@ def upload(reader, path):
     chooser.value.set_files(path)
 
 
-def test_material_is_uploaded_and_a_bad_one_is_answered_with_its_field_and_changes_nothing(shown, reader, tmp_path):
+def test_a_material_is_uploaded_and_an_invalid_one_is_refused(shown, reader, tmp_path):
     good, bad = tmp_path / f"stiff{SUFFIX}", tmp_path / f"bad{SUFFIX}"
     ts.write_material_file(MaterialFile.of(STIFF, provenance={"method": "written by hand"}), good)
     reader.tab("Material")
     reader.until(lambda: reader.number("rmse"), lambda rmse: rmse < 0.03)
     upload(reader, good)
-    reader.answer(f"{good.name} is shown")
+    reader.answer(f"The material of {good.name} is in use.")
     reader.phase("running")
     reader.page.get_by_text(f", from {good.name}").wait_for()
     assert shown.session.scene.material.parameters == STIFF.parameters
@@ -42,7 +42,7 @@ def test_material_is_uploaded_and_a_bad_one_is_answered_with_its_field_and_chang
     assert reader.field("C10 [kPa]").input_value() == "4"
 
 
-def test_material_is_chosen_edited_by_a_slider_while_it_is_felt_and_saved_as_a_new_file(shown, reader):
+def test_a_material_is_chosen_edited_with_a_slider_and_saved(shown, reader):
     def end_of_model():
         return max(reader.curves()[0]["model load"], default=0.0)
 
@@ -58,7 +58,7 @@ def test_material_is_chosen_edited_by_a_slider_while_it_is_felt_and_saved_as_a_n
     softer_model = reader.until(end_of_model, lambda now: now < 0.95 * model)
     rmse = reader.until(lambda: reader.number("rmse"), lambda rmse: rmse > 0.04)
 
-    # Live force and whole curve come back to the measurement.
+    # Live force and model curve approach the measurement again.
     reader.slider("C10 [kPa]").press("ArrowRight")
     reader.until(lambda: shown.session.scene.material.parameters["C10"], lambda now: 1200.0 < now < 1300.0)
     reader.enter("C10 [kPa]", "1.4")
@@ -66,29 +66,29 @@ def test_material_is_chosen_edited_by_a_slider_while_it_is_felt_and_saved_as_a_n
     reader.until(lambda: reader.number("rmse"), lambda now: now < 0.7 * rmse)
     reader.until(end_of_model, lambda now: now > 1.05 * softer_model)
     reader.until(lambda: reader.number("force"), lambda now: now > 1.05 * softer)
-    assert shown.session.simulation is simulation, "the tissue that is felt goes on"
+    assert shown.session.simulation is simulation, "the running simulation continues"
     assert reader.read("depth") == "3.00"
 
     reader.fill("name", "by hand")
     file = reader.download("Save material")
-    reader.answer(f"saved as by hand{SUFFIX}")
+    reader.answer(f"Saved as by hand{SUFFIX}")
     saved = shown.folder / f"by hand{SUFFIX}"
     assert file.suggested_filename == saved.name and file.path().read_bytes() == saved.read_bytes()
     assert ts.load_material(saved).parameters == shown.session.scene.material.parameters
     reader.until(lambda: reader.field("file").input_value(), lambda name: name == saved.name)
     reader.press("Save material")
-    reader.answer("is there already and is not replaced; give another name")
+    reader.answer("exists already and is not overwritten. Choose another name.")
     assert file.path().read_bytes() == saved.read_bytes()
 
 
 def at_its_end(trace):
-    """Back at 1 mm, where the tool then stays."""
+    """Whether the tool has returned to 1 mm, where it stays."""
     return trace.depth.max(initial=0.0) > 2.99e-3 and abs(trace.depth[-1] - 1e-3) < 1e-6
 
 
-def test_curve_is_downloaded_as_the_recording_of_what_was_felt(shown, reader, tmp_path):
-    # So slow that a busy machine finds equilibria on the way in and out too: what is carried on is not saved, and what
-    # fades is not in the trace.
+def test_the_live_curve_is_downloaded_as_a_recording(shown, reader, tmp_path):
+    # Slow enough for equilibria in loading and unloading on a busy machine: late forces are not saved, and fading
+    # forces are not in the trace.
     reader.fill("protocol", "ramp 3mm @1mm/s; hold 10s; unload 1mm @1mm/s; hold 600s")
     reader.press("Play")
     reader.until(lambda: shown.frame.curves.trace, at_its_end)
@@ -96,15 +96,15 @@ def test_curve_is_downloaded_as_the_recording_of_what_was_felt(shown, reader, tm
     reader.phase("paused")
     reader.tab("Save")
     trace = shown.frame.curves.trace
-    file, beside = reader.downloads("Save curve (CSV)", 2)
+    file, sidecar = reader.downloads("Save curve (CSV)", 2)
     assert file.suggested_filename == "needle_indentation.csv"
-    assert beside.suggested_filename == "needle_indentation.json"
+    assert sidecar.suggested_filename == "needle_indentation.json"
     file.save_as(tmp_path / "curve.csv")
-    beside.save_as(tmp_path / "curve.json")
+    sidecar.save_as(tmp_path / "curve.json")
     felt = ts.read_recording(tmp_path / "curve.csv")
     assert felt.metadata["specimen"]["shape"] == "cylinder" and felt.metadata["tool"]["shape"] == "flat"
     found = ~trace.late
-    # To the last bit but for the way from m to mm and back.
+    # Equal up to the conversion from m to mm and back.
     for read, expected in ((felt.displacement, trace.depth[found]), (felt.force, trace.force[found]),
                            (felt.time, trace.time[found] - trace.time[found][0])):
         np.testing.assert_allclose(read, expected, rtol=1e-15)

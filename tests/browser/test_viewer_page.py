@@ -1,4 +1,4 @@
-"""The page of the viewer: what it shows, and how the tool and the picture are moved."""
+"""Page of the viewer in a browser: display, motion of the tool, and control of the picture."""
 
 import os
 import signal
@@ -17,14 +17,14 @@ def hexadecimal(colour):
     return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
-def test_page_comes_up_offline_with_measurement_model_and_residual(shown, reader):
+def test_the_page_loads_offline_with_measurement_model_and_residual(shown, reader):
     page = reader.page
     reader.phase("running")
     assert page.title() == "tissue_sim"
     assert reader.read("phase") == "running · by hand"
     assert (reader.read("depth"), reader.read("force")) == ("0.00", "0.000")
     page.get_by_text("measured (3)").wait_for()
-    # The measurement is the model with noise, and this is all that is between them.
+    # The measurement is the model plus noise, so the RMSE is the noise.
     rmse = reader.until(lambda: reader.number("rmse"), lambda rmse: rmse > 0)
     assert rmse == pytest.approx(shown.frame.curves.residual.rmse, abs=6e-4)
     assert rmse == pytest.approx(0.02, rel=0.3)
@@ -37,7 +37,7 @@ def test_page_comes_up_offline_with_measurement_model_and_residual(shown, reader
         f"127.0.0.1:{shown.page.server.get_port()}"}
 
 
-def test_colours_of_the_bar_are_those_of_the_section_and_its_label_is_the_field_that_is_chosen(shown, reader):
+def test_bar_and_section_have_the_same_colours_and_the_label_of_the_field(shown, reader):
     page = reader.page
     reader.tab("View")
     field = "displacement"
@@ -54,11 +54,11 @@ def test_colours_of_the_bar_are_those_of_the_section_and_its_label_is_the_field_
     shown.ask("aim", depth=2e-3)
     reader.wait_for("depth", "2.00")
     title = page.locator("[data-colour]").last
-    # The tool has moved 2 mm: what lies beyond the last level has gone as far as that, about.
+    # The tool has moved 2 mm, so the largest displacement is about 2 mm.
     reader.until(lambda: title.get_attribute("title"), lambda words: 1.0 < float(words.split()[-1]) <= 2.0)
 
 
-def test_tool_follows_the_mouse_that_drags_it(shown, reader):
+def test_the_mouse_drags_the_tool(shown, reader):
     camera = reader.client.camera.position
     mouse, unit = reader.page.mouse, SIZE / (2.0 * shown.scene.experiment.specimen.radius)
     held, down = 4e-3, 3e-3  # above the face of the tool, and how far, m
@@ -76,7 +76,7 @@ def test_tool_follows_the_mouse_that_drags_it(shown, reader):
     reader.until(reader.curves, lambda plots: len(plots[0]["live load"]) > 50)
 
 
-def test_slider_moves_the_tool_and_says_where_it_is(shown, reader):
+def test_the_slider_moves_the_tool_and_shows_its_depth(shown, reader):
     reader.enter("depth [mm]", "3.5")
     reader.wait_for("depth", "3.50")
     reader.until(lambda: reader.number("force"),  # the words are a frame older than the tool, which swings to rest
@@ -92,21 +92,21 @@ def test_slider_moves_the_tool_and_says_where_it_is(shown, reader):
 
 
 def at_rest(reader):
-    """The loop stands still, and the page says where."""
+    """Return a condition: the loop is paused, and the page shows its depth."""
     def at_rest(now):
         return now.status == "paused" and reader.read("depth") == f"{now.depth * 1e3:.2f}"
     return at_rest
 
 
-def test_protocol_is_played_paused_stepped_and_reset(shown, reader):
-    # So slow that it is still on its way when a busy machine has pressed the button.
+def test_a_protocol_is_played_paused_stepped_and_reset(shown, reader):
+    # Slow enough to be still moving when a busy machine presses the button.
     reader.fill("protocol", "ramp 4mm @0.05mm/s")
     reader.press("Play")
     reader.page.get_by_test_id("phase").filter(has_text="running · protocol").wait_for()
     reader.until(lambda: reader.number("depth"), lambda depth: depth > 0.05)
     reader.press("Pause")
     reader.phase("paused")
-    # The read-outs have come to rest where the tool stands.
+    # Wait until the read-outs show the position of the paused tool.
     standing = reader.until(lambda: shown.frame.readouts, at_rest(reader)).depth
     assert 0.05e-3 < standing < 4e-3
     assert shown.frame.readouts.depth == standing
@@ -125,7 +125,7 @@ def test_protocol_is_played_paused_stepped_and_reset(shown, reader):
     reader.wait_for("depth", "4.00")
     assert reader.read("phase") == "running · protocol"
     load, _ = shown.frame.curves.trace.branches()
-    # A busy machine misses ticks, and tissue with a mass overshoots before it rests.
+    # A busy machine misses ticks, and tissue with inertia overshoots.
     reader.until(lambda: reader.curves()[0]["live load"], lambda live: len(live) >= min(len(load.depth), 156)
                  and max(live) >= 0.98 * shown.frame.readouts.force)
     reader.press("Reset")
@@ -134,7 +134,7 @@ def test_protocol_is_played_paused_stepped_and_reset(shown, reader):
     reader.until(lambda: reader.curves()[0]["live load"], lambda live: len(live) < 3)
 
 
-def test_fault_in_a_protocol_is_answered_in_a_sentence_and_nothing_moves(shown, reader):
+def test_an_invalid_protocol_is_refused_with_a_message(shown, reader):
     import tissue_sim as ts
 
     with pytest.raises(ts.InputError) as fault:
@@ -144,13 +144,13 @@ def test_fault_in_a_protocol_is_answered_in_a_sentence_and_nothing_moves(shown, 
     reader.answer(str(fault.value))
     reader.fill("protocol", "ramp 9mm")
     reader.press("Play")
-    reader.answer("the mesh is made for 5 mm; start the viewer with a larger --depth-mm")
+    reader.answer("must have a depth of at most 5 mm")
     assert reader.read("phase") == "running · by hand"
     assert reader.read("depth") == "0.00"
     assert max(shown.frame.curves.trace.depth, default=0.0) < 1e-6
 
 
-def test_two_browsers_see_the_same_but_for_the_camera_and_a_reload_finds_it_all(shown, reader, another):
+def test_two_browsers_share_everything_except_the_camera_and_a_reload_restores_it(shown, reader, another):
     one, other = reader, another
     one.fill("protocol", "ramp 1.5mm; hold 60s")
     one.tab("View")
@@ -177,7 +177,7 @@ def test_two_browsers_see_the_same_but_for_the_camera_and_a_reload_finds_it_all(
     assert other.field("colour").input_value() == LABELS["energy"][0]
 
 
-def test_page_turns_dark_and_light_again(reader):
+def test_the_page_switches_between_dark_and_light(reader):
     scheme = "() => document.documentElement.dataset.mantineColorScheme"
     reader.tab("View")
     stroke = "() => Object.values(window.__viserTestpoints.uplots)[0].chart.series.at(-1)._stroke"
@@ -189,7 +189,7 @@ def test_page_turns_dark_and_light_again(reader):
                      lambda seen, expected=expected: (seen == light) == (expected == "light"))
 
 
-def test_other_scene_is_taken_when_it_fits_and_a_killed_simulation_says_so_until_it_is_restarted(shown, reader):
+def test_a_valid_scene_is_applied_and_a_killed_simulation_can_be_restarted(shown, reader):
     reader.tab("Scene")
     reader.choose("tool", "flat")
     reader.choose("tool's face", "frictionless")

@@ -119,11 +119,11 @@ def test_a_rig_effect_is_part_of_the_curve_of_the_session(demo, monkeypatch):
     (result,) = diagnose([out / "campaign.toml"], out / "diagnosis")
     scene = before_and_after_scene(result, out / "measured")
     asked = []
-    monkeypatch.setattr("scenes.viewer.model_curve.ModelCurve.ask", lambda self, model: asked.append(model))
+    monkeypatch.setattr("scenes.viewer.model_curve.ModelCurve.request", lambda self, model: asked.append(model))
     session = Session(replace(scene, rig=ts.Rig(backlash=1e-4)))
     try:
         assert asked[0].rig.backlash == 1e-4
-        assert session.frame().curves.before is scene.compared
+        assert session.frame().curves.compared is scene.compared
     finally:
         session.close()
 

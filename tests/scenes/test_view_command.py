@@ -160,7 +160,7 @@ def refused(capsys, *words):
     (["--material", "missing.material.json"], "missing.material.json"),
     (["--measured", "missing.csv"], "missing.csv"),
     (["--measured", "words.csv"], "words.csv"),
-    (["--measured", "pulled.csv"], "pulled.csv: kind: is of kind 'tension', for which there is no scene"),
+    (["--measured", "pulled.csv"], "pulled.csv: kind: must be one of lubricated_compression"),
     (["--measured", "force.csv"], "force.csv"),
 ])
 def test_bad_words_get_one_sentence(words, expected, capsys, tmp_path, monkeypatch):
@@ -178,11 +178,11 @@ def test_bad_words_get_one_sentence(words, expected, capsys, tmp_path, monkeypat
 
 def test_a_page_that_cannot_be_served_is_one_sentence(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert "say --expose if that is meant" in refused(capsys, "--host", "0.0.0.0", "--port", "0")
-    assert "is not an address" in refused(capsys, "--host", "my computer", "--port", "0")
-    assert "nowhere: is not a folder" in refused(capsys, "--materials", "nowhere", "--port", "0")
+    assert "Use --expose to allow this" in refused(capsys, "--host", "0.0.0.0", "--port", "0")
+    assert "must be an IP address" in refused(capsys, "--host", "my computer", "--port", "0")
+    assert "nowhere: must be an existing folder" in refused(capsys, "--materials", "nowhere", "--port", "0")
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        assert f"port {port} of 127.0.0.1 is taken" in refused(capsys, "--port", str(port))
+        assert f"port {port} of 127.0.0.1 is in use" in refused(capsys, "--port", str(port))

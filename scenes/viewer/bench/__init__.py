@@ -1,1 +1,1 @@
-"""A page that watches a bench: a recorder that runs, or a sensor and a stage. It moves nothing."""
+"""Page that displays a test bench, a running recorder or a sensor and a stage, without moving anything."""

@@ -1,4 +1,4 @@
-"""Where a page that watches a bench has its numbers from; none of them moves anything."""
+"""Data sources of the bench page, which only read: the folder of a running recorder, or a sensor and a stage."""
 
 from __future__ import annotations
 
@@ -16,49 +16,54 @@ from haptics.recorder.run_folder import PARTIAL_SUFFIX, RUN_FILE
 from tissue_sim.decode import read_json
 from tissue_sim.errors import InputError
 
-#: Points that are drawn of a recording, and seconds that are kept of a sensor.
-POINTS, SECONDS = 600, 20.0
+#: Approximate number of points of a curve.
+POINTS = 600
+#: Time span of the samples of a sensor, s.
+SECONDS = 20.0
 
 
 @dataclass(frozen=True)
 class BenchView:
-    """What a page shows of a bench.
+    """State of a test bench for display.
 
     Attributes:
-        title: what is going on, in a line. message: why it is not; empty: it is.
-        force: N. depth: mm, or the stage's position; None: not known.
-        share: of the run, 0 to 1; None: not known.
-        time, displacement, forces: of the recording under way, or of the last seconds: s, mm (NaN where the place is
-            not known), N, each of shape (n,).
+        title: Present activity in one line.
+        message: Problem and remedy; empty if there is none.
+        force: Present force, N; None if not known.
+        depth: Present depth, or position of the stage, mm; None if not known.
+        progress: Progress of the present recording, 0 to 1; None if not known.
+        time: Times of the present recording or of the last seconds, s, shape (n,).
+        displacement: Displacements at these times, mm, shape (n,), NaN where not known.
+        forces: Forces at these times, N, shape (n,).
     """
 
     title: str
     message: str = ""
     force: float | None = None
     depth: float | None = None
-    share: float | None = None
+    progress: float | None = None
     time: np.ndarray = field(default_factory=lambda: np.empty(0))
     displacement: np.ndarray = field(default_factory=lambda: np.empty(0))
     forces: np.ndarray = field(default_factory=lambda: np.empty(0))
 
 
 class BenchSource(ABC):
-    """Looks at a bench."""
+    """Source of the state of a test bench."""
 
     @abstractmethod
-    def look(self) -> BenchView:
-        """What is there now; does not wait for more."""
+    def read(self) -> BenchView:
+        """Return the present state without waiting for new data."""
 
     def close(self) -> None:
-        """Nothing where there is nothing to close."""
+        """Release the devices; does nothing by default."""
         return
 
 
 class RunSource(BenchSource):
-    """A run of ``tissue-sim record``, by its folder; the recorder is another program and does not know.
+    """Source that reads the folder of a run of ``tissue-sim record``, which another process writes.
 
     Args:
-        folder: of the run; it may come later.
+        folder: Folder of the run; it need not exist yet.
     """
 
     def __init__(self, folder: Path):
@@ -67,33 +72,38 @@ class RunSource(BenchSource):
         self._rows: list[tuple[float, float, float]] = []
         self._read = 0
 
-    def look(self) -> BenchView:
-        state, live = self._json(RUN_FILE), self._json(LIVE_FILE)
+    def read(self) -> BenchView:
+        state, live = self._read_json(RUN_FILE), self._read_json(LIVE_FILE)
         if state is None:
-            return BenchView(f"no run in {self._folder} yet", "start it with: tissue-sim record PROTOCOL.toml -o "
+            return BenchView(f"No run in {self._folder} yet", "Start the run with: tissue-sim record PROTOCOL.toml -o "
                                                               f"{self._folder}")
-        time, displacement, force = self._recording()
-        done, said = len(state.get("done", [])), {"running": "the recorder does not answer; it may have been killed",
-                                                  "complete": "", "new": ""}
+        time, displacement, force = self._read_recording()
+        done = len(state.get("done", []))
+        messages = {"running": "The recorder does not respond. It may have been killed.", "complete": "", "new": ""}
         if live is None:
             stops = state.get("stops") or [{}]
-            words = stops[-1].get("message", "") if state["state"] == "stopped" else said.get(state["state"], "")
-            return BenchView(f"{state['state']}: {done} recordings", words, time=time, displacement=displacement,
+            message = stops[-1].get("message", "") if state["state"] == "stopped" else messages.get(state["state"], "")
+            return BenchView(f"{state['state']}: {done} recordings", message, time=time, displacement=displacement,
                              forces=force)
         replicate = f" {live['replicate']}" if live.get("replicate") else ""
         return BenchView(f"{live['test']}{replicate}: {live['phase']}; {done} recordings done", "",
                          live.get("force_N"), live.get("depth_mm", live.get("position_mm")), live.get("share"), time,
                          displacement, force)
 
-    def _json(self, name: str) -> dict | None:
+    def _read_json(self, name: str) -> dict | None:
+        """Return the content of a JSON file of the run; None if the file is missing or invalid."""
         with contextlib.suppress(OSError, ValueError):
             content = read_json(self._folder / name, "a file of the run")
             return content if isinstance(content, dict) else None
         return None
 
-    def _recording(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The rows that are there of the recording under way, thinned; of the last one when none is."""
-        partial = max(self._folder.glob(f"*{PARTIAL_SUFFIX}"), key=_changed, default=None)
+    def _read_recording(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the present recording so far, or else the last one, thinned to about `POINTS` rows.
+
+        Returns:
+            Time, s, displacement, mm, and force, N, each of shape (n,).
+        """
+        partial = max(self._folder.glob(f"*{PARTIAL_SUFFIX}"), key=_modification_time, default=None)
         if partial is not None and partial != self._partial:
             self._partial, self._rows, self._read = partial, [], 0
         if self._partial is not None and self._partial.exists():
@@ -103,27 +113,28 @@ class RunSource(BenchSource):
             self._read += len(whole) + len(newline)
             for line in whole.decode("utf-8", "replace").splitlines():
                 cells = line.split(",")
-                with contextlib.suppress(ValueError, IndexError):  # the header is no row
+                with contextlib.suppress(ValueError, IndexError):  # skips the header
                     self._rows.append((float(cells[0]), float(cells[1]), float(cells[2])))
         rows = np.array(self._rows[:: max(1, len(self._rows) // POINTS)]).reshape(-1, 3)
         return rows[:, 0], rows[:, 1], rows[:, 2]
 
 
 class DevicesSource(BenchSource):
-    """A sensor, and a stage that is only asked where it is.
+    """Source that reads a force sensor and the position of a stage.
 
     Args:
-        sensor: of whose channels `axis` is shown. stage: None: there is none.
-        axis: of the sensor; one of one channel shows that.
+        sensor: Force sensor.
+        stage: Stage; None: no stage.
+        axis: Displayed channel of the sensor; ignored for a sensor with one channel.
 
     Raises:
-        DeviceError: one does not start.
-        InputError: the sensor has no such channel.
+        DeviceError: A device does not start.
+        InputError: The sensor does not have the channel.
     """
 
     def __init__(self, sensor: ForceSensor, stage: Stage | None = None, axis: str = "Fz"):
         if axis not in sensor.channels and len(sensor.channels) > 1:
-            raise InputError(f"the sensor has no channel {axis!r}; it has {', '.join(sensor.channels)}", field="axis")
+            raise InputError(f"must be one of {', '.join(sensor.channels)}; got {axis!r}", field="axis")
         self._sensor, self._stage = sensor, stage
         self._rows: deque[tuple[float, float, float]] = deque()
         sensor.start()
@@ -135,28 +146,28 @@ class DevicesSource(BenchSource):
             raise
         self._axis = sensor.channels.index(axis) if axis in sensor.channels else 0
 
-    def look(self) -> BenchView:
-        message, place = "", np.nan
+    def read(self) -> BenchView:
+        message, position = "", np.nan
         try:
             samples = self._sensor.read()
             if self._stage is not None:
-                place = 1e3 * self._stage.position().position
+                position = 1e3 * self._stage.position().position
         except DeviceError as error:
             return self._view(str(error))
-        self._rows.extend((sample.received, place, sample.values[self._axis]) for sample in samples)
+        self._rows.extend((sample.received, position, sample.values[self._axis]) for sample in samples)
         while self._rows and self._rows[-1][0] - self._rows[0][0] > SECONDS:
             self._rows.popleft()
         if any(sample.status & SampleStatus.SATURATED for sample in samples):
-            message = "the sensor is at the end of its range"
+            message = "The sensor is at the limit of its range. Reduce the force."
         elif any(sample.status & SampleStatus.FAULT for sample in samples):
-            message = "the sensor reports a fault"
+            message = "The sensor reports a fault. Check the sensor and its cable."
         return self._view(message)
 
     def _view(self, message: str) -> BenchView:
         rows = np.array(list(self._rows)[:: max(1, len(self._rows) // POINTS)]).reshape(-1, 3)
         last = self._rows[-1] if self._rows else None
         return BenchView("sensor" if self._stage is None else "sensor and stage", message or (
-            "" if last else "no sample has come yet"), None if last is None else last[2],
+            "" if last else "The sensor has not sent a sample yet."), None if last is None else last[2],
             None if last is None or np.isnan(last[1]) else last[1], None,
             rows[:, 0] - (last[0] if last else 0.0), rows[:, 1], rows[:, 2])
 
@@ -166,8 +177,8 @@ class DevicesSource(BenchSource):
         self._sensor.stop()
 
 
-def _changed(path: Path) -> float:
+def _modification_time(path: Path) -> float:
     try:
         return path.stat().st_mtime
-    except OSError:  # it was renamed meanwhile
+    except OSError:  # the recorder has renamed the file
         return 0.0

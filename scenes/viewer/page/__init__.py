@@ -1,4 +1,4 @@
-"""The viewer in a browser."""
+"""Web page of the viewer, served to browsers by viser."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from scenes.viewer.colours import colour_bar_html
 from scenes.viewer.frame import Commands, Frame, Phase
 from scenes.viewer.page.calibration_controls import CalibrationControls
 from scenes.viewer.page.curve_plots import CurvePlots
-from scenes.viewer.page.look_controls import LookControls
 from scenes.viewer.page.material_controls import MaterialControls
 from scenes.viewer.page.motion_controls import MotionControls
-from scenes.viewer.page.notices import answer_to
+from scenes.viewer.page.notices import reply_to
 from scenes.viewer.page.readouts import readouts_html, status_html, title_html
-from scenes.viewer.page.saving import Saving
+from scenes.viewer.page.saving import SaveControls
 from scenes.viewer.page.scene_controls import SceneControls
-from scenes.viewer.page.solid import Solid
+from scenes.viewer.page.solid import SolidPicture
+from scenes.viewer.page.view_controls import ViewControls
 from scenes.viewer.web_server import LOOPBACK, PORT, open_server
 
-#: Frames from one writing of plots and read-outs to the next.
-_WORDS_EVERY = 3
-#: Pixels.
+#: Number of frames between two updates of the plots, read-outs and controls.
+_UPDATE_INTERVAL = 3
+#: Width of each side panel, pixels.
 _PANEL_WIDTH = 380
 
 
 class Page:
-    """A viewer that people see in their browsers; a back-end of `Session.run`. Close it.
+    """Web page that displays the frames of a session and posts the commands of its users; call `close` at the end.
 
     Args:
-        session: gets what people ask for.
-        frame: the first one.
-        materials: folder of the material files to choose from and to save to.
-        host, port, exposed, token: as in `scenes.viewer.web_server.open_server`.
-        low_graphics: for browsers that draw without a graphics card.
-        dark: begin with a dark page.
+        session: Receives the commands of the users.
+        frame: First frame, from which the controls take their initial values.
+        materials: Folder from which material files are listed and into which they are saved.
+        host, port, exposed, token: As in `scenes.viewer.web_server.open_server`.
+        low_graphics: Draw fewer segments, for browsers that render without a graphics card.
+        dark: Start with the dark colour scheme.
 
     Attributes:
-        server: of viser, for tests.
+        server: The viser server, for tests.
 
     Raises:
-        InputError: the port is taken, the host is refused, or there is no such folder.
+        InputError: The port is in use, the host is invalid, or the folder does not exist.
     """
 
     def __init__(self, session: Commands, frame: Frame, materials: Path, *, host: str = LOOPBACK, port: int = PORT,
@@ -60,7 +60,7 @@ class Page:
 
     def _lay_out(self, session: Commands, frame: Frame, materials: Path, low_graphics: bool, dark: bool) -> None:
         server, gui = self.server, self.server.gui
-        self._solid = Solid(server, frame.scene, low_graphics=low_graphics)
+        self._solid = SolidPicture(server, frame.scene, low_graphics=low_graphics)
         self._solid.on_drag(lambda depth, across, reply: session.post(
             "aim", reply=reply, depth=depth, **({} if across is None else {"across": across})))
         self._title = gui.add_html(title_html(frame.scene))
@@ -71,7 +71,7 @@ class Page:
         tabs = gui.add_tab_group()
         with tabs.add_tab("Motion"):
             self._motion = MotionControls(server, session, frame)
-            self._motion.on_drag_way = self._solid.drag_by
+            self._motion.on_drag_mode = self._solid.set_drag_mode
         with tabs.add_tab("Material"):
             self._material = MaterialControls(server, session, frame, materials)
         with tabs.add_tab("Calibrate"):
@@ -79,9 +79,9 @@ class Page:
         with tabs.add_tab("Scene"):
             self._scene = SceneControls(server, session, frame)
         with tabs.add_tab("View"):
-            self._look = LookControls(server, frame, self._solid.scale)
+            self._look = ViewControls(server, frame, self._solid.scale)
         with tabs.add_tab("Save"):
-            self._saving = Saving(server, self._solid, self._look, self._later)
+            self._saving = SaveControls(server, self._solid, self._look, self._tasks.put)
         curves = gui.add_panel()
         with curves.add_tab("Curves"):
             self._plots = CurvePlots(server, session, frame)
@@ -94,14 +94,14 @@ class Page:
 
         @self._restart.on_click
         def _(event: viser.GuiEvent) -> None:
-            session.post("restart", reply=answer_to(event))
+            session.post("restart", reply=reply_to(event))
 
         @server.on_client_connect
         def _(client: viser.ClientHandle) -> None:
             self._look.place_camera(client, "iso")
 
     def show(self, frame: Frame) -> None:
-        """Write what has changed; without a client, nothing."""
+        """Send the changes since the last frame to the browsers; without a connected browser, send nothing."""
         while not self._tasks.empty():
             self._tasks.get()()
         self._frames += 1
@@ -110,21 +110,22 @@ class Page:
         with self.server.atomic():
             self._look.show(frame)
             levels = self._solid.levels
-            self._solid.show(frame, self._look.look)
+            self._solid.show(frame, self._look.options)
             if self._solid.levels is not None and self._solid.levels is not levels:
-                label, _ = LABELS[self._look.look.field]
+                label, _ = LABELS[self._look.options.field]
                 self._bar.content = colour_bar_html(self._solid.levels, self._solid.colours, label)
             self._saving.show(frame)
-            if self._frames % _WORDS_EVERY == 0:
-                self._write_words(frame)
-        # viser would wait for 1/60 s, and longer where it then finds the next frame half written.
+            if self._frames % _UPDATE_INTERVAL == 0:
+                self._update_panels(frame)
+        # Without the flush viser waits 1/60 s, and longer if the next frame is then incomplete.
         self.server.flush()
 
     def close(self) -> None:
-        """Close the port and all connections."""
+        """Stop the server and close all connections."""
         self.server.stop()
 
-    def _write_words(self, frame: Frame) -> None:
+    def _update_panels(self, frame: Frame) -> None:
+        """Update texts, controls and plots."""
         for handle, html in ((self._title, title_html(frame.scene)), (self._status, status_html(frame)),
                              (self._readouts, readouts_html(frame))):
             if handle.content != html:
@@ -138,8 +139,6 @@ class Page:
         self._scene.show(frame)
         self._plots.show(frame)
 
-    def _later(self, task: Callable[[], None]) -> None:
-        self._tasks.put(task)
 
     def _set_dark(self, dark: bool) -> None:
         self.server.set_theme(dark_mode=dark)

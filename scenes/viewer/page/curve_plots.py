@@ -1,4 +1,4 @@
-"""The plots of the page: force over depth, what the model misses, force over time."""
+"""Panel with the plots of the page: force over depth, residual over depth, force over time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import viser
 from scenes.viewer.frame import Commands, Frame
 from scenes.viewer.live_gap import late_forces, live_gap
 from scenes.viewer.measurement import branches_on_grid
-from scenes.viewer.page.notices import answer_to
+from scenes.viewer.page.notices import reply_to
 from scenes.viewer.page.readouts import agreement_html, live_gap_html
 from scenes.viewer.plots import (
     Pair,
@@ -28,7 +28,13 @@ from tissue_sim.recording.recording import Recording
 
 
 class CurvePlots:
-    """The panel with the curves. Arrays are written where they have changed, options where a range has."""
+    """Panel that draws the curves of a frame; it sends data and axis ranges only when they change.
+
+    Args:
+        server: Server of the page.
+        session: Receives the command that keeps a curve.
+        frame: First frame.
+    """
 
     def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
         gui = server.gui
@@ -36,7 +42,7 @@ class CurvePlots:
         self._ranges: dict[str, Any] = {}
         self._drawn: tuple = ()
         self._written: dict[Any, tuple] = {}
-        self._known: dict[str, tuple] = {}
+        self._branch_cache: dict[str, tuple] = {}
         empty = np.zeros(2)
         x = (0.0, frame.scene.deepest * 1e3)
         unit = (0.0, 1.0)
@@ -51,34 +57,34 @@ class CurvePlots:
         self._residual = add(residual_depth_options(x, unit))
         self._time = add(force_time_options(unit))
         keep = gui.add_button("Keep this model curve", icon=viser.Icon.PIN,
-                              hint="to compare the curves of other materials with it; pressed again, it goes")
+                              hint="compare later model curves with the present one; press again to remove it")
         self._kept = False
 
         @keep.on_click
         def _(event: viser.GuiEvent) -> None:
-            session.post("keep_curve", reply=answer_to(event), name="" if self._kept else "kept")
+            session.post("keep_curve", reply=reply_to(event), name="" if self._kept else "kept")
 
     def set_dark(self, dark: bool) -> None:
-        """Colours for a dark or a light page."""
+        """Redraw the plots with the colours of a dark or a light page."""
         self._dark, self._ranges, self._drawn = dark, {}, ()
 
     def show(self, frame: Frame) -> None:
-        """Draw the curves, where they are other ones than the last time."""
+        """Draw the curves of a frame if they have changed."""
         curves, readouts = frame.curves, frame.readouts
-        moment = None if readouts is None else (readouts.depth, readouts.force)
-        drawn = (curves, moment, frame.scene.experiment)
+        current = None if readouts is None else (readouts.depth, readouts.force)
+        drawn = (curves, current, frame.scene.experiment)
         if self._drawn and all(a is b or a == b for a, b in zip(drawn, self._drawn, strict=True)):
             return
-        self._drawn, self._kept = drawn, curves.before is not None
+        self._drawn, self._kept = drawn, curves.compared is not None
         grid = depth_grid(frame.scene.deepest)
         x = (0.0, frame.scene.deepest * 1e3)
         measured, trace = curves.measurement, curves.trace
         model = self._branches("model", curves.model, grid)
-        before = self._branches("before", None if curves.before is None else curves.before[1], grid)
+        compared = self._branches("compared", None if curves.compared is None else curves.compared[1], grid)
         live = trace.newest_passes(grid) if trace is not None and len(trace) else None
         late = None if trace is None else late_forces(trace, grid)
-        columns, extent = force_depth(grid, measured=measured, model=model, before=before, live=live, late=late,
-                                      now=moment)
+        columns, extent = force_depth(grid, measured=measured, model=model, compared=compared, live=live, late=late,
+                                      now=current)
         self._write(self._force, columns, ("force", x, settled_range(extent, self._ranges.get("force"))),
                     lambda y: force_depth_options(x, y, dark=self._dark))
         columns, extent = residual_depth(curves.residual, measured, grid)
@@ -88,14 +94,14 @@ class CurvePlots:
                     lambda y: residual_depth_options(x, y, dark=self._dark))
         time, force = (np.empty(0), np.empty(0)) if trace is None else (trace.time, trace.force)
         now = readouts.time if readouts else 0.0
-        hand = trace.rendered_force if trace is not None and curves.felt else None
+        hand = trace.rendered_force if trace is not None and curves.has_hand_force else None
         columns, extent = force_time(time, force, now, measured=curves.replayed, hand=hand)
         self._write(self._time, columns, ("time", x, settled_range(extent, self._ranges.get("time"))),
                     lambda y: force_time_options(y, dark=self._dark))
         _set(self._legend, "content", legend_html(
             measured=0 if measured is None else len(measured.recordings), model=model is not None,
-            before=None if curves.before is None else curves.before[0], live=live is not None, hand=curves.felt,
-            dark=self._dark))
+            compared=None if curves.compared is None else curves.compared[0], live=live is not None,
+            hand=curves.has_hand_force, dark=self._dark))
         _set(self._agreement, "content", agreement_html(frame))
         gap = None
         if trace is not None and live is not None and model is not None:
@@ -103,16 +109,17 @@ class CurvePlots:
         _set(self._live_gap, "content", live_gap_html(gap))
 
     def _branches(self, name: str, recording: Recording | None, grid: np.ndarray) -> Pair | None:
-        """`branches_on_grid` of a curve, worked out when it or the grid is another one."""
+        """Return `branches_on_grid` of a curve, from the cache if neither the curve nor the grid has changed."""
         if recording is None:
             return None
-        known = self._known.get(name)
-        if known is None or known[0] is not recording or not np.array_equal(known[1], grid):
-            self._known[name] = known = (recording, grid, branches_on_grid(recording, grid))
-        return known[2]
+        cached = self._branch_cache.get(name)
+        if cached is None or cached[0] is not recording or not np.array_equal(cached[1], grid):
+            self._branch_cache[name] = cached = (recording, grid, branches_on_grid(recording, grid))
+        return cached[2]
 
-    def _write(self, handle: viser.GuiUplotHandle, columns: tuple[np.ndarray, ...], wanted: tuple, options) -> None:
-        name, x, y = wanted
+    def _write(self, handle: viser.GuiUplotHandle, columns: tuple[np.ndarray, ...], ranges: tuple, options) -> None:
+        """Send the options if a range, (name, x range, y range), has changed, and the data if they have changed."""
+        name, x, y = ranges
         if self._ranges.get(name) != y or self._written.get(name) != (x, self._dark):
             self._ranges[name], self._written[name] = y, (x, self._dark)
             for key, value in options(y).items():
@@ -122,6 +129,6 @@ class CurvePlots:
 
 
 def _set(handle: Any, key: str, value: Any) -> None:
-    """Write a property where it changes."""
+    """Assign a property only if its value differs, because each assignment sends a message."""
     if getattr(handle, key) != value:
         setattr(handle, key, value)

@@ -1,4 +1,4 @@
-"""Controls of the motion: where the tool goes, and whether it goes."""
+"""Motion tab of the page: move the tool by hand, play a protocol, repeat the measured motion."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 import viser
 
 from scenes.viewer.frame import Commands, Frame, Phase
-from scenes.viewer.page.notices import answer_to, set_value
+from scenes.viewer.page.notices import reply_to, set_value
 from scenes.viewer.page.solid import DRAGS
 from scenes.viewer.scene import Scene
 
-#: Ready-made protocols by what they are called; {depth} is the scene's largest, in mm.
+#: Example protocols by their label; ``{depth}`` is the largest depth of the scene, mm.
 PROTOCOLS = {
     "press and release": "approach 2mm; ramp {depth}mm; hold 1s; unload; retract 2mm",
     "three cycles": "repeat 3 (ramp {depth}mm; unload)",
@@ -24,100 +24,121 @@ PROTOCOLS = {
 
 
 def _example(name: str, scene: Scene) -> str:
-    """A ready-made protocol; it does not lift a tool that cannot be."""
+    """Return an example protocol for a scene, without the parts that lift the tool if the scene forbids lifting."""
     parts = PROTOCOLS[name].format(depth=f"{scene.deepest * 1e3:g}").split("; ")
     return "; ".join(part for part in parts if scene.highest < 0.0 or not part.startswith(("approach", "retract")))
 
 
-def _in_steps(reach: tuple[float, float]) -> tuple[float, float]:
-    """A range of a slider, mm in steps of 0.01, within one in m; one step where that is narrower."""
-    low, high = math.ceil(1e5 * reach[0] - 1e-6) / 100, math.floor(1e5 * reach[1] + 1e-6) / 100
+def _slider_range(limits: tuple[float, float]) -> tuple[float, float]:
+    """Round a range in m inwards to steps of 0.01 mm; return it in mm, as one step if the range is narrower."""
+    low, high = math.ceil(1e5 * limits[0] - 1e-6) / 100, math.floor(1e5 * limits[1] + 1e-6) / 100
     return min(low, high), max(low, high)
 
 
-class FollowedSlider:
-    """A slider in mm that people move, and that follows the tool where somebody else moves that.
+class PositionSlider:
+    """Slider for a coordinate of the tool, mm: users move the tool with it, and it displays the tool's coordinate.
+
+    Args:
+        slider: The slider of viser.
 
     Attributes:
-        slider: viser's.
+        slider: The slider of viser.
     """
 
     def __init__(self, slider: viser.GuiSliderHandle[float]):
         self.slider = slider
-        #: What was entered or written last. viser takes a value before it tells of it: another one is news to come.
-        self._known = slider.value
+        #: Value that was last entered or written, mm. viser stores a new value before it calls the callbacks: if the
+        #: slider has another value, its callback is still to come.
+        self._last_value = slider.value
 
-    def on_entry(self, go: Callable[[viser.GuiEvent], None]) -> None:
-        """Call this for each value that people enter, not for what the program has written."""
+    def on_entry(self, callback: Callable[[viser.GuiEvent], None]) -> None:
+        """Register a callback for values that users enter; values that the program writes do not call it."""
 
         @self.slider.on_update
-        async def _(event: viser.GuiEvent) -> None:  # a coroutine: it runs before another value is written
+        async def _(event: viser.GuiEvent) -> None:  # viser runs a coroutine before it writes another value
             if event.client is not None:
-                self._known = self.slider.value
-                go(event)
+                self._last_value = self.slider.value
+                callback(event)
 
-    def clipped(self, place: float) -> float:
-        """The nearest place in its range, mm."""
-        return min(max(place, self.slider.min), self.slider.max)
+    def clip(self, value: float) -> float:
+        """Limit a value to the range of the slider, mm."""
+        return min(max(value, self.slider.min), self.slider.max)
 
-    def follow(self, place: float) -> None:
-        """Show a place of the tool, mm. A number outside of the range that somebody types stays while its last digit
-        may be missing, where the tool has gone as far as it can: the field names the end that was gone to."""
-        if self.slider.value == self._known and abs(place - self.clipped(self._known)) >= 0.01:
-            self._known = place
-            set_value(self.slider, place)
+    def display(self, value: float) -> None:
+        """Show a coordinate of the tool, mm.
+
+        A typed number outside of the range is not overwritten if the tool stands at the nearest limit, because the
+        user may still be typing.
+        """
+        if self.slider.value == self._last_value and abs(value - self.clip(self._last_value)) >= 0.01:
+            self._last_value = value
+            set_value(self.slider, value)
 
 
 class MotionControls:
-    """The tab with depth, play, pause, reset, step, and the protocol."""
+    """Tab with the position sliders, the buttons Play, Pause, Step and Reset, and the protocol.
+
+    Args:
+        server: Server of the page.
+        session: Receives the commands.
+        frame: First frame.
+
+    Attributes:
+        on_drag_mode: Called with the chosen key of `scenes.viewer.page.solid.DRAGS`.
+    """
 
     def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
         gui, deepest = server.gui, frame.scene.deepest
         examples = {name: _example(name, frame.scene) for name in PROTOCOLS}
         self._session, self._paused, self._plays = session, False, False
-        #: Depths that people have entered, and those of them that the session has obeyed.
-        self._entered = self._obeyed = 0
-        #: Where the next key goes on from, mm.
+        #: Number of positions that users have entered, and number of them that the session has answered.
+        self._entered = self._answered = 0
+        #: Depth from which the keys step, mm.
         self._aimed = 0.0
-        self._depth = FollowedSlider(gui.add_slider(
+        self._depth = PositionSlider(gui.add_slider(
             "depth [mm]", min=frame.scene.highest * 1e3, max=deepest * 1e3, step=0.01, initial_value=0.0,
-            hint="or drag the tool; keys: PageDown and PageUp, with Shift ten times as far"))
-        #: Of tissue in space.
-        self._across = [FollowedSlider(gui.add_slider(
-            f"{name} [mm]", min=low, max=high, step=0.01, initial_value=min(max(round(1e3 * place, 2), low), high),
-            visible=False, hint="where the tool's axis meets the height of the touch"))
-            for name, place, (low, high) in zip("xy", frame.across, map(_in_steps, frame.scene.reach), strict=True)]
-        self._drags = gui.add_dropdown("mouse moves it", tuple(DRAGS), visible=False)
-        self.on_drag_way: Callable[[str], None] = lambda _: None
+            hint="depth of the tool. You can also drag the tool, or press PageDown and PageUp (0.1 mm; with Shift "
+                 "1 mm)"))
+        #: Sliders for x and y, visible for tissue in 3D only.
+        self._across = [PositionSlider(gui.add_slider(
+            f"{name} [mm]", min=low, max=high, step=0.01, initial_value=min(max(round(1e3 * value, 2), low), high),
+            visible=False, hint=f"{name} coordinate at which the tool's axis crosses the undeformed surface"))
+            for name, value, (low, high) in zip("xy", frame.across, map(_slider_range, frame.scene.reach),
+                                                strict=True)]
+        self._drags = gui.add_dropdown("mouse moves it", tuple(DRAGS), visible=False,
+                                       hint="directions in which the mouse drags the tool")
+        self.on_drag_mode: Callable[[str], None] = lambda _: None
         self._buttons = gui.add_button_group("run", ("Play", "Pause", "Step", "Reset"),
-                                              hint="keys: P plays or pauses, N is a step, R resets; Ctrl+K lists all")
+                                              hint="keys: P plays or pauses, N steps one frame, R resets; Ctrl+K lists "
+                                                   "all keys")
         self._source = gui.add_dropdown("motion", self._sources(frame), initial_value="protocol")
         self._named = gui.add_dropdown("example", tuple(PROTOCOLS), initial_value="press and release")
         self._text = gui.add_text("protocol", examples["press and release"],
                                   hint="approach 2mm; ramp 10mm @5mm/s; hold 60s; unload; repeat 3 (ramp 5mm; unload)")
         self._speed = gui.add_number("speed [mm/s]", 5.0, min=0.01, max=200.0, step=0.01,
-                                     hint="where the protocol states none")
+                                     hint="speed of segments for which the protocol states no speed")
         self._repeat = gui.add_checkbox("repeat", False)
-        self._faster = gui.add_number("times as fast", 10.0, min=0.1, max=1000.0, step=0.1, visible=False,
-                                      hint="tissue that relaxes answers otherwise when it is pressed faster")
+        self._speed_factor = gui.add_number("speed factor", 10.0, min=0.1, max=1000.0, step=0.1, visible=False,
+                                            hint="speed relative to the measurement. The force of viscoelastic tissue "
+                                                 "depends on the speed")
 
-        #: Why a depth was refused the last time: a slider that is dragged asks many times.
+        #: Last refusal that was shown, so that dragging a slider does not show the same refusal many times.
         self._refusal: str | None = None
 
-        self._depth.on_entry(lambda event: self._go(self._depth.slider.value, event))
-        for one in self._across:
-            one.on_entry(self._go_across)
+        self._depth.on_entry(lambda event: self._move_to_depth(self._depth.slider.value, event))
+        for coordinate in self._across:
+            coordinate.on_entry(self._move_across)
 
         @self._drags.on_update
         def _(_: viser.GuiEvent) -> None:
-            self.on_drag_way(self._drags.value)
+            self.on_drag_mode(self._drags.value)
 
-        for key, way, words in (("pagedown", 0.1, "deeper"), ("pageup", -0.1, "up")):
-            self._key(gui, f"0.1 mm {words}", key, partial(self._go_on, way))
-            self._key(gui, f"1 mm {words}", key, partial(self._go_on, 10 * way), modifier="shift")
-        self._key(gui, "Play or pause", "P", lambda event: self._press("Pause" if self._plays else "Play", event))
-        self._key(gui, "Step", "N", lambda event: self._press("Step", event))
-        self._key(gui, "Reset", "R", lambda event: self._press("Reset", event))
+        for key, step, words in (("pagedown", 0.1, "deeper"), ("pageup", -0.1, "up")):
+            self._add_key(gui, f"0.1 mm {words}", key, partial(self._move_by, step))
+            self._add_key(gui, f"1 mm {words}", key, partial(self._move_by, 10 * step), modifier="shift")
+        self._add_key(gui, "Play or pause", "P", lambda event: self._press("Pause" if self._plays else "Play", event))
+        self._add_key(gui, "Step", "N", lambda event: self._press("Step", event))
+        self._add_key(gui, "Reset", "R", lambda event: self._press("Reset", event))
 
         @self._buttons.on_click
         def _(event: viser.GuiEvent) -> None:
@@ -133,56 +154,60 @@ class MotionControls:
             measured = self._source.value != "protocol"
             for handle in (self._named, self._text, self._speed, self._repeat):
                 handle.visible = not measured
-            self._faster.visible = measured
+            self._speed_factor.visible = measured
 
     @staticmethod
-    def _key(gui: viser.GuiApi, label: str, key: Any, act: Callable[[Any], None], modifier: Any = None) -> None:
-        """A key of the keyboard, also found by its label in the list that Ctrl+K opens."""
-        gui.add_command(label, hotkey=key, modifier=modifier).on_trigger(act)
+    def _add_key(gui: viser.GuiApi, label: str, key: Any, callback: Callable[[Any], None],
+                 modifier: Any = None) -> None:
+        """Bind a key of the keyboard; the key is also listed by its label when the user presses Ctrl+K."""
+        gui.add_command(label, hotkey=key, modifier=modifier).on_trigger(callback)
 
-    def _go_on(self, way: float, event: Any) -> None:
-        self._go(self._aimed + way, event)
+    def _move_by(self, step: float, event: Any) -> None:
+        """Move the tool by a step along its axis, mm, positive into the tissue."""
+        self._move_to_depth(self._aimed + step, event)
 
-    def _go(self, depth: float, event: Any) -> None:
-        """Let the tool go to a depth, mm."""
-        self._aimed = self._depth.clipped(depth)
-        self._ask(event, depth=self._aimed * 1e-3)
+    def _move_to_depth(self, depth: float, event: Any) -> None:
+        """Move the tool to a depth, mm."""
+        self._aimed = self._depth.clip(depth)
+        self._post_aim(event, depth=self._aimed * 1e-3)
 
-    def _go_across(self, event: Any) -> None:
-        x, y = (one.clipped(one.slider.value) * 1e-3 for one in self._across)
-        self._ask(event, across=(x, y))
+    def _move_across(self, event: Any) -> None:
+        """Move the tool to the x and y of the sliders."""
+        x, y = (coordinate.clip(coordinate.slider.value) * 1e-3 for coordinate in self._across)
+        self._post_aim(event, across=(x, y))
 
-    def _ask(self, event: Any, **place: Any) -> None:
-        """Let the tool go to a place, as `Session.aim` takes it."""
-        tell = answer_to(event)
+    def _post_aim(self, event: Any, **position: Any) -> None:
+        """Post the command `Session.aim` with its arguments."""
+        notify_problem = reply_to(event)
 
-        def obeyed(problem: str | None) -> None:
-            self._obeyed += 1
+        def reply(problem: str | None) -> None:
+            self._answered += 1
             if problem is not None and problem != self._refusal:
-                tell(problem)
+                notify_problem(problem)
             self._refusal = problem
 
         self._entered += 1
-        self._session.post("aim", reply=obeyed, **place)
+        self._session.post("aim", reply=reply, **position)
 
     @staticmethod
     def _sources(frame: Frame) -> tuple[str, ...]:
         return ("protocol",) if frame.scene.measurement is None else ("protocol", "measured motion")
 
     def _press(self, button: str, event: viser.GuiEvent) -> None:
-        reply = answer_to(event)
+        """Post the command of a button."""
+        reply = reply_to(event)
         if button == "Play" and self._paused:
             self._session.post("resume", reply=reply)
         elif button == "Play" and self._source.value == "protocol":
             self._session.post("play", reply=reply, text=self._text.value, speed=self._speed.value * 1e-3,
                                repeat=self._repeat.value)
         elif button == "Play":
-            self._session.post("replay", reply=reply, speed=self._faster.value)
+            self._session.post("replay", reply=reply, speed=self._speed_factor.value)
         else:
             self._session.post(button.lower(), reply=reply)
 
     def show(self, frame: Frame) -> None:
-        """Follow a tool that somebody else moves."""
+        """Update the sliders to the position of the tool, which another browser, a protocol or a device may move."""
         self._paused = frame.phase is Phase.PAUSED
         self._plays = not self._paused and frame.motion in ("protocol", "recording")
         sources = self._sources(frame)
@@ -192,11 +217,11 @@ class MotionControls:
         depth = round(depth * 1e3, 2)
         in_space = (frame.snapshot is not None and frame.snapshot.in_space
                     and frame.scene.reach[0][0] < frame.scene.reach[0][1])
-        for handle in (*(one.slider for one in self._across), self._drags):
+        for handle in (*(coordinate.slider for coordinate in self._across), self._drags):
             if handle.visible != in_space:
                 handle.visible = in_space
-        if self._entered == self._obeyed:  # What was entered a moment ago is newer than the frame.
+        if self._entered == self._answered:  # An entry that is not answered yet is newer than the frame.
             self._aimed = depth
-            self._depth.follow(depth)
-            for one, place in zip(self._across, frame.across, strict=True):
-                one.follow(round(place * 1e3, 2))
+            self._depth.display(depth)
+            for coordinate, value in zip(self._across, frame.across, strict=True):
+                coordinate.display(round(value * 1e3, 2))

@@ -1,4 +1,4 @@
-"""Answers to the one who asked."""
+"""Notifications and file downloads for the browser whose user issued a command."""
 
 from __future__ import annotations
 
@@ -8,23 +8,30 @@ from typing import Literal, TypeVar
 import viser
 
 Value = TypeVar("Value")
-#: Gets None when something is done, or a sentence that says why not.
+#: Function that receives None when a command has been executed, or a sentence with the reason for its refusal.
 Reply = Callable[[str | None], None]
+#: Title of a notification about a command that was refused.
+FAILED = "Not done"
 
 
 def set_value(control: viser.GuiInputHandle[Value], value: Value) -> None:
-    """Show another value in a control."""
-    # The setter does not stand next to its getter in viser, so that checkers see none.
+    """Assign a value to a control of the page."""
+    # viser defines the setter apart from the getter, so type checkers see a read-only property.
     control.value = value  # type: ignore[misc]
 
 
-def answer_to(event: viser.GuiEvent | viser.SceneNodeDragEvent, done: str = "") -> Reply:
-    """A reply for a command: its problem, or `done` where there is something to say, in the browser that asked."""
+def reply_to(event: viser.GuiEvent | viser.SceneNodeDragEvent, done: str = "") -> Reply:
+    """Return a reply function that notifies the browser of an event.
+
+    Args:
+        event: Event of the browser.
+        done: Sentence to show when the command has been executed; empty: show nothing.
+    """
     client = event.client
 
     def reply(problem: str | None) -> None:
         if problem is not None:
-            notify(client, "That did not work", problem, "red")
+            notify(client, FAILED, problem, "red")
         elif done:
             notify(client, "Done", done, "teal")
 
@@ -32,12 +39,12 @@ def answer_to(event: viser.GuiEvent | viser.SceneNodeDragEvent, done: str = "") 
 
 
 def notify(client: viser.ClientHandle | None, title: str, sentence: str, colour: Literal["red", "teal"]) -> None:
-    """Show a sentence in a corner of one browser for a while; without one nobody is told."""
+    """Show a notification in a browser for 12 s; do nothing if `client` is None."""
     if client is not None:
         client.add_notification(title, sentence, color=colour, auto_close_seconds=12.0)
 
 
 def send_file(client: viser.ClientHandle | None, name: str, content: bytes) -> None:
-    """Let one browser save a file at once."""
+    """Make a browser download a file without asking; do nothing if `client` is None."""
     if client is not None:
         client.send_file_download(name, content, save_immediately=True)

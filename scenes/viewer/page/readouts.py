@@ -1,4 +1,4 @@
-"""What the page says in numbers and words."""
+"""HTML texts of the page: title, status, read-outs and agreement with the measurement."""
 
 from __future__ import annotations
 
@@ -10,35 +10,36 @@ from scenes.viewer.scene import Scene
 from tissue_sim.experiment.tools.tool import tool_sizes
 from tissue_sim.specimen.cylinder import Cylinder
 
-#: Phase -> colour of its dot.
+#: Colour of the dot that shows each phase.
 _DOTS = {Phase.STARTING: "#E69F00", Phase.RUNNING: "#009E73", Phase.PAUSED: "#0072B2", Phase.DIED: "#D55E00"}
-_WORDS = {"hand": "by hand", "protocol": "protocol", "recording": "measured motion", "device": "device"}
+#: Label of each kind of motion.
+_MOTIONS = {"hand": "by hand", "protocol": "protocol", "recording": "measured motion", "device": "device"}
 
 
 def title_html(scene: Scene) -> str:
-    """What is looked at, in two lines: test and specimen, tool and material."""
+    """Describe the scene as HTML in three lines: test and specimen, tool and interface, material and its source."""
     experiment = scene.experiment
-    specimen, tool, held = experiment.specimen, experiment.tool, experiment.friction
+    specimen, tool, friction = experiment.specimen, experiment.tool, experiment.friction
     body = (f"cylinder \u2300 {2e3 * specimen.radius:g} \u00d7 {1e3 * specimen.height:g} mm"
             if isinstance(specimen, Cylinder) else f"{specimen.shape}, {specimen.in_words}")
     sizes = []
-    for key, (what, name, shapes) in tool_sizes().items():
+    for key, (declaration, name, shapes) in tool_sizes().items():
         words, _, unit = key.rpartition("_")
         if tool.shape in shapes and getattr(tool, name):
-            sizes.append(f"{words.replace('_', ' ')} {getattr(tool, name) / what.factor:.4g} {unit}")
-    face = held if isinstance(held, str) else f"friction {held:g}"
-    of_tool = f"{face} plates" if tool.is_plate else ", ".join([tool.shape, *sizes, face])
-    lines = (f"<b>{escape(scene.kind.title)}</b>, {body}", escape(of_tool),
+            sizes.append(f"{words.replace('_', ' ')} {getattr(tool, name) / declaration.factor:.4g} {unit}")
+    interface = friction if isinstance(friction, str) else f"friction {friction:g}"
+    tool_line = f"{interface} plates" if tool.is_plate else ", ".join([tool.shape, *sizes, interface])
+    lines = (f"<b>{escape(scene.kind.title)}</b>, {body}", escape(tool_line),
              f"{escape(scene.material.energy_law.title)}, {escape(scene.source)}")
     return ('<div data-testid="title" style="padding:0.4em 0.75em 0 0.75em;font-size:0.82em;line-height:1.35">'
             + "<br/>".join(lines) + "</div>")
 
 
 def status_html(frame: Frame) -> str:
-    """The state of the simulation in a line, and in a box what to do where it has stopped."""
+    """Describe the phase of the simulation and the kind of motion as HTML, with the message of the frame in a box."""
     words = frame.phase.value
     if frame.phase in (Phase.RUNNING, Phase.PAUSED):
-        words += f" · {_WORDS[frame.motion]}"
+        words += f" · {_MOTIONS[frame.motion]}"
     dot = (f'<span style="display:inline-block;width:0.7em;height:0.7em;border-radius:50%;margin-right:0.5em;'
            f'background:{_DOTS[frame.phase]}"></span>')
     lines = [f'<div data-testid="phase" data-phase="{frame.phase.name.lower()}" style="font-weight:600">{dot}'
@@ -50,51 +51,54 @@ def status_html(frame: Frame) -> str:
     return f'<div style="padding:0.5em 0.75em 0 0.75em">{"".join(lines)}</div>'
 
 
-#: What each number is, shown where the pointer rests on it.
+#: Definition of each read-out, shown as a tooltip.
 _MEANING = {
-    "force": "force of the tissue on the tool, along z; pushing in gives a positive one",
-    "depth": "how far the tool is below the undeformed surface",
-    "across": "force along x and along y: of tissue in space, off its axis or under a tool that leans or slides",
-    "stiffness": "how the tissue's force grows with depth: what a hand feels, without the mass of the tissue",
-    "step-time": "wall time of a step of the solver, median of the last half second",
-    "iterations": "linear solutions a tick, mean of the last half second",
-    "rate": "ticks a second of the loop that steps the tissue",
-    "late": "share of all ticks so far that began late or were missed: the clock, not the tissue",
-    "solution": "how the newest force came about",
-    "doubtful": "ticks of the last second whose force is none of an equilibrium",
-    "mesh": "of the tissue, and the largest known error of its force",
+    "force": "force of the tissue on the tool along z; positive when the tool pushes into the tissue",
+    "depth": "displacement of the tool from the undeformed surface; positive into the tissue",
+    "across": "components of the force along x and y, for a solid in 3D",
+    "stiffness": "derivative of the static tissue force with respect to depth, without the inertia of the tissue",
+    "step-time": "wall time of one step of the solver, median over the last 0.5 s",
+    "iterations": "linear solves per tick, mean over the last 0.5 s",
+    "rate": "ticks per second of the loop that steps the tissue",
+    "late": "percentage of all ticks since the start that began late or were missed by the clock",
+    "solution": "status of the newest force",
+    "doubtful": "number of ticks of the last second whose force is not an accurate equilibrium force",
+    "mesh": "resolution of the mesh, and the largest known error of the force on it",
 }
-_RED, _GREY = "#C0392B", "#777777"
-#: Share of the points that is worth a reason.
-_SOME = 0.0005
+#: Colour of warnings.
+_RED = "#C0392B"
+#: Colour of outdated numbers.
+_GREY = "#777777"
+#: Fraction of the points above which a cause of the gap is named.
+_NAMED_FRACTION = 0.0005
 
 
 def _badge(word: str, meaning: str, colour: str) -> str:
-    """A word that nobody misses."""
+    """Highlighted word with a tooltip."""
     return (f'<div data-testid="badge" title="{escape(meaning, quote=True)}" style="display:inline-block;'
             f'margin-top:0.2em;padding:0 0.6em;border-radius:0.3em;color:white;font-weight:600;'
             f'background:{colour}">{escape(word)}</div>')
 
 
 def readouts_html(frame: Frame) -> str:
-    """Force and depth large, the rest in a small table."""
+    """Show force and depth in large digits and the other read-outs in a table, as HTML."""
     now, stale = frame.readouts, frame.phase is Phase.DIED
     large = [("force", "force", "–" if now is None else _number(now.force, 3), "N"),
              ("depth", "depth", "–" if now is None else _number(now.depth * 1e3, 2), "mm")]
     small = [("stiffness", "tissue stiffness", "–" if now is None else f"{_number(now.stiffness * 1e-3, 3)} N/mm"),
-             ("step-time", "step", "–" if now is None else f"{now.step_time * 1e3:.2f} ms"),
+             ("step-time", "step time", "–" if now is None else f"{now.step_time * 1e3:.2f} ms"),
              ("iterations", "iterations", "–" if now is None else f"{now.iterations:.1f} per tick"),
-             ("rate", "loop", "–" if now is None else f"{now.rate:.0f} Hz"),
-             ("late", "ticks not on time", "–" if now is None else f"{now.late * 100:.2f} %"),
-             ("solution", "tissue", "–" if now is None else now.status),
-             ("doubtful", "no equilibrium", "–" if now is None else f"{now.doubtful} in the last second"),
+             ("rate", "loop rate", "–" if now is None else f"{now.rate:.0f} Hz"),
+             ("late", "late or missed ticks", "–" if now is None else f"{now.late * 100:.2f} %"),
+             ("solution", "force status", "–" if now is None else now.status),
+             ("doubtful", "ticks not converged", "–" if now is None else f"{now.unconverged} in the last second"),
              ("mesh", "mesh", "–" if now is None else now.mesh or "–")]
     if frame.snapshot is not None and frame.snapshot.in_space:
-        small.insert(0, ("across", "force across", "–" if now is None else
+        small.insert(0, ("across", "force along x and y", "–" if now is None else
                          " and ".join(f"{_number(part, 3)} N" for part in now.across)))
     badge = ""
     if stale and now is not None:
-        badge = _badge("old", "the simulation has stopped: these are its last numbers", _GREY)
+        badge = _badge("old", "The simulation has stopped. These are its last numbers.", _GREY)
     elif now is not None and now.warning:
         badge = _badge(now.status.upper(), now.warning, _RED)
     cells = "".join(f'<div style="flex:1" title="{_MEANING[key]}">'
@@ -112,23 +116,24 @@ def readouts_html(frame: Frame) -> str:
 
 
 def agreement_html(frame: Frame) -> str:
-    """How far the model is from the measurement, over the whole test."""
+    """Show the RMSE between model and measurement over the whole test as HTML, or the reason why there is none."""
     curves = frame.curves
     if curves.measurement is None:
-        words = ("Nothing was measured in this scene: upload recordings under Calibrate, or start the viewer with "
+        words = ("This scene has no measurement. Upload recordings in the tab Calibrate, or start the viewer with "
                  "--measured FILE.")
     elif curves.residual is None:
-        words = "The model's curve is being computed."
+        words = "The model curve is being computed."
     else:
         gap, noise = curves.residual, curves.measurement.noise
         spread = "" if noise is None else f", noise {noise:.3f} N"
-        words = (f'<span title="model minus measurement, root mean square; noise: by which replicates differ">'
+        words = (f'<span title="RMSE: root mean square of model minus measurement; noise: standard deviation of the '
+                 f'replicates">'
                  f'<span style="font-size:1.15em;font-weight:600">RMSE <span data-testid="rmse">{gap.rmse:.3f}</span> '
                  f"N</span> over {gap.samples} samples{spread}</span>")
         if curves.computing:
             words = (f'<span data-testid="old-curve" style="opacity:0.5">{words}</span> '
-                     f'<span style="color:{_RED};font-size:0.85em">of the model before; the new one is being computed'
-                     "</span>")
+                     f'<span style="color:{_RED};font-size:0.85em">of the previous model; the new curve is being '
+                     "computed</span>")
         other = curves.measurement.other_tool(frame.scene.experiment.tool)
         warning = "" if not other else (
             f'<div data-testid="other-tool" style="color:{_RED};font-size:0.85em">measured with another tool: '
@@ -139,19 +144,19 @@ def agreement_html(frame: Frame) -> str:
 
 
 def live_gap_html(gap: LiveGap | None) -> str:
-    """By how much what was felt differs from the model, and what the model does not have."""
+    """Show the largest difference between the live force and the model curve as HTML, with its likely causes."""
     if gap is None:
         return ""
     reasons = []
-    if gap.inertial > _SOME:
-        reasons.append(f"at {gap.speed * 1e3:.2g} mm/s the tissue's mass counts")
-    if gap.late > _SOME:
-        reasons.append(f"{gap.late:.1%} carried on by late ticks (grey)")
+    if gap.inertial > _NAMED_FRACTION:
+        reasons.append(f"at {gap.speed * 1e3:.2g} mm/s the inertia of the tissue contributes")
+    if gap.late > _NAMED_FRACTION:
+        reasons.append(f"{gap.late:.1%} of the points are extrapolated by late ticks (grey)")
     words = f"live \u2212 model: up to {_number(gap.force, 3)} N at {gap.depth * 1e3:.3g} mm"
-    return ('<div data-testid="live-gap" title="live is felt on a coarser mesh than the model is computed on" '
+    return ('<div data-testid="live-gap" title="The live force is computed on a coarser mesh than the model curve." '
             f'style="padding:0 0.75em;font-size:0.75em">{escape("; ".join([words, *reasons]))}</div>')
 
 
 def _number(value: float, decimals: int) -> str:
-    """Without the sign of a zero."""
+    """Format a number with fixed decimals, without a minus sign before zero."""
     return f"{round(value, decimals) + 0.0:.{decimals}f}"

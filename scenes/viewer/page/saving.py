@@ -1,4 +1,4 @@
-"""Files from the page: the curve, the picture, the run."""
+"""Save tab of the page: download the curve, a picture, or a replay."""
 
 from __future__ import annotations
 
@@ -13,49 +13,54 @@ import viser
 from scenes.field_labels import LABELS
 from scenes.viewer.frame import Frame
 from scenes.viewer.measurement import branches_on_grid
-from scenes.viewer.page.look_controls import LookControls
-from scenes.viewer.page.notices import answer_to, notify, send_file
-from scenes.viewer.page.solid import Solid
+from scenes.viewer.page.notices import FAILED, notify, reply_to, send_file
+from scenes.viewer.page.solid import SolidPicture
+from scenes.viewer.page.view_controls import ViewControls
 from scenes.viewer.picture_file import Curve, compose_png
 from scenes.viewer.plots import LIGHT, depth_grid
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace, recording_files
 from scenes.what_was_done import what_was_done
 
-#: How long a browser may take to draw the picture that is saved, s, and how often it is asked: a busy one sometimes
-#: leaves a request unanswered.
-_PATIENCE, _ATTEMPTS = 8.0, 3
-#: Most pixels of a saved picture, along a side.
-_LARGEST = 1600
-#: Longest replay, s; a minute of motion has some 15 MB.
+#: Time that a browser may take to render the picture that is saved, s.
+_RENDER_TIMEOUT = 8.0
+#: Number of render requests, because a busy browser sometimes leaves one unanswered.
+_RENDER_ATTEMPTS = 3
+#: Largest width and height of a saved picture, pixels.
+_MAX_PICTURE_SIZE = 1600
+#: Longest replay, s; one minute of motion takes about 15 MB.
 LONGEST_REPLAY = 60.0
 
 
-class Saving:
-    """The tab with what can be saved.
+class SaveControls:
+    """Tab with the buttons that save the curve, the picture and the replay.
 
     Args:
-        later: runs a function in the thread that shows frames, where the trace stands still.
+        server: Server of the page.
+        solid: Picture of the scene.
+        view: Controls of the display options.
+        run_later: Runs a function in the thread that shows the frames, in which the trace does not change.
     """
 
-    def __init__(self, server: viser.ViserServer, solid: Solid, look: LookControls,
-                 later: Callable[[Callable[[], None]], None]):
+    def __init__(self, server: viser.ViserServer, solid: SolidPicture, view: ViewControls,
+                 run_later: Callable[[Callable[[], None]], None]):
         gui = server.gui
-        self._server, self._solid, self._look = server, solid, look
+        self._server, self._solid, self._view = server, solid, view
         self._frame: Frame | None = None
         self._recorder: viser.infra.StateSerializer | None = None
         self._recorded, self._last = 0.0, 0.0
-        #: A replay that waits to be fetched.
+        #: HTML page of a finished replay that has not been downloaded yet.
         self._finished: bytes | None = None
         curve = gui.add_button("Save curve (CSV)", icon=viser.Icon.DOWNLOAD,
-                               hint="and beside it, as JSON, which test it is: keep the two in one folder")
+                               hint="saves two files: the curve as CSV and the description of the test as JSON. Keep "
+                                    "both in one folder")
         picture = gui.add_button("Save picture (PNG)", icon=viser.Icon.PHOTO)
         self._replay = gui.add_button("Record replay", icon=viser.Icon.PLAYER_RECORD,
-                                      hint="a page of its own that plays the picture without a server")
+                                      hint="records an HTML file that plays the moving picture without a server")
 
         @curve.on_click
         def _(event: viser.GuiEvent) -> None:
-            later(lambda: self._save_curve(event))
+            run_later(lambda: self._save_curve(event))
 
         @picture.on_click
         def _(event: viser.GuiEvent) -> None:
@@ -63,10 +68,10 @@ class Saving:
 
         @self._replay.on_click
         def _(event: viser.GuiEvent) -> None:
-            later(lambda: self._toggle_replay(event))
+            run_later(lambda: self._toggle_replay(event))
 
     def show(self, frame: Frame) -> None:
-        """Remember what there is to save, and go on with a replay; a long one ends by itself."""
+        """Keep the frame for saving, and extend a running replay; stop the replay at `LONGEST_REPLAY`."""
         self._frame = frame
         if self._recorder is None:
             return
@@ -83,7 +88,7 @@ class Saving:
         frame = self._frame
         trace = None if frame is None else frame.curves.trace
         if frame is None or trace is None or len(trace) < 5:
-            answer_to(event)("nothing was felt yet; move the tool first")
+            reply_to(event)("There is no curve yet. Move the tool first.")
             return
         for name, content in curve_files(frame.scene, trace).items():
             send_file(event.client, name, content)
@@ -93,16 +98,16 @@ class Saving:
         if frame is None or client is None:
             return
         camera = client.camera
-        width, height = (min(size, _LARGEST) for size in (camera.image_width, camera.image_height))
-        render = _rendered(client, height, width)
+        width, height = (min(size, _MAX_PICTURE_SIZE) for size in (camera.image_width, camera.image_height))
+        render = _request_render(client, height, width)
         if render is None:
-            notify(client, "That did not work", "the browser drew no picture; try again", "red")
+            notify(client, FAILED, "The browser did not render the picture. Try again.", "red")
             return
         scene, now = frame.scene, frame.readouts
         caption = [f"{scene.kind.title}, {scene.material.energy_law.title} ({scene.source})"]
         if now is not None:
             caption.append(f"{now.force:.3f} N at {now.depth * 1e3:.2f} mm")
-        label, _ = LABELS[self._look.look.field]
+        label, _ = LABELS[self._view.options.field]
         content = compose_png(render, self._solid.levels, np.array(self._solid.colours, dtype=np.uint8), label, caption,
                               now=None if now is None else (now.depth, now.force), **_drawn_curves(frame))
         send_file(client, f"{scene.kind.name}.png", content)
@@ -123,26 +128,33 @@ class Saving:
 
 
 def curve_files(scene: Scene, trace: Trace) -> dict[str, bytes]:
-    """Name -> content of the recording of what was felt, and of its sidecar, which says what `simulate -o` says.
+    """Return the files of a trace: the recording (CSV) and its sidecar (JSON), which has the keys of ``simulate -o``.
+
+    Args:
+        scene: Scene in which the trace was recorded.
+        trace: Motion and force since the last reset.
+
+    Returns:
+        File name -> content.
 
     Raises:
-        InputError: fewer than two points were felt.
+        InputError: The trace has fewer than two equilibria.
     """
     name = scene.kind.name
     about = {"name": name, **what_was_done(name, scene.experiment), "material": scene.source, "simulated": True}
     return recording_files(trace.recording(about), name)
 
 
-def _rendered(client: viser.ClientHandle, height: int, width: int) -> np.ndarray | None:
-    """What a browser sees, shape (height, width, 4); None where it does not answer."""
-    for _ in range(_ATTEMPTS):
+def _request_render(client: viser.ClientHandle, height: int, width: int) -> np.ndarray | None:
+    """Return the view of a browser as an image, shape (height, width, 4); None if the browser does not answer."""
+    for _ in range(_RENDER_ATTEMPTS):
         with suppress(TimeoutError, RuntimeError):
-            return client.get_render(height, width, transport_format="png", timeout=_PATIENCE)
+            return client.get_render(height, width, transport_format="png", timeout=_RENDER_TIMEOUT)
     return None
 
 
 def _drawn_curves(frame: Frame) -> dict[str, Any]:
-    """Model, measurement and what was felt, for `compose_png`."""
+    """Return the arguments ``curves`` and ``band`` of `compose_png`: measurement, kept, model and live curve."""
     curves, measured, band = frame.curves, frame.curves.measurement, None
     grid = depth_grid(frame.scene.deepest)
     pairs = []
@@ -150,8 +162,8 @@ def _drawn_curves(frame: Frame) -> dict[str, Any]:
         band = (measured.depth, measured.load.low, measured.load.high)
         pairs.append(("measured", "measured", measured.depth,
                       (measured.load.mean, None if measured.unload is None else measured.unload.mean)))
-    if curves.before is not None:
-        pairs.append(("before", curves.before[0], grid, branches_on_grid(curves.before[1], grid)))
+    if curves.compared is not None:
+        pairs.append(("compared", curves.compared[0], grid, branches_on_grid(curves.compared[1], grid)))
     if curves.model is not None:
         pairs.append(("model", "model", grid, branches_on_grid(curves.model, grid)))
     if curves.trace is not None and len(curves.trace):

@@ -1,4 +1,4 @@
-"""Controls of the scene: which test, which tool, and how it holds the tissue."""
+"""Scene tab of the page: choose the test, the tool and the interface between tool and tissue."""
 
 from __future__ import annotations
 
@@ -9,21 +9,31 @@ import viser
 import tissue_sim as ts
 from scenes.catalogue import SCENES
 from scenes.viewer.frame import Commands, Frame
-from scenes.viewer.page.notices import answer_to, set_value
+from scenes.viewer.page.notices import reply_to, set_value
 from scenes.viewer.scene import Scene
 from tissue_sim.experiment.interfaces import INTERFACES
 from tissue_sim.experiment.tools.tool import TOOLS, shapes_without_file, tool_sizes
 from tissue_sim.parameters import Declaration
 
 _INTERFACES = (*INTERFACES, "friction")
-#: Along which tissue slides, and the edge that a sharp tool gets then, m: round a sharp one no tissue can slide.
-_SLIDING, _EDGE = ("frictionless", "friction"), 0.5e-3
-#: Sizes of a needle that is chosen after a plate, by their unit; and friction that is chosen after none.
-_SIZES, _FRICTION = {"m": 8e-3, "rad": radians(45.0)}, 0.3
+#: Interfaces along which tissue slides; tissue cannot slide around a sharp edge.
+_SLIDING = ("frictionless", "friction")
+#: Edge radius that a sharp tool gets when a sliding interface is chosen, m.
+_EDGE_RADIUS = 0.5e-3
+#: Initial sizes of a needle that is chosen after a plate, by their SI unit.
+_DEFAULT_SIZES = {"m": 8e-3, "rad": radians(45.0)}
+#: Initial friction coefficient, if the scene has none.
+_DEFAULT_FRICTION = 0.3
 
 
 class SceneControls:
-    """The tab with the scene; nothing happens before its button is pressed, since another mesh takes seconds."""
+    """Tab with test, tool and interface; changes apply when the user presses Apply, because a new mesh takes seconds.
+
+    Args:
+        server: Server of the page.
+        session: Receives the commands.
+        frame: First frame.
+    """
 
     def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
         gui = server.gui
@@ -31,10 +41,13 @@ class SceneControls:
         self._scene = gui.add_dropdown("scene", tuple(self._titles), initial_value=frame.scene.kind.title)
         self._needles = tuple(shape for shape in shapes_without_file() if not TOOLS[shape].is_plate)
         self._shape = gui.add_dropdown("tool", self._needles, initial_value=self._needles[0])
-        self._known = tool_sizes()
-        self._sizes = {key: _size_control(gui, key, what) for key, (what, _, _) in self._known.items()}
-        self._interface = gui.add_dropdown("tool's face", _INTERFACES, initial_value="bonded")
-        self._friction = gui.add_number("friction", _FRICTION, min=0.0, max=2.0, step=0.01)
+        self._declared_sizes = tool_sizes()
+        self._sizes = {key: _add_size_control(gui, key, declaration)
+                       for key, (declaration, _, _) in self._declared_sizes.items()}
+        self._interface = gui.add_dropdown("tool's face", _INTERFACES, initial_value="bonded",
+                                           hint="interface between tool and tissue")
+        self._friction = gui.add_number("friction", _DEFAULT_FRICTION, min=0.0, max=2.0, step=0.01,
+                                        hint="friction coefficient")
         self._apply = gui.add_button("Apply", icon=viser.Icon.CHECK)
         self._shown: Scene | None = None
         self.show(frame)
@@ -43,68 +56,69 @@ class SceneControls:
             @handle.on_update
             def _(event: viser.GuiEvent) -> None:
                 if event.client is not None:
-                    self._fit()
-                self._offer()
+                    self._make_consistent()
+                self._update_visibility()
 
         @self._scene.on_update
         def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                self._hold(SCENES[self._titles[self._scene.value]].face.usual)
-                self._fit()
-            self._offer()
+                self._set_interface(SCENES[self._titles[self._scene.value]].face.usual)
+                self._make_consistent()
+            self._update_visibility()
 
         @self._apply.on_click
         def _(event: viser.GuiEvent) -> None:
             name = self._titles[self._scene.value]
-            reply = answer_to(event)
+            reply = reply_to(event)
             try:
-                tool, friction = self._tool(name), self._friction.value
+                tool, friction = self._build_tool(name), self._friction.value
             except ts.InputError as error:
                 reply(str(error))
                 return
             session.post("use_scene", reply=reply, name=name, tool=tool,
                          friction=friction if self._interface.value == "friction" else self._interface.value)
 
-    def _tool(self, scene: str) -> ts.Tool | None:
-        """The tool that is asked for; None for plates."""
+    def _build_tool(self, scene: str) -> ts.Tool | None:
+        """Return the tool with the chosen shape and sizes; None if the scene uses plates."""
         if SCENES[scene].require_tool().is_plate:
             return None
         shape = self._shape.value
-        return ts.Tool(shape, **{name: self._sizes[key].value * what.factor
-                                 for key, (what, name, shapes) in self._known.items() if shape in shapes})
+        return ts.Tool(shape, **{name: self._sizes[key].value * declaration.factor
+                                 for key, (declaration, name, shapes) in self._declared_sizes.items()
+                                 if shape in shapes})
 
-    def _fit(self) -> None:
-        """Change what does not fit what was chosen: only flat faces are bonded, and no tissue slides round an edge."""
-        tool = self._asked_tool()
+    def _make_consistent(self) -> None:
+        """Adapt the interface and the edge radius to the tool: only flat faces bond, and sliding needs a round edge."""
+        tool = self._valid_tool()
         if tool is None:
             return
         if tool.face_radius == 0 and self._interface.value == "bonded":
             set_value(self._interface, "stick")
         if tool.sharp_edge and self._interface.value in _SLIDING:
-            for key, (what, name, _) in self._known.items():
+            for key, (declaration, name, _) in self._declared_sizes.items():
                 if name == "edge_radius":
-                    set_value(self._sizes[key], _EDGE / what.factor)
+                    set_value(self._sizes[key], _EDGE_RADIUS / declaration.factor)
 
-    def _offer(self) -> None:
-        """Show what matters to what is chosen."""
-        tool = self._asked_tool()
+    def _update_visibility(self) -> None:
+        """Show only the controls and interfaces that apply to the chosen scene and tool."""
+        tool = self._valid_tool()
         flat = tool is None or tool.face_radius != 0
         self._interface.options = _INTERFACES if flat else tuple(each for each in _INTERFACES if each != "bonded")
         needle = not SCENES[self._titles[self._scene.value]].require_tool().is_plate
         self._shape.visible = needle
-        for key, (_, _, shapes) in self._known.items():
+        for key, (_, _, shapes) in self._declared_sizes.items():
             self._sizes[key].visible = needle and self._shape.value in shapes
         self._friction.visible = self._interface.value == "friction"
 
-    def _asked_tool(self) -> ts.Tool | None:
-        """The tool that is asked for; None for plates, and where its sizes make none: applying it says so."""
+    def _valid_tool(self) -> ts.Tool | None:
+        """Return the chosen tool; None for plates and for invalid sizes, which Apply reports."""
         try:
-            return self._tool(self._titles[self._scene.value])
+            return self._build_tool(self._titles[self._scene.value])
         except ts.InputError:
             return None
 
     def show(self, frame: Frame) -> None:
-        """Follow a scene that somebody else has chosen."""
+        """Update the controls if another browser or a command has changed the scene."""
         scene = frame.scene
         if self._shown is not None and self._shown.experiment is scene.experiment:
             return
@@ -113,24 +127,24 @@ class SceneControls:
         set_value(self._scene, scene.kind.title)
         if tool.shape in self._needles:
             set_value(self._shape, tool.shape)
-            for key, (what, name, shapes) in self._known.items():
+            for key, (declaration, name, shapes) in self._declared_sizes.items():
                 if tool.shape in shapes:
-                    set_value(self._sizes[key], getattr(tool, name) / what.factor)
-        self._hold(friction)
-        self._offer()
+                    set_value(self._sizes[key], getattr(tool, name) / declaration.factor)
+        self._set_interface(friction)
+        self._update_visibility()
 
-    def _hold(self, friction: str | float) -> None:
-        """Show how the tool's face holds the tissue."""
+    def _set_interface(self, friction: str | float) -> None:
+        """Display an interface: its name, or "friction" and the coefficient."""
         set_value(self._interface, friction if isinstance(friction, str) else "friction")
         if not isinstance(friction, str):
             set_value(self._friction, friction)
 
 
-def _size_control(gui: viser.GuiApi, key: str, what: Declaration) -> viser.GuiInputHandle[float]:
-    """A number in the unit of the size's key; a step is a hundredth of what is usual."""
+def _add_size_control(gui: viser.GuiApi, key: str, size: Declaration) -> viser.GuiInputHandle[float]:
+    """Add a number field for a tool size in the unit of its key; the step is 1 % of the default size."""
     words, _, unit = key.replace("_", " ").rpartition(" ")
-    usual = _SIZES[what.unit] / what.factor
-    low = 0.0 if what.absent == 0 else max(what.bounds[0] / what.factor, 0.01 * usual)
-    high = what.bounds[1] / what.factor
-    return gui.add_number(f"{words} [{unit}]", usual if what.absent is None else what.absent / what.factor, min=low,
-                          max=high, step=round(0.01 * usual, 2))
+    default = _DEFAULT_SIZES[size.unit] / size.factor
+    low = 0.0 if size.absent == 0 else max(size.bounds[0] / size.factor, 0.01 * default)
+    high = size.bounds[1] / size.factor
+    return gui.add_number(f"{words} [{unit}]", default if size.absent is None else size.absent / size.factor, min=low,
+                          max=high, step=round(0.01 * default, 2))

@@ -1,10 +1,10 @@
-"""Arrays and places of scene nodes, sent in one message each.
+"""Fast updates of scene nodes: each array or position is queued as one message, without viser's property setters.
 
-viser's own way, an assignment to a property, costs 50 us an array: it rebuilds type hints, compares with what was sent
-before and copies twice; a place costs as much, for it is compared with tolerances. Twenty arrays and three places a
-frame are made anew, so they go straight into the queue in which an assignment ends. This is a private part of the
-version of viser that pyproject.toml pins; a browser that reloads the page, in the tests, sees that it still does what
-it did.
+A property assignment of viser costs 50 us per array, because viser rebuilds type hints, compares the array with the
+previous one and copies it twice; a position costs the same, because it is compared with tolerances. A frame has twenty
+new arrays and three new positions, so this module puts them directly into the message queue that the setters use. The
+queue is a private part of the viser version that pyproject.toml pins; the browser tests check its behaviour by
+reloading the page.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from viser import _messages
 
 
 def send_arrays(handle: viser.SceneNodeHandle, **arrays: np.ndarray) -> None:
-    """Replace arrays of a node for everybody who looks, and for those who come later.
+    """Replace arrays of a node in all browsers, including those that connect later.
 
     Args:
-        handle: of the node. It does not know what was sent: reading the property gives what was assigned last.
-        arrays: by property, in its type; they belong to the message from now on.
+        handle: Handle of the node. Its properties do not change: they return the arrays that were assigned last.
+        arrays: Property name -> array in the type of the property. The caller must not modify the arrays afterwards.
     """
     handle._impl.api._queue_scene_message(_messages.SceneNodeUpdateMessage(handle.name, arrays))
 
 
 def send_position(handle: viser.SceneNodeHandle, position: tuple[float, float, float]) -> None:
-    """Move a node, for everybody who looks, and for those who come later; where it stands there already, do nothing.
+    """Move a node in all browsers, including those that connect later; do nothing if the position is unchanged.
 
     Args:
-        handle: of the node.
-        position: in its parent.
+        handle: Handle of the node.
+        position: Position (x, y, z) relative to the parent node, browser units.
     """
     known = handle._impl.position
     if tuple(known) != position:

@@ -1,4 +1,4 @@
-"""What stands around viser's page: a loading screen, and words where its fields would say nothing."""
+"""Additions to viser's page: a loading screen, and messages about rejected numbers and uploads."""
 
 from __future__ import annotations
 
@@ -7,19 +7,30 @@ import json
 from functools import cache
 from importlib.resources import files
 
-#: Bytes of a file that somebody uploads: a material, a recording.
+#: Largest size of an uploaded file, bytes.
 LARGEST_UPLOAD = 20_000_000
-_TITLE, _BODY = b"<title>Viser</title>", b"<body>"
+#: Title element of viser's page, which is replaced.
+_TITLE = b"<title>Viser</title>"
+#: Start of the body of viser's page, after which the additions are inserted.
+_BODY = b"<body>"
 
 
-def dress(page: bytes, title: str) -> bytes:
-    """viser's page with this title and what is in this folder; what is not that page stays as it is."""
+def inject_shell(page: bytes, title: str) -> bytes:
+    """Insert a title, the loading screen, the style sheet and the script of this folder into viser's page.
+
+    Args:
+        page: Body of an HTTP response.
+        title: New title of the page.
+
+    Returns:
+        The changed page; a response that is not viser's page is returned unchanged.
+    """
     if _TITLE not in page or _BODY not in page:
         return page
     head = f"<title>{html.escape(title)}</title>\n<style>{_read('shell.css')}</style>\n"
-    words = json.dumps({"title": title, "largestUpload": LARGEST_UPLOAD}).replace("<", "\\u003c")
+    settings = json.dumps({"title": title, "largestUpload": LARGEST_UPLOAD}).replace("<", "\\u003c")
     body = (f"<body>\n{_read('loading.html').replace('TITLE', html.escape(title))}\n"
-            f"<script>window.__shell = {words};</script>\n<script>{_read('shell.js')}</script>")
+            f"<script>window.__shell = {settings};</script>\n<script>{_read('shell.js')}</script>")
     return page.replace(_TITLE, head.encode(), 1).replace(_BODY, body.encode(), 1)
 
 

@@ -1,4 +1,4 @@
-"""What tests of the viewer share: the needle in the study's specimen, patience, and stand-ins for slow processes."""
+"""Shared fixtures of the viewer tests: a needle scene, a wait function, and a process pool without processes."""
 
 import time
 from concurrent.futures import Future
@@ -14,26 +14,26 @@ from tissue_sim.experiment.kinds.indentation import NEEDLE
 
 @pytest.fixture(scope="session")
 def needle() -> Scene:
-    """The needle in the study's specimen, to 4 mm."""
+    """Needle scene with the specimen of the reference study and a depth of 4 mm."""
     experiment = NEEDLE.experiment(specimen=ts.Specimen(radius=0.04, height=0.07), protocol=ts.Protocol.ramp(4e-3, 21))
     return Scene(NEEDLE, experiment, read_material(None))
 
 
 @pytest.fixture(scope="session")
 def until():
-    """Look again and again until what is seen fits, and return that."""
+    """Return a function that calls `look` until its result satisfies `fits`, and returns that result."""
     def until(look, fits, seconds=600.0):
         deadline = time.monotonic() + seconds
         while not fits(seen := look()):
-            assert time.monotonic() < deadline, f"this is still so: {seen}"
+            assert time.monotonic() < deadline, f"the condition is not satisfied by {seen}"
             time.sleep(0.005)
         return seen
 
     return until
 
 
-class PoolByHand:
-    """A pool without processes, whose tasks the test answers: `tasks` are their arguments and futures."""
+class ManualPool:
+    """Process pool without processes: the test sets the futures in `tasks`, a list of (arguments, future)."""
 
     death = BrokenProcessPool
 
@@ -50,8 +50,8 @@ class PoolByHand:
 
 
 @pytest.fixture
-def pool(monkeypatch) -> PoolByHand:
-    """The pool of every `ModelCurve` that is made."""
-    pool = PoolByHand()
+def pool(monkeypatch) -> ManualPool:
+    """Manual pool that each new `ModelCurve` uses."""
+    pool = ManualPool()
     monkeypatch.setattr("scenes.viewer.model_curve.ProcessPool", lambda count: pool)
     return pool

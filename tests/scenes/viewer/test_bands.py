@@ -1,4 +1,4 @@
-"""Iso-bands: everything is covered once, and every piece lies in its band."""
+"""Iso-bands: the pieces cover the triangles exactly once, and each piece lies in its band."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def areas(points, triangles):
 
 
 def sheet(n=13, seed=0):
-    """A square of anticlockwise triangles, bent so that no two are alike."""
+    """Distorted mesh of a square with anticlockwise triangles of different shapes."""
     rng = np.random.default_rng(seed)
     x, y = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n))
     points = np.stack([x.ravel(), y.ravel()], axis=-1)
@@ -28,7 +28,7 @@ def sheet(n=13, seed=0):
 
 
 def interpolated(points, triangles, values, at):
-    """Values of the piecewise linear field at points (m, 2)."""
+    """Evaluate the piecewise linear field at points, shape (m, 2)."""
     found = np.full(len(at), np.nan)
     for corners in triangles:
         a, b, c = points[corners]
@@ -39,7 +39,7 @@ def interpolated(points, triangles, values, at):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_bands_cover_the_triangles_once_and_keep_the_winding(seed):
+def test_bands_cover_the_triangles_once_and_keep_the_orientation(seed):
     points, triangles = sheet(seed=seed)
     values = np.random.default_rng(seed).uniform(-1.5, 1.5, len(points))
     bands = fill_bands(points, triangles, values, LEVELS)
@@ -49,7 +49,7 @@ def test_bands_cover_the_triangles_once_and_keep_the_winding(seed):
     assert sum(piece.sum() for piece in pieces) == pytest.approx(1.0, rel=1e-12)
 
 
-def test_every_piece_lies_in_its_band():
+def test_each_piece_lies_in_its_band():
     points, triangles = sheet(6)
     values = np.random.default_rng(3).uniform(-1.5, 1.5, len(points))
     for k, (vertices, pieces) in enumerate(fill_bands(points, triangles, values, LEVELS)):
@@ -59,13 +59,13 @@ def test_every_piece_lies_in_its_band():
         assert sorted(np.unique(pieces)) == list(range(len(vertices)))
 
 
-def test_area_of_each_band_of_a_slope_is_that_between_its_levels():
+def test_band_areas_of_a_linear_field_match_the_levels():
     points, triangles = sheet()
     bands = fill_bands(points, triangles, points @ [2.0, 0.0] - 1.0, LEVELS)
     assert [areas(*band).sum() for band in bands] == pytest.approx([0.125] * 8, rel=1e-12)
 
 
-def test_values_on_the_levels_leave_no_slivers():
+def test_values_equal_to_levels_give_no_degenerate_triangles():
     points, triangles = sheet(9)
     values = np.round(np.random.default_rng(1).uniform(-1.2, 1.2, len(points)) * 4) / 4
     bands = fill_bands(points, triangles, values, LEVELS)
@@ -73,7 +73,7 @@ def test_values_on_the_levels_leave_no_slivers():
     assert min(areas(*band).min() for band in bands if len(band[1])) > 1e-6
 
 
-def test_uniform_values_and_values_beyond_the_levels():
+def test_uniform_fields_and_values_outside_the_levels_fall_into_one_band():
     points, triangles = sheet(4)
     for value, band in ((-7.0, 0), (7.0, 7), (0.1, 4), (0.25, 5), (-1.0, 0), (1.0, 7)):
         bands = fill_bands(points, triangles, np.full(len(points), value), LEVELS)
@@ -94,7 +94,7 @@ def test_neighbours_share_the_points_of_their_common_edge():
     assert (np.diff(pieces.band) >= 0).all()
 
 
-def test_polyline_is_split_at_every_level_both_ways():
+def test_rising_and_falling_polylines_are_split_at_each_level():
     points = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0], [1.0, 3.0]])
     new, band = split_polyline(points, np.array([-1.0, 1.0, 0.0, 0.0]), np.array([-1.0, -0.5, 0.0, 0.5, 1.0]))
     expected = [[0, 0], [0.25, 0], [0.5, 0], [0.75, 0], [1, 0], [1, 1], [1, 2], [1, 3]]
@@ -102,7 +102,7 @@ def test_polyline_is_split_at_every_level_both_ways():
     assert band.tolist() == [0, 1, 2, 3, 3, 2, 2]
 
 
-def test_polyline_on_the_rim_has_the_crossings_of_the_triangles():
+def test_a_polyline_on_the_boundary_has_the_crossings_of_the_triangles():
     points, triangles = sheet()
     values = np.random.default_rng(6).uniform(-1.5, 1.5, len(points))
     pieces = Triangulation(triangles).cut(points, values, LEVELS)

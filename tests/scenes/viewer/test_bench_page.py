@@ -1,4 +1,4 @@
-"""The page of a bench: what it reads of a run and of devices; it moves nothing."""
+"""Bench page: it reads the folder of a run and devices, and moves nothing."""
 
 import json
 
@@ -10,38 +10,38 @@ from haptics.devices.virtual.force_sensor import VirtualForceSensor
 from haptics.recorder.live import LIVE_FILE, LiveFile, as_json
 from haptics.recorder.recorder import RunProgress
 from haptics.recorder.run_folder import RunFolder
-from scenes.viewer.bench.page import words_html
+from scenes.viewer.bench.page import bench_html
 from scenes.viewer.bench.sources import DevicesSource, RunSource
 from tissue_sim.errors import InputError
 
 HEADER = ["time [s]", "displacement [mm]", "force [N]", "segment"]
 
 
-def test_a_run_that_goes_is_read_row_by_row(tmp_path):
+def test_the_folder_of_a_running_recorder_is_read(tmp_path):
     source = RunSource(tmp_path / "run")
-    assert "no run in" in source.look().title and "tissue-sim record" in source.look().message
+    assert "No run in" in source.read().title and "tissue-sim record" in source.read().message
     folder = RunFolder(tmp_path / "run", "digest")
     with folder:
         folder.update(state="running")
-        assert "may have been killed" in source.look().message
+        assert "may have been killed" in source.read().message
         moment = RunProgress("needle", "ramp", 2, 5e-3, 3e-3, 0.4, 0.25)
         (tmp_path / "run" / LIVE_FILE).write_text(json.dumps(as_json(moment)), encoding="utf-8")
         partial = folder.open_partial("needle_2", HEADER)
         partial.add([(0.01 * row, 0.1 * row, 0.02 * row, "ramp") for row in range(5)])
         partial.close()
-        view = source.look()
+        view = source.read()
         assert view.title == "needle 2: ramp; 0 recordings done" and not view.message
-        assert (view.force, view.depth, view.share) == (0.4, 3.0, 0.25)
+        assert (view.force, view.depth, view.progress) == (0.4, 3.0, 0.25)
         np.testing.assert_allclose(view.forces, 0.02 * np.arange(5))
         with partial.path.open("a", encoding="utf-8") as file:
             file.write("0.05,0.5,0.1,ramp\n0.06,0.6,0.1")  # half a row is none yet
-        assert source.look().time.size == 6
+        assert source.read().time.size == 6
         (tmp_path / "run" / LIVE_FILE).unlink()
         folder.update(state="stopped", stops=[{"message": "the force was 9 N"}])
-        assert source.look().message == "the force was 9 N"
+        assert source.read().message == "the force was 9 N"
 
 
-def test_what_a_run_shows_is_written_by_another_thread_and_gone_afterwards(tmp_path):
+def test_the_live_file_is_written_by_another_thread_and_removed_at_the_end(tmp_path):
     live = LiveFile(tmp_path)
     file = tmp_path / LIVE_FILE
     with live.publish():
@@ -64,7 +64,7 @@ def load(time):
     return (0.0, 0.0, time - 100.0, 0.0, 0.0, 0.0)
 
 
-def test_a_sensor_is_shown_and_a_stage_is_only_asked(monkeypatch):
+def test_a_sensor_is_displayed_and_the_stage_does_not_move(monkeypatch):
     from haptics.devices.contracts import StageLimits
     from haptics.devices.virtual.stage import VirtualStage
 
@@ -75,26 +75,26 @@ def test_a_sensor_is_shown_and_a_stage_is_only_asked(monkeypatch):
     for name in ("home", "move"):
         monkeypatch.setattr(stage, name, lambda *_: moved.append("moved"))
     source = DevicesSource(sensor, stage)
-    assert source.look().message == "no sample has come yet"
+    assert source.read().message == "The sensor has not sent a sample yet."
     clock.now += 1.0
-    view = source.look()
+    view = source.read()
     assert view.force == pytest.approx(1.0) and view.depth == -2.0 and view.time.size == 100
     clock.now += 100.0
-    view = source.look()
-    assert view.time.min() >= -20.0 and "end of its range" in view.message
+    view = source.read()
+    assert view.time.min() >= -20.0 and "limit of its range" in view.message
     source.close()
     assert not moved
     with pytest.raises(DeviceError):
         sensor.read()
 
 
-def test_a_channel_that_is_not_there_is_refused():
-    with pytest.raises(InputError, match="no channel 'Fz'"):
+def test_an_unknown_channel_is_refused():
+    with pytest.raises(InputError, match=r"axis: must be one of .*; got 'Fz'"):
         DevicesSource(VirtualForceSensor(load, ("Fx", "Fy")))
 
 
-def test_words_are_no_markup():
+def test_texts_are_escaped_in_html():
     from scenes.viewer.bench.sources import BenchView
 
-    page = words_html(BenchView("<b>", "a & b", None, None, 0.5))
+    page = bench_html(BenchView("<b>", "a & b", None, None, 0.5))
     assert "&lt;b&gt;" in page and "a &amp; b" in page and "width:50.0%" in page and "–" in page

@@ -1,4 +1,4 @@
-"""Where to look from: everything that is drawn is in the picture, fills it, and shows the section faces."""
+"""Preset views: the scene fits into the view and fills it, and the section faces are visible."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ OPENING = Opening()
 
 
 def drawn(specimen, tool, depth):
-    """Points of all that is drawn around an undeformed specimen, m, shape (n, 3)."""
+    """Points of all drawn parts around an undeformed specimen, m, shape (n, 3)."""
     angles = np.linspace(0.0, 2 * np.pi, 90)
     rim = specimen.radius * np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
     above = picture_height(tool, specimen)
@@ -24,7 +24,7 @@ def drawn(specimen, tool, depth):
 
 
 def in_view(pose, points, aspect):
-    """Place in the picture: (right, up), each -1 to 1 within it; and the distance in front of the camera, m."""
+    """Position in the view, (right, up) from -1 to 1, and distance in front of the camera, m."""
     ahead = pose.look_at - pose.position
     ahead = ahead / np.linalg.norm(ahead)
     right = np.cross(ahead, [0.0, 0.0, 1.0])
@@ -39,7 +39,7 @@ def in_view(pose, points, aspect):
 @pytest.mark.parametrize(("specimen", "tool"), [(STUDY, NEEDLE), (STUDY, PLATE), (FLAT, NEEDLE), (FLAT, PLATE),
                                                 (TALL, PLATE)])
 @pytest.mark.parametrize("preset", sorted(set(PRESETS) - {"contact"}))
-def test_everything_is_in_view_and_fills_it(preset, specimen, tool, aspect):
+def test_the_scene_fits_into_the_view_and_fills_it(preset, specimen, tool, aspect):
     for depth in (0.0, 0.15 * specimen.height):
         pose = camera_pose(preset, specimen, tool, depth, picture_height(tool, specimen), aspect)
         place, far = in_view(pose, drawn(specimen, tool, depth), aspect)
@@ -63,7 +63,7 @@ def test_contact_is_a_close_view_of_the_end_of_the_tool(tool, aspect):
 
 @pytest.mark.parametrize("cut", [90.0, 120.0, 180.0])
 @pytest.mark.parametrize("preset", ["iso", "front", "contact"])
-def test_both_section_faces_are_seen(preset, cut):
+def test_both_section_faces_are_visible(preset, cut):
     pose = camera_pose(preset, STUDY, NEEDLE, 5e-3, picture_height(NEEDLE, STUDY))
     half = np.radians(0.5 * cut)
     for side in (-1, 1):
@@ -74,7 +74,7 @@ def test_both_section_faces_are_seen(preset, cut):
         assert (pose.position - pose.look_at) @ normal > 0
 
 
-def test_presets_look_from_where_they_say():
+def test_presets_have_the_stated_directions():
     poses = {name: camera_pose(name, STUDY, NEEDLE, 0.0, 0.05) for name in PRESETS}
     away = {name: (pose.position - pose.look_at) / np.linalg.norm(pose.position - pose.look_at)
             for name, pose in poses.items()}

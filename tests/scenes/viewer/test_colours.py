@@ -1,4 +1,4 @@
-"""Colours, round levels that stay, and the bar."""
+"""Colours, round and steady levels, and the colour bar."""
 
 import re
 from types import SimpleNamespace
@@ -17,13 +17,13 @@ RANGES = st.tuples(st.floats(-1e6, 1e6), st.floats(1e-9, 1e6)).map(lambda pair: 
 
 
 def lightness(colour):
-    """CIE L* of an sRGB colour."""
+    """CIE lightness L* of an sRGB colour."""
     linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in np.array(colour) / 255]
     luminance = np.dot(linear, [0.2126, 0.7152, 0.0722])
     return 116 * luminance ** (1 / 3) - 16
 
 
-def test_palette_is_told_apart_by_lightness_alone_and_stands_out_from_black_and_white():
+def test_palette_colours_differ_in_lightness_and_contrast_with_black_and_white():
     values = [lightness(colour) for colour in PALETTE]
     assert len(PALETTE) == 10 and min(np.diff(values)) > 4
     assert values[0] > 15 and values[-1] < 90
@@ -44,8 +44,8 @@ def test_levels_cover_the_range_in_round_steps(ends, bands):
 
 
 @given(st.floats(0.0, 1e3), st.floats(2e-3, 1e3))
-def test_levels_waste_less_than_half_of_the_bands(low, width):
-    """Of a range that is wider than what counts as rounding."""
+def test_levels_use_more_than_half_of_the_bands(low, width):
+    """For ranges wider than rounding errors."""
     levels = band_levels(low, low + width)
     used = np.searchsorted(levels, low + width, "left") - np.searchsorted(levels, low, "right") + 1
     assert used >= 5
@@ -69,14 +69,14 @@ def test_a_field_of_zeros_gets_levels_from_0_to_1():
 
 
 @pytest.mark.parametrize("ends", [(np.nan, 1.0), (0.0, np.inf), (2.0, 1.0)])
-def test_no_levels_for_what_is_no_range(ends):
-    with pytest.raises(ts.InputError, match="not a range"):
+def test_an_invalid_range_is_refused(ends):
+    with pytest.raises(ts.InputError, match="must have a finite range"):
         band_levels(*ends)
     with pytest.raises(ts.InputError, match="at least 2"):
         band_levels(0.0, 1.0, 1)
 
 
-def test_levels_stay_while_they_are_good():
+def test_levels_are_kept_while_they_are_suitable():
     levels = band_levels(0.0, 5.3)
     assert steady_levels(levels, 0.0, 5.9) is levels
     assert steady_levels(levels, 0.0, 3.1) is levels
@@ -86,7 +86,7 @@ def test_levels_stay_while_they_are_good():
     assert len(steady_levels(levels, 0.0, 5.3, 8)) == 9
 
 
-def test_levels_change_seldom_while_a_range_goes_to_and_fro():
+def test_levels_change_rarely_for_an_oscillating_range():
     levels, changes = None, 0
     for k in range(600):
         new = steady_levels(levels, 0.0, 4.0 + 0.4 * np.sin(0.3 * k))
@@ -95,7 +95,7 @@ def test_levels_change_seldom_while_a_range_goes_to_and_fro():
     assert changes == 2  # the first ones, and those that cover the largest
 
 
-def test_range_leaves_out_one_percent_of_the_volume_at_either_end():
+def test_range_excludes_a_fraction_of_the_volume_at_either_end():
     values = np.concatenate([[-1e6], np.linspace(0.0, 1.0, 1001), [1e6]])
     weights = np.concatenate([[1.0], np.ones(1001), [1.0]])
     low, high = volume_range(values, weights)
@@ -104,8 +104,8 @@ def test_range_leaves_out_one_percent_of_the_volume_at_either_end():
     assert volume_range(np.array([[0.0, 1.0], [2.0, 1e9]]), np.array([[1.0, 1.0], [1.0, 1e-6]]))[1] < 3.0
 
 
-def test_range_of_a_field_leaves_rounding_out():
-    """Stresses that differ by less than a ten-thousandth of the shear modulus are uniform, or none."""
+def test_range_of_a_field_ignores_rounding_errors():
+    """Stresses within 1e-4 of the shear modulus count as uniform or zero."""
     material = ts.Material("neo_hooke", {"C10": 1000.0}, ts.Bulk("bulk_ratio", 1e4))
     noise = 1e-4 * np.sin(np.arange(90.0)).reshape(10, 9)
     fields = {"von_mises": 700.0 + noise, "pressure": noise, "displacement": 1e-8 * noise, "energy": 50.0 * (1 + noise)}
@@ -123,7 +123,7 @@ def test_range_of_a_field_leaves_rounding_out():
     assert 49.99 < low < high < 50.01
 
 
-def test_bar_shows_every_band_its_colour_and_round_numbers():
+def test_the_bar_shows_the_colours_of_the_bands_and_round_numbers():
     html = colour_bar_html(band_levels(-2.0, 9.7), PALETTE, "stress <rr> [kPa]")
     bar = ElementTree.fromstring(html)
     assert bar.get("data-testid") == "colour-bar"
@@ -150,6 +150,6 @@ def test_numbers_of_the_bar_are_short_and_exact(ends, numbers, power):
     assert f"energy [J/m³]{power}" in list(bar.itertext())
 
 
-def test_bar_needs_a_colour_for_each_band():
-    with pytest.raises(ts.InputError, match="9 colours for 10 bands"):
+def test_the_bar_requires_one_colour_per_band():
+    with pytest.raises(ts.InputError, match="must be one per band; got 9 for 10 bands"):
         colour_bar_html(band_levels(0.0, 1.0), PALETTE[1:], "x")

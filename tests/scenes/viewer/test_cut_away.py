@@ -1,11 +1,11 @@
-"""The solid: closed, of the right volume, turned outwards, in the right colours."""
+"""Picture of an axisymmetric solid: closed surface, volume, normals, and bands."""
 
 import numpy as np
 import pytest
 
 import tissue_sim as ts
 from scenes.viewer.cut_away import CutAway
-from scenes.viewer.revolution import Opening, Surface, joined, revolved_surfaces
+from scenes.viewer.revolution import Opening, Surface, join_surfaces, revolved_surfaces
 from tissue_sim.mesh import cylinder_mesh, needle_mesh
 from tissue_sim.mesh.elements import Q4P0, Q9P1
 
@@ -16,7 +16,7 @@ CUTS = (0.0, 60.0, 120.0, 180.0)
 
 
 def volume(surface):
-    """By the divergence theorem."""
+    """Volume of a closed surface by the divergence theorem."""
     a, b, c = np.moveaxis(surface.vertices[surface.faces].astype(float), 1, 0)
     return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6.0)
 
@@ -27,20 +27,20 @@ def area_vectors(surface):
 
 
 def faceted(volume_of_revolution, opening):
-    """Of a body whose circles are polygons."""
+    """Volume of a body of revolution whose circles are replaced by polygons."""
     turn = 2.0 * np.pi - opening.cut
-    count = len(opening.angles) - (0 if opening.closed else 1)
+    count = len(opening.angles) - (0 if opening.is_closed else 1)
     return volume_of_revolution * count * np.sin(turn / count) / (2.0 * np.pi)
 
 
 def bulged(mesh):
-    """A barrel of uneven height."""
+    """Deformed node positions of a bulged cylinder with an uneven top."""
     r, z = mesh.nodes.T
     return np.stack([r * (1.0 - 100.0 * z * (HEIGHT + z)), z * (1.0 - z - 50.0 * r**2)], axis=-1)
 
 
 def volume_by_quadrature(mesh, place):
-    """2 pi r over the elements as they are, curved edges and all; exact for three points a side."""
+    """Volume: integral of 2 pi r over the curved elements; exact with three points per direction."""
     points, weights = mesh.element.quadrature
     shapes, slopes = mesh.element.shape_functions(points)
     of_elements = place[mesh.connectivity]
@@ -49,7 +49,7 @@ def volume_by_quadrature(mesh, place):
 
 
 def edge_uses(surface):
-    """How often each edge is used in either direction, with vertices at one place taken as one."""
+    """Count the uses of each directed edge after merging vertices with the same position."""
     places = np.round(surface.vertices.astype(float) / 1e-8).astype(np.int64)
     _, number = np.unique(places, axis=0, return_inverse=True)
     faces = number.ravel()[surface.faces]
@@ -66,24 +66,24 @@ def mesh(request):
 @pytest.mark.parametrize("divisions", [1, 2, 3, 4])
 def test_bands_together_enclose_the_volume_of_the_cylinder(mesh, cut, divisions):
     opening = Opening(np.radians(cut))
-    bands = CutAway.of(mesh, divisions).bands(mesh.nodes, mesh.nodes[:, 1], LEVELS, opening)
+    bands = CutAway.from_mesh(mesh, divisions).bands(mesh.nodes, mesh.nodes[:, 1], LEVELS, opening)
     assert len(bands) == 10 and all(len(surface.faces) for surface in bands)
     expected = faceted(np.pi * RADIUS**2 * HEIGHT, opening)
-    assert volume(joined(*bands)) == pytest.approx(expected, rel=1e-6)
+    assert volume(join_surfaces(*bands)) == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_quadratic_outline_is_followed_the_better_the_finer_it_is_divided():
+def test_the_volume_of_a_curved_body_converges_with_the_divisions():
     mesh = cylinder_mesh(RADIUS, HEIGHT, (3, 3), Q9P1)
     place, opening = bulged(mesh), Opening(np.radians(90.0))
     exact = faceted(volume_by_quadrature(mesh, place), opening)
-    errors = np.array([volume(joined(*CutAway.of(mesh, divisions).bands(place, mesh.nodes[:, 1], LEVELS, opening)))
-                       / exact - 1.0 for divisions in (2, 4, 8)])
+    errors = np.array([volume(join_surfaces(*CutAway.from_mesh(mesh, divisions).bands(
+        place, mesh.nodes[:, 1], LEVELS, opening))) / exact - 1.0 for divisions in (2, 4, 8)])
     # Second order: chords of a parabola.
     assert errors[:-1] / errors[1:] == pytest.approx(4.0, rel=0.05) and abs(errors[0]) < 0.01
 
 
-def test_closed_solid_is_watertight_and_consistently_wound(mesh):
-    solid = joined(*CutAway.of(mesh).bands(bulged(mesh), mesh.nodes[:, 1], LEVELS, Opening(0.0)))
+def test_a_closed_solid_is_watertight_and_consistently_oriented(mesh):
+    solid = join_surfaces(*CutAway.from_mesh(mesh).bands(bulged(mesh), mesh.nodes[:, 1], LEVELS, Opening(0.0)))
     uses = edge_uses(solid)
     assert set(uses.values()) == {1}
     assert all((b, a) in uses for a, b in uses)
@@ -91,8 +91,9 @@ def test_closed_solid_is_watertight_and_consistently_wound(mesh):
 
 @pytest.mark.parametrize("cut", [60.0, 180.0])
 def test_cut_solid_is_watertight_away_from_the_axis(mesh, cut):
-    """On the axis both faces have the same line, with more points than the closing surface needs."""
-    solid = joined(*CutAway.of(mesh).bands(bulged(mesh), mesh.nodes[:, 1], LEVELS, Opening(np.radians(cut))))
+    """The test excludes the axis, where both faces share a line with additional points."""
+    solid = join_surfaces(*CutAway.from_mesh(mesh).bands(bulged(mesh), mesh.nodes[:, 1], LEVELS,
+                                                         Opening(np.radians(cut))))
     uses = edge_uses(solid)
     assert set(uses.values()) <= {1, 2}
     unmatched = [edge for edge, count in uses.items() if uses.get(edge[::-1], 0) != count]
@@ -102,7 +103,7 @@ def test_cut_solid_is_watertight_away_from_the_axis(mesh, cut):
 def test_normals_point_outwards():
     mesh = cylinder_mesh(RADIUS, HEIGHT, (4, 5), Q9P1)
     opening = Opening(np.radians(120.0))
-    surface = joined(*CutAway.of(mesh).bands(mesh.nodes, mesh.nodes[:, 1], LEVELS, opening))
+    surface = join_surfaces(*CutAway.from_mesh(mesh).bands(mesh.nodes, mesh.nodes[:, 1], LEVELS, opening))
     normals, middles = area_vectors(surface), surface.vertices[surface.faces].mean(axis=1)
     for way, outward in opening.faces:
         on_face = (np.abs(middles[:, :2] @ outward) < 1e-6) & (middles[:, :2] @ way > 0)
@@ -117,9 +118,9 @@ def test_normals_point_outwards():
     assert side.any() and (outwards[side & ~top & ~base] > -1e-12).all()
 
 
-def test_every_vertex_lies_in_its_band():
+def test_each_vertex_lies_in_its_band():
     mesh = cylinder_mesh(RADIUS, HEIGHT, (4, 5), Q9P1, grading=(3.0, 4.0))
-    for k, surface in enumerate(CutAway.of(mesh).bands(mesh.nodes, mesh.nodes[:, 1], LEVELS, Opening())):
+    for k, surface in enumerate(CutAway.from_mesh(mesh).bands(mesh.nodes, mesh.nodes[:, 1], LEVELS, Opening())):
         z = surface.vertices[:, 2]
         assert (z > (LEVELS[k] if k else -HEIGHT) - 1e-7).all() and (z < (LEVELS[k + 1] if k < 9 else 0.0) + 1e-7).all()
         used = np.zeros(len(z), dtype=bool)
@@ -131,15 +132,16 @@ def test_every_vertex_lies_in_its_band():
 def test_a_band_without_tissue_is_empty():
     mesh = cylinder_mesh(RADIUS, HEIGHT, (4, 5), Q9P1)
     for cut in CUTS:
-        bands = CutAway.of(mesh).bands(mesh.nodes, np.full(len(mesh.nodes), -0.02), LEVELS, Opening(np.radians(cut)))
+        constant = np.full(len(mesh.nodes), -0.02)
+        bands = CutAway.from_mesh(mesh).bands(mesh.nodes, constant, LEVELS, Opening(np.radians(cut)))
         assert [len(surface.faces) > 0 for surface in bands] == [k == 6 for k in range(10)]
         assert all(surface.vertices.shape == surface.faces.shape == (0, 3) for k, surface in enumerate(bands) if k != 6)
 
 
 def test_faces_share_no_vertices_with_the_outside_and_edges_stay_sharp():
-    """Every vertex belongs to triangles of about one direction, so that averaged normals are good ones."""
+    """The triangles at a vertex have similar normals, so averaged normals are accurate."""
     mesh = cylinder_mesh(RADIUS, HEIGHT, (4, 5), Q9P1)
-    for surface in CutAway.of(mesh).bands(mesh.nodes, mesh.nodes[:, 1], LEVELS, Opening(np.radians(90.0))):
+    for surface in CutAway.from_mesh(mesh).bands(mesh.nodes, mesh.nodes[:, 1], LEVELS, Opening(np.radians(90.0))):
         normals = area_vectors(surface)
         normals /= np.linalg.norm(normals, axis=1)[:, None]
         sums = np.zeros((len(surface.vertices), 3))
@@ -149,7 +151,7 @@ def test_faces_share_no_vertices_with_the_outside_and_edges_stay_sharp():
         assert (np.einsum("fci,fi->fc", at_vertex, normals) > np.cos(np.radians(10.0))).all()
 
 
-def test_opening_looks_where_it_faces():
+def test_the_opening_has_the_stated_azimuth():
     for facing in (-np.pi / 2, 0.3, 2.0):
         opening = Opening(np.radians(100.0), facing)
         away = (opening.angles - facing + np.pi) % (2 * np.pi) - np.pi
@@ -161,14 +163,14 @@ def test_opening_looks_where_it_faces():
 
 
 @pytest.mark.parametrize("cut", [-0.1, 3.5, np.nan])
-def test_a_cut_out_of_range_is_refused(cut):
-    with pytest.raises(ts.InputError, match=r"0 \(closed\) to 180"):
+def test_a_cut_angle_outside_its_range_is_refused(cut):
+    with pytest.raises(ts.InputError, match=r"between 0 \(closed\) and 180"):
         Opening(cut)
 
 
 def test_mesh_lines_are_the_element_edges_in_front_of_both_faces():
     mesh = needle_mesh(RADIUS, HEIGHT, 0.008, Q9P1, smallest=0.002, growth=1.8, largest=0.02)
-    section, opening = CutAway.of(mesh), Opening(np.radians(120.0))
+    section, opening = CutAway.from_mesh(mesh), Opening(np.radians(120.0))
     lines = section.mesh_lines(mesh.nodes, opening)
     rows, columns = np.unique(mesh.nodes[:, 1]).size // 2, np.unique(mesh.nodes[:, 0]).size // 2
     length = np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).sum()
@@ -180,7 +182,7 @@ def test_mesh_lines_are_the_element_edges_in_front_of_both_faces():
 
 
 def test_undeformed_outline_is_dashed_and_stays_on_the_cylinder():
-    section = CutAway.of(cylinder_mesh(RADIUS, HEIGHT, (4, 5), Q9P1))
+    section = CutAway.from_mesh(cylinder_mesh(RADIUS, HEIGHT, (4, 5), Q9P1))
     for cut in CUTS:
         lines = section.undeformed_outline(Opening(np.radians(cut)))
         r, z = np.linalg.norm(lines[..., :2], axis=-1), lines[..., 2]
@@ -190,8 +192,8 @@ def test_undeformed_outline_is_dashed_and_stays_on_the_cylinder():
         assert np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).sum() == pytest.approx(0.5 * whole, rel=0.05)
 
 
-def test_no_outline_runs_across_the_tool():
-    section, opening = CutAway.of(cylinder_mesh(RADIUS, HEIGHT, (4, 5), Q9P1)), Opening(np.radians(120.0))
+def test_no_outline_crosses_the_tool():
+    section, opening = CutAway.from_mesh(cylinder_mesh(RADIUS, HEIGHT, (4, 5), Q9P1)), Opening(np.radians(120.0))
     tool, deepest = 0.3 * RADIUS, 0.2 * HEIGHT
     lines = section.undeformed_outline(opening, tool=(tool, deepest))
     r, z = np.linalg.norm(lines[..., :2], axis=-1), lines[..., 2]
@@ -202,19 +204,19 @@ def test_no_outline_runs_across_the_tool():
         assert outline[..., 2].min() == pytest.approx(-HEIGHT)
 
 
-def test_coarse_meshes_are_drawn_more_finely():
+def test_elements_of_coarse_meshes_are_divided_more_finely():
     for cells, parts in (((2, 2), 5), ((4, 5), 4), ((6, 6), 3), ((20, 20), 2)):
         mesh = cylinder_mesh(RADIUS, HEIGHT, cells, Q9P1)
-        assert len(CutAway.of(mesh).triangulation.triangles) == 2 * parts**2 * len(mesh.connectivity)
+        assert len(CutAway.from_mesh(mesh).triangulation.triangles) == 2 * parts**2 * len(mesh.connectivity)
 
 
-def test_watched_points_are_on_the_edges_of_a_curved_surface(mesh):
-    """Where the surface is a parabola the Gauss points lie on it, as the edges of quadratic elements do."""
+def test_gauss_points_lie_on_the_edges_of_a_curved_surface(mesh):
+    """The edges of quadratic elements are parabolas, and the Gauss points lie on them."""
     place = mesh.nodes + np.stack([0.0 * mesh.nodes[:, 0], 5.0 * mesh.nodes[:, 0] ** 2], axis=-1)
-    line = CutAway.of(mesh).surface_line(place)
+    line = CutAway.from_mesh(mesh).surface_line(place)
     order = mesh.element.order
-    assert len(line.watched) == len(line.points) - 1 == 9 * order
-    r, z = line.watched[: 4 * order].T
+    assert len(line.gauss_points) == len(line.points) - 1 == 9 * order
+    r, z = line.gauss_points[: 4 * order].T
     inner, outer = line.points[: 4 * order, 0], line.points[1 : 4 * order + 1, 0]
     assert ((r > inner) & (r < outer)).all()
     if order == 2:
@@ -223,7 +225,7 @@ def test_watched_points_are_on_the_edges_of_a_curved_surface(mesh):
 
 
 def test_revolved_line_on_both_ends_of_the_axis_closes():
-    """A ball: the volume of its facets, from one line that starts and ends on the axis."""
+    """Volume of a faceted sphere from one line that starts and ends on the axis."""
     angle = np.linspace(0.5 * np.pi, -0.5 * np.pi, 61)
     line = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     line[[0, -1], 0] = 0.0
@@ -234,6 +236,6 @@ def test_revolved_line_on_both_ends_of_the_axis_closes():
 
 def test_joined_surfaces_keep_their_triangles():
     one = Surface(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], dtype=np.uint32))
-    both = joined(one, Surface(one.vertices + 5, one.faces))
+    both = join_surfaces(one, Surface(one.vertices + 5, one.faces))
     assert both.faces.tolist() == [[0, 1, 2], [3, 4, 5]] and both.vertices[3].tolist() == [6.0, 5.0, 5.0]
     assert both.faces.dtype == np.uint32

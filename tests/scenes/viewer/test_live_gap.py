@@ -1,4 +1,4 @@
-"""What was felt beside the model: the gap, and which of it was carried on."""
+"""Difference between the live force and the model curve, and forces of late ticks."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ SPEED = 20e-3
 
 
 def felt(late_from=np.inf, late_to=np.inf):
-    """4 mm in at `SPEED`, then rest: a spring of 200 N/m with 0.1 N more from 2 mm to 3 mm."""
+    """Trace of a ramp to 4 mm at `SPEED` and a hold: 200 N/m, with 0.1 N added from 2 mm to 3 mm."""
     time = np.arange(0.0, 0.5, 1e-3)
     records = np.zeros(len(time), TICK)
     records["time"], records["tool_depth"] = time, np.minimum(SPEED * time, 4e-3)
@@ -26,7 +26,7 @@ def felt(late_from=np.inf, late_to=np.inf):
     return trace
 
 
-def test_the_largest_gap_its_depth_and_the_speed_of_the_tool():
+def test_the_largest_gap_has_depth_and_tool_speed():
     trace, model = felt(), (200.0 * GRID, 200.0 * GRID)
     gap = live_gap(trace, GRID, trace.newest_passes(GRID), model)
     assert gap.force == pytest.approx(0.1, rel=0.01) and 2e-3 < gap.depth < 3e-3
@@ -35,7 +35,7 @@ def test_the_largest_gap_its_depth_and_the_speed_of_the_tool():
     assert live_gap(trace, GRID, trace.newest_passes(GRID), (np.full(101, np.nan),) * 2) is None
 
 
-def test_what_late_ticks_carried_on_is_counted_and_kept_apart():
+def test_forces_of_late_ticks_are_counted_and_returned_separately():
     trace = felt(1e-3, 2e-3)
     forces = late_forces(trace, GRID)
     there = GRID[np.isfinite(forces)]

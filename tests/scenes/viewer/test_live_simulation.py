@@ -1,4 +1,4 @@
-"""The loop as a page sees it: it starts, its numbers are right, its tissue is that of its numbers, and it may die."""
+"""Live simulation: start, read-outs, snapshots, and the death of its process."""
 
 import os
 import signal
@@ -25,7 +25,7 @@ LOOP = LoopSettings(period=4e-3, snapshot_rate=30.0, real_time=False)
 
 
 class Watched:
-    """A simulation, and what it has said while it was polled."""
+    """Start a simulation; return it with the messages of its start."""
 
     def __init__(self, simulation):
         self.simulation, self.said, self.ticks = simulation, [], 0
@@ -44,7 +44,7 @@ def needle_loop(needle, until):
     simulation = LiveSimulation(needle.model, HandMotion(0.0, 0.05), settings=LOOP)
     watched = Watched(simulation)
     assert simulation.phase is Phase.STARTING and simulation.readouts is None and simulation.snapshot is None
-    with pytest.raises(ts.InputError, match=r"the simulation is not running \(starting\)"):
+    with pytest.raises(ts.InputError, match=r"The simulation is not running \(starting\)\."):
         simulation.ask("aim", depth=1e-3)
     try:
         until(watched, lambda seen: seen.readouts is not None and seen.snapshot is not None)
@@ -54,14 +54,14 @@ def needle_loop(needle, until):
 
 
 def at_rest(depth):
-    """The tool and the tissue that is shown have come to a depth, and inertia is over."""
+    """Return a condition: the tool and the displayed tissue rest at a depth."""
     def at_rest(seen):
         return abs(seen.readouts.depth - depth) < 1e-8 and abs(seen.snapshot.depth - depth) < 1e-8
     return at_rest
 
 
 def simulator_at(simulation, model, depth):
-    """What a simulator on the mesh of a simulation, which its loop has chosen, answers after a slow motion."""
+    """Force of a simulator with the mesh of the loop after a slow motion."""
     resolution = simulation.readouts.mesh.partition(",")[0]
     simulator = ts.Simulator(model, resolution=resolution, inertia="off")
     for part in np.linspace(0.0, depth, 9)[1:]:
@@ -70,14 +70,14 @@ def simulator_at(simulation, model, depth):
     return simulator, answer
 
 
-def test_it_says_what_it_does_until_it_runs(needle_loop):
+def test_messages_describe_the_start(needle_loop):
     words = [message for _, message in needle_loop.said]
     assert "making the tissue" in words or any("loading the solver" in word for word in words)
     assert needle_loop.said[-1] == (Phase.RUNNING, "running")
     assert {phase for phase, _ in needle_loop.said} == {Phase.STARTING, Phase.RUNNING}
 
 
-def test_what_is_felt_is_what_the_simulator_answers(needle_loop, needle, until):
+def test_the_live_force_equals_the_force_of_the_simulator(needle_loop, needle, until):
     simulation, meshes = needle_loop.simulation, set()
     for depth in (2e-3, 3e-3):
         simulation.ask("aim", depth=depth)
@@ -112,7 +112,7 @@ def test_a_pause_holds_the_tool(needle_loop, until):
     until(needle_loop, at_rest(2e-3))
 
 
-def test_what_the_loop_refuses_changes_nothing(needle_loop, until):
+def test_a_refused_command_changes_nothing(needle_loop, until):
     simulation = needle_loop.simulation
     force = until(needle_loop, at_rest(2e-3)).readouts.force
     for command, values, expected in (("aim", {"depth": float("nan")}, "depth: must be a finite number"),
@@ -139,7 +139,7 @@ def test_a_changed_material_is_shown_on_the_same_mesh(needle_loop, needle, until
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
-def test_a_killed_process_is_a_sentence(of_gel, needle, until):
+def test_a_killed_process_gives_a_message(of_gel, needle, until):
     simulation = LiveSimulation(needle.model, HandMotion(0.0, 0.05), settings=LOOP)
     try:
         until(simulation.poll, lambda _: simulation.snapshot is not None)
@@ -148,7 +148,7 @@ def test_a_killed_process_is_a_sentence(of_gel, needle, until):
         until(simulation.poll, lambda records: records is None)
         assert simulation.phase is Phase.DIED
         assert simulation.message == "the process of the loop was killed by signal 9; before that: running"
-        assert simulation.poll() is None and simulation.snapshot is seen, "what it was last stays to be looked at"
+        assert simulation.poll() is None and simulation.snapshot is seen, "the last snapshot is kept"
         with pytest.raises(ts.InputError, match=r"is not running .*killed by signal 9"):
             simulation.ask("pause")
         assert not process.alive and not process.ring_path.exists() and not process.snapshot_path.exists()
@@ -157,7 +157,7 @@ def test_a_killed_process_is_a_sentence(of_gel, needle, until):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
-def test_a_process_that_is_killed_before_it_begins_is_a_sentence(of_gel, needle, until):
+def test_a_process_killed_during_its_start_gives_a_message(of_gel, needle, until):
     simulation = LiveSimulation(needle.model, HandMotion(0.0, 0.05), settings=LOOP)
     try:
         os.kill(simulation.process.pid, signal.SIGKILL)
@@ -169,14 +169,14 @@ def test_a_process_that_is_killed_before_it_begins_is_a_sentence(of_gel, needle,
 
 def tick(number, depth=0.0, force=0.0, stiffness=0.0, status=0, iterations=0, compute_time=0.0, late=0, missed=0,
          flags=0):
-    """What `RingWriter.append` takes of a tick along z, 1 ms after the last."""
+    """Arguments of `RingWriter.append` for a tick along z."""
     answer = ToolForce.axial(force, stiffness, ForceStatus(status), iterations)
     return (number, number * 1e-3, Pose.at_depth(depth), Pose.at_depth(depth), answer.wrench, answer, compute_time, 0.0,
             late, missed, flags)
 
 
 class Written:
-    """A loop without a process, whose ticks the test writes; its clock goes as the test says."""
+    """Loop without a process: the test writes its ticks and sets its clock."""
 
     resolution, force_error = "realtime_35", 0.015
 
@@ -209,7 +209,7 @@ class Written:
         self.board.close()
 
     def write(self, count, **values):
-        """Add ticks of 1 ms."""
+        """Append ticks at intervals of 1 ms."""
         for _ in range(count):
             self.number += 1
             self.writer.append(*tick(self.number, **values))
@@ -217,7 +217,7 @@ class Written:
 
 @pytest.fixture
 def written(monkeypatch, needle, tmp_path):
-    """A simulation and the loop behind it."""
+    """Simulation with a loop whose ticks the test writes."""
     loop = Written(tmp_path)
     monkeypatch.setattr("scenes.viewer.live_simulation.LoopProcess", loop)
     monkeypatch.setattr("scenes.viewer.live_simulation.time", SimpleNamespace(monotonic=lambda: loop.now))
@@ -226,8 +226,8 @@ def written(monkeypatch, needle, tmp_path):
     simulation.close()
 
 
-def test_rates_are_counted(written):
-    """Over two seconds of the clock on the wall, whatever the loop says of its own time."""
+def test_the_loop_rate_is_measured_with_the_wall_clock(written):
+    """The window is two seconds of wall time, independent of the simulated time."""
     simulation, loop = written
     for ticks, rate in ((40, 0), (30, 900), (30, 900), (30, 900)):
         loop.write(ticks, late=3, missed=1)
@@ -245,7 +245,7 @@ def test_rates_are_counted(written):
     assert len(simulation.poll()) == 0 and simulation.readouts is readouts, "no tick, no news"
 
 
-def test_readouts_are_of_the_last_half_second(written):
+def test_statistics_cover_the_last_half_second(written):
     simulation, loop = written
     loop.write(300, compute_time=5e-3, iterations=9)
     simulation.poll()
@@ -263,28 +263,27 @@ def test_readouts_are_of_the_last_half_second(written):
 
 
 @pytest.mark.parametrize("status", [status for status in ForceStatus if status is not ForceStatus.CONVERGED])
-def test_the_status_is_that_of_now_and_the_last_second_is_counted(written, status):
-    """A single tick in one frame of thirty a second would be gone before anybody has read it: it is counted for a
-    second, and the state is that of the newest force all the while."""
+def test_the_status_is_the_newest_and_unconverged_ticks_of_a_second_are_counted(written, status):
+    """A single tick is visible for one frame only; therefore, unconverged ticks are counted over one second."""
     simulation, loop = written
     loop.write(1, status=status)
     simulation.poll()
     now = simulation.readouts
-    assert (now.status, now.warning, now.doubtful) == (status.name.lower(), status.message, 1)
+    assert (now.status, now.warning, now.unconverged) == (status.name.lower(), status.message, 1)
     for _ in range(30):
         loop.write(33)
         simulation.poll()
         now = simulation.readouts
-        assert (now.status, now.warning, now.doubtful) == ("in equilibrium", "", 1)
+        assert (now.status, now.warning, now.unconverged) == ("in equilibrium", "", 1)
     loop.write(33)
     simulation.poll()
-    assert simulation.readouts.doubtful == 0
+    assert simulation.readouts.unconverged == 0
     loop.write(1, flags=PAUSED)
     simulation.poll()
     assert simulation.readouts.status == "paused"
 
 
-def test_a_loop_that_ends_by_itself_is_told(written):
+def test_the_end_of_the_loop_is_reported(written):
     simulation, loop = written
     loop.write(5)
     simulation.poll()
@@ -293,7 +292,7 @@ def test_a_loop_that_ends_by_itself_is_told(written):
     assert simulation.message == "the loop has ended (parent)"
 
 
-def test_ticks_that_nobody_asked_for_are_forgotten(written):
+def test_forget_skips_unread_ticks(written):
     simulation, loop = written
     loop.write(10)
     assert len(simulation.poll()) == 10
@@ -304,8 +303,8 @@ def test_ticks_that_nobody_asked_for_are_forgotten(written):
     assert records["tick"].tolist() == [21, 22, 23] and records.dtype == TICK
 
 
-def test_a_slow_solver_gets_the_time_of_a_solve_and_a_quick_one_keeps_its_budget(needle, monkeypatch):
-    """In most ticks nothing would fit into the budget otherwise."""
+def test_the_budget_is_extended_for_slow_solvers_only(needle, monkeypatch):
+    """With the original budget, a slow solver would make no progress in most ticks."""
     from scenes.viewer.viewed_simulator import ViewedSimulator
 
     quick = ViewedSimulator(needle.model, resolution="realtime_20", budget=10.0)

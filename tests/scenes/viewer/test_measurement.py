@@ -1,4 +1,4 @@
-"""Replicates on one grid, the model's residual and RMSE, and the motion that is simulated for them."""
+"""Measurement: replicates on a common grid, residual and RMSE of the model, and the motion to simulate."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from scenes.viewer.measurement import branches_on_grid, measurement, motion, read_measurement, residual
+from scenes.viewer.measurement import branches_on_grid, build_measurement, motion, read_measurement, residual
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.recording.segmentation import load_and_unload
 
@@ -17,7 +17,7 @@ DEPTH = 10e-3
 
 def tried(force_in, force_out=None, *, points=201, hold=0, labels=True, noise=0.0, seed=0, deepest=DEPTH,
           **metadata):
-    """A ramp, a hold in which the force falls, and a way out, at 1 mm/s; forces as functions of the depth in m."""
+    """Recording of a ramp, a hold with relaxation and an unloading at 1 mm/s; forces are functions of depth in m."""
     there = np.linspace(0, deepest, points)
     depth, force, segment = [there], [force_in(there)], ["ramp"] * points
     if hold:
@@ -44,7 +44,7 @@ def soft(d):
 
 
 @pytest.mark.parametrize("labels", [True, False])
-def test_ways_leave_the_hold_out(labels):
+def test_branches_exclude_the_hold(labels):
     recording = tried(stiff, soft, hold=40, labels=labels)
     load, unload = load_and_unload(recording)
     np.testing.assert_allclose(recording.force[load], stiff(recording.displacement[load]), rtol=1e-12)
@@ -52,14 +52,14 @@ def test_ways_leave_the_hold_out(labels):
     assert load[[0, -1]].tolist() == [0, 200] and unload[[0, -1]].tolist() == [240, 440]
 
 
-def test_labels_in_other_words_are_passed_over():
+def test_unknown_labels_are_ignored():
     recording = tried(stiff, soft, hold=40)
     foreign = replace(recording, labels={"segment": np.char.add("phase ", recording.labels["segment"])})
     for found, expected in zip(load_and_unload(foreign), load_and_unload(recording), strict=True):
         assert found.tolist() == expected.tolist()
 
 
-def test_displacement_with_noise_finds_the_same_ways():
+def test_a_noisy_displacement_gives_the_same_branches():
     recording = tried(stiff, soft, labels=False, points=2001)
     noise = 0.02e-3 * np.random.default_rng(1).normal(size=len(recording))
     load, unload = load_and_unload(recording.with_channels(displacement=recording.displacement + noise))
@@ -67,7 +67,7 @@ def test_displacement_with_noise_finds_the_same_ways():
     assert load.size > 300 and unload.size > 300
 
 
-def test_only_the_first_cycle_counts():
+def test_only_the_first_cycle_is_used():
     one, two = tried(stiff, soft), tried(soft, soft)
     for labels in (True, False):
         both = {name: np.concatenate([one.channel(name), two.channel(name)]) for name in ("displacement", "force")}
@@ -76,9 +76,9 @@ def test_only_the_first_cycle_counts():
         assert load[[0, -1]].tolist() == [0, 200] and unload[[0, -1]].tolist() == [200, 400]
 
 
-def test_envelope_is_that_of_the_replicates():
+def test_the_envelope_covers_the_replicates():
     runs = [tried(lambda d, k=k: k * stiff(d), soft, hold=20) for k in (0.9, 1.0, 1.2)]
-    measured = measurement(runs)
+    measured = build_measurement(runs)
     assert (measured.depth[0], measured.depth[-1]) == (0.0, DEPTH)
     expected = stiff(measured.depth)
     np.testing.assert_allclose(measured.load.mean, 3.1 / 3 * expected, rtol=1e-4, atol=1e-9)
@@ -89,22 +89,22 @@ def test_envelope_is_that_of_the_replicates():
     np.testing.assert_allclose(measured.unload.high - measured.unload.low, 0, atol=1e-12)
 
 
-def test_a_shorter_replicate_ends_the_mean():
-    measured = measurement([tried(stiff), tried(stiff, deepest=6e-3)])
+def test_the_mean_ends_at_the_shortest_replicate():
+    measured = build_measurement([tried(stiff), tried(stiff, deepest=6e-3)])
     assert measured.depth[-1] == DEPTH and measured.unload is None
     assert np.isfinite(measured.load.mean[measured.depth <= 6e-3]).all()
     assert np.isnan(measured.load.mean[measured.depth > 6.001e-3]).all()
 
 
-def test_noise_is_that_of_the_sensor():
-    measured = measurement([tried(stiff, soft, noise=0.02, seed=seed) for seed in range(6)])
+def test_noise_equals_the_noise_of_the_sensor():
+    measured = build_measurement([tried(stiff, soft, noise=0.02, seed=seed) for seed in range(6)])
     assert measured.noise == pytest.approx(0.02, rel=0.1)
-    assert measurement([tried(stiff)]).noise is None
+    assert build_measurement([tried(stiff)]).noise is None
 
 
 def test_residual_and_rmse_of_a_known_error():
-    """A model 3 % too stiff in, and 0.05 N too low out: the root mean square is that of the two, by hand."""
-    measured = measurement([tried(stiff, soft, hold=20) for _ in range(2)])
+    """The model is 3 % too stiff in loading and 0.05 N too low in unloading; the RMSE is computed by hand."""
+    measured = build_measurement([tried(stiff, soft, hold=20) for _ in range(2)])
     model = tried(lambda d: 1.03 * stiff(d), lambda d: soft(d) - 0.05, hold=20, points=401)
     found = residual(model, measured)
     np.testing.assert_allclose(found.load, 0.03 * stiff(found.depth), atol=1e-6)
@@ -114,23 +114,23 @@ def test_residual_and_rmse_of_a_known_error():
     assert found.samples == 2 * (201 + 201)
 
 
-def test_rmse_of_the_truth_is_the_noise():
-    measured = measurement([tried(stiff, soft, hold=30, noise=0.02, seed=seed) for seed in range(3)])
+def test_the_rmse_of_the_true_curve_is_the_noise():
+    measured = build_measurement([tried(stiff, soft, hold=30, noise=0.02, seed=seed) for seed in range(3)])
     assert residual(tried(stiff, soft, hold=30), measured).rmse == pytest.approx(0.02, rel=0.06)
 
 
-def test_model_that_goes_nowhere_near_is_refused():
+def test_a_model_that_reaches_no_measured_depth_is_refused():
     deep = tried(stiff)
     deep = deep.with_channels(displacement=deep.displacement + 20e-3)
-    with pytest.raises(ts.InputError, match="model: reaches none of the measured depths"):
-        residual(deep, measurement([tried(stiff)]))
+    with pytest.raises(ts.InputError, match="model: must reach the measured depths"):
+        residual(deep, build_measurement([tried(stiff)]))
 
 
 @pytest.mark.parametrize("hold", [0, 300])
-def test_motion_is_short_and_keeps_its_corners(hold):
+def test_the_motion_has_few_samples_and_keeps_its_corners(hold):
     runs = [tried(lambda d, k=k: k * stiff(d), soft, points=1001, hold=hold, seed=i)
             for i, k in enumerate((0.8, 1.0, 1.2))]
-    found = motion(measurement(runs))
+    found = motion(build_measurement(runs))
     assert 40 <= found.time.size <= 50
     assert found.displacement[0] == 0 and found.depth == DEPTH and found.displacement[-1] == 0
     assert found.time[-1] == runs[0].time[-1]
@@ -142,62 +142,62 @@ def test_motion_ends_after_the_first_unloading():
     one = tried(stiff, soft)
     both = ts.Recording({"time": np.arange(2 * len(one)) * 0.05,
                          "displacement": np.tile(one.displacement, 2), "force": np.tile(one.force, 2)})
-    assert motion(measurement([both])).time[-1] == pytest.approx(one.time[-1])
+    assert motion(build_measurement([both])).time[-1] == pytest.approx(one.time[-1])
 
 
-def test_motion_without_time_takes_the_speed():
+def test_a_recording_without_time_uses_the_stated_speed():
     def bare(**metadata):
         run = tried(stiff, **metadata)
-        return measurement([ts.Recording({name: run.channel(name) for name in ("displacement", "force")},
+        return build_measurement([ts.Recording({name: run.channel(name) for name in ("displacement", "force")},
                                          metadata=run.metadata)])
 
     assert motion(bare(speed_mm_s=2.0)).time[-1] == pytest.approx(5.0)
     assert motion(bare(speed_mm_s=2.0), speed=4e-3).time[-1] == pytest.approx(2.5)
     assert motion(bare()).time[-1] == pytest.approx(10 / 0.248)
-    with pytest.raises(ts.InputError, match=r"speed: 0 m/s is not a speed"):
+    with pytest.raises(ts.InputError, match=r"speed: must be positive and finite; got 0 m/s"):
         motion(bare(), speed=0.0)
 
 
-def test_virtual_needle_test_is_compared_within_its_noise():
-    """Measured with 601 samples, compared at 50: the thinning costs far less than the noise of the sensor."""
+def test_thinning_the_motion_adds_less_error_than_the_noise():
+    """The virtual measurement has 601 samples, the simulation for comparison 50."""
     protocol = ts.Protocol.parse("ramp 8mm @1mm/s; hold 3s; unload", points=301)
     experiment = NEEDLE.experiment(specimen=ts.Specimen(0.04, 0.07), protocol=protocol)
     material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4),
                            viscoelastic=ts.Prony((ts.PronyTerm(0.3, 2.0),)))
     true = ts.simulate(ts.Model(experiment, material), resolution="fast")
-    measured = measurement([ts.Rig(force_noise=0.02, seed=seed).measure(true) for seed in range(3)])
+    measured = build_measurement([ts.Rig(force_noise=0.02, seed=seed).measure(true) for seed in range(3)])
     short = ts.simulate(ts.Model(replace(experiment, protocol=motion(measured)), material), resolution="fast")
     assert len(short) <= 50
     assert residual(short, measured).rmse == pytest.approx(0.02, rel=0.05)
-    assert residual(short, measurement([true])).rmse < 5e-4
+    assert residual(short, build_measurement([true])).rmse < 5e-4
 
 
-def test_files_are_read_and_bad_ones_named(tmp_path):
+def test_files_are_read_and_invalid_files_are_named(tmp_path):
     for seed in range(2):
         ts.write_recording(tried(stiff, soft, seed=seed, kind="needle_indentation"), tmp_path / f"run_{seed}.csv")
     measured = read_measurement([tmp_path / "run_0.csv", tmp_path / "run_1.csv"])
     assert (len(measured.recordings), measured.name, measured.kind) == (2, "run 0", "needle_indentation")
     ts.write_recording(tried(stiff, kind="bonded_compression"), tmp_path / "other.csv")
-    with pytest.raises(ts.InputError, match=r"other\.csv: kind: is a bonded_compression"):
+    with pytest.raises(ts.InputError, match=r"other\.csv: kind: must be the same in all recordings"):
         read_measurement([tmp_path / "run_0.csv", tmp_path / "other.csv"])
     stretch = np.linspace(1, 0.8, 9)
     ts.write_recording(ts.Recording({"stretch": stretch, "nominal stress": stretch - 1}), tmp_path / "stress.csv")
-    with pytest.raises(ts.InputError, match=r"stress\.csv: displacement: has no displacement"):
+    with pytest.raises(ts.InputError, match=r"stress\.csv: displacement: must be a channel of the recording"):
         read_measurement([tmp_path / "stress.csv"])
-    with pytest.raises(ts.InputError, match=r"short\.csv: has 4 samples, expected at least 5"):
-        measurement([tried(stiff, source="short.csv").select(slice(0, 4))])
+    with pytest.raises(ts.InputError, match=r"short\.csv: must have at least 5 samples; got 4"):
+        build_measurement([tried(stiff, source="short.csv").select(slice(0, 4))])
     out = tried(stiff)
     ts.write_recording(out.with_channels(displacement=-out.displacement), tmp_path / "pull.csv")
-    with pytest.raises(ts.InputError, match=r"pull\.csv: displacement: never goes deeper"):
+    with pytest.raises(ts.InputError, match=r"pull\.csv: displacement: must increase above its first value"):
         read_measurement([tmp_path / "pull.csv"])
     with pytest.raises(ts.InputError, match=r"gone\.csv"):
         read_measurement([tmp_path / "gone.csv"])
-    with pytest.raises(ts.InputError, match="needs at least one recording"):
+    with pytest.raises(ts.InputError, match="must contain at least one recording"):
         read_measurement([])
 
 
-def test_measured_silicone(data_folder):
-    """Five compressions of one specimen to 20 mm: peak forces of the files themselves bound the mean."""
+def test_measured_silicone_has_the_peak_forces_of_its_files(data_folder):
+    """Five compressions of one specimen to 20 mm; the peak forces of the files bound the mean."""
     files = sorted((data_folder / "ecoflex_compression").glob("EF10_0T_A*.csv"))
     columns = {"time": "Time (s)", "displacement": "Compression (mm)", "force": "Load (N)"}
     measured = read_measurement(files, columns=columns, skip_lines=7)
@@ -234,4 +234,4 @@ def test_a_measurement_says_when_it_was_made_with_another_tool(said, expected):
     depth = np.linspace(0.0, 5e-3, 40)
     recording = ts.Recording({"time": depth / 1e-3, "displacement": depth, "force": 200.0 * depth}, {},
                              {"name": "a", **said})
-    assert measurement([recording]).other_tool(ts.Tool("flat", 8e-3)) == expected
+    assert build_measurement([recording]).other_tool(ts.Tool("flat", 8e-3)) == expected

@@ -1,4 +1,4 @@
-"""The curve of the whole test: the newest wish wins, a model without a curve says why, a worker may die."""
+"""Model curve: the newest request is computed, failures give a reason, and the worker process may die."""
 
 import multiprocessing
 import os
@@ -17,15 +17,15 @@ CURVE = ts.Recording({"displacement": np.linspace(0, 1e-3, 5), "force": np.linsp
 OTHER = ts.Recording({"displacement": np.linspace(0, 2e-3, 5), "force": np.linspace(0, 1, 5)})
 
 
-def test_the_newest_wish_wins(pool):
-    """The tasks stand for models: nothing here looks into one."""
+def test_the_newest_request_is_computed(pool):
+    """The requests are plain words, because nothing in this test reads the model."""
     curve = ModelCurve("accurate")
     assert not curve.busy and curve.recording is None
-    curve.ask("first")
+    curve.request("first")
     assert curve.busy and not pool.tasks, "the process of the page does not wait for one to start"
     curve.poll()
-    for wish in ("second", "third", "fourth"):
-        curve.ask(wish)
+    for request in ("second", "third", "fourth"):
+        curve.request(request)
         curve.poll()
     assert [arguments for arguments, _ in pool.tasks] == [("first", "accurate", "axisymmetric", None)]
     pool.tasks[0][1].set_result(CURVE)
@@ -46,11 +46,11 @@ def test_the_newest_wish_wins(pool):
     (ConvergenceError("not even the first"), None),
     (ts.InputError("12 layers are too many", field="layers"), None),
 ])
-def test_a_model_without_a_curve_says_why(pool, error, left):
-    """What a solver has reached is shown; a curve of the model before is not taken for that of this one."""
+def test_a_failed_simulation_gives_a_reason(pool, error, left):
+    """The curve is the converged part of the failed simulation, never the curve of the previous model."""
     curve = ModelCurve()
     for answer in ("set_result", CURVE), ("set_exception", error), ("set_result", CURVE):
-        curve.ask("a model")
+        curve.request("a model")
         curve.poll()
         getattr(pool.tasks[-1][1], answer[0])(answer[1])
         curve.poll()
@@ -59,29 +59,29 @@ def test_a_model_without_a_curve_says_why(pool, error, left):
     assert curve.number == 3
 
 
-def test_a_dead_worker_is_a_sentence(pool):
+def test_a_dead_worker_gives_a_message(pool):
     curve = ModelCurve()
-    curve.ask("a model")
+    curve.request("a model")
     curve.poll()
     pool.tasks[0][1].set_exception(BrokenProcessPool("terminated abruptly"))
     curve.poll()
     assert "has died" in curve.problem and not curve.busy
-    curve.ask("another")
+    curve.request("another")
     curve.poll()
     pool.tasks[1][1].set_result(CURVE)
     curve.poll()
     assert curve.recording is CURVE and curve.problem == ""
 
 
-def test_what_is_forgotten_does_not_come_back(pool):
-    """The answer to a wish from before belongs to another test."""
+def test_a_result_after_forget_is_dropped(pool):
+    """The result of an earlier request belongs to another test."""
     curve = ModelCurve()
-    curve.ask("compression")
+    curve.request("compression")
     curve.poll()
-    curve.ask("compression, softer")
+    curve.request("compression, softer")
     curve.forget()
     assert curve.recording is None
-    curve.ask("needle")
+    curve.request("needle")
     pool.tasks[0][1].set_result(CURVE)
     curve.poll()
     assert curve.recording is None and [arguments[0] for arguments, _ in pool.tasks] == ["compression", "needle"]
@@ -91,19 +91,19 @@ def test_what_is_forgotten_does_not_come_back(pool):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
-def test_a_worker_may_be_killed(monkeypatch, until):
-    """A real process, with words in place of a simulation; test_session.py waits for whole tests."""
+def test_a_killed_worker_is_replaced(monkeypatch, until):
+    """Real process with a text function instead of a simulation; test_session.py simulates whole tests."""
     monkeypatch.setattr("scenes.viewer.model_curve.simulate_test", "{}{}, {}".format)
     before = set(multiprocessing.active_children())
     curve = ModelCurve("fast")
     try:
-        curve.ask("needle, ")
+        curve.request("needle, ")
         curve.poll()
         worker, = set(multiprocessing.active_children()) - before
         os.kill(worker.pid, signal.SIGKILL)
         until(curve.poll, lambda _: not curve.busy)
         assert "has died" in curve.problem and curve.recording is None
-        curve.ask("needle, ")
+        curve.request("needle, ")
         until(curve.poll, lambda _: not curve.busy)
         assert (curve.recording, curve.problem, curve.number) == ("needle, fast, axisymmetric", "", 2)
     finally:

@@ -1,4 +1,4 @@
-"""The saved view: pixel for pixel in the picture, with the colours of the bar beside it."""
+"""Picture file: the view is unchanged, next to a colour bar and force curves."""
 
 import io
 
@@ -16,13 +16,13 @@ CAPTION = ["Needle indentation", "phantom: C10 1.40 kPa", "depth 8.00 mm, force 
 
 
 def opened(png: bytes) -> np.ndarray:
-    """Shape (h, w, 3), uint8."""
+    """Decode a PNG, shape (h, w, 3), uint8."""
     assert png.startswith(b"\x89PNG")
     return np.round(imread(io.BytesIO(png), format="png")[:, :, :3] * 255).astype(np.uint8)
 
 
 def render(height=360, width=480, channels=4):
-    """Noise in the middle, transparent (or black) around it."""
+    """Image with noise in the middle and a transparent (or black) border."""
     picture = np.zeros((height, width, channels), np.uint8)
     picture[60:-60, 80:-80, :3] = np.random.default_rng(0).integers(0, 256, (height - 120, width - 160, 3))
     picture[60:-60, 80:-80, 3:] = 255
@@ -30,23 +30,23 @@ def render(height=360, width=480, channels=4):
 
 
 def find(picture, part):
-    """Rows and columns where a part begins in the picture."""
+    """Row and column of the first pixel of a part of the picture."""
     high, wide = part.shape[:2]
     corners = np.argwhere((picture == part[0, 0]).all(axis=2))
     return [(i, j) for i, j in corners if np.array_equal(picture[i:i + high, j:j + wide], part)]
 
 
 def test_without_levels_there_is_no_bar():
-    """Tissue of a solver without fields: the view alone, and no room for what is not there."""
+    """For tissue without fields, the picture has the view only and no space for a bar."""
     view = render()
-    alone, beside = (opened(compose_png(view, levels, COLOURS, "von Mises stress [kPa]", CAPTION))
+    alone, with_bar = (opened(compose_png(view, levels, COLOURS, "von Mises stress [kPa]", CAPTION))
                      for levels in (None, LEVELS))
-    assert find(alone, view[60:-60, 80:-80, :3]) and alone.shape[1] < beside.shape[1] - 100
+    assert find(alone, view[60:-60, 80:-80, :3]) and alone.shape[1] < with_bar.shape[1] - 100
     assert not (alone == np.round(np.array(to_rgb(COLOURS[2])) * 255)).all(axis=2).any()
 
 
 @pytest.mark.parametrize("curves", [(), (Curve(np.arange(5) * 1e-3, np.arange(5.0), "model", "#0072B2"),)])
-def test_view_is_in_the_picture_pixel_for_pixel(curves):
+def test_the_picture_contains_the_unchanged_view(curves):
     view = render()
     picture = opened(compose_png(view, LEVELS, COLOURS, "von Mises stress [kPa]", CAPTION, curves=curves))
     (place,) = find(picture, view[60:-60, 80:-80, :3])
@@ -54,7 +54,7 @@ def test_view_is_in_the_picture_pixel_for_pixel(curves):
     assert (around == 255).all()  # what was transparent is white
 
 
-def test_half_transparent_pixels_lie_on_white():
+def test_transparent_pixels_are_blended_with_white():
     view = np.zeros((300, 300, 4), np.uint8)
     view[:] = [200, 100, 0, 102]
     picture = opened(compose_png(view, LEVELS, COLOURS, "J", ["x"]))
@@ -62,7 +62,7 @@ def test_half_transparent_pixels_lie_on_white():
     assert (picture == expected).all(axis=2).sum() >= 300 * 300
 
 
-def test_bar_has_the_bands_in_order_from_below():
+def test_the_bar_has_the_bands_in_ascending_order():
     picture = opened(compose_png(render(), LEVELS, COLOURS, "von Mises stress [kPa]", CAPTION))
     rows = [np.argwhere((picture == np.round(np.array(to_rgb(colour)) * 255)).all(axis=2)) for colour in COLOURS]
     heights = [np.unique(found[:, 0]) for found in rows]
@@ -75,7 +75,7 @@ def test_bar_has_the_bands_in_order_from_below():
         assert np.array_equal(opened(compose_png(render(), LEVELS, same, "von Mises stress [kPa]", CAPTION)), picture)
 
 
-def test_curve_goes_to_the_right_in_its_colour():
+def test_the_force_curve_is_drawn_in_its_colour():
     depth = np.linspace(0, 10e-3, 20)
     band = (depth, 180 * depth, 220 * depth)
     curves = (Curve(depth, 200 * depth, "model", "#0072B2"), Curve(depth, 150 * depth, "", "#0072B2", dashed=True),
@@ -95,13 +95,13 @@ def test_long_captions_are_wrapped_and_formulas_are_text():
 
 
 @pytest.mark.parametrize(("changes", "message"), [
-    ({"render": np.zeros((4, 4), np.uint8)}, r"^render: has shape \(4, 4\)"),
-    ({"render": np.zeros((4, 4, 3))}, r"^render: .*float64, expected"),
-    ({"levels": [0.0, 1.0]}, "^colours: 3 colours for 1 bands"),
-    ({"levels": [0.0, 1.0, 1.0, 2.0]}, "^levels: expected two or more numbers that ascend"),
+    ({"render": np.zeros((4, 4), np.uint8)}, r"^render: must have shape .*got \(4, 4\)"),
+    ({"render": np.zeros((4, 4, 3))}, r"^render: must .*uint8; got .*float64"),
+    ({"levels": [0.0, 1.0]}, "^colours: must be one per band; got 3 for 1 bands"),
+    ({"levels": [0.0, 1.0, 1.0, 2.0]}, "^levels: must be two or more ascending"),
     ({"levels": [0.0, np.nan, 1.0, 2.0]}, "^levels: "),
 ])
-def test_what_is_no_picture_is_refused(changes, message):
+def test_invalid_input_is_refused(changes, message):
     asked = {"render": render(), "levels": LEVELS, "colours": COLOURS, "label": "J", "caption": CAPTION} | changes
     with pytest.raises(ts.InputError, match=message):
         compose_png(**asked)

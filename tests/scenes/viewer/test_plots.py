@@ -1,4 +1,4 @@
-"""The columns of the live plots: ascending, of one length, where the curves are, and ranges that hold them."""
+"""Data of the live plots: ascending columns of equal length with the curves, and ranges that contain them."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from scenes.viewer.measurement import measurement, residual
+from scenes.viewer.measurement import build_measurement, residual
 from scenes.viewer.plots import (
     PARTS,
     SECONDS,
@@ -24,7 +24,7 @@ from scenes.viewer.plots import (
 
 
 def there_and_back(factor=1.0, deepest=8e-3, **metadata):
-    """200 N/m in, 150 N/m out, after a sample at the turn that holds."""
+    """Recording with 200 N/m in loading and 150 N/m in unloading, with a hold between them."""
     there = np.linspace(0, deepest, 81)
     depth = np.concatenate([there, there[::-1]])
     force = factor * np.concatenate([200 * there, 150 * there[::-1]])
@@ -34,7 +34,7 @@ def there_and_back(factor=1.0, deepest=8e-3, **metadata):
 
 @pytest.fixture(scope="module")
 def measured():
-    return measurement([there_and_back(factor) for factor in (0.9, 1.0, 1.1)])
+    return build_measurement([there_and_back(factor) for factor in (0.9, 1.0, 1.1)])
 
 
 def names(options):
@@ -42,14 +42,14 @@ def names(options):
 
 
 def columns(data, options):
-    """Label of the series -> column."""
+    """Return the column of each series by its label."""
     assert len(data) == len(options["series"])
     assert len({column.shape for column in data}) == 1 and all(column.dtype == float for column in data)
     assert (np.diff(data[0]) > 0).all()
     return dict(zip(names(options), data, strict=True))
 
 
-def test_force_over_depth(measured):
+def test_force_over_depth_has_measurement_model_and_live_curve(measured):
     grid = depth_grid(10e-3)
     load = np.where(grid <= 5e-3, 210 * grid, np.nan)
     data, extent = force_depth(grid, measured=measured, model=(200 * grid, 150 * grid), live=(load, 140 * grid),
@@ -67,14 +67,14 @@ def test_force_over_depth(measured):
     np.testing.assert_allclose(found["model unload"], 0.15 * x, atol=1e-9)
     np.testing.assert_allclose(found["live load"][x <= 5], 0.21 * x[x <= 5], atol=1e-9)
     assert np.isnan(found["live load"][x > 5.01]).all() and np.isnan(found["measured load"][x > 8.01]).all()
-    assert np.isnan(found["before load"]).all()
+    assert np.isnan(found["compared load"]).all()
     point = np.isfinite(found["now"])
     assert (x[point], found["now"][point]) == (pytest.approx(3.33), 0.7)
     assert extent == pytest.approx((0, 2.0))
 
 
-def test_band_has_no_width_where_there_are_no_replicates(measured):
-    """uPlot fills on beyond a NaN, so the edges of a band have none."""
+def test_the_band_has_zero_width_without_replicates(measured):
+    """uPlot fills bands across NaN, so the edges contain none."""
     grid = depth_grid(10e-3)
     data, extent = force_depth(grid, measured=measured)
     found = columns(data, force_depth_options((0, 10), extent))
@@ -85,14 +85,14 @@ def test_band_has_no_width_where_there_are_no_replicates(measured):
 
 
 @pytest.mark.parametrize("depth", [-1e-3, 12e-3])
-def test_now_outside_the_plot_is_left_out(depth):
+def test_a_present_point_outside_the_grid_is_not_drawn(depth):
     grid = depth_grid(10e-3)
     data, _ = force_depth(grid, now=(depth, 0.3))
     assert data[0].size == grid.size and np.isnan(data[-1]).all()
 
 
 @given(st.floats(0, 10e-3), st.floats(-5, 5))
-def test_now_is_where_it_is(depth, force):
+def test_the_present_point_is_drawn_at_its_depth(depth, force):
     grid = depth_grid(10e-3)
     data, (low, high) = force_depth(grid, model=(100 * grid, 100 * grid), now=(depth, force))
     point = np.flatnonzero(np.isfinite(data[-1]))
@@ -101,7 +101,7 @@ def test_now_is_where_it_is(depth, force):
     np.testing.assert_allclose(data[7], 0.1 * data[0], atol=1e-12)
 
 
-def test_residual_over_depth(measured):
+def test_residual_over_depth_has_band_and_branches(measured):
     grid = depth_grid(10e-3)
     data, extent = residual_depth(residual(there_and_back(1.05), measured), measured, grid)
     found = columns(data, residual_depth_options((0, 10), extent))
@@ -116,14 +116,14 @@ def test_residual_over_depth(measured):
     assert extent == pytest.approx((-0.16, 0.16))
 
 
-def test_plots_of_nothing_have_a_range():
+def test_empty_plots_have_a_range():
     grid = depth_grid(10e-3)
     for data, extent in (force_depth(grid), residual_depth(None, None, grid), force_time(np.empty(0), np.empty(0), 3)):
         assert extent == (0, 0) and (np.diff(data[0]) > 0).all()
     assert settled_range((0, 0)) == (0, 1) and settled_range((0, 0), about_zero=True) == (-1, 1)
 
 
-def test_last_seconds_keep_every_peak():
+def test_force_over_time_keeps_peaks():
     time = np.arange(0, 60, 5e-3) + 1.3e-3  # so that none falls on the edge of a part
     force, now = np.random.default_rng(0).normal(size=time.size), 60.0
     data, extent = force_time(time, force, now)
@@ -136,7 +136,7 @@ def test_last_seconds_keep_every_peak():
         assert sorted(live[2 * i:2 * i + 2]) == [part.min(), part.max()]
 
 
-def test_slow_force_is_where_it_was():
+def test_force_over_time_follows_a_slow_force():
     time = np.arange(0, 12, 0.1)
     data, _ = force_time(time, 0.3 * time, 12.0, measured=(time, 0.2 * time))
     x, measured, live, _ = data
@@ -146,8 +146,8 @@ def test_slow_force_is_where_it_was():
     assert np.isnan(live[x + 12 < -0.2]).all() and np.isnan(measured[x > -0.05]).all()
 
 
-def test_the_force_on_a_hand_is_beside_that_of_the_tissue():
-    """A hand that gets no more than 1.5 N of 3."""
+def test_force_on_the_hand_and_force_of_the_tissue_are_drawn():
+    """The rendered force is limited to 1.5 N of 3 N."""
     time = np.arange(0, 12, 0.01)
     force = 0.3 * time
     data, extent = force_time(time, force, 12.0, hand=np.minimum(force, 1.5))
@@ -163,7 +163,7 @@ extents = st.tuples(st.floats(-1e3, 0), st.floats(0, 1e3))
 
 @settings(max_examples=300)
 @given(extents, st.booleans())
-def test_range_holds_what_it_shows_and_little_more(extent, about_zero):
+def test_a_range_contains_the_data_with_a_small_margin(extent, about_zero):
     low, high = settled_range(extent, about_zero=about_zero)
     largest = max(extent[1], -extent[0])
     assert low - 1e-9 <= extent[0] <= extent[1] <= high + 1e-9 and low < high
@@ -174,12 +174,12 @@ def test_range_holds_what_it_shows_and_little_more(extent, about_zero):
 
 @settings(max_examples=200)
 @given(st.floats(1e-6, 1e3), st.floats(0.6, 1.0))
-def test_range_stays_while_it_fits(force, share):
+def test_a_suitable_range_is_kept(force, share):
     before = settled_range((0, force))
     assert settled_range((0, share * force), before) == before
 
 
-def test_range_grows_at_once_and_shrinks_when_nearly_empty():
+def test_a_range_grows_immediately_and_shrinks_when_nearly_empty():
     assert settled_range((0, 1.9)) == (0, 2)
     assert settled_range((0, 1.0), (0, 2)) == (0, 2)
     assert settled_range((0, 2.1), (0, 2)) == (0, 2.5)
@@ -187,8 +187,8 @@ def test_range_grows_at_once_and_shrinks_when_nearly_empty():
     assert settled_range((-0.3, 0.7), about_zero=True) == (-0.8, 0.8)
 
 
-def test_options_are_what_viser_takes(measured):
-    """Made by viser itself, with the data: it refuses lengths and types that do not fit."""
+def test_viser_accepts_the_options(measured):
+    """viser checks lengths and types when it creates the plots."""
     import viser
 
     grid = depth_grid(10e-3)
@@ -208,14 +208,14 @@ def test_options_are_what_viser_takes(measured):
         server.stop()
 
 
-def test_legend_names_what_is_drawn():
-    everything = legend_html(measured=3, before="<friction>")
+def test_the_legend_names_the_drawn_curves():
+    everything = legend_html(measured=3, compared="<friction>")
     assert "measured (3)" in everything and "&lt;friction&gt;" in everything and "live" in everything
     assert "(1)" not in legend_html(measured=1) and "measured" not in legend_html()
     assert legend_html() != legend_html(dark=True)
 
 
-def test_forces_that_were_carried_on_are_points_of_their_own():
+def test_forces_of_late_ticks_are_a_separate_series():
     grid = depth_grid(10e-3, 11)
     late = np.where(np.arange(11) == 4, 0.7, np.nan)
     data, extent = force_depth(grid, late=late)

@@ -1,4 +1,4 @@
-"""What the page says, as HTML that is read here without a browser."""
+"""HTML texts of the page, parsed without a browser."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -14,66 +14,66 @@ from scenes.viewer.scene import Scene
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 
 NOW = Readouts(time=3.0, depth=5.678e-3, force=1.2344, stiffness=211.0, step_time=0.31e-3, iterations=0.84, rate=999.7,
-               late=0.0042, status="in equilibrium", mesh="realtime_63, force within 1.1 %", doubtful=3)
+               late=0.0042, status="in equilibrium", mesh="realtime_63, force within 1.1 %", unconverged=3)
 FRAME = Frame(Phase.RUNNING, "running", None, None, NOW, Curves(), "protocol", 0.0)
 
 
 def texts(html):
-    """What stands in each element with a name for tests."""
+    """Text of each element with a test id."""
     return {part.get("data-testid"): "".join(part.itertext())
             for part in ElementTree.fromstring(html.replace("&nbsp;", " ")).iter() if part.get("data-testid")}
 
 
-def test_readouts_have_the_units_that_people_use():
+def test_readouts_have_display_units():
     assert texts(readouts_html(FRAME)) == {
         "force": "1.234", "depth": "5.68", "stiffness": "0.211 N/mm", "step-time": "0.31 ms",
         "iterations": "0.8 per tick", "rate": "1000 Hz", "late": "0.42 %", "solution": "in equilibrium",
         "doubtful": "3 in the last second", "mesh": "realtime_63, force within 1.1 %"}
 
 
-def test_a_force_that_is_none_of_an_equilibrium_is_marked_in_red():
-    doubtful = replace(NOW, status="stopped", warning="no equilibrium: move <back>")
-    shown = readouts_html(replace(FRAME, readouts=doubtful))
+def test_a_force_without_equilibrium_is_marked_in_red():
+    unreliable = replace(NOW, status="stopped", warning="no equilibrium: move <back>")
+    shown = readouts_html(replace(FRAME, readouts=unreliable))
     assert texts(shown)["badge"] == "STOPPED" and texts(shown)["solution"] == "stopped"
     assert "#C0392B" in shown and 'title="no equilibrium: move &lt;back&gt;"' in shown
     assert "badge" not in texts(readouts_html(FRAME))
 
 
-def test_numbers_of_a_simulation_that_has_died_are_grey_and_said_to_be_old():
+def test_numbers_of_a_stopped_simulation_are_grey_and_marked_as_old():
     shown = readouts_html(replace(FRAME, phase=Phase.DIED))
     assert texts(shown)["badge"] == "old" and "opacity:0.45" in shown and "#C0392B" not in shown
     assert "opacity:0.45" not in readouts_html(FRAME)
     assert "badge" not in texts(readouts_html(replace(FRAME, phase=Phase.DIED, readouts=None)))
 
 
-def test_before_the_first_tick_there_are_dashes():
+def test_readouts_are_dashes_before_the_first_tick():
     assert set(texts(readouts_html(replace(FRAME, readouts=None))).values()) == {"–"}
 
 
-def test_zero_has_no_sign():
+def test_zero_has_no_minus_sign():
     shown = texts(readouts_html(replace(FRAME, readouts=replace(NOW, force=-1e-6, depth=-1e-9, stiffness=-1e-3))))
     assert (shown["force"], shown["depth"], shown["stiffness"]) == ("0.000", "0.00", "0.000 N/mm")
 
 
 @pytest.mark.parametrize(("motion", "words"), [("hand", "running · by hand"), ("protocol", "running · protocol"),
                                                ("recording", "running · measured motion")])
-def test_state_and_motion_are_words(motion, words):
+def test_the_status_names_phase_and_motion(motion, words):
     assert texts(status_html(replace(FRAME, motion=motion))) == {"phase": words}
 
 
-def test_what_ended_a_simulation_is_text_and_not_markup():
+def test_messages_are_escaped_in_html():
     shown = status_html(replace(FRAME, phase=Phase.DIED, message="killed by <signal 9> & so on"))
     assert texts(shown) == {"phase": "stopped", "message": "killed by <signal 9> & so on"}
     assert 'data-phase="died"' in shown
 
 
-def test_a_start_says_what_it_does_and_no_more():
+def test_the_start_shows_its_present_activity():
     loading = replace(FRAME, phase=Phase.STARTING, message="loading the solver", readouts=None)
     assert texts(status_html(loading)) == {"phase": "starting", "message": "loading the solver"}
     assert texts(status_html(replace(loading, message="starting"))) == {"phase": "starting"}
 
 
-def test_agreement_is_a_number_or_says_what_is_missing():
+def test_agreement_shows_the_rmse_or_what_is_missing():
     flat = SimpleNamespace(experiment=SimpleNamespace(tool=ts.Tool("flat", 8e-3)))
     frame = replace(FRAME, scene=flat)
     measured = SimpleNamespace(noise=0.0172, other_tool=lambda tool: "")
@@ -89,7 +89,7 @@ def test_agreement_is_a_number_or_says_what_is_missing():
     assert single["other-tool"] == "measured with another tool: cone of 3 mm radius"
     computing = Curves(measurement=measured, residual=gap, computing=True)
     old = texts(agreement_html(replace(frame, curves=computing)))
-    assert old["rmse"] == "0.020" and "of the model before" in old["agreement"] and "old-curve" not in shown
+    assert old["rmse"] == "0.020" and "of the previous model" in old["agreement"] and "old-curve" not in shown
 
 
 @pytest.mark.parametrize("shape", ["flat", "sphere"])
@@ -104,12 +104,12 @@ def test_the_title_names_test_specimen_tool_and_material(shape):
     assert ("bonded" in said) is (shape == "flat") and ("friction 0.3" in said) is (shape == "sphere")
 
 
-def test_the_gap_to_the_model_has_its_reasons():
+def test_the_gap_to_the_model_names_its_causes():
     assert live_gap_html(None) == ""
     fast = texts(live_gap_html(LiveGap(0.1234, 3.35e-3, 20e-3, 0.012, 0.8)))["live-gap"]
-    assert fast == ("live \u2212 model: up to 0.123 N at 3.35 mm; at 20 mm/s the tissue's mass counts; 1.2% carried on "
-                    "by late ticks (grey)")
+    assert fast == ("live \u2212 model: up to 0.123 N at 3.35 mm; at 20 mm/s the inertia of the tissue contributes; "
+                    "1.2% of the points are extrapolated by late ticks (grey)")
     slow = texts(live_gap_html(LiveGap(-0.001, 1e-3, 1e-3, 0.0, 0.0)))["live-gap"]
     assert slow == "live \u2212 model: up to -0.001 N at 1 mm"
-    # Of a tissue that has no mass, however fast the tool is.
-    assert "mass" not in live_gap_html(LiveGap(0.1, 1e-3, 20e-3, 0.0, 0.0))
+    # Quasi-static tissue has no inertia at any speed.
+    assert "inertia" not in live_gap_html(LiveGap(0.1, 1e-3, 20e-3, 0.0, 0.0))

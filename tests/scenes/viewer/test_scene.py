@@ -1,4 +1,4 @@
-"""What is looked at: another scene, tool or interface, and measurements that find their scene."""
+"""Scene: change of test, tool and interface, and assignment of measurements to kinds of tests."""
 
 import math
 from dataclasses import replace
@@ -9,7 +9,7 @@ import pytest
 
 import tissue_sim as ts
 from scenes.catalogue import SCENES
-from scenes.viewer.measurement import measurement
+from scenes.viewer.measurement import build_measurement
 from scenes.viewer.reach import within_reach
 from scenes.viewer.scene import Scene, read_measurements
 from tissue_sim.snapshot import Snapshot
@@ -18,13 +18,13 @@ PUNCH = ts.Tool("flat", radius=0.006, edge_radius=0.001)
 
 
 def tried(force=1.0, **metadata):
-    """A ramp to 4 mm."""
+    """Recording of a ramp to 4 mm."""
     depth = np.linspace(0.0, 4e-3, 41)
     return ts.Recording({"time": depth / 1e-3, "displacement": depth, "force": force * 200 * depth}, {}, metadata)
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_a_scene_brings_its_tool_and_interfaces(needle, name):
+def test_a_scene_has_default_tool_and_interfaces(needle, name):
     there = needle.with_scene(name)
     kind, experiment = SCENES[name], there.experiment
     assert there.kind is kind
@@ -45,11 +45,11 @@ def test_another_tool_keeps_the_interfaces(needle):
     assert (there.experiment.friction, there.experiment.friction_base, there.experiment.friction_wall) == \
         ("stick", 0.4, 0.2)
     there = there.with_scene("needle_indentation", friction=0.3)
-    assert there.experiment.tool is PUNCH, "the tool at hand stays"
+    assert there.experiment.tool is PUNCH, "the present tool is kept"
     assert (there.experiment.friction, there.experiment.friction_base) == (0.3, 0.4)
 
 
-def test_another_scene_forgets_the_interfaces(needle):
+def test_another_scene_resets_the_interfaces(needle):
     plates = needle.with_scene("friction_compression", friction=0.2)
     assert (plates.experiment.friction, plates.experiment.base_interface) == (0.2, 0.2)
     bonded = plates.with_scene("bonded_compression")
@@ -57,15 +57,15 @@ def test_another_scene_forgets_the_interfaces(needle):
 
 
 @pytest.mark.parametrize(("name", "changes", "expected"), [
-    ("needle", {}, "scene: no scene 'needle'; known: lubricated_compression"),
-    ("bonded_compression", {"tool": PUNCH}, "tool: bonded compression is not done with the tool 'flat'"),
-    ("needle_indentation", {"tool": ts.Tool()}, "tool: needle indentation is not done with the tool 'plate'"),
+    ("needle", {}, "scene: must be one of lubricated_compression"),
+    ("bonded_compression", {"tool": PUNCH}, "tool: must fit the scene bonded compression; got a 'flat' tool"),
+    ("needle_indentation", {"tool": ts.Tool()}, "tool: must fit the scene needle indentation; got a 'plate' tool"),
     ("needle_indentation", {"friction": "sticky"}, "friction"),
     ("needle_indentation", {"friction": 0.3}, "give the tool an edge radius"),
     ("needle_indentation", {"tool": ts.Tool("sphere", radius=0.005)}, "no flat face to be bonded to"),
     ("needle_indentation", {"tool": ts.Tool("flat", radius=0.05)}, "must be smaller than the specimen's"),
 ])
-def test_what_does_not_fit_is_refused(needle, name, changes, expected):
+def test_invalid_changes_are_refused(needle, name, changes, expected):
     before = needle.experiment
     with pytest.raises(ts.InputError) as caught:
         needle.with_scene(name, **changes)
@@ -73,8 +73,8 @@ def test_what_does_not_fit_is_refused(needle, name, changes, expected):
     assert needle.experiment is before
 
 
-def test_a_measurement_belongs_to_its_scene(needle):
-    measured = measurement([tried()])
+def test_a_measurement_belongs_to_its_kind_of_test(needle):
+    measured = build_measurement([tried()])
     scene = replace(needle, measurements={"bonded_compression": measured})
     assert scene.measurement is None
     there = scene.with_scene("bonded_compression")
@@ -82,7 +82,7 @@ def test_a_measurement_belongs_to_its_scene(needle):
     assert there.with_scene("needle_indentation").measurement is None
 
 
-def test_measurements_find_their_scene(tmp_path):
+def test_recordings_are_grouped_by_kind_of_test(tmp_path):
     paths = [tmp_path / f"{name}.csv" for name in "abcd"]
     for path, recording in zip(paths, (tried(1.0, kind="bonded_compression"), tried(2.0),
                                        tried(3.0, kind="bonded_compression"), tried(4.0)), strict=True):
@@ -94,18 +94,18 @@ def test_measurements_find_their_scene(tmp_path):
     assert read_measurements([], "needle_indentation") == {}
 
 
-def test_a_measurement_of_something_else_is_refused(tmp_path):
+def test_a_recording_of_an_unknown_kind_is_refused(tmp_path):
     path = tmp_path / "pulled.csv"
     ts.write_recording(tried(kind="tension"), path)
     with pytest.raises(ts.InputError) as caught:
         read_measurements([path], "needle_indentation")
-    assert str(caught.value).startswith(f"{path}: kind: is of kind 'tension', for which there is no scene; known: lubr")
+    assert str(caught.value).startswith(f"{path}: kind: must be one of lubr")
     with pytest.raises(ts.InputError, match=r"nowhere\.csv"):
         read_measurements([tmp_path / "nowhere.csv"], "needle_indentation")
 
 
-def test_how_far_the_tool_may_go(needle):
-    """Over the whole top, and up; that of a reduced solid in its box, from where it comes down."""
+def test_reach_of_the_tool(needle):
+    """The reach is the whole top surface; for a reduced solid, the box around the first contact."""
     assert needle.reach == ((-0.04, 0.04),) * 2 and needle.highest == -5e-3
     block = replace(needle, experiment=replace(needle.experiment, specimen=ts.Block(0.06, 0.05, 0.03)))
     np.testing.assert_allclose(block.reach, [(-0.03, 0.03), (-0.025, 0.025)], rtol=1e-8)
@@ -116,7 +116,7 @@ def test_how_far_the_tool_may_go(needle):
     snapshot = Snapshot(ts.Pose.at_depth(0.0), 0.0, None)
     assert within_reach(of_box, snapshot, (0.0, 1e-3)) == pytest.approx((4e-3, 1e-3))
     assert within_reach(needle, snapshot, (1e-3, 2e-3)) == pytest.approx((1e-3, 2e-3))
-    with pytest.raises(ts.InputError, match="has the test, tool and interfaces that it was made of"):
+    with pytest.raises(ts.InputError, match="cannot be changed for a reduced solid"):
         of_box.with_scene("bonded_compression")
     # One that leans goes aside by half a millimetre on its way down, or by more than the box is wide.
     leaning = replace(of_box, experiment=replace(experiment, approach=ts.Approach(6e-3, math.asin(0.125))))

@@ -1,4 +1,4 @@
-"""The session without a browser: what is asked for happens, is felt and drawn, or is refused in a sentence."""
+"""Session without a browser: commands change simulation and curves, or are refused with a message."""
 
 import math
 import multiprocessing
@@ -19,7 +19,7 @@ from haptics.loop.loop import LoopSettings
 from haptics.loop.ring import PAUSED, RingReader
 from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS
 from scenes.viewer.frame import NullViewer, Phase
-from scenes.viewer.measurement import measurement, motion, residual
+from scenes.viewer.measurement import build_measurement, motion, residual
 from scenes.viewer.scene import CLEARANCE
 from scenes.viewer.session import COMMANDS, PLOT_EVERY, STEP_TIME, Session
 from tissue_sim.errors import ConvergenceError
@@ -37,10 +37,11 @@ MESH = "realtime_35"
 
 @pytest.fixture(scope="module")
 def measured(needle):
-    """The needle with a measurement of a stiffer specimen."""
+    """Needle scene with a measurement of a stiffer specimen."""
     model = replace(needle.model, material=with_values(needle.material, {"C10": 1700.0}),
                     experiment=replace(needle.experiment, protocol=ts.Protocol.parse(TEST, 21, SPEED)))
-    return replace(needle, measurements={"needle_indentation": measurement([ts.simulate(model, resolution=MESH)])})
+    recording = ts.simulate(model, resolution=MESH)
+    return replace(needle, measurements={"needle_indentation": build_measurement([recording])})
 
 
 @pytest.fixture(scope="module")
@@ -57,20 +58,20 @@ def opened(measured, until):
 
 @pytest.fixture
 def session(opened, measured):
-    """At the touch, with the material of the beginning."""
-    told = [done(opened, "reset"), done(opened, "keep_curve"),
+    """Session reset to the undeformed surface and the first material."""
+    replies = [done(opened, "reset"), done(opened, "keep_curve"),
             done(opened, "set_parameters", values=dict(measured.material.parameters))]
-    assert told == [None, None, None]
+    assert replies == [None, None, None]
     return opened
 
 
 def done(session, command, **values):
-    """Ask and look once; what was answered."""
-    told = [NO_REPLY]
-    session.post(command, reply=lambda problem: told.append(problem), **values)
+    """Post a command, take one frame, and return the reply."""
+    replies = [NO_REPLY]
+    session.post(command, reply=lambda problem: replies.append(problem), **values)
     session.frame()
-    assert len(told) < 3
-    return told[-1]
+    assert len(replies) < 3
+    return replies[-1]
 
 
 def at_rest(depth):
@@ -79,12 +80,12 @@ def at_rest(depth):
 
 
 def curve_of(material, measured):
-    """The whole test with another material: what the plots are to show."""
+    """Simulate the whole test with another material, for comparison with the plots."""
     model = ts.Model(replace(measured.experiment, protocol=motion(measured.measurement)), material)
     return ts.simulate(model, resolution=MESH)
 
 
-def test_a_hand_leads_the_tool(session, needle, until):
+def test_aim_moves_the_tool(session, needle, until):
     assert done(session, "aim", depth=2e-3) is None
     frame = until(session.frame, at_rest(2e-3))
     assert (frame.phase, frame.message, frame.motion, frame.target) == (Phase.RUNNING, "running", "hand", 2e-3)
@@ -93,15 +94,15 @@ def test_a_hand_leads_the_tool(session, needle, until):
     assert frame.curves.trace.depth[-1] == pytest.approx(2e-3, abs=2e-5), "and it was drawn"
 
 
-def test_a_hand_stays_where_there_is_tissue(session):
+def test_aim_is_limited_to_the_range_of_the_scene(session):
     for wish, target in ((1.0, 4e-3), (-1.0, -CLEARANCE), (1e-3, 1e-3)):
         assert done(session, "aim", depth=wish) is None
         assert session.frame().target == target
     assert "depth: must be a finite number" in done(session, "aim", depth=math.nan)
-    assert session.frame().target == 1e-3, "what is refused changes nothing"
+    assert session.frame().target == 1e-3, "a refused command changes nothing"
 
 
-def test_a_played_protocol_is_the_test(session, needle, until):
+def test_a_played_protocol_gives_the_curve_of_the_test(session, needle, until):
     assert done(session, "play", text=TEST, speed=SPEED) is None
     assert session.frame().motion == "protocol"
     duration = 2 * 2e-3 / SPEED + 0.2
@@ -130,24 +131,24 @@ def test_a_played_protocol_is_the_test(session, needle, until):
 
 
 @pytest.mark.parametrize(("text", "expected"), [
-    ("ramp 9mm", "protocol: goes to 9 mm, and the mesh is made for 4 mm"),
+    ("ramp 9mm", "protocol: must have a depth of at most 4 mm"),
     ("ramp 2", "protocol: column"),
     ("", "protocol"),
 ])
-def test_a_protocol_that_cannot_be_is_refused(session, text, expected):
+def test_an_invalid_protocol_is_refused(session, text, expected):
     problem = done(session, "play", text=text)
     assert problem.startswith(expected) and "\n" not in problem
     assert "it ends 2 mm from it" in done(session, "play", text="ramp 2mm", repeat=True)
     assert session.frame().motion == "hand"
 
 
-def test_a_hand_that_takes_over_goes_on_from_where_the_tool_is(session, until):
-    """What the page knows of its place is a frame old: the tool used to jump back by 0.4 mm in a millisecond."""
+def test_aim_during_a_protocol_starts_at_the_position_of_the_tool(session, until):
+    """The session knows a position that is one frame old; starting there would be a jump of 0.4 mm in 1 ms."""
     assert done(session, "play", text="ramp 4mm", speed=8e-3) is None
     frame = until(session.frame, lambda frame: frame.readouts.depth > 0.5e-3)
     with RingReader(session.simulation.process.ring_path) as ring:
         begin = ring.written
-        # It goes on before the page looks again.
+        # The tool moves before the next frame.
         until(ring.latest, lambda tick: tick["tool_depth"] > frame.readouts.depth + 0.1e-3)
         assert done(session, "aim", depth=4e-3) is None
         until(ring.latest, lambda tick: abs(tick["tool_depth"] - 4e-3) < 1e-6)
@@ -159,7 +160,7 @@ def stands_below(depth):
     return lambda tick: tick["flags"] & PAUSED and tick["tool_depth"] > depth
 
 
-def test_a_pause_stands_still_and_a_step_goes_on(session, until):
+def test_pause_stops_the_tool_and_step_advances_it(session, until):
     assert done(session, "play", text="ramp 4mm", speed=4e-3) is None
     until(session.frame, lambda frame: frame.readouts.depth > 0.2e-3 and len(frame.curves.trace))
     assert done(session, "pause") is None
@@ -186,12 +187,12 @@ def test_a_step_pauses_first(session, until):
     assert done(session, "play", text="ramp 4mm", speed=4e-3) is None
     assert done(session, "step") is None
     assert session.frame().phase is Phase.PAUSED
-    assert done(session, "play", text="ramp 1mm", speed=20e-3) is None, "what is played goes on"
+    assert done(session, "play", text="ramp 1mm", speed=20e-3) is None, "playing resumes a paused motion"
     assert session.frame().phase is Phase.RUNNING
     until(session.frame, at_rest(1e-3))
 
 
-def test_a_reset_forgets(session, until):
+def test_reset_clears_trace_and_deformation(session, until):
     done(session, "aim", depth=3e-3)
     until(session.frame, lambda frame: frame.readouts.depth > 1e-3 and len(frame.curves.trace) > 3)
     number = session.frame().curves.number
@@ -202,7 +203,7 @@ def test_a_reset_forgets(session, until):
     assert frame.curves.trace.depth.max() == 0.0 and frame.readouts.force == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_measurement_is_repeated(session, measured, until):
+def test_replay_repeats_the_measured_motion(session, measured, until):
     assert done(session, "replay") is None
     way = motion(measured.measurement)
 
@@ -226,7 +227,7 @@ def test_a_measurement_is_repeated(session, measured, until):
     assert np.abs(load.force - there)[~load.late].max() <= 0.01 * expected.force.max()
 
 
-def test_a_parameter_moves_force_curve_and_residual(session, measured, until):
+def test_a_parameter_changes_force_curve_and_residual(session, measured, until):
     done(session, "aim", depth=2e-3)
     before = until(session.frame, lambda frame: at_rest(2e-3)(frame) and frame.message == "running")
     stiffer = with_values(measured.material, {"C10": 1700.0})
@@ -259,7 +260,7 @@ def test_a_refused_parameter_changes_nothing(session, until):
     assert frame.readouts.force == pytest.approx(before.readouts.force, rel=1e-4)
 
 
-def test_what_is_no_tissue_is_refused_where_no_simulation_runs_too(session, measured, until):
+def test_an_unusable_material_is_refused_without_a_running_simulation(session, measured, until):
     os.kill(session.simulation.process.pid, signal.SIGKILL)
     before = until(session.frame, lambda frame: frame.phase is Phase.DIED)
     assert "stiffer than any tissue" in done(session, "set_parameters", values={"C10": 1e41})
@@ -270,7 +271,7 @@ def test_what_is_no_tissue_is_refused_where_no_simulation_runs_too(session, meas
     until(session.frame, lambda frame: frame.phase is Phase.RUNNING)
 
 
-def test_a_material_with_other_parameters_is_felt_at_once(session, measured, until):
+def test_a_material_of_the_same_law_is_used_immediately(session, measured, until):
     done(session, "aim", depth=1e-3)
     before, simulation = until(session.frame, at_rest(1e-3)), session.simulation
     stiffer = replace(with_values(measured.material, {"C10": 1700.0}), name="stiffer")
@@ -280,71 +281,71 @@ def test_a_material_with_other_parameters_is_felt_at_once(session, measured, unt
     assert (frame.scene.material, frame.scene.source) == (stiffer, "stiffer.material.json")
 
 
-def test_a_material_is_saved_as_it_is(session, tmp_path):
+def test_the_present_material_is_saved(session, tmp_path):
     assert done(session, "set_parameters", values={"C10": 1500.0}) is None
     assert done(session, "save_material", folder=tmp_path, name="softer") is None
     path = tmp_path / "softer.material.json"
     assert ts.load_material(path).parameters["C10"] == 1500.0
     assert session.frame().scene.source == path.name
-    assert "is there already" in done(session, "save_material", folder=tmp_path, name="softer")
-    assert "is no name of a file" in done(session, "save_material", folder=tmp_path, name="../softer")
+    assert "exists already" in done(session, "save_material", folder=tmp_path, name="softer")
+    assert "must be a file name" in done(session, "save_material", folder=tmp_path, name="../softer")
     assert [each.name for each in tmp_path.iterdir()] == [path.name]
 
 
-def test_a_curve_is_kept_beside_the_next(session, until):
+def test_a_kept_curve_is_shown_with_the_next_one(session, until):
     until(session.frame, lambda _: not session._curve.busy)
     model = until(session.frame, lambda frame: frame.curves.model is session._curve.recording).curves.model
     assert done(session, "keep_curve", name="before") is None
-    assert session.frame().curves.before == ("before", model)
+    assert session.frame().curves.compared == ("before", model)
     done(session, "set_parameters", values={"C10": 1600.0})
     frame = until(session.frame, lambda frame: frame.curves.model is not model)
-    assert frame.curves.before == ("before", model)
+    assert frame.curves.compared == ("before", model)
     assert done(session, "keep_curve") is None
-    assert session.frame().curves.before is None
+    assert session.frame().curves.compared is None
 
 
-def test_of_a_hand_the_newest_wish_counts_and_all_are_answered(session, monkeypatch):
+def test_only_the_newest_aim_is_executed_and_all_are_answered(session, monkeypatch):
     asked, ask = [], session.simulation.ask
     monkeypatch.setattr(session.simulation, "ask",
                         lambda command, **values: (asked.append((command, values)), ask(command, **values)))
-    told = []
+    replies = []
     for depth in (1e-3, 2e-3, 0.5e-3):
-        session.post("aim", depth=depth, reply=told.append)
+        session.post("aim", depth=depth, reply=replies.append)
     frame = session.frame()
     assert asked == [("aim", {"depth": 0.5e-3})] and frame.target == 0.5e-3
-    assert told == [None, None, None], "somebody waits for each of the answers"
+    assert replies == [None, None, None], "each request needs a reply"
 
 
-def test_commands_come_from_many_threads(session, until):
-    told = []
+def test_commands_from_many_threads_keep_their_order(session, until):
+    replies = []
 
     def ask(thread):
         for n in range(20):
             session.post("keep_curve", name=f"{thread} {n}",
-                         reply=lambda problem, n=n: told.append((thread, n, problem)))
+                         reply=lambda problem, n=n: replies.append((thread, n, problem)))
 
     threads = [threading.Thread(target=ask, args=(each,)) for each in range(8)]
     for thread in threads:
         thread.start()
-    frame = until(session.frame, lambda _: len(told) == 160)
+    frame = until(session.frame, lambda _: len(replies) == 160)
     for thread in threads:
         thread.join()
-    assert sorted(told) == [(thread, n, None) for thread in range(8) for n in range(20)]
+    assert sorted(replies) == [(thread, n, None) for thread in range(8) for n in range(20)]
     for each in range(8):
-        assert [n for thread, n, _ in told if thread == each] == list(range(20)), "in the order in which it asked"
-    assert frame.curves.before[0] == "{} {}".format(*told[-1][:2])
+        assert [n for thread, n, _ in replies if thread == each] == list(range(20)), "in the order in which it asked"
+    assert frame.curves.compared[0] == "{} {}".format(*replies[-1][:2])
 
 
-def test_what_is_no_command_is_a_fault_of_the_caller(session):
+def test_an_unknown_command_raises_an_error(session):
     for name in ("close", "frame", "_begin", "fly"):
-        with pytest.raises(ValueError, match=f"no command '{name}'"):
+        with pytest.raises(ValueError, match=f"command must be one of .*; got '{name}'"):
             session.post(name)
     own = {name: command for name, command in COMMANDS.items() if name not in CALIBRATION_COMMANDS}
     assert all(command is getattr(Session, name) for name, command in own.items())
     assert {name: COMMANDS[name] for name in CALIBRATION_COMMANDS} == CALIBRATION_COMMANDS
 
 
-def test_nothing_new_is_drawn_where_nothing_is_new(session, until):
+def test_unchanged_curves_are_the_same_objects(session, until):
     assert done(session, "pause") is None
     before = until(session.frame, lambda frame: (not session._curve.busy
                                                  and frame.curves.model is session._curve.recording))
@@ -356,7 +357,7 @@ def test_nothing_new_is_drawn_where_nothing_is_new(session, until):
     assert all(each is settled for each in seen)
 
 
-def test_a_viewer_is_shown_frames_until_it_is_enough(session):
+def test_run_shows_frames_until_it_is_stopped(session):
     stop = threading.Event()
 
     class Leaving(NullViewer):
@@ -377,7 +378,7 @@ def test_a_viewer_is_shown_frames_until_it_is_enough(session):
 
 @pytest.fixture
 def springs(of_gel, pool, needle):
-    """A session whose tissue is a spring, and whose curves the test computes."""
+    """Session with a spring as tissue, whose model curves the test provides."""
     session = Session(needle, settings=LOOP)
     yield session
     session.close()
@@ -388,15 +389,15 @@ def newest_model(pool):
     return model
 
 
-def test_what_comes_too_early_is_refused(springs, pool):
+def test_commands_before_the_start_are_refused(springs, pool):
     first = springs.simulation
     frame = springs.frame()
     assert (frame.phase, frame.readouts, frame.snapshot, frame.curves.model) == (Phase.STARTING, None, None, None)
     for command, values in (("aim", {"depth": 1e-3}), ("play", {"text": "ramp 1mm"}), ("pause", {}), ("step", {})):
-        assert done(springs, command, **values) == "the simulation is not running (starting)"
+        assert done(springs, command, **values) == "The simulation is not running (starting)."
     frame = springs.frame()
-    assert (frame.target, frame.motion) == (0.0, "hand"), "what is refused changes nothing"
-    assert "nothing was measured" in done(springs, "replay")
+    assert (frame.target, frame.motion) == (0.0, "hand"), "a refused command changes nothing"
+    assert "has no measurement" in done(springs, "replay")
     assert done(springs, "set_parameters", values={"C10": 1500.0}) is None, "it gets the new material when it runs"
     assert springs.frame().scene.material.parameters["C10"] == 1500.0
     assert springs.simulation is first and first.process.alive
@@ -405,7 +406,7 @@ def test_what_comes_too_early_is_refused(springs, pool):
     assert newest_model(pool).material.parameters["C10"] == 1500.0
 
 
-def test_a_material_of_another_make_begins_anew(springs, pool, needle):
+def test_a_material_of_another_law_starts_a_new_simulation(springs, pool, needle):
     first = springs.simulation
     material = replace(with_values(needle.material, {"C10": 1500.0}), density=900.0)
     assert done(springs, "use_material", material=material, source="mine.material.json") is None
@@ -417,7 +418,7 @@ def test_a_material_of_another_make_begins_anew(springs, pool, needle):
     assert newest_model(pool) == ts.Model(needle.experiment, material)
 
 
-def test_another_scene_begins_anew_and_forgets_the_curves(springs, pool, needle):
+def test_another_scene_starts_a_new_simulation_without_curves(springs, pool, needle):
     springs.frame()
     first, curve = springs.simulation, ts.simulate(needle.model)
     pool.tasks[0][1].set_result(curve)
@@ -432,18 +433,18 @@ def test_another_scene_begins_anew_and_forgets_the_curves(springs, pool, needle)
     assert springs.simulation is not first and not first.process.alive
     frames = [springs.frame() for _ in range(PLOT_EVERY)]
     assert frames[-1].scene.kind.name == "bonded_compression"
-    assert (frames[-1].curves.model, frames[-1].curves.before) == (None, None)
+    assert (frames[-1].curves.model, frames[-1].curves.compared) == (None, None)
     assert newest_model(pool).experiment.tool.shape == "plate"
 
 
-def test_a_model_without_a_curve_says_why(springs, pool, until):
+def test_a_failed_model_curve_gives_a_message(springs, pool, until):
     until(springs.frame, lambda frame: frame.phase is Phase.RUNNING)
     pool.tasks[0][1].set_exception(ConvergenceError("stopped at 3 mm"))
     assert springs.frame().message == "stopped at 3 mm"
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
-def test_a_simulation_that_died_can_be_begun_again(springs, until):
+def test_a_dead_simulation_can_be_restarted(springs, until):
     until(springs.frame, lambda frame: frame.readouts is not None)
     os.kill(springs.simulation.process.pid, signal.SIGKILL)
     frame = until(springs.frame, lambda frame: frame.phase is Phase.DIED)
@@ -461,31 +462,31 @@ def test_a_simulation_that_died_can_be_begun_again(springs, until):
     assert not process.alive and not process.ring_path.exists()
 
 
-def test_a_hand_at_a_device_is_drawn_beside_the_tissue(of_gel, pool, needle, until):
-    """A hand that holds 2 mm deep, at a device that allows 0.1 N: the tissue gives more."""
+def test_the_force_of_a_device_and_the_force_of_the_tissue_are_recorded(of_gel, pool, needle, until):
+    """The device holds a depth of 2 mm and limits its force to 0.1 N; the force of the tissue is larger."""
     hand = VirtualHand(HandMotion(2e-3), grip=2000.0)
     hand.largest_force = 0.1
     session = Session(needle, settings=LOOP, device=hand)
     try:
-        frame = until(session.frame, lambda frame: frame.curves.felt and len(frame.curves.trace) > 5
+        frame = until(session.frame, lambda frame: frame.curves.has_hand_force and len(frame.curves.trace) > 5
                       and frame.curves.trace.rendered_force[-1] > 0.09)
         trace = frame.curves.trace
         assert frame.motion == "device" and trace.rendered_force.max() <= 0.1 + 1e-12
         assert trace.force[-1] > 0.2, "that of the tissue"
         session.post("aim", depth=1e-3)
-        until(session.frame, lambda frame: frame.motion == "hand" and not frame.curves.felt)
+        until(session.frame, lambda frame: frame.motion == "hand" and not frame.curves.has_hand_force)
     finally:
         session.close()
 
 
-def test_a_device_that_is_not_there_is_named_and_the_page_goes_on(of_gel, pool, needle, until):
+def test_a_missing_device_is_reported_and_the_session_continues(of_gel, pool, needle, until):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         device = open_haptic(f"haply:ws://127.0.0.1:{taken.getsockname()[1]}")
         session = Session(needle, settings=LOOP, device=device)
         try:
             frame = until(session.frame, lambda frame: "no Haply Inverse service answers" in frame.message)
-            assert frame.phase is Phase.RUNNING and not frame.curves.felt
+            assert frame.phase is Phase.RUNNING and not frame.curves.has_hand_force
             session.post("aim", depth=1e-3)
             until(session.frame, at_rest(1e-3))
         finally:

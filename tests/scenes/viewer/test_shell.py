@@ -1,23 +1,23 @@
-"""What stands around viser's page, and how large a file may be."""
+"""Additions to viser's page, and the size limit of uploads."""
 
 import re
 
 import viser
 
-from scenes.viewer.shell import LARGEST_UPLOAD, dress
+from scenes.viewer.shell import LARGEST_UPLOAD, inject_shell
 from scenes.viewer.web_server import open_server
 
 PAGE = b"<html><head><title>Viser</title></head>\n  <body>\n<div id=\"root\"></div></body></html>"
 
 
-def test_the_page_of_viser_is_dressed_and_nothing_else():
-    dressed = dress(PAGE, "needle </script> & <tissue>").decode()
-    assert "<title>needle &lt;/script&gt; &amp; &lt;tissue&gt;</title>" in dressed
-    assert dressed.count("<script>") == dressed.count("</script>") == 2 and '<div id="root">' in dressed
-    assert re.search(r'id="shell-loading".*id="root"', dressed, re.DOTALL)
-    assert str(LARGEST_UPLOAD) in dressed
+def test_the_shell_is_injected_into_viser_pages_only():
+    page = inject_shell(PAGE, "needle </script> & <tissue>").decode()
+    assert "<title>needle &lt;/script&gt; &amp; &lt;tissue&gt;</title>" in page
+    assert page.count("<script>") == page.count("</script>") == 2 and '<div id="root">' in page
+    assert re.search(r'id="shell-loading".*id="root"', page, re.DOTALL)
+    assert str(LARGEST_UPLOAD) in page
     for other in (b"a picture", b"<title>Viser</title>", b"<body>"):
-        assert dress(other, "needle") == other
+        assert inject_shell(other, "needle") == other
 
 
 def test_files_above_the_bound_are_not_kept():

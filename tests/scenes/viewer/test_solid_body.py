@@ -1,11 +1,11 @@
-"""A solid cut open at the tool: what is left closes a body of the exact volume, in the bands of the field's values."""
+"""Picture of a solid in 3D: the remaining surface is closed, has the exact volume, and is split into bands."""
 
 import numpy as np
 import pytest
 
 import tissue_sim as ts
 from scenes.viewer.revolution import Opening
-from scenes.viewer.solid_body import MOST_POINTS, SolidBody
+from scenes.viewer.solid_body import SETTINGS, SolidBody
 from scenes.viewer.wedge import Wedge
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
@@ -28,7 +28,7 @@ def linear(place):
 
 
 def flux(surfaces):
-    """Volume that the outward normals of a closed surface enclose, and the sum of its areas with their directions."""
+    """Volume of a closed surface by the divergence theorem, and the sum of its area vectors."""
     volume, total = 0.0, np.zeros(3)
     for surface in surfaces:
         a, b, c = np.moveaxis(surface.vertices.astype(float)[surface.faces], 1, 0)
@@ -47,25 +47,25 @@ def leaning(angle, x=0.0, y=0.0):
     (0, 0, Pose((0.0, 0.0, 0.0)), 1.0), (90, 0, Pose((0.0, 0.0, 0.0)), 0.75), (180, 0, Pose((0.0, 0.0, -2e-3)), 0.5),
     (180, 0, Pose((3e-3, 5e-3, 0.0)), 0.375), (180, 90, Pose((-7e-3, 1e-3, 0.0)), 0.325), (90, 45, Pose(
         (0.0, 0.0, 0.0)), 0.75), (180, 0, leaning(0.4), 0.5), (180, 180, leaning(0.4, y=4e-3), 0.6)])
-def test_what_is_left_has_the_exact_volume(element, cut, turn, pose, left):
-    """A wedge of a right angle about the middle takes a quarter of a square; a plane so much as lies on its side."""
+def test_the_remaining_body_has_the_exact_volume(element, cut, turn, pose, left):
+    """A right-angled wedge removes a quarter of a square block; a half space removes the part on its side."""
     mesh = block(element)
-    body = SolidBody.of(mesh)
-    check_what_is_left(mesh, body, Wedge(Opening(np.radians(cut), np.radians(turn - 90.0)), pose), left)
+    body = SolidBody.from_mesh(mesh)
+    check_remaining_body(mesh, body, Wedge(Opening(np.radians(cut), np.radians(turn - 90.0)), pose), left)
 
 
 @every_element
-def test_a_cut_that_is_moved_takes_so_much_less(element):
+def test_a_moved_wedge_removes_less(element):
     mesh = block(element)
     for ahead, left in ((3e-3, 0.575), (-5e-3, 0.375)):
-        check_what_is_left(mesh, SolidBody.of(mesh), Wedge(Opening(np.pi), leaning(0.3), ahead), left)
+        check_remaining_body(mesh, SolidBody.from_mesh(mesh), Wedge(Opening(np.pi), leaning(0.3), ahead), left)
     # Of a right angle about the middle, moved by 5 mm to where it opens, the square of the rest of the way.
     wedge = Wedge(Opening(0.5 * np.pi), Pose((0.0, 0.0, 0.0)), 5e-3)
-    check_what_is_left(mesh, SolidBody.of(mesh), wedge, 1.0 - (15.0 / 40.0) ** 2)
+    check_remaining_body(mesh, SolidBody.from_mesh(mesh), wedge, 1.0 - (15.0 / 40.0) ** 2)
 
 
-def check_what_is_left(mesh, body, wedge, left):
-    """A closed surface with this share of the block's volume, outside the wedge, each band in its range of values."""
+def check_remaining_body(mesh, body, wedge, left):
+    """Check that the surface is closed, has a fraction `left` of the volume, and that its bands have their values."""
     surfaces = body.bands(mesh.nodes, linear(mesh.nodes), LEVELS, wedge)
     volume, total = flux(surfaces)
     assert volume == pytest.approx(left * SIDE**2 * HEIGHT, rel=1e-5)  # vertices have single precision
@@ -76,14 +76,14 @@ def check_what_is_left(mesh, body, wedge, left):
             high = LEVELS[k + 1] if k < len(surfaces) - 1 else np.inf
             values = linear(surface.vertices.astype(float))
             assert low - 1e-5 <= values.min() and values.max() <= high + 1e-5
-            middles = wedge.into(surface.vertices.astype(float)[surface.faces].mean(axis=1))
-            heights = [each for each, _ in wedge.over_faces(middles)]
-            assert wedge.opening.closed or (np.min(heights, axis=0) < 1e-8).all()
+            middles = wedge.to_tool_frame(surface.vertices.astype(float)[surface.faces].mean(axis=1))
+            heights = [each for each, _ in wedge.heights_over_faces(middles)]
+            assert wedge.opening.is_closed or (np.min(heights, axis=0) < 1e-8).all()
 
 
-def test_surfaces_are_smooth_pieces_with_edges_between():
-    body = SolidBody.of(block(HEX27P1))
-    assert len(body.nodes) == 6 * 9 * 9 - 4 * 2 * 9, "each side of the block has points of its own"
+def test_the_surface_is_split_at_sharp_edges():
+    body = SolidBody.from_mesh(block(HEX27P1))
+    assert len(body.nodes) == 6 * 9 * 9 - 4 * 2 * 9, "the sides of the block share no points"
     ends = body.mesh.nodes[body.nodes[body.sharp]]
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).sum()
     assert length == pytest.approx(8 * SIDE + 4 * HEIGHT)
@@ -92,9 +92,9 @@ def test_surfaces_are_smooth_pieces_with_edges_between():
 
 
 @every_element
-def test_mesh_lines_lie_in_front_of_what_is_left(element):
+def test_mesh_lines_lie_in_front_of_the_remaining_body(element):
     mesh = block(element)
-    body, wedge = SolidBody.of(mesh), Wedge(Opening(np.pi, -np.pi / 2), Pose((0.0, 3e-3, 0.0)))
+    body, wedge = SolidBody.from_mesh(mesh), Wedge(Opening(np.pi, -np.pi / 2), Pose((0.0, 3e-3, 0.0)))
     lines = body.mesh_lines(mesh.nodes, wedge)
     assert (lines[..., 1] >= 3e-3 - 2e-3 * body.size).all()
     on_cut = lines[np.abs(lines[..., 1] - 3e-3).max(axis=1) < 2e-3 * body.size]
@@ -103,10 +103,10 @@ def test_mesh_lines_lie_in_front_of_what_is_left(element):
 
 @pytest.mark.parametrize("pose", [Pose((9e-3, 0.0, 0.0)), Pose((9e-3, 0.0, 0.0), leaning(0.0).orientation)])
 def test_contact_is_the_rim_of_the_tool_and_a_line_across_the_cut(pose):
-    """An undeformed cylinder under a flat tool that just stands on it, off the axis."""
+    """Undeformed cylinder under a flat tool that touches it away from the axis."""
     tool, mesh = ts.Tool("flat", radius=8e-3), needle_solid(
         0.04, 0.07, 8e-3, HEX27P1, smallest=2e-3, growth=2.2, largest=20e-3, around=4, centre=(9e-3, 0.0))
-    body = SolidBody.of(mesh)
+    body = SolidBody.from_mesh(mesh)
     closed = body.contact_lines(mesh.nodes, tool, Wedge(Opening(0.0), pose))
     away = np.hypot(closed[..., 0] - 9e-3, closed[..., 1])
     np.testing.assert_allclose(away, 8e-3, atol=0.3e-3)
@@ -120,7 +120,7 @@ def test_contact_is_the_rim_of_the_tool_and_a_line_across_the_cut(pose):
 
 
 def fields_of(mesh, displacement):
-    """Fields without a solver: a field's own geometry, no pressure."""
+    """Fields of given displacements without a solver and without pressure."""
     from tissue_sim.fem.solid.batches import ElementBatches
 
     batches = ElementBatches(mesh)
@@ -133,9 +133,9 @@ def bent(mesh):
     return mesh.nodes[:, [2, 0, 1]] ** 2 * [3.0, -2.0, 4.0]
 
 
-def test_values_of_a_small_body_are_those_of_its_fields():
+def test_a_small_body_shows_the_values_of_its_fields():
     mesh = block(HEX27P1)
-    fields, body = fields_of(mesh, bent(mesh)), SolidBody.of(mesh)
+    fields, body = fields_of(mesh, bent(mesh)), SolidBody.from_mesh(mesh)
     for name in ("von_mises", "displacement", "cauchy_zz"):
         values, at_points, seen = body.values(fields, name, mesh.nodes + bent(mesh), Wedge(Opening(), leaning(0.3)))
         np.testing.assert_array_equal(values, fields.at_nodes(name))
@@ -143,10 +143,10 @@ def test_values_of_a_small_body_are_those_of_its_fields():
         assert seen is fields
 
 
-def test_values_of_a_large_body_are_those_of_all_its_elements_where_it_is_seen():
+def test_a_large_body_shows_element_means_at_visible_nodes():
     mesh = block(HEX8P0, 19)
-    fields, body = fields_of(mesh, bent(mesh)), SolidBody.of(mesh)
-    assert fields.weights.size > MOST_POINTS
+    fields, body = fields_of(mesh, bent(mesh)), SolidBody.from_mesh(mesh)
+    assert fields.weights.size > SETTINGS.max_points
     place = mesh.nodes + bent(mesh)
     wedge = Wedge(Opening(np.radians(150.0)), leaning(0.3, x=4e-3))
     values, at_points, seen = body.values(fields, "von_mises", place, wedge)

@@ -1,4 +1,4 @@
-"""Tools as bodies, the arrow, and contact."""
+"""Pictures of tools, force arrow and contact."""
 
 import numpy as np
 import pytest
@@ -7,11 +7,9 @@ import tissue_sim as ts
 from scenes.viewer.cut_away import CutAway, SurfaceLine
 from scenes.viewer.revolution import Opening
 from scenes.viewer.tool_picture import (
-    ARROW,
-    HEAD_LENGTH,
-    LARGEST_HEAD,
+    SETTINGS,
     base_plate,
-    contact_picture,
+    find_contact,
     force_arrow,
     picture_height,
     tool_mesh,
@@ -36,23 +34,23 @@ def volume(surface):
 
 
 def revolved_volume(outline, opening):
-    """Of frustums with polygons for circles."""
+    """Volume of a stack of frustums whose circles are replaced by polygons."""
     r, z = outline.T
-    count = len(opening.angles) - (0 if opening.closed else 1)
+    count = len(opening.angles) - (0 if opening.is_closed else 1)
     turn = (2.0 * np.pi - opening.cut) / count
     return float(count * 0.5 * np.sin(turn) * np.sum(np.diff(z) * (r[1:] ** 2 + r[1:] * r[:-1] + r[:-1] ** 2) / 3.0))
 
 
 @pytest.mark.parametrize("cut", [0.0, 90.0, 180.0])
 @pytest.mark.parametrize("name", TOOLS)
-def test_tool_is_a_closed_body_of_the_volume_of_its_profile(name, cut):
+def test_a_tool_is_a_closed_surface_with_the_volume_of_its_profile(name, cut):
     tool, opening = TOOLS[name], Opening(np.radians(cut))
     outline = tool_outline(tool, SPECIMEN)
     # The recess of the section faces is all that is missing.
     assert volume(tool_mesh(tool, SPECIMEN, opening)) == pytest.approx(revolved_volume(outline, opening), rel=0.012)
 
 
-def test_volumes_of_tools_with_known_formulas():
+def test_volumes_of_simple_tools_match_formulas():
     opening = Opening(0.0, segments=720)
     assert volume(tool_mesh(TOOLS["sphere"], SPECIMEN, opening)) == pytest.approx(4 / 3 * np.pi * 0.012**3, rel=5e-3)
     height = tool_outline(TOOLS["flat"], SPECIMEN)[:, 1].max()
@@ -60,7 +58,7 @@ def test_volumes_of_tools_with_known_formulas():
 
 
 @pytest.mark.parametrize("name", NEEDLES)
-def test_drawn_tool_stays_a_little_inside_its_outline(name):
+def test_the_drawn_tool_lies_inside_its_outline(name):
     tool = NEEDLES[name]
     outline = tool_outline(tool, SPECIMEN)
     below = outline[outline[:, 1] < (tool.radius if tool.shape == "sphere" else outline[:, 1].max())]
@@ -71,19 +69,19 @@ def test_drawn_tool_stays_a_little_inside_its_outline(name):
 
 
 @pytest.mark.parametrize("name", NEEDLES)
-def test_shaft_reaches_above_the_specimen_and_shows_the_whole_tip(name):
+def test_the_shaft_ends_above_the_specimen_and_the_tip_is_complete(name):
     tool = NEEDLES[name]
     outline = tool_outline(tool, SPECIMEN)
     assert outline[:, 0].max() == pytest.approx(tool.radius, rel=2e-3)
     top = outline[:, 1].max()
     assert top == pytest.approx(2 * tool.radius if name == "sphere" else 0.035, rel=1e-2)
-    assert picture_height(tool, SPECIMEN) == pytest.approx(top + ARROW * SPECIMEN.height)
+    assert picture_height(tool, SPECIMEN) == pytest.approx(top + SETTINGS.arrow_length * SPECIMEN.height)
     # On a flat specimen the whole tip is there, too.
     flat = tool_outline(tool, ts.Specimen(0.04, 0.002))
     assert flat[:, 0].max() == pytest.approx(tool.radius, rel=2e-3)
 
 
-def test_plate_and_base_are_wider_than_the_specimen_and_leave_it_between_them():
+def test_plate_and_base_are_wider_than_the_specimen():
     plate, base = tool_mesh(TOOLS["plate"], SPECIMEN, Opening()), base_plate(SPECIMEN, Opening())
     for surface in (plate, base):
         assert 1.1 * 0.04 < np.linalg.norm(surface.vertices[:, :2], axis=1).max() < 1.3 * 0.04
@@ -95,13 +93,13 @@ def test_plate_and_base_are_wider_than_the_specimen_and_leave_it_between_them():
     assert volume(base) == pytest.approx(np.pi * (1.2 * 0.04) ** 2 * 0.06 * 0.07, rel=0.01)
 
 
-def test_arrow_is_as_long_as_the_force_is_large_and_points_where_it_acts():
+def test_the_arrow_has_the_length_and_direction_of_the_force():
     tool = TOOLS["flat"]
     top = tool_outline(tool, SPECIMEN)[:, 1].max()
     half, full, pull = (force_arrow(force, 4.0, tool, SPECIMEN) for force in (2.0, 4.0, -2.0))
-    assert half.tip[2] - half.start[2] == pytest.approx(0.5 * ARROW * 0.07)
-    assert full.tip[2] - full.start[2] == pytest.approx(ARROW * 0.07)
-    assert pull.tip[2] - pull.start[2] == pytest.approx(-0.5 * ARROW * 0.07)
+    assert half.tip[2] - half.start[2] == pytest.approx(0.5 * SETTINGS.arrow_length * 0.07)
+    assert full.tip[2] - full.start[2] == pytest.approx(SETTINGS.arrow_length * 0.07)
+    assert pull.tip[2] - pull.start[2] == pytest.approx(-0.5 * SETTINGS.arrow_length * 0.07)
     for arrow in (half, full, pull):
         z = arrow.surface.vertices[:, 2]
         assert z.min() == pytest.approx(min(arrow.start[2], arrow.tip[2])) and z.min() > top
@@ -110,12 +108,13 @@ def test_arrow_is_as_long_as_the_force_is_large_and_points_where_it_acts():
         # The widest ring is where the head begins.
         widest = z[np.argmax(np.linalg.norm(arrow.surface.vertices[:, :2], axis=1))]
         length = abs(arrow.tip[2] - arrow.start[2])
-        assert abs(widest - arrow.tip[2]) == pytest.approx(min(HEAD_LENGTH * 0.07, LARGEST_HEAD * length), rel=1e-4)
+        head = min(SETTINGS.head_length * 0.07, SETTINGS.largest_head * length)
+        assert abs(widest - arrow.tip[2]) == pytest.approx(head, rel=1e-4)
     assert force_arrow(40.0, 4.0, tool, SPECIMEN).tip == pytest.approx(full.tip)
 
 
 @pytest.mark.parametrize("force", [0.0, 1e-3, -1e-3])
-def test_no_force_no_arrow(force):
+def test_a_zero_force_has_no_arrow(force):
     assert force_arrow(force, 4.0, TOOLS["flat"], SPECIMEN) is None
 
 
@@ -123,11 +122,11 @@ def surface_line(points):
     return SurfaceLine(np.array(points), 0.5 * (np.array(points[1:]) + np.array(points[:-1])))
 
 
-def test_contact_of_a_flat_punch():
-    """Tissue flat under the face, away from the shaft."""
+def test_contact_with_a_flat_punch():
+    """The tissue is flat under the face and does not touch the shaft."""
     line = surface_line([[0.0, -0.01], [0.004, -0.01], [0.008, -0.01], [0.012, -0.006], [0.04, 0.0], [0.04, -0.07]])
     opening = Opening(np.radians(120.0))
-    contact = contact_picture(line, TOOLS["flat"], 0.01, opening)
+    contact = find_contact(line, TOOLS["flat"], 0.01, opening)
     assert contact.radius == pytest.approx(0.008) and contact.area == pytest.approx(np.pi * 0.008**2)
     # Two lines on each of the faces, in front of them, and the rim.
     on_faces, rim = contact.lines[:4], contact.lines[4:]
@@ -137,29 +136,29 @@ def test_contact_of_a_flat_punch():
         assert (lines[..., :2] @ way).max() == pytest.approx(0.008)
     assert np.linalg.norm(rim[..., :2], axis=-1) == pytest.approx(0.008 + 2e-3 * 0.04)
     assert len(rim) == len(opening.angles) - 1
-    assert len(contact_picture(line, TOOLS["flat"], 0.01, Opening(0.0)).lines) == 48
+    assert len(find_contact(line, TOOLS["flat"], 0.01, Opening(0.0)).lines) == 48
 
 
-def test_contact_of_the_shaft_and_of_a_ring():
-    """Tissue that leans on the shaft counts, and tissue that has let go of the middle does not."""
+def test_contact_with_the_shaft_and_with_a_ring():
+    """Tissue at the shaft is in contact; tissue that has separated in the middle is not."""
     line = surface_line([[0.0, -0.012], [0.004, -0.0101], [0.006, -0.01], [0.008, -0.01], [0.008, -0.008],
                          [0.02, 0.0], [0.04, 0.0]])
-    contact = contact_picture(line, TOOLS["flat"], 0.01, Opening())
+    contact = find_contact(line, TOOLS["flat"], 0.01, Opening())
     assert contact.area == pytest.approx(np.pi * (0.008**2 - 0.006**2) + 2 * np.pi * 0.008 * 0.002)
 
 
 @pytest.mark.parametrize("name", TOOLS)
 def test_no_contact_above_the_tissue(name):
     line = surface_line([[0.0, 0.0], [0.01, 0.0], [0.04, 0.0], [0.04, -0.07]])
-    assert contact_picture(line, TOOLS[name], -0.001, Opening()) is None
+    assert find_contact(line, TOOLS[name], -0.001, Opening()) is None
 
 
-def test_contact_on_a_round_tip_is_one_patch_although_nodes_stand_off_by_turns():
-    """As the solver leaves it: Gauss points on the tool, ends of the elements 40 um before it, their middles 20 um in
-    it."""
+def test_contact_on_a_round_tip_is_one_patch_despite_oscillating_nodes():
+    """As in solutions of the solver, the Gauss points lie on the tool, the end nodes of the elements 40 um outside and
+    the middle nodes 20 um inside."""
     tool, depth, opening = TOOLS["round"], 0.010, Opening(np.pi)
     mesh = cylinder_mesh(0.04, 0.07, (40, 3), Q9P1)
-    section, place = CutAway.of(mesh), mesh.nodes.copy()
+    section, place = CutAway.from_mesh(mesh), mesh.nodes.copy()
     top = mesh.sets["top"]
     r = place[top, 0]
     touching = r < 0.0061
@@ -169,10 +168,10 @@ def test_contact_on_a_round_tip_is_one_patch_although_nodes_stand_off_by_turns()
     place[top[~touching], 1] = -0.0075
     gap = tool.profile.gap(place[top[touching]] + [0.0, depth])
     assert gap.min() == pytest.approx(-20e-6) and gap.max() == pytest.approx(40e-6)
-    contact = contact_picture(section.surface_line(place), tool, depth, opening)
+    contact = find_contact(section.surface_line(place), tool, depth, opening)
     assert contact.radius == pytest.approx(0.008 * np.sin(0.006 / 0.008), rel=0.01)
     # A cap of the ball.
     assert contact.area == pytest.approx(2 * np.pi * 0.008**2 * (1 - np.cos(0.006 / 0.008)), rel=0.02)
     on_one = contact.lines[:12]
     assert on_one[1:, 0] == pytest.approx(on_one[:-1, 1])
-    assert contact_picture(section.surface_line(mesh.nodes), tool, -1e-4, opening) is None
+    assert find_contact(section.surface_line(mesh.nodes), tool, -1e-4, opening) is None

@@ -1,4 +1,4 @@
-"""What has been felt: which ticks are kept, where the motion turns, and the recording of it."""
+"""Trace: thinning of ticks, reversals of the motion, and the saved recording."""
 
 import tomllib
 from itertools import pairwise
@@ -15,14 +15,14 @@ from scenes.catalogue import SCENES
 from scenes.cli import main
 from scenes.viewer.page.saving import curve_files
 from scenes.viewer.scene import Scene
-from scenes.viewer.trace import DEPTH_STEP, LONGEST, SHORTEST, Trace, on_grid, recording_files
+from scenes.viewer.trace import SETTINGS, Trace, interpolate_branch, recording_files
 from scenes.what_was_done import what_was_done
 from tissue_sim.recording.segmentation import HYSTERESIS, one_way
 from tissue_sim.tool_force import ForceStatus
 
 
 def ticks(time, depth, force=None, flags=0):
-    """Ring records of a motion; without a force, a spring of 200 N/m."""
+    """Records of the ring for a motion; the default force is that of a spring of 200 N/m."""
     records = np.zeros(len(time), TICK)
     records["time"], records["tool_depth"], records["flags"] = time, depth, flags
     records["tissue_force"] = 200.0 * np.asarray(depth) if force is None else force
@@ -30,14 +30,14 @@ def ticks(time, depth, force=None, flags=0):
 
 
 def played(corners, seconds, *, noise=0.0, seed=0):
-    """Ticks at 1 kHz of straight lines between (time, depth) corners, up to `seconds`."""
+    """Ticks at 1 kHz of a piecewise linear motion through (time, depth) corners, up to `seconds`."""
     time = np.arange(0.0, seconds, 1e-3)
     depth = np.interp(time, *np.transpose(corners)) + noise * np.random.default_rng(seed).uniform(-1, 1, time.size)
     return ticks(time, depth)
 
 
 def fed(records, catch=40, **options):
-    """A trace that was given the ticks by so many at a time."""
+    """Trace that received the ticks in batches of a given size."""
     trace = Trace(**options)
     for first in range(0, len(records), catch):
         trace.append(records[first:first + catch])
@@ -47,20 +47,20 @@ def fed(records, catch=40, **options):
 CYCLE = [(0, 0), (5, 10e-3), (8, 10e-3), (13, 0), (14, 0)]
 
 
-def test_kept_points_are_apart_and_close_enough_to_draw():
+def test_kept_points_have_the_steps_of_the_settings():
     records = played(CYCLE, 14)
     records["tissue_force"] = 0.0
     trace = fed(records)
     step, way = np.diff(trace.time), np.abs(np.diff(trace.depth))
     # The times are of 1 kHz ticks: a kept one may come a tick after it is due.
-    assert step.min() >= SHORTEST - 1.1e-3
-    assert step.max() <= LONGEST + SHORTEST + 1e-3
-    assert (way[step < LONGEST - 1e-9] >= DEPTH_STEP - 1e-12).all()
-    assert way.max() < 2 * DEPTH_STEP
+    assert step.min() >= SETTINGS.shortest - 1.1e-3
+    assert step.max() <= SETTINGS.longest + SETTINGS.shortest + 1e-3
+    assert (way[step < SETTINGS.longest - 1e-9] >= SETTINGS.depth_step - 1e-12).all()
+    assert way.max() < 2 * SETTINGS.depth_step
     assert len(trace) < 1300 < 14_000
 
 
-def test_what_the_hand_got_is_kept_beside_what_the_tissue_gave():
+def test_rendered_force_and_tissue_force_are_kept():
     records = played(CYCLE, 14)
     records["force"] = np.minimum(records["tissue_force"], 1.2)
     trace = fed(records)
@@ -68,21 +68,21 @@ def test_what_the_hand_got_is_kept_beside_what_the_tissue_gave():
     assert trace.rendered_force.max() == 1.2 < trace.force.max()
 
 
-def test_a_force_that_changes_at_rest_is_kept():
+def test_force_changes_of_a_standing_tool_are_kept():
     time = np.arange(0, 1, 1e-3)
     trace = fed(ticks(time, np.full(time.size, 5e-3), np.exp(-time / 0.05)))
     early = trace.time < 0.08
-    assert early.sum() > 10 and np.diff(trace.time[~early]).max() > 0.9 * LONGEST
+    assert early.sum() > 10 and np.diff(trace.time[~early]).max() > 0.9 * SETTINGS.longest
 
 
-def test_a_catch_of_any_size_keeps_the_same_points():
+def test_the_batch_size_does_not_change_the_points():
     records = played(CYCLE, 14)
     points = [(each.time.tolist(), each.depth.tolist(), each.force.tolist())
               for each in (fed(records, catch) for catch in (1, 7, 40, 14_000))]
     assert points[0] == points[1] == points[2] == points[3]
 
 
-def test_paused_ticks_and_those_without_a_number_are_left_out():
+def test_paused_and_nonfinite_ticks_are_skipped():
     records = played(CYCLE, 14)
     records["flags"][2000:3000] = PAUSED
     records["tool_depth"][4000:4500] = np.nan
@@ -94,7 +94,7 @@ def test_paused_ticks_and_those_without_a_number_are_left_out():
     assert Trace().append(records[2000:3000]) == 0
 
 
-def test_what_is_no_longer_the_tissues_is_not_drawn_and_what_is_carried_on_not_recorded():
+def test_fading_forces_are_not_drawn_and_late_forces_not_recorded():
     records = played(CYCLE, 14)
     for second, status in enumerate(ForceStatus):
         records["status"][1000 * second : 1000 * second + 500] = status
@@ -105,13 +105,13 @@ def test_what_is_no_longer_the_tissues_is_not_drawn_and_what_is_carried_on_not_r
     recorded = trace.recording({}).time + trace.time[0]
     assert np.isin(recorded, trace.time[~trace.late]).all() and len(recorded) == (~trace.late).sum()
     records["status"] = ForceStatus.LATE
-    with pytest.raises(ts.InputError, match="in equilibrium"):
+    with pytest.raises(ts.InputError, match="two equilibrium points"):
         fed(records).recording({})
 
 
-def test_memory_is_bounded_and_the_oldest_points_go():
+def test_the_oldest_points_are_dropped_at_the_limit():
     records = played([(0, 0), *((i + 1, 5e-3 * ((i + 1) % 2)) for i in range(20))], 20)
-    whole, short = fed(records), fed(records, most=500)
+    whole, short = fed(records), fed(records, max_points=500)
     assert len(short) == 500 < len(whole)
     for name in ("time", "depth", "force"):
         assert getattr(short, name).tolist() == getattr(whole, name)[-500:].tolist()
@@ -120,7 +120,7 @@ def test_memory_is_bounded_and_the_oldest_points_go():
         assert mine.time.tolist() == full.time.tolist()
 
 
-def test_another_loop_begins_another_trace():
+def test_a_new_loop_clears_the_trace():
     trace = fed(played(CYCLE, 14))
     trace.append(played([(0, 1e-3), (1, 2e-3)], 1))
     assert trace.time[-1] < 1.0 and trace.depth.min() == pytest.approx(1e-3)
@@ -131,24 +131,24 @@ def test_another_loop_begins_another_trace():
 def test_newest_branches_of_two_cycles():
     trace = fed(played([(0, 0), (4, 8e-3), (8, 2e-3), (12, 10e-3), (14, 6e-3)], 14))
     load, unload = trace.branches()
-    assert (load.depth.min(), load.depth.max()) == pytest.approx((2e-3, 10e-3), abs=2 * DEPTH_STEP)
-    assert (unload.depth.min(), unload.depth.max()) == pytest.approx((6e-3, 10e-3), abs=2 * DEPTH_STEP)
+    assert (load.depth.min(), load.depth.max()) == pytest.approx((2e-3, 10e-3), abs=2 * SETTINGS.depth_step)
+    assert (unload.depth.min(), unload.depth.max()) == pytest.approx((6e-3, 10e-3), abs=2 * SETTINGS.depth_step)
     assert load.time[0] == pytest.approx(8, abs=0.03) and unload.time[0] == pytest.approx(12, abs=0.03)
     assert load.time[-1] == unload.time[0]
 
 
-def test_a_way_back_counts_where_it_is_longer_than_the_hysteresis():
+def test_an_unloading_must_exceed_the_hysteresis():
     for back, branches in ((0.8 * HYSTERESIS, 1), (1.6 * HYSTERESIS, 3)):
         trace = fed(played([(0, 0), (2, 5e-3), (2.1, 5e-3 - back), (4, 9e-3)], 4))
         assert len(trace._branches()) == branches
 
 
-def test_trembling_of_a_hand_is_no_reversal():
+def test_tremor_of_a_hand_is_no_reversal():
     trace = fed(played(CYCLE, 14, noise=0.45 * HYSTERESIS))
     assert [direction for direction, *_ in trace._branches()] == [1, -1]
 
 
-def test_a_small_step_back_leaves_what_was_felt_above_it():
+def test_a_short_reversal_replaces_only_its_part_of_the_curve():
     trace = fed(played([(0, 0), (4, 8e-3), (4.2, 7e-3), (5, 9e-3)], 5))
     grid = np.linspace(0, 10e-3, 101)
     load, unload = trace.newest_passes(grid)
@@ -161,7 +161,7 @@ def test_a_small_step_back_leaves_what_was_felt_above_it():
     assert newest.depth.min() > 6.9e-3  # what the newest branch alone would show
 
 
-def test_the_newest_pass_is_the_one_that_counts():
+def test_the_newest_pass_is_returned():
     records = played([(0, 0), (4, 8e-3), (8, 0), (12, 6e-3)], 12)
     records["tissue_force"] *= np.where(records["time"] > 8, 0.5, 1.0)
     load, _ = fed(records).newest_passes(np.array([2e-3, 7e-3]))
@@ -199,8 +199,8 @@ def test_recording_reads_back_equal(tmp_path):
      {"shape": "cylinder", "radius_mm": 40.0, "height_mm": 70.0, "tool": "sphere", "tool_radius_mm": 6.0}),
     ("bonded_compression", ts.Block(0.020, 0.024, 0.015), None,
      {"shape": "block", "length_mm": 20.0, "width_mm": 24.0, "height_mm": 15.0})])
-def test_a_saved_curve_says_what_a_simulated_one_does(tmp_path, kind, specimen, tool, stated):
-    """So that `import` asks for nothing, and what it writes is read."""
+def test_a_saved_curve_has_the_metadata_of_a_simulated_one(tmp_path, kind, specimen, tool, stated):
+    """With these metadata, `import` needs no further information, and its output can be read."""
     tests = {} if tool is None else {"tool": tool}
     experiment = ts.KINDS[kind].experiment(specimen=specimen, protocol=ts.Protocol.ramp(4e-3, 5), **tests)
     scene = Scene(SCENES[kind], experiment, ts.Material("neo_hooke", {"C10": 1000.0}))
@@ -217,8 +217,8 @@ def test_a_saved_curve_says_what_a_simulated_one_does(tmp_path, kind, specimen, 
     assert load_campaign(tmp_path / "campaign.toml").tests[0].specimen == specimen
 
 
-def test_nothing_felt_is_no_recording():
-    with pytest.raises(ts.InputError, match="nothing has been felt in equilibrium yet"):
+def test_a_trace_without_equilibria_gives_no_recording():
+    with pytest.raises(ts.InputError, match="two equilibrium points"):
         Trace().recording({})
 
 
@@ -227,12 +227,12 @@ depths = st.lists(st.floats(0.0, 0.02), min_size=2, max_size=30)
 
 @settings(max_examples=200, deadline=None)
 @given(depths)
-def test_monotone_motion_comes_back_as_it_is(steps):
+def test_a_monotone_branch_is_interpolated_exactly(steps):
     depth = np.cumsum(np.abs(steps) + 1e-6)
     force = np.random.default_rng(len(steps)).normal(size=depth.size)
     assert one_way(depth, 1).tolist() == one_way(depth[::-1], -1).tolist() == list(range(depth.size))
-    assert on_grid(depth, force, 1, depth).tolist() == force.tolist()
-    assert on_grid(depth[::-1], force[::-1], -1, depth).tolist() == force.tolist()
+    assert interpolate_branch(depth, force, 1, depth).tolist() == force.tolist()
+    assert interpolate_branch(depth[::-1], force[::-1], -1, depth).tolist() == force.tolist()
 
 
 @settings(max_examples=300, deadline=None)
@@ -244,7 +244,7 @@ def test_one_way_is_strictly_monotone_and_reaches_both_ends(depth, direction):
     assert way[kept].max() == way.max()
 
 
-def test_standing_still_at_both_ends_drops_out():
+def test_standing_samples_at_both_ends_are_removed():
     depth = np.array([0, 0, 0, 1, 2, 3, 3, 3]) * 1e-3
     assert one_way(depth, 1).tolist() == [2, 3, 4, 5]
     assert one_way(depth[::-1], -1).tolist() == [2, 3, 4, 5]
@@ -252,7 +252,7 @@ def test_standing_still_at_both_ends_drops_out():
 
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.floats(0.001, 0.03), min_size=1, max_size=12), st.integers(0, 2**16))
-def test_reversals_are_counted_whatever_the_noise(ways, seed):
+def test_reversals_are_counted_despite_noise(ways, seed):
     corners = np.concatenate([[0.0], np.cumsum(np.array(ways) * np.resize([1, -1], len(ways)))])
     depth = np.concatenate([np.linspace(a, b, 50) for a, b in pairwise(corners)])
     depth += 0.4 * HYSTERESIS * np.random.default_rng(seed).uniform(-1, 1, depth.size)

@@ -1,4 +1,4 @@
-"""The viewer's server on real sockets: who is answered, what is not offered, what a taken port says."""
+"""Web server of the viewer on real sockets: access checks, disabled sharing, and errors of ports and addresses."""
 
 import asyncio
 import http.client
@@ -35,7 +35,7 @@ def server():
 
 
 def ask(port, *headers, path="/", address="127.0.0.1"):
-    """Status, body and headers of one request with exactly these headers."""
+    """Send one request with exactly these headers; return status, body and headers of the response."""
     connection = http.client.HTTPConnection(address, port, timeout=120)
     connection.putrequest("GET", path, skip_host=True, skip_accept_encoding=True)
     for name, value in headers:
@@ -48,7 +48,7 @@ def ask(port, *headers, path="/", address="127.0.0.1"):
 
 
 def websocket(port, name="127.0.0.1", **options):
-    """A client that names the server `name`, wherever that is."""
+    """HTTP client that sends `name` as the name of the server."""
     stream = socket.create_connection(("127.0.0.1", port), timeout=120)
     try:
         return connect(f"ws://{name}:{port}/", sock=stream, subprotocols=[PROTOCOL], compression=None, **options)
@@ -58,7 +58,7 @@ def websocket(port, name="127.0.0.1", **options):
 
 
 def is_answered(port, **options):
-    """Whether viser speaks to a client, or the status that refuses it."""
+    """Open a websocket; return whether viser accepts it, or the status of the refusal."""
     try:
         with websocket(port, **options) as client:
             return isinstance(client.recv(timeout=120), bytes)
@@ -73,7 +73,7 @@ def is_open(port):
 
 
 class TestToken:
-    """A program of this computer that does not know the printed address."""
+    """Access by programs of this computer that do not know the printed address."""
 
     TOKEN = "t0k-en_of_a_test"
 
@@ -85,7 +85,7 @@ class TestToken:
     def host(self, server):
         return "Host", f"127.0.0.1:{server.get_port()}"
 
-    def test_the_printed_address_opens_the_page_and_the_cookie_goes_on(self, guarded):
+    def test_the_printed_address_opens_the_page_and_sets_a_cookie(self, guarded):
         port = guarded.get_port()
         assert guarded.address() == f"http://127.0.0.1:{port}/?token={self.TOKEN}"
         assert guarded.address(fixedDpr="0.5").endswith(f"?token={self.TOKEN}&fixedDpr=0.5")
@@ -98,17 +98,18 @@ class TestToken:
 
     @pytest.mark.parametrize("path", ["/", "/?token=", "/?token=wrong", "/?token=%ff%00", "/?fixedDpr=1",
                                       "/assets/x"])
-    def test_without_it_nothing_is_answered(self, guarded, path):
+    def test_a_request_without_the_token_is_refused(self, guarded, path):
         status, page, _ = ask(guarded.get_port(), self.host(guarded), path=path)
-        assert status == 403 and page.startswith("This page opens with the address that was printed")
+        assert status == 403
+        assert page.startswith("The token is missing or wrong. Open this page with the complete address")
 
     @pytest.mark.parametrize("headers", [{}, {"Cookie": "tissue_sim_1=t0k-en_of_a_test"}])
     def test_nor_can_a_program_steer(self, guarded, headers):
-        """A websocket without an origin, as any program can open one."""
+        """Any program can open a websocket without an origin."""
         assert is_answered(guarded.get_port(), additional_headers=headers) == 403
 
     @pytest.mark.parametrize("noise", ["", ";;==", "=", '"', "tissue_sim_", "a=b; tissue_sim_1"])
-    def test_noise_for_a_cookie_is_none(self, guarded, noise):
+    def test_invalid_cookies_are_refused(self, guarded, noise):
         assert ask(guarded.get_port(), self.host(guarded), ("Cookie", noise))[0] == 403
 
     def test_a_server_without_a_token_sets_no_cookie(self, server):
@@ -116,14 +117,14 @@ class TestToken:
         assert server.address() == server.url
 
 
-def test_own_page_is_answered_and_named(server):
+def test_the_own_page_is_served_with_its_title(server):
     for name in ("localhost", "127.0.0.1", "LocalHost.", "[::1]"):
         status, page, _ = ask(server.get_port(), ("Host", f"{name}:{server.get_port()}"))
         assert (status, "<title>needle &amp; &lt;tissue&gt;</title>" in page) == (200, True), name
     assert server.url == f"http://127.0.0.1:{server.get_port()}"
 
 
-def test_page_is_framed_by_nobody_and_fetches_nothing_from_elsewhere(server):
+def test_security_headers_forbid_framing_and_foreign_resources(server):
     headers = ask(server.get_port(), ("Host", f"localhost:{server.get_port()}"), ("Accept-Encoding", "gzip"))[2]
     policy = dict(part.strip().split(" ", 1) for part in headers["Content-Security-Policy"].split(";"))
     assert (headers["X-Frame-Options"], policy["frame-ancestors"]) == ("DENY", "'none'")
@@ -137,7 +138,8 @@ def test_page_is_framed_by_nobody_and_fetches_nothing_from_elsewhere(server):
 def test_request_for_another_server_is_refused(server, hosts):
     port = server.get_port()
     status, sentence, headers = ask(port, *(("Host", host.format(port=port)) for host in hosts))
-    assert (status, sentence) == (403, f"This server answers to http://localhost:{port} and its own addresses only.\n")
+    expected = f"This server answers only requests to http://localhost:{port} and its own addresses.\n"
+    assert (status, sentence) == (403, expected)
     assert headers["Content-Type"].startswith("text/plain")
 
 
@@ -149,13 +151,14 @@ def test_page_of_another_site_cannot_fetch(server, origins):
     port = server.get_port()
     status, sentence, _ = ask(port, ("Host", f"localhost:{port}"),
                               *(("Origin", origin.format(port=port)) for origin in origins))
-    assert (status, sentence) == (403, "This server answers its own page only, not a page of another site.\n")
+    assert status == 403
+    assert sentence == "This server answers only requests from this page, not from pages of other sites.\n"
 
 
 @pytest.mark.parametrize(("origin", "answer"), [
     ("http://127.0.0.1:{port}", True), (None, True), ("http://other.example", 403), ("null", 403),
     ("http://127.0.0.1:{port}.other.example", 403), ("http://localhost:{port}", 403)])
-def test_handshake_comes_from_the_own_page(server, origin, answer):
+def test_only_the_own_page_may_open_a_websocket(server, origin, answer):
     port = server.get_port()
     assert is_answered(port, origin=origin and origin.format(port=port)) == answer
 
@@ -168,7 +171,7 @@ def test_handshake_under_a_foreign_name_is_refused(server):
 
 @given(name=st.sampled_from(["localhost", "127.0.0.1", "[::1]", "[0:0:0:0:0:0:0:1]", "[::ffff:127.0.0.1]"]),
        upper=st.booleans(), dot=st.sampled_from(["", "."]), port=st.integers(1, 65535), shift=st.integers(-3, 3))
-def test_one_name_in_its_spellings(name, upper, dot, port, shift):
+def test_spellings_of_a_server_name_are_equivalent(name, upper, dot, port, shift):
     place = f"{name.upper() if upper else name}{'' if name[0] == '[' else dot}:{port + shift}"
     accepted = shift == 0
     assert (refuse([place], [], NAMES, port) is None) == accepted
@@ -179,7 +182,7 @@ def test_one_name_in_its_spellings(name, upper, dot, port, shift):
 
 
 @given(st.text() | st.from_regex(r"(localhost|127\.0\.0\.1|\[::1\]|[a-z.]+)[.@:/ ,\\#?%]*(80)?[^\n]?", fullmatch=True))
-def test_nothing_else_is_a_name(text):
+def test_other_texts_are_no_server_names(text):
     known = {f"{name}{dot}{port}" for name in ("localhost", "127.0.0.1") for dot in ("", ".") for port in ("", ":80")}
     known |= {"[::1]", "[::1]:80"}
     assert (refuse([text], [], NAMES, 80) is None) == (text.lower() in known)
@@ -189,7 +192,7 @@ def test_nothing_else_is_a_name(text):
 
 
 def requests_of_sharing(server):
-    """Which of the two sharing messages of a client reach a function of the server."""
+    """Send both sharing messages of a client; return the names of those that reach a function of the server."""
     arrived, last = set(), threading.Event()
     server.request_share_url = lambda: arrived.add("ShareUrlRequest")
     server.disconnect_share_url = lambda: arrived.add("ShareUrlDisconnect")
@@ -208,7 +211,7 @@ def test_no_client_can_have_a_tunnel_opened(server):
         assert requests_of_sharing(own) == set()
 
 
-def test_plain_viser_would_open_one(capfd):
+def test_plain_viser_handles_sharing_messages(capfd):
     plain = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     assert requests_of_sharing(plain) == {"ShareUrlRequest", "ShareUrlDisconnect"}
     plain.stop()
@@ -223,50 +226,53 @@ def test_page_offers_neither_logo_nor_sharing(monkeypatch):
                       {"dark_mode": True, "show_logo": False, "show_share_button": False}]
 
 
-def test_taken_port_is_named_and_left_alone(server):
+def test_a_port_in_use_is_reported_and_left_unchanged(server):
     port = server.get_port()
-    with pytest.raises(InputError, match=rf"^port: port {port} of 127\.0\.0\.1 is taken by another program; close "
-                                         r"that, or give another with --port, or 0 for any free one$"):
+    with pytest.raises(InputError, match=rf"^port: port {port} of 127\.0\.0\.1 is in use by another program\. Close "
+                                         r"that program, or choose another port with --port, or 0 for any free "
+                                         r"port\.$"):
         open_server(port=port)
     assert ask(port, ("Host", f"localhost:{port}"))[0] == 200
 
 
-def test_port_that_is_bound_but_silent_is_taken_too():
+def test_a_bound_port_without_listener_is_in_use():
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
-        with pytest.raises(InputError, match="is taken by another program"):
+        with pytest.raises(InputError, match="is in use by another program"):
             open_server(port=other.getsockname()[1])
 
 
-def test_two_servers_find_two_ports(server):
+def test_two_servers_get_two_ports(server):
     with open_server(port=0) as second:
         assert second.get_port() not in (0, server.get_port())
         assert ask(second.get_port(), ("Host", f"127.0.0.1:{server.get_port()}"))[0] == 403
 
 
 @pytest.mark.parametrize(("host", "port", "message"), [
-    ("127.0.0.1", 65536, "port: 65536 is not a port"), ("127.0.0.1", -1, "port: -1 is not a port"),
-    ("nowhere", 0, "host: 'nowhere' is not an address; give one such as 127.0.0.1"), ("", 0, "host: '' is not an ad"),
-    ("192.0.2.1", 0, r"host: 192\.0\.2\.1, port 0 cannot be used \(.+\); give an address of this computer")])
-def test_bad_address_is_named(host, port, message):
+    ("127.0.0.1", 65536, "port: must be between 1 and 65535, or 0 for any free port; got 65536"),
+    ("127.0.0.1", -1, "port: must be .*; got -1"),
+    ("nowhere", 0, r"host: must be an IP address such as 127\.0\.0\.1; got 'nowhere'"),
+    ("", 0, "host: must be an IP address .*; got ''"),
+    ("192.0.2.1", 0, r"host: 192\.0\.2\.1, port 0 cannot be used \(.+\)\. Give an address of this computer")])
+def test_an_invalid_address_is_refused(host, port, message):
     with pytest.raises(InputError, match=message):
         open_server(host, port, exposed=True)
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.7"])
 def test_other_computers_need_the_word(host):
-    with pytest.raises(InputError, match=r"^host: anybody who reaches .* at port 8080 can .*move the tool.* without a "
-                                         "password; say --expose if that is meant"):
+    with pytest.raises(InputError, match=r"^host: anyone who can reach .* at port 8080 can .*move the tool.* without a "
+                                         r"password\. Use --expose to allow this"):
         open_server(host)
 
 
-def test_what_is_exposed_is_said():
-    assert exposure("0.0.0.0", 8080).startswith("anybody who reaches any address of this computer at port 8080 can ")
-    assert exposure("10.0.0.7", 0).startswith("anybody who reaches 10.0.0.7 at the port that is chosen can ")
-    assert exposure("127.0.0.1", 8080) == "127.0.0.1 is reached by programs of this computer only"
+def test_exposure_describes_who_has_access():
+    assert exposure("0.0.0.0", 8080).startswith("anyone who can reach any address of this computer at port 8080 can ")
+    assert exposure("10.0.0.7", 0).startswith("anyone who can reach 10.0.0.7 at the chosen port can ")
+    assert exposure("127.0.0.1", 8080) == "only programs of this computer can reach 127.0.0.1"
 
 
-def test_exposed_server_still_knows_its_names():
+def test_an_exposed_server_checks_its_names():
     with open_server("0.0.0.0", 0, exposed=True) as own:
         port = own.get_port()
         assert own.url == f"http://127.0.0.1:{port}"
@@ -277,7 +283,7 @@ def test_exposed_server_still_knows_its_names():
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have one loopback address only")
-def test_exposed_server_answers_to_the_address_that_was_reached():
+def test_an_exposed_server_accepts_the_address_of_the_connection():
     with open_server("0.0.0.0", 0, exposed=True) as own:
         port = own.get_port()
         assert ask(port, ("Host", f"127.0.0.2:{port}"), address="127.0.0.2")[0] == 200
@@ -285,7 +291,7 @@ def test_exposed_server_answers_to_the_address_that_was_reached():
 
 
 def has_version_6():
-    """Asked of the system, not of the server: one that cannot serve there fails the test."""
+    """Return whether the system supports IPv6, independently of the server under test."""
     try:
         with socket.socket(socket.AF_INET6) as own:
             own.bind(("::1", 0))
@@ -294,7 +300,7 @@ def has_version_6():
     return True
 
 
-def test_version_6_address():
+def test_an_ipv6_address_is_served():
     if not has_version_6():
         pytest.skip("serves on ::1, and this computer's system has IPv6 switched off: no program can use that address")
     with open_server("::1", 0) as own:
@@ -304,7 +310,7 @@ def test_version_6_address():
         assert ask(port, ("Host", f"[::2]:{port}"), address="::1")[0] == 403
 
 
-def test_nobody_is_let_in_before_the_server_is_ready(monkeypatch):
+def test_connections_are_refused_until_the_server_is_ready(monkeypatch):
     seen = []
     monkeypatch.setattr(ViewerServer, "set_theme", lambda self: seen.append(is_open(self.get_port())))
     with open_server(port=0) as own:
@@ -314,7 +320,8 @@ def test_nobody_is_let_in_before_the_server_is_ready(monkeypatch):
 
 def test_other_version_of_viser_is_not_served(monkeypatch):
     monkeypatch.setattr(viser, "__version__", "1.2.0")
-    with pytest.raises(MissingBackendError, match=r"and this is 1\.2\.0; python -m pip install viser==1\.1\.1"):
+    with pytest.raises(MissingBackendError, match=r"viser 1\.2\.0 is installed\. Install it with: python -m pip "
+                                                  r"install viser==1\.1\.1"):
         open_server(port=0)
 
 
@@ -327,13 +334,13 @@ def test_viser_without_the_known_handlers_is_not_served(monkeypatch):
         ports.append(self._port)
 
     monkeypatch.setattr(viser.infra.WebsockServer, "register_handler", forget_sharing)
-    with pytest.raises(MissingBackendError, match="it has no handler of ShareUrlRequest to take away"):
+    with pytest.raises(MissingBackendError, match="viser has no handler for ShareUrlRequest"):
         open_server(port=0)
     assert not is_open(ports[-1])
 
 
-def test_viser_that_starts_in_another_way_is_not_served(monkeypatch):
-    """Its worker does not look where the check stands."""
+def test_viser_with_another_start_is_not_served(monkeypatch):
+    """Its worker uses a copy of websockets in which serve is not replaced."""
     infra, servers = viser.infra._infra, []
     elsewhere = FunctionType(infra.WebsockServer._background_worker.__code__, dict(vars(infra)))
 
@@ -342,18 +349,18 @@ def test_viser_that_starts_in_another_way_is_not_served(monkeypatch):
         elsewhere(self, ready)
 
     monkeypatch.setattr(infra.WebsockServer, "_background_worker", worker)
-    with pytest.raises(MissingBackendError, match="does not start the websocket server that it is known for"):
+    with pytest.raises(MissingBackendError, match="viser does not start a websocket server with serve"):
         open_server(port=0)
     assert not is_open(servers[0]._port)
 
 
 def test_installed_viser_is_the_one_whose_private_parts_are_known(root):
-    """Raise the pin only together with VISER_VERSION, after a look at what web_server.py touches."""
+    """Change the pin together with VISER_VERSION, after a review of the private parts that web_server.py uses."""
     assert viser.__version__ == VISER_VERSION
     assert f'"viser=={VISER_VERSION}"' in (root / "pyproject.toml").read_text(encoding="utf-8")
 
 
-def test_what_comes_while_a_request_is_answered_is_not_told_but_our_own_faults_are():
+def test_protocol_errors_are_not_logged_but_own_errors_are():
     def record_of(work):
         try:
             work()
@@ -365,12 +372,12 @@ def test_what_comes_while_a_request_is_answered_is_not_told_but_our_own_faults_a
 
     protocol = ServerProtocol()
     protocol.send_eof()
-    assert not web_server._is_news(record_of(protocol.send_eof))
-    assert web_server._is_news(record_of(ours))
+    assert not web_server._is_relevant(record_of(protocol.send_eof))
+    assert web_server._is_relevant(record_of(ours))
 
 
-def test_server_prints_nothing():
-    """Start, noise, a client of another version, stop; and a second server that the interpreter's end stops."""
+def test_the_server_prints_nothing():
+    """Start, invalid data, a client of another version, stop, and a second server that ends with the interpreter."""
     code = """
 import socket
 from websockets.sync.client import connect
@@ -404,8 +411,8 @@ first.stop()
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
-def test_the_page_is_woken_in_its_loop_only(server):
-    """viser wakes from the thread that says something, while tasks begin to wait: that ended the thread."""
+def test_waiting_tasks_are_woken_in_the_event_loop_only(server):
+    """viser sets the event in another thread while tasks start to wait, which ended that thread with Python's event."""
     event = type(server._websock_server.get_message_buffer().message_event)()
 
     async def wait_and_be_woken():

@@ -1,4 +1,4 @@
-"""The tab with what the picture shows: fields that a solver does not know are never asked of it."""
+"""View tab: the list of fields contains only the fields that the solver computes."""
 
 from types import SimpleNamespace
 
@@ -7,12 +7,13 @@ import viser
 
 import tissue_sim as ts
 from scenes.field_labels import LABELS
-from scenes.viewer.page.look_controls import LookControls
+from scenes.viewer.page.view_controls import ViewControls
 
 KNOWN = ("displacement", "von_mises", "J", "stretch")
 
 
 def frame(fields=None):
+    """Minimal frame of a scene whose snapshot has these fields."""
     experiment = SimpleNamespace(tool=ts.Tool("flat", radius=8e-3), specimen=ts.Specimen(0.03, 0.02),
                                  tool_pose=ts.Pose.at_depth)
     snapshot = None if fields is None else SimpleNamespace(fields=fields, in_space=True)
@@ -23,35 +24,35 @@ def frame(fields=None):
 def controls():
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
-        yield LookControls(server, frame(), 1.0)
+        yield ViewControls(server, frame(), 1.0)
     finally:
         server.stop()
 
 
 def choose(controls, name):
-    """As a browser does, whose list may be an old one."""
+    """Choose a field as a browser does, whose list may be outdated."""
     controls._field._impl.value = LABELS[name][0]
-    for told in controls._field._impl.update_cb:
-        told(SimpleNamespace(client=None))
+    for callback in controls._field._impl.update_cb:
+        callback(SimpleNamespace(client=None))
 
 
 @pytest.mark.parametrize("when", ["before", "after"])
-def test_a_field_that_is_not_known_is_not_shown(controls, when):
+def test_an_unavailable_field_is_not_displayed(controls, when):
     if when == "before":
         choose(controls, "pressure")
-        assert controls.look.field == "pressure"
+        assert controls.options.field == "pressure"
     controls.show(frame(SimpleNamespace(names=KNOWN)))
     if when == "after":
         choose(controls, "J")
         choose(controls, "energy")
-        assert controls.look.field == "J"
+        assert controls.options.field == "J"
     controls.show(frame(SimpleNamespace(names=KNOWN)))
-    assert controls.look.field in KNOWN
+    assert controls.options.field in KNOWN
     assert set(controls._field.options) == {LABELS[name][0] for name in KNOWN}
 
 
-def test_all_fields_come_back(controls):
+def test_all_fields_return_with_a_solver_that_computes_them(controls):
     controls.show(frame(SimpleNamespace(names=KNOWN)))
     controls.show(frame(SimpleNamespace(names=tuple(LABELS))))
     choose(controls, "energy")
-    assert controls.look.field == "energy" and len(controls._field.options) == len(LABELS)
+    assert controls.options.field == "energy" and len(controls._field.options) == len(LABELS)

@@ -1,0 +1,57 @@
+"""Motions of the tool in a scene: by hand, along a protocol, or as measured."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import tissue_sim as ts
+from haptics.devices.motions import HandMotion, ProtocolMotion
+from scenes.viewer.measurement import motion, typical_replicate
+from scenes.viewer.reach import require_within_reach
+from scenes.viewer.scene import Scene
+from tissue_sim.errors import InputError
+
+#: Largest speed of a tool that is moved with the mouse, m/s.
+HAND_SPEED = 0.1
+#: Number of points of each segment of a protocol.
+_POINTS = 21
+
+
+def hand_motion(scene: Scene) -> HandMotion:
+    """Return a motion by hand that starts at the undeformed surface."""
+    return HandMotion(0.0, HAND_SPEED, approach=scene.experiment.approach)
+
+
+def protocol_motion(scene: Scene, text: str, speed: float, repeat: bool) -> ProtocolMotion:
+    """Return the motion of a protocol; arguments and errors as `Session.play`."""
+    protocol = ts.Protocol.parse(text, _POINTS, speed)
+    require_within_reach(scene, protocol, "protocol")
+    return ProtocolMotion(protocol, repeat, scene.experiment.approach)
+
+
+def replay_motion(scene: Scene, speed: float) -> tuple[ProtocolMotion, tuple[np.ndarray, np.ndarray] | None]:
+    """Return the measured motion of a scene.
+
+    Args:
+        scene: Scene with a measurement.
+        speed: Speed relative to the measurement.
+
+    Returns:
+        The motion, and the time since its start, s, and force, N, of the recording; None for a recording without time.
+
+    Raises:
+        InputError: The scene has no measurement, or the measured motion is deeper than the scene.
+    """
+    if scene.measurement is None:
+        raise InputError("This scene has no measurement. Start the viewer with --measured FILE.")
+    measured, (recording, _) = motion(scene.measurement), typical_replicate(scene.measurement)
+    require_within_reach(scene, measured, "recording")
+    displacement = measured.displacement
+    if scene.highest == 0.0:
+        # Noise around zero displacement must not lift a tool that is attached to the tissue.
+        displacement = np.maximum(displacement, 0.0)
+    replayed = None
+    if "time" in recording:
+        replayed = (recording.time - measured.time[0]) / speed, recording.force
+    protocol = ts.Protocol(measured.time / speed, displacement)
+    return ProtocolMotion(protocol, approach=scene.experiment.approach), replayed
