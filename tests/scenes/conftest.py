@@ -11,7 +11,7 @@ from haptics.loop.process import LoopProcess
 @pytest.fixture(autouse=True)
 def no_log_lines(monkeypatch):
     """What a command says does not depend on how long it took here."""
-    monkeypatch.setattr("scenes.commands.shared.log_lines.EVERY", math.inf)
+    monkeypatch.setattr("scenes.commands.shared.log_lines.MIN_INTERVAL", math.inf)
 
 
 @pytest.fixture

@@ -106,7 +106,7 @@ def test_two_campaigns_in_one_call(campaign, tmp_path, capsys):
     text = capsys.readouterr().out
     assert text.count("* best usable law") == 2
     for name in ("campaign", "second"):
-        assert f"read back from {out / name}, nothing was fitted" in text
+        assert f"read from {out / name}, where this calibration was already finished" in text
 
 
 def test_tables_fit_on_80_columns(tmp_path, capsys, monkeypatch):
@@ -149,7 +149,7 @@ def test_a_reader_that_leaves_is_no_error(campaign, tmp_path):
 
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(("fits", "expected"), [(1, "no campaign was finished"),
-                                                (3, "campaigns that were finished are kept")])
+                                                (3, "finished campaigns are kept")])
 def test_ctrl_c_says_what_was_finished(fits, expected, campaign, tmp_path, capsys, monkeypatch):
     second = tmp_path / "second.toml"
     second.write_text(CAMPAIGN, encoding="utf-8")
@@ -164,7 +164,7 @@ def test_ctrl_c_says_what_was_finished(fits, expected, campaign, tmp_path, capsy
 
     monkeypatch.setattr(ordinary, "fit_law", interrupted)
     assert main(words) == 130
-    assert f"stopped by Ctrl-C; {expected}: run the same command" in capsys.readouterr().err
+    assert f"stopped by Ctrl-C; {expected}. Run the same command" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -159,7 +159,7 @@ def test_a_finished_diagnosis_is_read_back(answer, study, capsys, monkeypatch):
     assert run(study, "-o", out) == 0
     text = capsys.readouterr().out
     assert text.startswith("study: NAMED\nViscoelasticity (g1 = ")
-    assert "read back, nothing was computed" in text and "mm/N" in text
+    assert "this diagnosis was already finished" in text and "mm/N" in text
     for word in ("hold: the force falls by", "dBIC", "C10", "plates/plates_3", "fits with the likeliest"):
         assert word in text
 

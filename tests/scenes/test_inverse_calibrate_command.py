@@ -141,7 +141,7 @@ def test_results_fit_on_80_columns(write, tmp_path, capsys, monkeypatch):
                                                    f"{low / 1e3:.4f}", "to", f"{high / 1e3:.4f}"]
     for p in answer["predictions"]:
         assert re.search(rf"{p['test']} +left out +{p['RMSE_N']:.3g} N +{p['percent']:.2g} ", text)
-    assert "left out %" in text and "noise: 0.02 N stated, white; between recordings 0.03 mm of contact" in text
+    assert "left out %" in text and "noise: 0.02 N stated, white; scatter between recordings 0.03 mm of contact" in text
     for fit in answer["fits"]:
         begin = f"{fit['law']}: {fit['iterations']} solves from 1 start"
         effort = next(line for line in lines if line.startswith(begin))
@@ -172,7 +172,7 @@ def test_what_the_tests_do_not_tell(write, tmp_path, capsys):
     text = capsys.readouterr().out
     (fit,) = read(tmp_path / "out")["fits"]
     assert fit["not_identifiable"] == ["C20"] and fit["interval_notes"]["C20"] == "low: bound -1000"
-    assert "intervals that are cut: C20 low: bound -1000" in text and "(cut)" in text
+    assert "truncated intervals: C20 low: bound -1000" in text and "(truncated)" in text
     better = fit["suggestions"][0]
     assert better["standard_errors"]["C20"] < 0.1 * fit["standard_errors"]["C20"]
     assert f"not identifiable from these tests: C20; {better['test']} would give C20 ± " in text
@@ -226,17 +226,17 @@ def test_what_is_left_follows_from_the_tasks_that_are_done(monkeypatch):
             console.print(progress.render())
         return captured.get()
 
-    progress.say("study: profiles", 0, 8)
+    progress.show_task("study: profiles", 0, 8)
     now[0] = 120.0
     assert "left" not in shown(), "nothing is done yet"
-    progress.say("study: profiles", 2, 8)
-    assert "about 1:00 left of this part" in shown()
+    progress.show_task("study: profiles", 2, 8)
+    assert "about 1:00 remaining in this part" in shown()
     now[0] = 130.0
-    assert "about 0:50 left of this part" in shown(), "time goes on between tasks"
-    progress.say("study: profiles: C20", 2, 8)
-    assert "about 1:30 left of this part" in shown(), "what is worked on is named in it"
-    progress.say("study: tests left out, one at a time", 0, 3)
-    assert "left of this part" not in shown(), "another part"
+    assert "about 0:50 remaining in this part" in shown(), "time goes on between tasks"
+    progress.show_task("study: profiles: C20", 2, 8)
+    assert "about 1:30 remaining in this part" in shown(), "what is worked on is named in it"
+    progress.show_task("study: tests left out, one at a time", 0, 3)
+    assert "remaining in this part" not in shown(), "another part"
 
 
 def test_the_table_stays_on_a_low_screen(joint, tmp_path, monkeypatch):
@@ -267,7 +267,7 @@ def test_ctrl_c_keeps_the_simulations(overwrite, joint, tmp_path, capsys, monkey
     assert count > 2, "more than looking at the start takes"
     how = " without --overwrite" if overwrite else ""
     assert capsys.readouterr().err == (f"tissue-sim: stopped by Ctrl-C; {count} simulations are kept in "
-                                       f"{out / 'solves'}: run the same command{how} to go on\n")
+                                       f"{out / 'solves'}. Run the same command{how} to resume\n")
     assert run(joint, "-o", out, "--json") == 0
     resumed = json.loads(capsys.readouterr().out)["fits"][0]
     assert run(joint, "-o", tmp_path / "fresh", "--json") == 0
@@ -366,7 +366,7 @@ def test_a_fit_that_comes_to_its_end_is_exit_code_1(kind, joint, tmp_path, capsy
 
 
 @pytest.mark.parametrize(("words", "expected"), [
-    (["--workers", "0"], "--workers: '0' is not a whole number of at least 1"),
+    (["--workers", "0"], "--workers: must be a whole number of at least 1; got '0'"),
     (["--workers", "2", "--dask", "tcp://127.0.0.1:8786"], "--dask: not allowed with argument --workers"),
     (["--dask", "nowhere at all"], "dask: "),
 ])

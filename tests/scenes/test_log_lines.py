@@ -16,7 +16,7 @@ SIMULATE = ["simulate", "lubricated_compression", "--radius-mm", "20", "--height
 
 @pytest.fixture
 def always(monkeypatch):
-    monkeypatch.setattr(log_lines, "EVERY", 0.0)
+    monkeypatch.setattr(log_lines, "MIN_INTERVAL", 0.0)
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def test_none_with_json(always, material, capsys):
 def test_lines_are_apart(monkeypatch, capsys):
     now = 100.0
     monkeypatch.setattr(log_lines.time, "monotonic", lambda: now)
-    monkeypatch.setattr(log_lines, "EVERY", 60.0)
+    monkeypatch.setattr(log_lines, "MIN_INTERVAL", 60.0)
     status = log_lines.LogLines()
     for now in (101.0, 159.0, 161.0, 200.0, 230.0):
         status.update(f"at {now:g}")

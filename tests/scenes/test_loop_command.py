@@ -153,7 +153,7 @@ def test_every_motion_begins_where_the_tool_touches(words, asked):
 @pytest.mark.parametrize("flag", ["--sideways-mm", "--turn-deg"])
 def test_what_goes_its_own_way_takes_no_walk(words, flag, capsys):
     assert main(["loop", "--solid", *words, flag, "3"]) == 2
-    assert f"{flag}: only the random motion of the other flags takes it" in capsys.readouterr().err
+    assert f"{flag}: applies only to the random motion of the other flags" in capsys.readouterr().err
 
 
 def test_a_leaning_tool_stays_in_the_box_of_a_reduced_solid(asked, monkeypatch):
@@ -166,8 +166,8 @@ def test_a_leaning_tool_stays_in_the_box_of_a_reduced_solid(asked, monkeypatch):
 
 
 @pytest.mark.parametrize(("words", "said"), [
-    (["--sideways-mm", "3"], "--sideways-mm: 3 leads out of the box of the reduced solid, as a tool that leans"),
-    (["--turn-deg", "10"], "--turn-deg: 10 leads out of the box")])
+    (["--sideways-mm", "3"], "--sideways-mm: must be at most"),
+    (["--turn-deg", "10"], "--turn-deg: must be at most 5.73 to stay in the box of poses")])
 def test_a_motion_out_of_the_box_of_a_reduced_solid_is_refused(words, said, monkeypatch, capsys):
     reduced_file(monkeypatch, 0.3, ts.Approach(5e-3, 0.3))
     assert main(["loop", "--reduced", "any.reduced.npz", *words]) == 2
@@ -256,17 +256,17 @@ def test_a_device_feels_a_real_scene_within_its_limit(capsys):
 def test_the_live_line_is_read_from_the_ring(tmp_path):
     with RingWriter(tmp_path / "ring") as ring, RingReader(tmp_path / "ring") as reader:
         live, answer = LiveLine(reader, 60.0), ToolForce.axial(0.25, 200.0, ForceStatus.CONVERGED)
-        assert live.text() == "waiting for a tick"
+        assert live.text() == "waiting for the next tick"
         for n in range(1, 101):
             ring.append(n, n * 1e-3, Pose.at_depth(0.0), Pose.at_depth(1.5e-3), answer.wrench, answer, 1e-6 * n,
                         2e-6 * n, 3, 7, 0)
         assert live.text() == ("0 of 60 s: 1.50 mm, 0.250 N; p99 compute 99, lateness 198 us; late 3, missed 7")
-        assert live.text() == "waiting for a tick", "a line is over the ticks since the one before"
+        assert live.text() == "waiting for the next tick", "a line is over the ticks since the one before"
 
 
 @pytest.mark.parametrize(("words", "expected"), [
     (["needle"], "unknown scene 'needle'"),
-    (["--seconds", "0"], "'0' is not a positive number"),
+    (["--seconds", "0"], "must be a positive number; got '0'"),
     (["--spin-us", "1000"], "spin: 0.001 s; give 0 or more, but less than the period"),
     (["--motion", "jump"], "unknown motion 'jump'; known: random, sine, protocol, hand"),
     (["--motion", "sine:frequency_hz=fast"], "sine.frequency_hz: 'fast' is not a number"),
@@ -275,11 +275,11 @@ def test_the_live_line_is_read_from_the_ring(tmp_path):
     (["--motion", "sine:deep"], "sine.settings: 'deep' sets nothing; give NAME=NUMBER"),
     (["--device", "jump:0"], "unknown haptic device 'jump'; known: virtual"),
     (["--device", "virtual:sine:deep=3"], "virtual.sine.deep: unknown setting; known: depth_mm, lift, frequency_hz"),
-    (["--device", "virtual:", "--motion", "sine"], "--motion: a device brings its motion with it"),
-    (["--device", "haply:ws://127.0.0.1:1", "--force-limit-N", "9"], "--force-limit-N: 9 N, but the device allows 5 N"),
+    (["--device", "virtual:", "--motion", "sine"], "--motion: cannot be combined with --device"),
+    (["--device", "haply:ws://127.0.0.1:1", "--force-limit-N", "9"], "--force-limit-N: must be at most 5 N, the limit of the device; got 9 N"),
     (["--device", "haply:127.0.0.1"], "haply.address: '127.0.0.1' is not the address of a service; give ws://HOST:PORT"),
-    (["--coupling-damping-N-s-m", "2"], "--coupling-damping-N-s-m: a damper needs a spring beside it"),
-    (["--motion", "sine", "--protocol", "ramp 2mm"], "--protocol: a sine motion has none"),
+    (["--coupling-damping-N-s-m", "2"], "--coupling-damping-N-s-m: requires a coupling"),
+    (["--motion", "sine", "--protocol", "ramp 2mm"], "--protocol: applies only to --motion protocol; got the motion 'sine'"),
     (["--material", "missing.json"], "missing.json"),
     (["--depth-mm", "70"], "deeper than the specimen is high"),
     (["--ring", "taken"], "taken: exists already"),

@@ -81,7 +81,7 @@ def test_a_dry_run_says_what_would_be_done_and_starts_nothing(protocol, capsys):
     assert main(["record", str(protocol()), "--dry-run"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "ramp to 4 mm at 8 mm/s, unload to 0 mm at 8 mm/s" in said
-    assert "It ends beyond 20 N, outside of -6 to 12 mm" in said and "stalled motor is seen by the encoder" in said
+    assert "The run stops at a force above 20 N, a position outside -6 to 12 mm" in said and "The encoder detects a stalled motor" in said
     assert main(["record", str(protocol()), "--dry-run", "--json"]) == 0
     planned = json.loads(capsys.readouterr().out)
     assert planned["state"] == "planned" and planned["tests"][0]["replicates"] == 2
@@ -149,7 +149,7 @@ def test_a_fault_on_request_ends_it_with_the_reason_and_resume_goes_on(protocol,
     said = capsys.readouterr()
     assert "above the limit of 1 N" in said.err and "stopped (force) in plates, ramp" in said.out
     assert main(["record", str(tmp_path / "protocol.toml"), "-o", str(run)]) == 2
-    assert "go on with it by --resume" in capsys.readouterr().err
+    assert "Resume the run with --resume" in capsys.readouterr().err
     # Another protocol is another run.
     assert main(["record", str(protocol()), "-o", str(run), "--resume"]) == 2
     assert "choose another folder" in capsys.readouterr().err
@@ -191,14 +191,14 @@ def test_ctrl_c_stands_the_stage_and_keeps_what_there_is(protocol, tmp_path):
 
 
 @pytest.mark.parametrize(("change", "said"), [
-    ({"[limits]": "[limitz]"}, "limits: a motor needs limits"),
+    ({"[limits]": "[limitz]"}, "limits: is required, because a motor moves"),
     ({"force_N = 20.0": "force_N = 0.0"}, "limits.force: 0 limits nothing"),
     ({"lubricant = ": "lubrication = "}, "unknown key"),
     ({"force_margin_N = 1e3": "force_margin_N = 0.1"}, "go no faster than"),
-    ({'protocol = "ramp 4mm @8mm/s; unload"': ""}, "there is no motion to record"),
-    ({'protocol = "ramp 4mm @8mm/s; unload"': 'recordings = ["a.csv"]'}, "is what will be recorded"),
-    ({"[limits]": '[devices]\nstage = "tic:/dev/null"\n[limits]'}, "make both virtual, or give the sensor"),
-    ({"[limits]": '[devices]\nstage = "tic:/dev/null"\nsensor = "rdt://127.0.0.1"\n[limits]'}, "give --arm"),
+    ({'protocol = "ramp 4mm @8mm/s; unload"': ""}, "protocol: is required. Give a motion"),
+    ({'protocol = "ramp 4mm @8mm/s; unload"': 'recordings = ["a.csv"]'}, "recordings: must not be given"),
+    ({"[limits]": '[devices]\nstage = "tic:/dev/null"\n[limits]'}, "Make both virtual, or give the sensor"),
+    ({"[limits]": '[devices]\nstage = "tic:/dev/null"\nsensor = "rdt://127.0.0.1"\n[limits]'}, "--arm: is required"),
     ({"[limits]": '[virtual]\nfaults = "los=1"\n[limits]'}, "did you mean 'loss'"),
 ])
 def test_what_makes_no_sense_is_one_sentence(protocol, tmp_path, capsys, change, said):
@@ -220,7 +220,7 @@ def test_what_calibrate_would_refuse_is_not_recorded(protocol, tmp_path, capsys,
     for words in (["--dry-run"], ["-o", str(tmp_path / "run")]):
         assert main(["record", str(path), *words]) == 2
         error = capsys.readouterr().err
-        assert said in error and "calibrate would refuse what is recorded with it" in error and error.count("\n") == 1
+        assert said in error and "calibrate would not accept the recordings" in error and error.count("\n") == 1
         assert error.startswith(f"tissue-sim: {path}: ")
     assert not (tmp_path / "run").exists()
 

@@ -111,7 +111,7 @@ def test_what_is_recorded_over_the_protocols_finds_the_specimen(protocol, tmp_pa
             (tmp_path / "port").symlink_to(stage.path)
             words = ["record", str(path), "-o", str(run), "--test", test.name, "--json"]
             if not number:
-                assert main(words) == 2 and "give --arm" in capsys.readouterr().err
+                assert main(words) == 2 and "--arm: is required" in capsys.readouterr().err
             code = main([*words, "--arm", *(["--resume"] if number else [])])
             answer = json.loads(capsys.readouterr().out)
             assert code == 0, answer["message"]

@@ -27,7 +27,7 @@ def test_a_poor_result_says_what_to_do(modes, says, tmp_path, capsys):
     assert main([*SMALL, "--sideways-mm", "2", "--strokes", "2", "--modes", modes, "--tried", "1", "-o",
                  str(tmp_path / "poor.reduced.npz")]) == 0
     said = capsys.readouterr().out
-    assert ("that is much: more strokes (--strokes 4)" in said) is says, said
+    assert ("Use more training paths (--strokes 4)" in said) is says, said
 
 
 @pytest.mark.parametrize("shape", [["--radius-mm", "30", "--height-mm", "20"],

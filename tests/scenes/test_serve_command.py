@@ -190,12 +190,12 @@ def test_ctrl_c_ends_with_counters(root, material):
 
 
 @pytest.mark.parametrize(("words", "expected"), [
-    (["--port", "70000"], "'70000' is too many"),
+    (["--port", "70000"], "must be at most 65535; got '70000'"),
     (["--host", "0.0.0.0"], "host: 0.0.0.0 can be reached by other machines"),
     (["--scene", "needle"], "unknown scene 'needle'"),
-    (["--largest-force-N", "1e6"], "--largest-force-N: 1e+06 N is more than a scene gives; 100 N is the most"),
-    (["--session", "0"], "'0' is not a whole number of at least 1"),
-    (["--spin-us", "-1"], "'-1' is not a number of zero or more"),
+    (["--largest-force-N", "1e6"], "--largest-force-N: must be at most 100 N; got 1e+06 N"),
+    (["--session", "0"], "must be a whole number of at least 1; got '0'"),
+    (["--spin-us", "-1"], "must be zero or a positive number; got '-1'"),
 ])
 def test_bad_input_is_one_sentence(material, capsys, words, expected):
     capsys.readouterr()

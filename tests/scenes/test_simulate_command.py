@@ -85,11 +85,11 @@ def test_writes_a_recording_and_a_figure(material, tmp_path, capsys):
 
 @pytest.mark.parametrize(("words", "expected"), [
     (["--depth-mm", "70"], "deeper than the specimen is high"),
-    (["-o", "curve.csv", "--points", "4"], "give at least 5"),
-    (["--points", "100001"], "give at most 100000"),
-    (["-o", "curve.txt"], "ends in .csv"),
-    (["--figure", "f.bmp"], "ends in .png"),
-    (["-o", "."], "is a directory"),
+    (["-o", "curve.csv", "--points", "4"], "needs at least 5 samples; got 4"),
+    (["--points", "100001"], "must be at most 100000; got '100001'"),
+    (["-o", "curve.txt"], "must end in .csv"),
+    (["--figure", "f.bmp"], "must end in .png"),
+    (["-o", "."], "must be a file; got a directory"),
 ])
 def test_bad_input_writes_nothing(material, words, expected, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
@@ -129,7 +129,7 @@ def test_partial_curve_is_kept(material, gives_up, tmp_path, capsys):
     curve = tmp_path / "curve.csv"
     assert main(["simulate", "bonded_compression", "--material", material, "--points", "11", "-o", str(curve)]) == 1
     err = capsys.readouterr().err
-    assert err == f"tissue-sim: no convergence beyond 5 mm; the curve up to there is in {curve}\n"
+    assert err == f"tissue-sim: no convergence beyond 5 mm; the curve up to this point is in {curve}\n"
     np.testing.assert_allclose(ts.read_recording(curve).force, np.arange(6.0))
 
 
@@ -163,7 +163,7 @@ def test_a_force_that_errs_is_warned_of_in_both_outputs(tmp_path, capsys):
     assert warning.startswith("the force may err by about ") and answer["force_error"] > 0.03
     assert main(words) == 0
     out, err = capsys.readouterr()
-    assert err == f"tissue-sim: warning: {warning}\n" and "of its largest, by comparison" in " ".join(out.split())
+    assert err == f"tissue-sim: warning: {warning}\n" and "of the largest force, from a comparison" in " ".join(out.split())
     assert main([*words, "--json", "--no-force-error"]) == 0
     unsaid = json.loads(capsys.readouterr().out)
     assert "force_error" not in unsaid and unsaid["warnings"] == [] and unsaid["force_N"] == answer["force_N"]
@@ -175,7 +175,7 @@ def test_material_beyond_its_range_and_stability_is_warned_of(tmp_path, capsys):
                            tmp_path / "m.material.json")
     main(["simulate", "lubricated_compression", "--material", str(tmp_path / "m.material.json"), "--depth-mm", "28"])
     err = capsys.readouterr().err
-    assert "fitted for stretches from 0.9 to 1 only" in err and "not stable over the mean stretches" in err
+    assert "fitted to stretches from 0.9 to 1 only" in err and "unstable within the mean stretches" in err
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -215,7 +215,7 @@ zero_jitter_N = 0.0
     assert json.loads(capsys.readouterr().out)["warnings"] == []
     assert main([*words, "9"]) == 0
     warning, = json.loads(capsys.readouterr().out)["warnings"]
-    assert warning.startswith("the tissue is stretched from") and "fitted for stretches from" in warning
+    assert warning.startswith("the stretches of the tissue are") and "fitted to stretches from" in warning
 
 
 def test_small_forces_keep_their_digits(material, capsys):
@@ -230,7 +230,7 @@ def test_small_forces_keep_their_digits(material, capsys):
 
 def test_field_without_figure_is_refused(material, capsys):
     assert main(["simulate", "lubricated_compression", "--material", material, "--field", "J"]) == 2
-    assert "add --figure" in capsys.readouterr().err
+    assert "Add --figure" in capsys.readouterr().err
 
 
 def simulate_json(capsys, material, *words) -> dict:
@@ -327,14 +327,14 @@ def test_contact_and_weight_are_told(material, capsys):
     assert main(["simulate", "needle_indentation", "--material", material, "--depth-mm", "1", "--points", "2",
                  "--gravity", "--density-kg-m3", "1040"]) == 0
     out = capsys.readouterr().out
-    assert "the surface enters the tool by" in out and "(tolerance 0.0008 mm)" in out
-    assert "self-weight: the specimen sags 2." in out and "density 1040 kg/m3, g 9.81 m/s2" in out
+    assert "largest penetration of tool and tissue: " in out and "(tolerance 0.0008 mm)" in out
+    assert "self-weight: the specimen settles by 2." in out and "density 1040 kg/m3, g 9.81 m/s2" in out
 
 
 @pytest.mark.parametrize(("words", "expected"), [
-    (["bonded_compression", "--tool", "flat"], "--tool: bonded_compression is not done with the tool 'flat'; use scene "
+    (["bonded_compression", "--tool", "flat"], "--tool: the scene bonded_compression does not allow the tool 'flat'. Use the scene "
                                                "needle_indentation"),
-    (["needle_indentation", "--tool", "plate"], "use scene lubricated_compression or bonded_compression"),
+    (["needle_indentation", "--tool", "plate"], "Use the scene lubricated_compression or bonded_compression"),
     (["needle_indentation", "--tool", "wedge"], "'wedge'"),
     (["bonded_compression", "--tool-radius-mm", "8"], "a plate covers the whole top face and has no radius"),
     (["bonded_compression", "--edge-radius-mm", "1"], "a plate covers the whole top face and has no radius"),
@@ -343,11 +343,11 @@ def test_contact_and_weight_are_told(material, capsys):
     (["needle_indentation", "--friction-wall", "bonded"], "use 'stick', 'frictionless'"),
     (["needle_indentation", "--edge-radius-mm", "8"], "does not fit a tool of radius"),
     (["needle_indentation", "--tool-radius-mm", "40"], "must be smaller than the specimen's"),
-    (["needle_indentation", "--adhesion-N", "0.1"], "--adhesion-N: adhesion needs a force and a length"),
-    (["needle_indentation", "--adhesion-length-mm", "1"], "--adhesion-length-mm: adhesion needs a force and a length"),
-    (["needle_indentation", "--gravity"], "states none; add --density-kg-m3"),
-    (["needle_indentation", "--density-kg-m3", "1040"], "--density-kg-m3: counts only where the specimen has weight"),
-    (["needle_indentation", "--height-is", "placed"], "--height-is: counts only where the specimen has weight"),
+    (["needle_indentation", "--adhesion-N", "0.1"], "--adhesion-N: adhesion requires --adhesion-N and --adhesion-length-mm"),
+    (["needle_indentation", "--adhesion-length-mm", "1"], "--adhesion-length-mm: adhesion requires --adhesion-N and --adhesion-length-mm"),
+    (["needle_indentation", "--gravity"], "states none. Add --density-kg-m3"),
+    (["needle_indentation", "--density-kg-m3", "1040"], "--density-kg-m3: has an effect only with --gravity"),
+    (["needle_indentation", "--height-is", "placed"], "--height-is: has an effect only with --gravity"),
 ])
 def test_flags_that_do_not_fit(material, words, expected, capsys):
     capsys.readouterr()

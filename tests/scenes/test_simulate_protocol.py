@@ -8,7 +8,7 @@ import pytest
 import tissue_sim as ts
 from scenes import draw_simulation
 from scenes.cli import main
-from scenes.commands.simulate.report import MOST_ROWS, shown_rows
+from scenes.commands.simulate.report import MAX_ROWS, shown_rows
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.rig.file import write_rig
 from tissue_sim.rig.rig import Rig
@@ -81,7 +81,7 @@ class TestProtocol:
     @pytest.mark.parametrize(("words", "expected"), [
         (["--protocol", "ramp 10mm; hld 60s"], "protocol: column 12, at 'hld 60s': unknown segment 'hld'; did you mean "
                                                "'hold'? For example 'ramp 10mm"),
-        (["--protocol", "ramp 10mm", "--depth-mm", "5"], "--depth-mm: --protocol states its own depths; leave one"),
+        (["--protocol", "ramp 10mm", "--depth-mm", "5"], "--depth-mm: cannot be combined with --protocol"),
         (["--protocol", "ramp 70mm"], "deeper than the specimen is high"),
         (["--protocol", "hold 1s; ramp 200km"], "'km' is not a unit of length here; use mm, um, m"),
     ])
@@ -98,21 +98,21 @@ def curve(samples: int, segments=None) -> ts.Recording:
 
 class TestLongTables:
     def test_short_ones_are_whole(self):
-        assert shown_rows(curve(MOST_ROWS)).tolist() == list(range(MOST_ROWS))
+        assert shown_rows(curve(MAX_ROWS)).tolist() == list(range(MAX_ROWS))
 
     def test_ends_and_changes_of_segment_are_kept(self):
         rows = shown_rows(curve(1000, ["ramp"] * 333 + ["hold"] * 300 + ["unload"] * 367))
-        assert {0, 332, 632, 999} <= set(rows) and MOST_ROWS - 2 <= rows.size <= MOST_ROWS
+        assert {0, 332, 632, 999} <= set(rows) and MAX_ROWS - 2 <= rows.size <= MAX_ROWS
         assert np.diff(rows).max() < 20
 
     @pytest.mark.parametrize("samples", [61, 1000])
     def test_many_segments_are_thinned_too(self, samples):
         rows = shown_rows(curve(samples, ["ramp", "unload"] * (samples // 2) + ["ramp"] * (samples % 2)))
-        assert rows[0] == 0 and rows[-1] == samples - 1 and rows.size == MOST_ROWS
+        assert rows[0] == 0 and rows[-1] == samples - 1 and rows.size == MAX_ROWS
 
     def test_it_is_said(self, simulate):
         _, out, _ = simulate(LUBRICATED, "--depth-mm", "1", "--points", "100")
-        assert "60 of 100 samples are shown; -o CURVE.csv keeps all" in out
+        assert "60 of 100 samples are shown; -o CURVE.csv writes all samples" in out
 
 
 class TestRig:
@@ -141,7 +141,7 @@ class TestRig:
         write_rig(Rig(sampling_rate=0.3), tmp_path / "r.rig.json")
         code, _, err = simulate(LUBRICATED, "--depth-mm", "2", "--rig", str(tmp_path / "r.rig.json"),
                                 "-o", str(tmp_path / "c.csv"))
-        assert code == 2 and "--rig: 3 points are too few for a recording" in err
+        assert code == 2 and "--rig: a recording needs at least 5 samples; got 3" in err
         assert [path.name for path in tmp_path.iterdir()] == ["r.rig.json"]
 
 
@@ -154,7 +154,7 @@ class TestReplicates:
             (tmp_path / folder).mkdir()
             code, out, _ = simulate(*self.WORDS, "--replicates", "3", "--seed", seed,
                                     "-o", str(tmp_path / folder / "curve.csv"))
-            assert code == 0 and "replicate 1 of 3" in out
+            assert code == 0 and "replicate 1 of 3 is shown" in out
             assert {path.name for path in (tmp_path / folder).iterdir()} == {
                 *files, *(file.replace("csv", "json") for file in files)}
         content = {(folder, file): (tmp_path / folder / file).read_bytes() for folder in "abc" for file in files}
@@ -178,9 +178,9 @@ class TestReplicates:
         assert 0.01 < np.std(np.subtract(noisy["force_N"], clean["force_N"])) < 0.03
 
     @pytest.mark.parametrize(("words", "expected"), [
-        (["--replicates", "3"], "--replicates: counts only where there is noise; add --noise-N"),
-        (["--seed", "3"], "--seed: counts only where there is noise"),
-        (["--replicates", "3", "--noise-N", "0"], "--replicates: counts only where there is noise"),
+        (["--replicates", "3"], "--replicates: has an effect only with noise. Add --noise-N"),
+        (["--seed", "3"], "--seed: has an effect only with noise"),
+        (["--replicates", "3", "--noise-N", "0"], "--replicates: has an effect only with noise"),
     ])
     def test_noise_is_needed(self, words, expected, simulate):
         code, out, err = simulate(LUBRICATED, *words)
@@ -202,7 +202,7 @@ class TestReplicates:
         monkeypatch.setattr(ts, "simulate", give_up, raising=False)
         code, _, err = simulate(*self.WORDS, "--replicates", "2", "-o", str(tmp_path / "curve.csv"))
         one, two = tmp_path / "curve_1.csv", tmp_path / "curve_2.csv"
-        assert code == 1 and err == (f"tissue-sim: no convergence beyond 1 mm; the curve up to there is in {one} and "
+        assert code == 1 and err == (f"tissue-sim: no convergence beyond 1 mm; the curve up to this point is in {one} and "
                                      f"{two}\n")
         assert len(ts.read_recording(one)) == len(ts.read_recording(two)) == 6
 
@@ -212,7 +212,7 @@ def test_friction_scene_is_close_to_bonded(simulate, simulate_json):
     words = ["friction_compression", "--depth-mm", "5", "--points", "6"]
     answer = simulate_json(*words)
     assert answer["force_N"][-1] == pytest.approx(4.103, rel=0.01)
-    assert answer["slipping_points"] >= 0 and "points of the surface slip at once" in simulate(*words)[1]
+    assert answer["slipping_points"] >= 0 and "contact points slip at the same time" in simulate(*words)[1]
 
 
 class TestFigures:
@@ -237,6 +237,6 @@ class TestFigures:
         assert f"{force:.4g} N at {depth} mm" in (tmp_path / "f.svg").read_text(encoding="utf-8")
 
     def test_no_such_segment(self, relaxing, tmp_path):
-        with pytest.raises(ts.InputError, match="no segment 'reload'; it has: hold, ramp, unload"):
+        with pytest.raises(ts.InputError, match="no segment 'reload'; known: hold, ramp, unload"):
             draw_simulation(*relaxing, tmp_path / "f.png", segment="reload")
         assert not list(tmp_path.iterdir())

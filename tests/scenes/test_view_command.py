@@ -151,12 +151,12 @@ def refused(capsys, *words):
 
 @pytest.mark.parametrize(("words", "expected"), [
     (["needle"], "unknown scene 'needle'"),
-    (["--headless"], "--seconds: a viewer without a browser needs an end"),
-    (["--headless", "--seconds", "0"], "'0' is not a positive number"),
-    (["--port", "70000"], "at most 65535"),
+    (["--headless"], "--seconds: is required with --headless"),
+    (["--headless", "--seconds", "0"], "must be a positive number; got '0'"),
+    (["--port", "70000"], "must be at most 65535"),
     (["--resolution", "coarse"], "'coarse'"),
     (["--depth-mm", "70"], "deeper than the specimen is high"),
-    (["--depth-mm", "3", "--protocol", "ramp 2mm"], "--depth-mm: --protocol states its own depths"),
+    (["--depth-mm", "3", "--protocol", "ramp 2mm"], "--depth-mm: cannot be combined with --protocol"),
     (["--material", "missing.material.json"], "missing.material.json"),
     (["--measured", "missing.csv"], "missing.csv"),
     (["--measured", "words.csv"], "words.csv"),

@@ -11,6 +11,7 @@ import numpy as np
 import viser
 
 from scenes.field_labels import LABELS
+from scenes.provenance import recording_provenance
 from scenes.viewer.frame import Frame
 from scenes.viewer.measurement import branches_on_grid
 from scenes.viewer.page.look_controls import LookControls
@@ -20,7 +21,6 @@ from scenes.viewer.picture_file import Curve, compose_png
 from scenes.viewer.plots import LIGHT, depth_grid
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace, recording_files
-from scenes.what_was_done import what_was_done
 
 #: How long a browser may take to draw the picture that is saved, s, and how often it is asked: a busy one sometimes
 #: leaves a request unanswered.
@@ -129,7 +129,7 @@ def curve_files(scene: Scene, trace: Trace) -> dict[str, bytes]:
         InputError: fewer than two points were felt.
     """
     name = scene.kind.name
-    about = {"name": name, **what_was_done(name, scene.experiment), "material": scene.source, "simulated": True}
+    about = {"name": name, **recording_provenance(name, scene.experiment), "material": scene.source, "simulated": True}
     return recording_files(trace.recording(about), name)
 
 
