@@ -1,4 +1,4 @@
-"""`tissue-sim demo --hidden`: what is drawn, how the answer is judged, and one run to its end."""
+"""`tissue-sim demo --hidden`: random effects, assessment of the diagnosis, and one complete run."""
 
 import json
 from pathlib import Path
@@ -23,7 +23,7 @@ RELAXING = 23
 EFFECTS = {"viscoelasticity": Viscoelasticity, "machine_compliance": MachineCompliance, "backlash": Backlash}
 
 
-def test_everything_is_drawn_and_the_same_seed_draws_the_same():
+def test_every_effect_is_drawn_and_equal_seeds_draw_equal_effects():
     drawn = [draw_hidden(seed) for seed in range(200)]
     assert {each.name for each in drawn} == {"", *(each.name for each in HIDEABLE)}
     assert [draw_hidden(seed) for seed in range(200)] == drawn
@@ -35,7 +35,7 @@ def test_everything_is_drawn_and_the_same_seed_draws_the_same():
 
 
 @pytest.mark.parametrize("hideable", HIDEABLE, ids=lambda each: each.name)
-def test_each_is_in_its_tests_and_has_words(hideable):
+def test_each_effect_changes_its_tests_and_has_a_description(hideable):
     hidden = Hidden(hideable.name, {path: ends[1] for path, ends in hideable.sizes.items()}, hideable.tests)
     models = plain_models()
     for test, model in models.items():
@@ -62,7 +62,7 @@ def test_friction_is_on_both_plates():
     ("", "NAMED", ["softening"], ["softening"], False, "false alarm"),
     ("", "UNKNOWN", [], [], False, "something is missing"),
 ])
-def test_the_answer_is_judged(hidden, verdict, named, among, right, expected):
+def test_the_diagnosis_is_assessed(hidden, verdict, named, among, right, expected):
     effects = [FoundEffect(name=name, room="rig", title=name) for name in named]
     judged = judge_answer(Hidden(hidden), SimpleNamespace(verdict=verdict, effects=effects, indistinguishable=among))
     assert judged[0] is right and expected in judged[1]
@@ -70,7 +70,7 @@ def test_the_answer_is_judged(hidden, verdict, named, among, right, expected):
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
-    """A run with fewer samples and effects than people get."""
+    """Result folder and output of a run with fewer samples and effects than by default."""
     import contextlib
     import io
 
@@ -84,7 +84,7 @@ def demo(tmp_path_factory):
         yield out, text.getvalue()
 
 
-def test_it_finds_the_effect_and_tells_the_truth_last(demo):
+def test_the_effect_is_found_and_revealed_last(demo):
     out, text = demo
     hidden = draw_hidden(RELAXING)
     assert hidden.name == "viscoelasticity"
@@ -107,12 +107,12 @@ def test_both_models_are_in_the_viewer(demo):
     assert result.resumed
     scene = before_and_after_scene(result, out / "measured")
     assert scene.kind.name == "needle_indentation" and scene.compared[0] == "without viscoelasticity"
-    assert scene.material.viscoelastic.terms[0].g == pytest.approx(0.122, rel=0.15), "it relaxes under the needle"
+    assert scene.material.viscoelastic.terms[0].g == pytest.approx(0.122, rel=0.15), "the model relaxes"
     with_it = ts.simulate(ts.Model(scene.experiment, scene.material))
     assert residual(with_it, scene.measurement).rmse < 0.6 * residual(scene.compared[1], scene.measurement).rmse
 
 
-def test_a_rig_effect_is_in_the_curve_and_the_session_begins_with_both(demo, monkeypatch):
+def test_a_rig_effect_is_in_the_curve_and_the_session_starts_with_both(demo, monkeypatch):
     out, _ = demo
     (result,) = diagnose([out / "campaign.toml"], out / "diagnosis")
     scene = before_and_after_scene(result, out / "measured")
@@ -128,8 +128,8 @@ def test_a_rig_effect_is_in_the_curve_and_the_session_begins_with_both(demo, mon
         session.close()
 
 
-def test_the_page_comes_last(demo, monkeypatch, tmp_path):
-    """What is shown, without a browser; and the folder of the user is kept."""
+def test_the_page_shows_both_models(demo, monkeypatch, tmp_path):
+    """The scene of the page, without a browser."""
     out, _ = demo
     (result,) = diagnose([out / "campaign.toml"], out / "diagnosis")
     shown = []
@@ -139,7 +139,7 @@ def test_the_page_comes_last(demo, monkeypatch, tmp_path):
     assert shown[0].kind.name == "needle_indentation" and shown[0].compared is not None
 
 
-def test_a_folder_that_the_user_named_is_kept(tmp_path, capsys):
+def test_a_folder_named_by_the_user_is_kept(tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
     assert main(["demo", "--hidden", "-o", str(tmp_path)]) == 2
     assert "--overwrite" in capsys.readouterr().err

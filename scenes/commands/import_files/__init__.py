@@ -33,7 +33,7 @@ def add_arguments(parser: Parser) -> None:
                         help="data file: text in any common encoding, xlsx, xls, ods, mat, tdms, h5, or a file of an "
                              "atomic force microscope")
     parser.add_argument("-o", dest="output", type=Path, metavar="CAMPAIGN.toml",
-                        help="write this campaign file, and a figure of the imported curves in its folder; without -o the "
+                        help="write this campaign file, and a figure of the curves in its folder; without -o the "
                              "result is only printed")
     test = parser.add_argument_group(
         "information that the files do not contain (without the flag the campaign has a line to fill in)")
