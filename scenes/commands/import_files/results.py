@@ -43,7 +43,7 @@ def print_imported(imported: Imported, console: Console) -> None:
     for test in imported.tests:
         print_sentence(console, f"{test.name}: {test.kind or 'kind unknown'}; {test.reason}")
     for each in unused_columns(imported.tests):
-        print_sentence(console, f"unused columns: {each}")
+        print_sentence(console, f"columns not used: {each}")
     for warning in imported.warnings:
         print_sentence(console, f"note: {warning}")
     if imported.output is not None:
