@@ -32,5 +32,5 @@ def stopped_by_signals(stop: Callable[[], None], *, ignore_repeats: bool = False
     try:
         yield
     finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+        for each, handler in previous.items():
+            signal.signal(each, handler)

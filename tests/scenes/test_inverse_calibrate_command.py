@@ -172,7 +172,7 @@ def test_unidentifiable_parameters_are_reported(write, tmp_path, capsys):
     text = capsys.readouterr().out
     (fit,) = read(tmp_path / "out")["fits"]
     assert fit["not_identifiable"] == ["C20"] and fit["interval_notes"]["C20"] == "low: bound -1000"
-    assert "truncated intervals: C20 low: bound -1000" in text and "(truncated)" in text
+    assert "cut intervals: C20 low: bound -1000" in text and "(cut)" in text
     better = fit["suggestions"][0]
     assert better["standard_errors"]["C20"] < 0.1 * fit["standard_errors"]["C20"]
     assert f"not identifiable from these tests: C20; {better['test']} would give C20 ± " in text

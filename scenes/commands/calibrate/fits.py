@@ -40,7 +40,7 @@ def print_fits(result: CalibrationResult, console: Console) -> None:
     heading, meaning = _ranking_criterion(result)
     console.print(_ranking_table(fits, heading, units))
     star = "" if fits[0].unusable else "* best usable law; "
-    print_sentence(console, f"{star}{meaning}; stable: stretches at which the law is stable in every loading mode")
+    print_sentence(console, f"{star}{meaning}; stable: range of stable stretches")
     console.print()
     console.print(_parameter_table(fits, units))
     console.print()
@@ -76,7 +76,7 @@ def print_fits(result: CalibrationResult, console: Console) -> None:
 def _ranking_criterion(result: CalibrationResult) -> tuple[str, str]:
     """Return column heading and explanation of the criterion that ranks the laws."""
     if all(fit.left_out is None for fit in result.fits):
-        return "dBIC", "dBIC: BIC minus the BIC of the best law"
+        return "dBIC", "dBIC: BIC minus the best BIC"
     if ranked_by_held_out(result.predictions):
         return "held out %", "held out: error in tests that no fit used"
     return "left out %", "left out: error in each test, predicted by a fit to the other tests"
@@ -127,7 +127,7 @@ def _parameter_table(fits: Sequence[Fit], units: Units) -> Table:
                 and not fit.alternatives
             table.add_row(f"{'  ' if len(fits) > 1 else ''}{fit.symbols[name]}",
                           f"{estimate_of(fit, name, units)}{' (not determined)' if undetermined else ''}",
-                          f"{interval_of(fit, name, units)}{' (truncated)' if name in fit.interval_notes else ''}")
+                          f"{interval_of(fit, name, units)}{' (cut)' if name in fit.interval_notes else ''}")
     return table
 
 
@@ -172,7 +172,7 @@ def _undetermined(fits: Sequence[Fit], units: Units) -> Iterator[str]:
         cuts = [f"{fit.symbols[name]} {shorten(note, _NOTE_WIDTH, placeholder=' ...')}"
                 for name, profile in fit.profiles.items() for note in profile.notes]
         if cuts:
-            yield f"{fit.law}: truncated intervals: {'; '.join(cuts)}"
+            yield f"{fit.law}: cut intervals: {'; '.join(cuts)}"
         if fit.not_identifiable:
             advice = "; ".join(suggestion_in_words(each, fit, units) for each in fit.suggestions)
             if fit.fem_solves and not advice:

@@ -27,7 +27,7 @@ def population_table(fits: Sequence[Fit], units: Units) -> Table | None:
     """
     if not any(fit.population for fit in fits):
         return None
-    table = text_table("between specimens", "mean ± standard error", "95 %", "standard deviation", "95 %", text=5)
+    table = text_table("between specimens", "mean ± standard error", "95 %", "SD", "95 %", text=5)
     for fit in fits:
         if fit.population is None:
             continue
