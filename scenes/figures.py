@@ -12,7 +12,7 @@ import numpy as np
 from calibration.report.png import as_png
 from scenes.colour_scale import colour_scale
 from scenes.field_labels import LABELS
-from scenes.solid_figures import RIGID, draw_cut, draw_surface, finish, tool_pose
+from scenes.solid_figures import RIGID, draw_cut, draw_surface, label_axes, tool_pose
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.tools.tool import Tool
@@ -150,7 +150,7 @@ def draw_section(axes, fields: Fields, name: str, sample: int = -1, *, tool: Too
         axes.fill_between([-width, width], tip, tip + plate, color=RIGID, linewidth=0)
     else:
         _draw_needle(axes, mesh, nodes, tool, max(nodes[:, 1].max(), 0.0) + plate)
-    finish(axes, "r [mm]")
+    label_axes(axes, "r [mm]")
     axes.figure.colorbar(picture, ax=axes, label=scale.label, extend=scale.extend, shrink=0.85)
 
 
@@ -177,7 +177,7 @@ def draw_fold(axes, fields: Fields, name: str, tool: Tool, sample: int = -1) -> 
     part, left, below = ("edge", 0.45, 0.7) if tool.face_radius else ("tip", 0.0, 0.4)
     axes.set_xlim(left * radius, (left + 1.75) * radius)
     axes.set_ylim(tip - below * radius, top)
-    finish(axes, "r [mm]")
+    label_axes(axes, "r [mm]")
     axes.set_title(f"{part} of the tool", loc="left", fontsize=10)
 
 

@@ -62,8 +62,8 @@ def draw_cut(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool
     from matplotlib.tri import Triangulation
 
     mesh, scale = fields.mesh, colour_scale(fields, name, sample)
-    nodes = deformed(fields, sample)
-    heights = above_plane(nodes, pose)
+    nodes = deformed_nodes(fields, sample)
+    heights = distance_from_plane(nodes, pose)
     crossings, triangles = section(mesh.connectivity[:, tetrahedra(mesh.element)].reshape(-1, 4), heights)
     points = crossings.carry(nodes)
     values = crossings.carry(fields.at_nodes(name, sample) * LABELS[name][1])
@@ -73,14 +73,14 @@ def draw_cut(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool
     picture.set_in_layout(False)  # faster: the layout would measure each triangle
     sides = surface_triangles(mesh.element, mesh.connectivity[:, mesh.element.faces].reshape(
         -1, mesh.element.faces.shape[1]))
-    edges = _in_plane(section_lines(sides, heights).carry(nodes))
+    edges = _project_lines(section_lines(sides, heights).carry(nodes))
     axes.add_collection(LineCollection(edges, colors="white", linewidths=0.3, alpha=0.4))
     outside = surface_triangles(mesh.element, np.concatenate(list(mesh.faces.values())))
-    axes.add_collection(LineCollection(_in_plane(section_lines(outside, heights).carry(nodes)), colors="0.15",
+    axes.add_collection(LineCollection(_project_lines(section_lines(outside, heights).carry(nodes)), colors="0.15",
                                        linewidths=1.0))
     undeformed = mesh.nodes - [0.0, 0.0, fields.datum]
-    outline = section_lines(outside, above_plane(undeformed, pose)).carry(undeformed)
-    axes.add_collection(LineCollection(_in_plane(outline), colors="0.4", linewidths=0.9, linestyles=[_DASHED]))
+    outline = section_lines(outside, distance_from_plane(undeformed, pose)).carry(undeformed)
+    axes.add_collection(LineCollection(_project_lines(outline), colors="0.4", linewidths=0.9, linestyles=[_DASHED]))
     low, high = 1e3 * nodes.min(axis=0), 1e3 * np.maximum(nodes.max(axis=0), undeformed.max(axis=0))
     width, plate = 0.59 * np.ptp(1e3 * nodes[:, 0]), 0.04 * (high - low).max()
     middle = 0.5 * (low[0] + high[0])
@@ -94,7 +94,7 @@ def draw_cut(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool
         tip, rotation = np.array(pose.position), np.array(pose.rotation)
         drawn = 1e3 * (tip + np.column_stack([both[:, 0], np.zeros(len(both)), both[:, 1]]) @ rotation.T)
         axes.fill(drawn[:, 0], drawn[:, 2], color=RIGID, edgecolor="0.4", linewidth=0.6)
-    finish(axes, "x [mm]")
+    label_axes(axes, "x [mm]")
     axes.figure.colorbar(picture, ax=axes, label=scale.label, extend=scale.extend, shrink=0.85)
 
 
@@ -107,7 +107,7 @@ def draw_surface(axes, fields: SolidFields, name: str, sample: int, pose: Pose, 
     from matplotlib.collections import LineCollection
 
     mesh, scale = fields.mesh, colour_scale(fields, name, sample)
-    nodes = deformed(fields, sample)
+    nodes = deformed_nodes(fields, sample)
     sides = np.concatenate(list(mesh.faces.values()))
     points, triangles = _split_at_edges(nodes, surface_triangles(mesh.element, sides))
     values = fields.at_nodes(name, sample)[points] * LABELS[name][1]
@@ -115,7 +115,7 @@ def draw_surface(axes, fields: SolidFields, name: str, sample: int, pose: Pose, 
     bodies = [(nodes[points], triangles, colormaps["viridis"](np.clip(colour, 0.0, 1.0))[:, :3])]
     if not tool.is_plate:
         outline = tool_outline(tool, nodes, pose)
-        vertices, faces = revolved(outline)
+        vertices, faces = revolve_profile(outline)
         vertices = np.array(pose.position) + vertices @ np.array(pose.rotation).T
         split, faces = _split_at_edges(vertices, faces)
         bodies.append((vertices[split], faces, np.full((len(split), 3), float(RIGID))))
@@ -135,12 +135,12 @@ def draw_surface(axes, fields: SolidFields, name: str, sample: int, pose: Pose, 
     axes.set_title("surface from above", loc="left", fontsize=10)
 
 
-def deformed(fields: SolidFields, sample: int) -> np.ndarray:
+def deformed_nodes(fields: SolidFields, sample: int) -> np.ndarray:
     """Return the deformed coordinates of the nodes in the frame of the scene, m, shape (nodes, 3)."""
     return fields.mesh.nodes + fields.displacement(sample) - [0.0, 0.0, fields.datum]
 
 
-def above_plane(points: np.ndarray, pose: Pose) -> np.ndarray:
+def distance_from_plane(points: np.ndarray, pose: Pose) -> np.ndarray:
     """Return the signed distances of points, shape (n, 3), m, from the plane through the tool's axis and the x axis.
 
     Returns:
@@ -163,8 +163,8 @@ def tool_pose(fields: SolidFields, sample: int, pose: Pose, tool: Tool) -> Pose:
         tool: tool of the experiment.
     """
     if tool.is_plate:
-        return Pose((0.0, 0.0, float(deformed(fields, sample)[fields.mesh.sets["top"], 2].max())))
-    surface = deformed(fields, sample)[fields.mesh.sets["top"]]
+        return Pose((0.0, 0.0, float(deformed_nodes(fields, sample)[fields.mesh.sets["top"], 2].max())))
+    surface = deformed_nodes(fields, sample)[fields.mesh.sets["top"]]
     rotation = np.array(pose.rotation)
     local = (surface - np.array(pose.position)) @ rotation
     gap = float(tool.profile.gap(np.column_stack([np.hypot(local[:, 0], local[:, 1]), local[:, 2]])).min())
@@ -190,7 +190,7 @@ def tool_outline(tool: Tool, nodes: np.ndarray, pose: Pose) -> np.ndarray:
     return np.concatenate([outline, [[0.0, outline[-1, 1]]]])
 
 
-def revolved(outline: np.ndarray, segments: int = 40) -> tuple[np.ndarray, np.ndarray]:
+def revolve_profile(outline: np.ndarray, segments: int = 40) -> tuple[np.ndarray, np.ndarray]:
     """Return the surface of revolution of a profile.
 
     Args:
@@ -213,7 +213,7 @@ def revolved(outline: np.ndarray, segments: int = 40) -> tuple[np.ndarray, np.nd
     return vertices, np.concatenate(faces)
 
 
-def finish(axes, across: str) -> None:
+def label_axes(axes, across: str) -> None:
     """Set equal scales and the axis labels: `across` on the horizontal axis, z on the vertical axis."""
     axes.set_aspect("equal")
     axes.set_xlabel(across)
@@ -221,7 +221,7 @@ def finish(axes, across: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _in_plane(points: np.ndarray) -> list[np.ndarray]:
+def _project_lines(points: np.ndarray) -> list[np.ndarray]:
     """Project end points (x, y, z) of k lines, m, shape (2 k, 3), to k arrays of (x, z), mm, shape (2, 2)."""
     return list(1e3 * points[:, [0, 2]].reshape(-1, 2, 2))
 

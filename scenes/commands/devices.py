@@ -11,7 +11,7 @@ EXAMPLE = "tissue-sim devices --json"
 
 
 def add_arguments(parser: Parser) -> None:
-    """Declare the arguments of the command."""
+    """Declare the arguments of `tissue-sim devices`."""
     parser.add_argument("names", nargs="*", metavar="NAME",
                         help="devices to try, such as rdt://192.168.1.1 or tic:/dev/ttyACM0 (default: the devices that "
                              "are found)")

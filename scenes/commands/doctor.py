@@ -13,7 +13,7 @@ _COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 
 
 def add_arguments(parser: Parser) -> None:
-    """Declare the arguments of the command."""
+    """Declare the arguments of `tissue-sim doctor`."""
     parser.add_argument("--clock-seconds", type=positive, metavar="N", default=2.0,
                         help="duration of the clock measurement (default: 2)")
     add_json(parser)

@@ -17,7 +17,7 @@ _NAMES = "rdt, ati-serial, tic, grbl, haply"
 
 
 def add_arguments(parser: Parser) -> None:
-    """Declare the arguments of the command."""
+    """Declare the arguments of `tissue-sim emulate`."""
     parser.add_argument("names", nargs="+", metavar="NAME[:SETTINGS]",
                         help=f"emulated device: {_NAMES}, or an emulator of an installed package; all devices share "
                              "one virtual rig, so that the sensor measures the specimen that the stage presses")

@@ -10,7 +10,7 @@ from scenes.catalogue import SCENES
 from scenes.commands.shared.console import print_json, progress_console
 from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.experiment_flags import add_experiment_flags, check_scene, make_experiment
-from scenes.commands.shared.log_lines import status_of
+from scenes.commands.shared.log_lines import show_status
 from scenes.commands.shared.parsing import Parser, add_json, at_least, between, not_negative, positive
 from scenes.commands.shared.tissue_flags import read_material
 from tissue_sim.errors import InputError
@@ -23,7 +23,7 @@ _ACCEPTABLE_ERROR = 0.03
 
 
 def add_arguments(parser: Parser) -> None:
-    """Declare the arguments of the command."""
+    """Declare the arguments of `tissue-sim reduce`."""
     parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
                         help=f"test to reduce: {', '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, metavar="FILE",
@@ -90,7 +90,7 @@ def run(arguments) -> int:
     folder = output.with_name(f"{output.name}.strokes")
     arguments.resume_hint = "finished training paths are kept. Run the same command to resume"
     console = progress_console(quiet=arguments.json)
-    with status_of(console, "generating the mesh", quiet=arguments.json) as status:
+    with show_status(console, "generating the mesh", quiet=arguments.json) as status:
         def show_stage(stage: str, done: int, of: int, *, note: str = "") -> None:
             status.update(f"{stage}: {done} of {of}{f', {note}' if note else ''}")
 

@@ -55,7 +55,7 @@ SETTINGS = ServerSettings()
 
 
 def add_arguments(parser: Parser) -> None:
-    """Declare the arguments of the command."""
+    """Declare the arguments of `tissue-sim serve`."""
     parser.add_argument("--scene", metavar="SCENE", default="needle_indentation",
                         help=f"test to simulate: {', '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, metavar="FILE",
@@ -133,7 +133,8 @@ def run(arguments) -> int:
     progress = progress_console(quiet=arguments.json)
 
     build = real_time_tissue(ts.Model(experiment, material), resolution=arguments.resolution,
-                             budget=budget(arguments), inertia=arguments.inertia, solver=arguments.solver, mesh=reduced)
+                             budget=step_budget(arguments), inertia=arguments.inertia, solver=arguments.solver,
+                             mesh=reduced)
 
     def rebuild() -> ServedTissue:
         simulator = build()
@@ -145,29 +146,29 @@ def run(arguments) -> int:
     limits = SceneLimits(deepest=SETTINGS.max_depth * experiment.specimen.height, force=arguments.largest_force_N)
     # The ports are opened before the compilation, so that a port in use is reported at once.
     with TissueServer(simulator, host=arguments.host, port=arguments.port, configuration_port=port,
-                      description=lambda: describe(arguments, experiment, material_file, simulator, reduced),
+                      description=lambda: describe_scene(arguments, experiment, material_file, simulator, reduced),
                       parameters={} if reduced and reduced.rest else parameter_values(material),
                       silence=arguments.silence_s, limits=limits,
-                      rebuild=rebuild, session=arguments.session, spin=spin(arguments),
+                      rebuild=rebuild, session=arguments.session, spin=spin_time(arguments),
                       expose=arguments.expose) as server:
         with progress.status("loading the solver (the first run on a computer compiles it)"):
             simulator.warm_up()
         gc.collect()
         gc.freeze()  # keeps existing objects out of garbage collections between two steps
         with real_time(arguments.real_time) as features, stopped_by_signals(server.stop):
-            announce(arguments, server, features)
+            print_ready_line(arguments, server, features)
             server.run()
-    report(server, sys.stderr if arguments.json else sys.stdout)
+    print_counters(server, sys.stderr if arguments.json else sys.stdout)
     return 0
 
 
-def budget(arguments) -> float | None:
+def step_budget(arguments) -> float | None:
     """Return the time limit of a simulation step, s; None for no limit."""
     default = 0.0 if arguments.resolution == "accurate" else SETTINGS.budget_us
     return (default if arguments.budget_us is None else arguments.budget_us) * 1e-6 or None
 
 
-def spin(arguments) -> float:
+def spin_time(arguments) -> float:
     """Return how long the server busy-waits for the next packet before it sleeps, s."""
     if arguments.spin_us is not None:
         return arguments.spin_us * 1e-6
@@ -176,7 +177,7 @@ def spin(arguments) -> float:
     return 0.0 if processors == 1 or arguments.real_time else SETTINGS.spin_us * 1e-6
 
 
-def describe(arguments, experiment: Experiment, material_file, simulator, reduced=None) -> dict[str, Any]:
+def describe_scene(arguments, experiment: Experiment, material_file, simulator, reduced=None) -> dict[str, Any]:
     """Return the answer to the configuration command ``describe``: scene, specimen, tool, material and solver.
 
     Args:
@@ -219,7 +220,7 @@ def describe(arguments, experiment: Experiment, material_file, simulator, reduce
     }
 
 
-def announce(arguments, server: TissueServer, features) -> None:
+def print_ready_line(arguments, server: TissueServer, features) -> None:
     """Print addresses and ports of the ready server on one line, for which a program can wait."""
     host, port = server.address
     configuration_port = None if server.configuration_address is None else server.configuration_address[1]
@@ -237,7 +238,7 @@ def announce(arguments, server: TissueServer, features) -> None:
             print(f"tissue-sim: warning: {feature.message}", file=sys.stderr)
 
 
-def report(server: TissueServer, stream) -> None:
+def print_counters(server: TissueServer, stream) -> None:
     """Print the packet counters of the server in two sentences."""
     counters = server.counters
     print(f"answered {counters.steps} poses of {counters.clients} clients: {counters.converged} converged, "

@@ -34,7 +34,7 @@ PORT = 8080
 
 
 def add_arguments(parser: Parser) -> None:
-    """Declare the arguments of the command."""
+    """Declare the arguments of `tissue-sim view`."""
     parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
                         help=f"test to simulate: {', '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, metavar="FILE",

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 import tissue_sim as ts
 from scenes.colour_scale import colour_scale
 from scenes.field_labels import LABELS
-from scenes.solid_figures import draw_cut, draw_surface, revolved, tool_pose
+from scenes.solid_figures import draw_cut, draw_surface, revolve_profile, tool_pose
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
@@ -97,7 +97,7 @@ def test_a_tool_behind_a_compliant_load_train_is_drawn_on_the_tissue():
 
 
 def test_a_body_of_revolution_has_its_volume():
-    vertices, faces = revolved(np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 3.0], [0.0, 3.0]]), segments=400)
+    vertices, faces = revolve_profile(np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 3.0], [0.0, 3.0]]), segments=400)
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     assert np.einsum("ti,ti->", np.cross(a, b), c) / 6.0 == pytest.approx(12.0 * np.pi, rel=1e-4)
 

@@ -20,7 +20,7 @@ EXAMPLE = "tissue-sim calibrate campaign.toml -o results --workers 4"
 
 
 def add_arguments(parser: Parser) -> None:
-    """Declare the arguments of the command."""
+    """Declare the arguments of `tissue-sim calibrate`."""
     parser.add_argument("campaigns", type=Path, nargs="+", metavar="CAMPAIGN.toml",
                         help="campaign files; tissue-sim import writes them from recordings")
     parser.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT",

@@ -60,8 +60,8 @@ def print_fits(result: CalibrationResult, console: Console) -> None:
         print_sentence(console, f"%: relative to the largest force or stress{chance if known else ''}")
         console.print()
     print_sentence(console, result.message)
-    for sentence in (*_unpredicted(result.predictions), *_undetermined(fits, units),
-                     *_misfits(fits, tests, units), *_basis(result, tests, units)):
+    for sentence in (*_missing_predictions(result.predictions), *_identifiability_remarks(fits, units),
+                     *_misfit_remarks(fits, tests, units), *_accuracy_remarks(result, tests, units)):
         print_sentence(console, sentence)
     # The message of the result contains that of the first law if the law is unusable.
     for having, remarks in remarks_by_law(fits, lambda fit: fit.warnings if fit.unusable is None else
@@ -70,7 +70,7 @@ def print_fits(result: CalibrationResult, console: Console) -> None:
         print_sentence(console, f"{names}: {remarks}")
     for fit in fits:
         if fit.fem_solves:
-            print_sentence(console, f"{fit.law}: {_effort(fit)}")
+            print_sentence(console, f"{fit.law}: {_describe_effort(fit)}")
 
 
 def _ranking_criterion(result: CalibrationResult) -> tuple[str, str]:
@@ -159,14 +159,14 @@ def _prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Tes
     return table
 
 
-def _unpredicted(predictions: Sequence[Prediction]) -> Iterator[str]:
+def _missing_predictions(predictions: Sequence[Prediction]) -> Iterator[str]:
     """Yield the reason for each missing prediction."""
     for p in predictions:
         if p.percent is None:
             yield f"{p.law} does not predict {p.test}: {p.note or 'the simulation did not reach its depth'}"
 
 
-def _undetermined(fits: Sequence[Fit], units: Units) -> Iterator[str]:
+def _identifiability_remarks(fits: Sequence[Fit], units: Units) -> Iterator[str]:
     """Yield sentences on truncated intervals, unidentifiable parameters and poorly determined directions."""
     for fit in fits:
         cuts = [f"{fit.symbols[name]} {shorten(note, _NOTE_WIDTH, placeholder=' ...')}"
@@ -185,26 +185,26 @@ def _undetermined(fits: Sequence[Fit], units: Units) -> Iterator[str]:
             yield f"{fit.law}: poorly determined: {directions}{advice}"
 
 
-def _misfits(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units) -> Iterator[str]:
+def _misfit_remarks(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units) -> Iterator[str]:
     """Yield sentences on regions whose residuals exceed noise, the most significant first."""
     for fit in fits:
         bad = sorted((region for region in fit.regions if not region.adequate),
                      key=lambda region: (region.p, -region.statistic))
         if bad:
-            worst = "; ".join(_misfit(region, tests[region.test], units) for region in bad[:_MAX_REGIONS])
+            worst = "; ".join(_describe_misfit(region, tests[region.test], units) for region in bad[:_MAX_REGIONS])
             more = f"; and {len(bad) - _MAX_REGIONS} more" if len(bad) > _MAX_REGIONS else ""
             yield f"{fit.law}: smooth misfit in {worst}{more}"
         elif fit.regions:
             yield f"{fit.law}: no smooth misfit in any of {counted(len(fit.regions), 'region')}"
 
 
-def _misfit(region: Region, test: Test, units: Units) -> str:
+def _describe_misfit(region: Region, test: Test, units: Units) -> str:
     """Return test, range, size and significance of a misfit."""
     size = units.load(test).text(region.misfit_N, 2)
     return f"{region.test} ({place_of(region, test, units)}): {size}, {probability(region.p)}"
 
 
-def _basis(result: CalibrationResult, tests: Mapping[str, Test], units: Units) -> Iterator[str]:
+def _accuracy_remarks(result: CalibrationResult, tests: Mapping[str, Test], units: Units) -> Iterator[str]:
     """Yield sentences on the noise, the scatter between recordings, the mesh error and the self-weight of the fit."""
     tests_by_noise: dict[str, list[str]] = {}
     for noise in result.noise:
@@ -228,7 +228,7 @@ def _basis(result: CalibrationResult, tests: Mapping[str, Test], units: Units) -
     yield statement(result.campaign, result.best)
 
 
-def _effort(fit: Fit) -> str:
+def _describe_effort(fit: Fit) -> str:
     """Return the computational effort of a fit in words."""
     return (f"{counted(fit.iterations, 'solve')} from {counted(fit.starts, 'start')}, "
             f"{counted(fit.fem_solves, 'simulated test')} with profiles and predictions, {fit.cpu_s:.3g} s of "

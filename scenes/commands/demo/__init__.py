@@ -23,7 +23,7 @@ _MAX_SEED = 10_000
 
 
 def add_arguments(parser: Parser) -> None:
-    """Declare the arguments of the command."""
+    """Declare the arguments of `tissue-sim demo`."""
     parser.add_argument("--hidden", action="store_true",
                         help="hide a random effect (or none) in the specimen or the rig, diagnose the measurements, "
                              "then reveal the effect")

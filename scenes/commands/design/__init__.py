@@ -21,7 +21,7 @@ MIN_SAMPLES = 20
 
 
 def add_arguments(parser: Parser) -> None:
-    """Declare the arguments of the command."""
+    """Declare the arguments of `tissue-sim design`."""
     parser.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml",
                         help='campaign file with method = "inverse_fem", the expected parameters as start, and force_N '
                              'under [noise]; each test has recordings or a motion such as protocol = "ramp 10mm; '

@@ -26,14 +26,14 @@ def print_design(design: Design, console: Console) -> None:
                            max(test.force_N for test in design.tests), modulus)
     noise = Units.of_sizes(1e-3, design.noise_N, modulus).force
     print_sentence(console, f"{design.campaign}: {law.title}, sensor noise {noise.text(design.noise_N, 3)}")
-    tables = [_tests(design, units), _parameters(design, units)]
-    effects = [_detectable(design, units), _undetectable(design)]
+    tables = [_tests_table(design, units), _parameters_table(design, units)]
+    effects = [_detectable_table(design, units), _undetectable_table(design)]
     for table in [*tables, *(each for each in effects if each is not None)]:
         console.print()
         console.print(table)
 
 
-def _tests(design: Design, units: Units) -> Table:
+def _tests_table(design: Design, units: Units) -> Table:
     """Return the table of the planned tests."""
     table = text_table("planned test", "recordings", "samples", "depth", "largest force", "duration")
     for test in design.tests:
@@ -42,7 +42,7 @@ def _tests(design: Design, units: Units) -> Table:
     return table
 
 
-def _parameters(design: Design, units: Units) -> Table:
+def _parameters_table(design: Design, units: Units) -> Table:
     """Return the table of the parameters with their expected standard errors."""
     table = text_table("parameter", "expected", "error")
     for name, value in design.parameters.items():
@@ -54,7 +54,7 @@ def _parameters(design: Design, units: Units) -> Table:
     return table
 
 
-def _detectable(design: Design, units: Units) -> Table | None:
+def _detectable_table(design: Design, units: Units) -> Table | None:
     """Return the table of detectable effects, with their smallest detectable size and effects that look alike."""
     labels = labels_of(design.candidates)
     rows = [each for each in design.candidates if each.testable]
@@ -68,7 +68,7 @@ def _detectable(design: Design, units: Units) -> Table | None:
     return table
 
 
-def _undetectable(design: Design) -> Table | None:
+def _undetectable_table(design: Design) -> Table | None:
     """Return the table of undetectable effects, with the reason and the experiment that would detect them."""
     rows = [each for each in design.candidates if not each.testable]
     if not rows:

@@ -20,7 +20,7 @@ EXAMPLE = "tissue-sim diagnose campaign.toml -o diagnosis --workers 2"
 
 
 def add_arguments(parser: Parser) -> None:
-    """Declare the arguments of the command."""
+    """Declare the arguments of `tissue-sim diagnose`."""
     parser.add_argument("campaigns", type=Path, nargs="+", metavar="CAMPAIGN.toml",
                         help='campaign files with method = "inverse_fem"')
     parser.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT",

@@ -34,7 +34,9 @@ def print_diagnoses(results: Sequence[DiagnosisResult], console: Console) -> Non
         console.print()
         for sentence in places(diagnosis):
             print_sentence(console, f"- {sentence}")
-        for table in (_candidates(diagnosis, units), _parameters(diagnosis, units), _held_out(diagnosis, units)):
+        tables = (_effects_table(diagnosis, units), _parameters_table(diagnosis, units),
+                  _held_out_table(diagnosis, units))
+        for table in tables:
             if table is not None:
                 console.print()
                 console.print(table)
@@ -46,7 +48,7 @@ def print_diagnoses(results: Sequence[DiagnosisResult], console: Console) -> Non
                       emoji=False, soft_wrap=True)
 
 
-def _candidates(diagnosis: Diagnosis, units: Units) -> Table | None:
+def _effects_table(diagnosis: Diagnosis, units: Units) -> Table | None:
     """Return the table of the most likely effects that the tests can detect; None without such an effect."""
     detectable = [each for each in diagnosis.candidates if each.testable]
     if not detectable:
@@ -61,7 +63,7 @@ def _candidates(diagnosis: Diagnosis, units: Units) -> Table | None:
     return table
 
 
-def _parameters(diagnosis: Diagnosis, units: Units) -> Table:
+def _parameters_table(diagnosis: Diagnosis, units: Units) -> Table:
     """Return the table of the parameters before and after the found effects were added to the model."""
     before, after = diagnosis.fit_before, diagnosis.fit_after
     headings = ["parameter", "without effects", *([] if after is None else ["with effects", "error without"])]
@@ -76,7 +78,7 @@ def _parameters(diagnosis: Diagnosis, units: Units) -> Table:
     return table
 
 
-def _held_out(diagnosis: Diagnosis, units: Units) -> Table | None:
+def _held_out_table(diagnosis: Diagnosis, units: Units) -> Table | None:
     """Return the table of the errors in data that the fits did not use; None without such data."""
     if not diagnosis.held_out:
         return None

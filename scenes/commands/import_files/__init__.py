@@ -28,7 +28,7 @@ _TEST_KEYS = ("tool", "tool_radius_mm", "friction", "speed_mm_s", "max_strain")
 
 
 def add_arguments(parser: Parser) -> None:
-    """Declare the arguments of the command."""
+    """Declare the arguments of `tissue-sim import`."""
     parser.add_argument("files", type=Path, nargs="+", metavar="FILE",
                         help="data file: text in any common encoding, xlsx, xls, ods, mat, tdms, h5, or a file of an "
                              "atomic force microscope")
@@ -114,7 +114,7 @@ def run(arguments) -> int:
 
 
 def _import_options(arguments):
-    """Return the options of the import from the flags.
+    """Return the options of `calibration.importing` from the flags of columns, specimen and test.
 
     Raises:
         InputError: an unknown channel, unit, format or law, or contradictory flags.
@@ -125,13 +125,14 @@ def _import_options(arguments):
     from tissue_sim.recording.formats.guesses import Stated
     from tissue_sim.units import to_si
 
-    units, scales = _pairs(arguments.unit, "--unit"), _pairs(arguments.scale, "--scale")
+    units, scales = _channel_values(arguments.unit, "--unit"), _channel_values(arguments.scale, "--scale")
     for channel, unit in units.items():
         try:
             to_si(unit)
         except InputError as error:
             raise InputError(f"{channel}: {error.problem}", field="--unit") from None
-    signs = {channel: _number(text, "--sign") for channel, text in _pairs(arguments.sign, "--sign").items()}
+    signs = {channel: _to_number(text, "--sign")
+             for channel, text in _channel_values(arguments.sign, "--sign").items()}
     for channel, sign in signs.items():
         if sign not in (1, -1):
             raise InputError(f"the sign of {channel} must be 1 or -1; got {sign:g}", field="--sign")
@@ -142,13 +143,13 @@ def _import_options(arguments):
         LAWS.find(law, "--laws")
     if arguments.radius_mm is not None and arguments.area_mm2 is not None:
         raise InputError("cannot be combined with --radius-mm. Give one of them", field="--area-mm2")
-    hints = Stated(_pairs(arguments.column, "--column"), units,
-                    {channel: _positive(text) for channel, text in scales.items()},
+    hints = Stated(_channel_values(arguments.column, "--column"), units,
+                    {channel: _to_positive(text) for channel, text in scales.items()},
                     {channel: int(sign) for channel, sign in signs.items()}, arguments.kind, arguments.format,
                     _sheets(arguments.sheet), arguments.delimiter, arguments.skip_lines,
-                    measures=_pairs(arguments.measure, "--measure"), decimal=arguments.decimal, curve=arguments.curve,
-                    one_material=arguments.one_material)
-    specimen = _specimen(arguments)
+                    measures=_channel_values(arguments.measure, "--measure"), decimal=arguments.decimal,
+                    curve=arguments.curve, one_material=arguments.one_material)
+    specimen = _specimen_keys(arguments)
     test = {key: value for key in _TEST_KEYS if (value := getattr(arguments, key)) is not None}
     return Wishes(hints, specimen, test, laws, arguments.zero)
 
@@ -158,7 +159,7 @@ def _shapes() -> tuple[str, ...]:
     return tuple(dict.fromkeys(shape for size in specimen_sizes().values() for shape in size.shapes))
 
 
-def _specimen(arguments) -> dict[str, float | str]:
+def _specimen_keys(arguments) -> dict[str, float | str]:
     """Return the keys of the specimen in the campaign.
 
     Raises:
@@ -175,8 +176,8 @@ def _specimen(arguments) -> dict[str, float | str]:
     return stated if shape is None else {"shape": shape, **stated}
 
 
-def _pairs(texts: Sequence[str], flag: str) -> dict[str, str]:
-    """Read texts such as ``force=3`` of a flag.
+def _channel_values(texts: Sequence[str], flag: str) -> dict[str, str]:
+    """Read the values of a repeated flag, texts such as ``force=3`` (channel, then value).
 
     Returns:
         Value of each channel of the recording by its name.
@@ -197,7 +198,7 @@ def _pairs(texts: Sequence[str], flag: str) -> dict[str, str]:
     return found
 
 
-def _number(text: str, flag: str) -> float:
+def _to_number(text: str, flag: str) -> float:
     """Convert the value of a flag to a number."""
     try:
         return float(text)
@@ -205,9 +206,9 @@ def _number(text: str, flag: str) -> float:
         raise InputError(f"must be a number; got {text!r}", field=flag) from None
 
 
-def _positive(text: str) -> float:
+def _to_positive(text: str) -> float:
     """Convert a value of ``--scale`` to a positive number."""
-    value = _number(text, "--scale")
+    value = _to_number(text, "--scale")
     if not 0 < value < float("inf"):
         raise InputError(f"must be positive; got {text}. Use --sign to reverse a column", field="--scale")
     return value

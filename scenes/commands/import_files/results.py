@@ -32,9 +32,10 @@ def print_imported(imported: Imported, console: Console) -> None:
             for number, motion in enumerate(part.motions, start=1)]
     for name, part, number, motion in rows[:_MAX_ROWS]:
         several = f" {number}" if len(part.motions) > 1 else ""
-        files.add_row(part.file.name + several, _format(part), name, str(len(part.reading.recordings[number - 1])),
-                      "-" if motion.rate is None else f"{motion.rate:.3g}", _reach(part, motion), _contact(motion),
-                      str(motion.cycles), ", ".join(_segment_names(motion)))
+        files.add_row(part.file.name + several, _describe_format(part), name,
+                      str(len(part.reading.recordings[number - 1])),
+                      "-" if motion.rate is None else f"{motion.rate:.3g}", _format_reach(part, motion),
+                      _format_contact(motion), str(motion.cycles), ", ".join(_segment_names(motion)))
     console.print(files)
     if len(rows) > _MAX_ROWS:
         print_sentence(console, f"and {len(rows) - _MAX_ROWS} more recordings")
@@ -74,7 +75,7 @@ def _print_assumptions(imported: Imported, console: Console) -> None:
     console.print()
 
 
-def _format(part: Part) -> str:
+def _describe_format(part: Part) -> str:
     """Return format, delimiter, number style and encoding of a file, such as ``bluehill, comma``."""
     understood = part.understanding
     mark = _DELIMITER_NAMES.get(understood.delimiter, str(understood.delimiter))
@@ -85,7 +86,7 @@ def _format(part: Part) -> str:
     return ", ".join(filter(None, (understood.format, mark, comma, thousands, encoding)))
 
 
-def _reach(part: Part, motion: Motion) -> str:
+def _format_reach(part: Part, motion: Motion) -> str:
     """Return the largest displacement, stretch or shear strain of a motion in its display unit.
 
     A question mark follows a value whose unit is unknown.
@@ -96,7 +97,7 @@ def _reach(part: Part, motion: Motion) -> str:
     return f"{max(motion.reach, key=abs) * factor:.4g} {unit}".strip()
 
 
-def _contact(motion: Motion) -> str:
+def _format_contact(motion: Motion) -> str:
     """Return the displacement of the first contact, as in the file, with its 95 % interval."""
     contact = motion.contact
     if contact is None or contact.status == "none":

@@ -33,7 +33,7 @@ _EXPORT = ("convert a material file to the format of another program",
 
 
 def add_arguments(parser: Parser) -> None:
-    """Declare the actions and their arguments."""
+    """Declare the actions of `tissue-sim material` and their arguments."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
 
     def action(name, texts, run) -> Parser:

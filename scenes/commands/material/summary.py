@@ -186,15 +186,15 @@ def print_summary(summary: dict[str, Any], console: Console) -> None:
         line(f"{title.replace('_', ' ')}: {'not stated' if not content else ''}".rstrip())
         for key, value in (content or {}).items():
             if value not in (None, [], {}):
-                line(f"  {key}: {_brief(value)}")
+                line(f"  {key}: {_format_entry(value)}")
 
 
-def _brief(value: Any) -> str:
+def _format_entry(value: Any) -> str:
     """Format an entry of valid range or provenance on one line."""
     if isinstance(value, list | tuple):
         if all(isinstance(entry, dict) for entry in value):
             return ", ".join(str(entry["file"]) for entry in value)
-        return " to ".join(_brief(entry) for entry in value)
+        return " to ".join(_format_entry(entry) for entry in value)
     if isinstance(value, dict):
-        return ", ".join(f"{key} {_brief(entry)}" for key, entry in value.items())
+        return ", ".join(f"{key} {_format_entry(entry)}" for key, entry in value.items())
     return f"{value:g}" if isinstance(value, float) else str(value)

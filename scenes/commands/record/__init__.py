@@ -29,7 +29,7 @@ CAMPAIGN = "campaign.toml"
 
 
 def add_arguments(parser: Parser) -> None:
-    """Declare the arguments of the command."""
+    """Declare the arguments of `tissue-sim record`."""
     parser.add_argument("protocol", type=Path, metavar="PROTOCOL.toml",
                         help="campaign file with a protocol for each test and the tables [limits], [devices], [record] "
                              "and [virtual]")

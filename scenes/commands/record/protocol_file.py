@@ -39,7 +39,7 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class DevicesTable(_Table, frozen=True, kw_only=True):
-    """Table ``[devices]``.
+    """Table ``[devices]``: force sensor and stage of the run.
 
     Attributes:
         sensor: force sensor, ``NAME:SETTINGS`` of `haptics.devices.back_ends.FORCE_SENSORS`.
@@ -215,13 +215,13 @@ def read_protocol_file(path: Path) -> ProtocolFile:
             raise InputError("is required, because a motor moves. Give force_N, lowest_mm, highest_mm, speed_mm_s, "
                              "duration_s, stiffness_N_per_mm and force_margin_N", field="limits")
         tables = decode(tables_content, _ProtocolTables)
-        campaign = _campaign(path, content)
-        lag = _lag(tables.record, path.parent)
-        plans = {test.name: _plan(test, tables.record, lag, number, content,
-                                  prism=test.specimen is not None and test.specimen.name in campaign.prisms)
+        campaign = _read_campaign(path, content)
+        lag = _measure_lag(tables.record, path.parent)
+        plans = {test.name: _make_plan(test, tables.record, lag, number, content,
+                                       prism=test.specimen is not None and test.specimen.name in campaign.prisms)
                  for number, test in enumerate(campaign.tests)}
         protocol = ProtocolFile(path, hashlib.sha256(text.encode()).hexdigest(), campaign, plans,
-                                _limits(tables.limits), tables.devices, tables.virtual, tables.record, content)
+                                _convert_limits(tables.limits), tables.devices, tables.virtual, tables.record, content)
         if "fit" in content:
             _check_campaign(protocol)
         return protocol
@@ -246,7 +246,7 @@ def _check_campaign(protocol: ProtocolFile) -> None:
                              field=error.field) from None
 
 
-def _campaign(path: Path, content: Mapping[str, Any]) -> Campaign:
+def _read_campaign(path: Path, content: Mapping[str, Any]) -> Campaign:
     """Read the tests as a planned campaign; the tables ``[fit]`` and ``[noise]`` are ignored.
 
     Raises:
@@ -273,7 +273,7 @@ def _campaign(path: Path, content: Mapping[str, Any]) -> Campaign:
         Path(file.name).unlink(missing_ok=True)
 
 
-def _lag(record: RecordTable, folder: Path) -> dict[str, Any] | None:
+def _measure_lag(record: RecordTable, folder: Path) -> dict[str, Any] | None:
     """Return the lag of the sensor with its 95 % interval, measured in the recording ``lag_from``; None without one."""
     if record.lag_from is None:
         return None
@@ -281,9 +281,9 @@ def _lag(record: RecordTable, folder: Path) -> dict[str, Any] | None:
     return {"value_s": found.value, "interval95_s": list(found.interval), "from": record.lag_from}
 
 
-def _plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, number: int,
-          content: Mapping[str, Any], *, prism: bool) -> Plan:
-    """Return the plan of a test.
+def _make_plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, number: int,
+               content: Mapping[str, Any], *, prism: bool) -> Plan:
+    """Return the plan of a test: its motion, replicates, search for contact and metadata.
 
     Args:
         test: test of the campaign.
@@ -321,7 +321,7 @@ def _specimen_metadata(specimen: Specimen, *, prism: bool) -> dict[str, Any]:
     return {"name": specimen.name, "shape": specimen.shape, **specimen.stated}
 
 
-def _limits(table: LimitsTable) -> MotionLimits:
+def _convert_limits(table: LimitsTable) -> MotionLimits:
     """Convert the table ``[limits]`` to SI units."""
     return MotionLimits(table.force_N, table.lowest_mm * 1e-3, table.highest_mm * 1e-3, table.speed_mm_s * 1e-3,
                         table.duration_s, table.stiffness_N_per_mm * 1e3, table.force_margin_N, table.sensor_silence_s,

@@ -21,10 +21,10 @@ def print_json(content: dict[str, Any]) -> None:
         ValueError: NaN or infinity, which JSON does not represent.
         TypeError: a value of a type without a JSON form. Paths are printed as strings.
     """
-    print(json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False, default=_plain))
+    print(json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False, default=_path_to_str))
 
 
-def _plain(value: Any) -> str:
+def _path_to_str(value: Any) -> str:
     """Convert a path to a string for JSON."""
     if isinstance(value, Path):
         return str(value)

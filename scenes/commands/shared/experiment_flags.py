@@ -47,6 +47,7 @@ def add_experiment_flags(parser: Parser, *, motion: bool = True) -> None:
 
 
 def _add_motion(parser: Parser) -> None:
+    """Add the flags of the motion."""
     motion = parser.add_argument_group("motion")
     motion.add_argument("--depth-mm", type=positive, metavar="N",
                         help=f"largest tool displacement of a single ramp (default: {DEFAULT_DEPTH_MM:g})")
@@ -61,6 +62,7 @@ def _add_motion(parser: Parser) -> None:
 
 
 def _add_specimen(parser: Parser) -> None:
+    """Add the flags of the specimen: shape, sizes, mesh file and self-weight."""
     specimen = parser.add_argument_group("specimen")
     specimen.add_argument("--shape", choices=tuple(SPECIMENS),
                           help="shape of the specimen (default: cylinder); all shapes but the cylinder require --solid")
@@ -90,6 +92,7 @@ def _add_specimen(parser: Parser) -> None:
 
 
 def _add_tool(parser: Parser) -> None:
+    """Add the flags of the tool and of the contact at its faces."""
     tool = parser.add_argument_group("tool and interfaces (default: as the scene defines)")
     tool.add_argument("--tool", metavar="SHAPE",
                       help=f"{', '.join(shapes_without_file())}, or a file with the columns r and z of its profile")
@@ -189,18 +192,18 @@ def make_experiment(arguments, protocol: Protocol, material: Material) -> Experi
 
         changes["adhesion"] = Adhesion(arguments.adhesion_N, arguments.adhesion_length_mm * 1e-3)
     if arguments.contact_law:
-        changes["contact_laws"] = [_contact_law(text) for text in arguments.contact_law]
+        changes["contact_laws"] = [_read_contact_law(text) for text in arguments.contact_law]
     if arguments.tilt_mm is not None:
         changes["tilt"] = arguments.tilt_mm * 1e-3
     if arguments.slip is not None:
         changes["slip"] = arguments.slip
     if arguments.offset_mm is not None or arguments.tilt_deg is not None:
         changes["approach"] = ts.Approach((arguments.offset_mm or 0.0) * 1e-3, math.radians(arguments.tilt_deg or 0.0))
-    return scene.experiment(specimen=_specimen(arguments, weight), protocol=protocol,
-                            tool=_tool(arguments, shape, profile, scene_tool), **changes)
+    return scene.experiment(specimen=_make_specimen(arguments, weight), protocol=protocol,
+                            tool=_make_tool(arguments, shape, profile, scene_tool), **changes)
 
 
-def _specimen(arguments, weight: dict[str, Any]) -> Specimen:
+def _make_specimen(arguments, weight: dict[str, Any]) -> Specimen:
     """Return the specimen of the flags; `weight` holds its arguments of self-weight."""
     stated = {key: value for key in specimen_sizes() if (value := getattr(arguments, key)) is not None}
     mesh_options = {name: value for name in ("mesh_unit", "mesh_base", "mesh_top")
@@ -221,7 +224,7 @@ def _specimen(arguments, weight: dict[str, Any]) -> Specimen:
         raise InputError(error.problem, field=f"--{(error.field or '').replace('_', '-')}") from None
 
 
-def _contact_law(text: str) -> ContactLaw:
+def _read_contact_law(text: str) -> ContactLaw:
     """Read a contact law from text such as ``tacky_film:tack_Pa=30,thickness_mm=0.3``.
 
     Raises:
@@ -246,7 +249,7 @@ def _size_type(declaration: Declaration):
     return not_negative if declaration.absent == 0 else positive if declaration.unit == "m" else between(low, high)
 
 
-def _tool(arguments, shape: str, profile: Path | None, scene_tool: Tool) -> Tool:
+def _make_tool(arguments, shape: str, profile: Path | None, scene_tool: Tool) -> Tool:
     """Return the tool of the scene with the changes of the flags.
 
     Args:

@@ -39,11 +39,11 @@ class LogLines:
         if self._quiet or now - self._last < MIN_INTERVAL:
             return
         self._last = now
-        print(f"{clock(round(now - self._start))} {sentence}", file=sys.stderr, flush=True)
+        print(f"{format_duration(round(now - self._start))} {sentence}", file=sys.stderr, flush=True)
 
 
 @contextmanager
-def status_of(console: Console, sentence: str, *, quiet: bool) -> Iterator[Status]:
+def show_status(console: Console, sentence: str, *, quiet: bool) -> Iterator[Status]:
     """Show the current task on the progress console or, without a terminal, as log lines.
 
     Args:
@@ -61,6 +61,6 @@ def status_of(console: Console, sentence: str, *, quiet: bool) -> Iterator[Statu
         yield status
 
 
-def clock(seconds: int) -> str:
+def format_duration(seconds: int) -> str:
     """Format a duration, s, as minutes and seconds, such as ``1:05``."""
     return f"{seconds // 60}:{seconds % 60:02d}"

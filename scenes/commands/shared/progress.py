@@ -13,7 +13,7 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
-from scenes.commands.shared.log_lines import LogLines, clock
+from scenes.commands.shared.log_lines import LogLines, format_duration
 from scenes.commands.shared.text_table import text_table
 from tissue_sim.laws import find_law
 
@@ -84,7 +84,7 @@ class CampaignProgress:
         self._live.stop()
 
     def show_task(self, sentence: str, done: int = 0, of: int = 0) -> None:
-        """Show the current task.
+        """Show the current task and the number of finished tasks.
 
         Args:
             sentence: current task, in words.
@@ -127,7 +127,7 @@ class CampaignProgress:
         bar = ProgressBar(total=self._total, completed=self._done, width=width) if self._total else \
             ProgressBar(width=width, pulse=True, animation_time=now)
         line.add_row(self._spinner, bar, Text(f"{self._done} of {self._total}" if self._total else ""),
-                     Text(clock(seconds)), Text(self._remaining_time(now)),
+                     Text(format_duration(seconds)), Text(self._remaining_time(now)),
                      Text(f"{self._solves} solves" if self._solves else ""),
                      Text(f"campaign {max(number, 1)} of {self._campaigns}" if self._campaigns > 1 else ""))
         parts: list[RenderableType] = [self._table()] if self._rows else []
@@ -143,7 +143,7 @@ class CampaignProgress:
         if not 0 < self._done < self._total or elapsed < _SETTINGS.estimate_after:
             return ""
         remaining = elapsed * (self._total - self._done) / self._done - (now - self._last_report)
-        return f"about {clock(max(round(remaining), 1))} remaining in this part"
+        return f"about {format_duration(max(round(remaining), 1))} remaining in this part"
 
     def _table(self) -> Table:
         """Return the iteration table of the current fit; parameters in SI units."""

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def text_table(*headings: str, text: int = 1) -> Table:
-    """Return a rich table without lines.
+    """Return an empty table of the library rich, without lines.
 
     Args:
         headings: heading of each column.

@@ -9,7 +9,7 @@ from scenes.catalogue import SCENES
 from scenes.commands.shared.console import print_json, progress_console, results_console
 from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.experiment_flags import add_experiment_flags, check_scene, make_experiment, make_protocol
-from scenes.commands.shared.log_lines import status_of
+from scenes.commands.shared.log_lines import show_status
 from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, check_output
 from scenes.commands.shared.tissue_flags import add_solver_flags, check_solver
 from scenes.commands.simulate.replicates import add_rig_flags, make_rig, output_files, read_replicates
@@ -26,7 +26,7 @@ FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 
 def add_arguments(parser: Parser) -> None:
-    """Declare the arguments of the command."""
+    """Declare the arguments of `tissue-sim simulate`."""
     parser.add_argument("scene", metavar="SCENE", help=f"test to simulate: {', '.join(SCENES)}")
     parser.add_argument("--material", type=Path, required=True, metavar="FILE",
                         help="material file NAME.material.json (tissue-sim material new or calibrate writes it)")
@@ -83,7 +83,7 @@ def run(arguments) -> int:
     model = ts.Model(experiment, material_file.material, rig.motion_only)
     failure = None
     estimates_error = not (arguments.no_force_error or experiment.slip) and arguments.solver == "axisymmetric"
-    with status_of(progress_console(quiet=arguments.json), "simulating", quiet=arguments.json) as status:
+    with show_status(progress_console(quiet=arguments.json), "simulating", quiet=arguments.json) as status:
         try:
             recording = ts.simulate(
                 model, resolution=arguments.resolution, fields=True, solver=arguments.solver,
@@ -110,7 +110,7 @@ def run(arguments) -> int:
         print_json(as_json(recordings, arguments.resolution, failure, warnings,
                            replicates=arguments.replicates is not None))
     else:
-        show(recordings, arguments, [*outputs, arguments.figure])
+        print_results(recordings, arguments, [*outputs, arguments.figure])
         for warning in warnings:
             print(f"tissue-sim: warning: {warning}", file=sys.stderr)
     if failure is not None:
@@ -134,7 +134,7 @@ def describe_progress(done: int, samples: int, estimates_error: bool) -> str:
     return f"simulating: {done} of {samples} samples"
 
 
-def show(recordings, arguments, written: list[Path | None]) -> None:
+def print_results(recordings, arguments, written: list[Path | None]) -> None:
     """Print the first recording, remarks on its solution and the names of the written files."""
     console = results_console()
     print_curve(recordings[0], arguments.scene.replace("_", " "), console)

@@ -35,7 +35,7 @@ def as_json(recordings: Sequence[Recording], resolution: str, failure: Exception
         "displacement_mm": (recording.displacement * 1e3).tolist(),
         "time_s": recording.time.tolist(),
         "force_N": recording.force.tolist(),
-        **_vectors(recording),
+        **_force_vectors(recording),
         **{name: labels.tolist() for name, labels in recording.labels.items()},
         "status": solver.get("status", "failed" if failure else "converged"),
         "message": str(failure) if failure else solver.get("message", ""),
@@ -52,7 +52,7 @@ def as_json(recordings: Sequence[Recording], resolution: str, failure: Exception
     return answer
 
 
-def _vectors(recording: Recording) -> dict[str, Any]:
+def _force_vectors(recording: Recording) -> dict[str, Any]:
     """Return force and torque vectors on the tool as JSON entries; empty for an axisymmetric simulation."""
     if "Fx" not in recording:
         return {}
@@ -66,7 +66,7 @@ def print_curve(recording: Recording, title: str, console: Console) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    rows = shown_rows(recording)
+    rows = select_rows(recording)
     table = Table(title=title)
     columns = []
     segments = [str(name) for name in recording.labels.get("segment", ())]
@@ -80,7 +80,7 @@ def print_curve(recording: Recording, title: str, console: Console) -> None:
         factor, prefix = (1e3, "m") if 0 < abs(values).max() < 0.1 and unit == "N" else (1.0, "")
         # Text instead of str, because rich interprets brackets in a str as markup.
         table.add_column(Text(f"{quantity} [{prefix}{unit}]"), justify="right")
-        columns.append(aligned(values[rows] * factor))
+        columns.append(format_column(values[rows] * factor))
     for row in zip(*columns, strict=True):
         table.add_row(*row)
     console.print(table)
@@ -89,7 +89,7 @@ def print_curve(recording: Recording, title: str, console: Console) -> None:
         console.print(sentence, markup=False)
 
 
-def shown_rows(recording: Recording) -> np.ndarray:
+def select_rows(recording: Recording) -> np.ndarray:
     """Return the indices of the printed samples, at most `MAX_ROWS`.
 
     A short curve is printed completely. Of a long one the last sample of each segment is printed (unless the segments
@@ -115,11 +115,11 @@ def print_solver(recording: Recording, console: Console) -> None:
     mesh = solver["mesh"]
     console.print(f"{mesh['elements']} elements, {mesh['freedoms']} degrees of freedom, {solver['newton_iterations']} "
                   f"Newton iterations, {solver['wall_s']:.2f} s", markup=False)
-    for sentence in remarks(solver):
+    for sentence in describe_solution(solver):
         console.print(sentence, markup=False, soft_wrap=True)
 
 
-def remarks(solver: dict) -> Iterator[str]:
+def describe_solution(solver: dict) -> Iterator[str]:
     """Yield one sentence each on force error, penetration, friction and self-weight, as far as they apply."""
     if solver.get("force_error") is not None:
         yield (f"estimated force error: {100 * solver['force_error']:.2g} % of the largest force, from a comparison "
@@ -136,7 +136,7 @@ def remarks(solver: dict) -> Iterator[str]:
                f"{weight['gravity_m_s2']:g} m/s2)")
 
 
-def aligned(values: np.ndarray, digits: int = 5) -> list[str]:
+def format_column(values: np.ndarray, digits: int = 5) -> list[str]:
     """Format the numbers of a column with equal decimals; the largest number shows `digits` significant digits."""
     largest = float(abs(values).max())
     decimals = max(0, digits - 1 - math.floor(math.log10(largest))) if largest > 0 else digits - 1
