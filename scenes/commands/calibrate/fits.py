@@ -224,7 +224,7 @@ def _accuracy_remarks(result: CalibrationResult, tests: Mapping[str, Test], unit
         yield f"noise: {', '.join(parts)}{scatter}"
     meshes = [f"{mesh.test} {mesh.largest_percent:.2g} %" for mesh in result.best.mesh if mesh.largest_percent]
     if meshes:
-        yield f"corrected difference between accurate and fast mesh: {', '.join(meshes)}"
+        yield f"difference between accurate and fast mesh, included in the fit: {', '.join(meshes)}"
     yield statement(result.campaign, result.best)
 
 
