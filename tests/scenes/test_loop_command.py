@@ -166,7 +166,8 @@ def test_a_tilted_tool_stays_in_the_box_of_a_reduced_model(asked, monkeypatch):
 
 
 @pytest.mark.parametrize(("words", "said"), [
-    (["--sideways-mm", "3"], "--sideways-mm: must be at most"),
+    (["--sideways-mm", "3"],
+     "--sideways-mm: must be at most 1.072 to stay in the box of poses of the reduced model, because a tilted"),
     (["--turn-deg", "10"], "--turn-deg: must be at most 5.73 to stay in the box of poses")])
 def test_a_motion_beyond_the_box_of_a_reduced_model_is_refused(words, said, monkeypatch, capsys):
     reduced_file(monkeypatch, 0.3, ts.Approach(5e-3, 0.3))

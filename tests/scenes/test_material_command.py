@@ -187,7 +187,7 @@ def test_existing_file_is_kept(material, capsys):
     (["--law", "neo_hooke", "--set", "C10=nan"], "expected a finite number"),
     (["--law", "neo_hooke", "--set", "C10=1", "--bulk-ratio", "2", "--incompressible"], "not allowed with"),
     (["--law", "neo_hooke", "--set", "C10=1", "--bulk-ratio", "1"],
-     "--bulk-ratio: K / mu0 must be 2 to 1e+06, the verified range"),
+     "--bulk-ratio: K / mu0 must be 2 to 1e+06, the verified range of the finite elements; got 1. "),
     (["--law", "neo_hooke", "--set", "C10=1", "--prony", "0.3"],
      "--prony: must be a fraction and a time in s, such as 0.3,2; got '0.3'"),
     (["--law", "neo_hooke", "--set", "C10=1", "--prony", "0.3,x"],
@@ -195,7 +195,9 @@ def test_existing_file_is_kept(material, capsys):
     (["--law", "neo_hooke", "--set", "C10=1", "--prony", "0.6,1", "--prony", "0.4,9"], "--prony.terms: the g of all"),
     (["--law", "neo_hooke", "--set", "C10=1", "--prony", "0.3,0"], "--prony.tau: 0 s is not a positive time"),
     (["--law", "neo_hooke", "--set", "C10=1", "--moduli", "long_term"], "--moduli: requires a Prony series"),
-    (["--law", "neo_hooke", "--set", "C10=1", "--bulk-modulus-pa", "1e9"], "--bulk-modulus-pa: K / mu0 must be"),
+    (["--law", "neo_hooke", "--set", "C10=1", "--bulk-modulus-pa", "1e9"],
+     "--bulk-modulus-pa: K / mu0 must be 2 to 1e+06 (4 to 2e+06 Pa), the verified range of the finite elements; got "
+     "5e+08"),
 ])
 def test_bad_parameters_write_nothing(words, expected, tmp_path, capsys):
     assert main(["material", "new", *words, "-o", str(tmp_path / "m.material.json")]) == 2
