@@ -1,6 +1,7 @@
-"""scenes: what people meet. Ready-made scenes, the command line and the demo.
+"""scenes: ready-made tests, the command line `tissue-sim`, its viewer and its demo.
 
-Public names are listed once, in `__init__.pyi`, and imported on first use, so that ``tissue-sim --help`` is instant.
+Public names are listed once, in `__init__.pyi`, and imported on first use, so that ``tissue-sim --help`` answers at
+once.
 """
 
 from tissue_sim.public_names import import_on_use as _import_on_use

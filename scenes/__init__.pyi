@@ -1,4 +1,4 @@
-"""Public names of the package; `__init__.py` imports each on its first use."""
+"""Public names of the package; `__init__.py` imports each name on its first use."""
 
 from scenes.catalogue import SCENES as SCENES
 from scenes.demo.hidden_test import run_hidden_demo as run_hidden_demo

@@ -1,4 +1,4 @@
-"""The scenes by name: the kinds of test that have a tool, so that they can be simulated and looked at."""
+"""Catalogue of the scenes: the kinds of test that use a tool, which can therefore be simulated and shown."""
 
 from collections.abc import Iterator, Mapping
 
@@ -6,7 +6,7 @@ from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 
 
 class _Scenes(Mapping[str, TestKind]):
-    """Those of `KINDS` that have a tool, what packages add included."""
+    """Read-only view of `KINDS` without tests of gripped specimens; it contains kinds of installed packages."""
 
     def __getitem__(self, name: str) -> TestKind:
         kind = KINDS[name]
@@ -21,4 +21,5 @@ class _Scenes(Mapping[str, TestKind]):
         return sum(1 for _ in self)
 
 
+#: Scenes by name.
 SCENES: Mapping[str, TestKind] = _Scenes()

@@ -1,13 +1,13 @@
-"""The `tissue-sim` command.
+"""Entry point of the command line program `tissue-sim`.
 
-Exit codes: 0 done, 1 ran but did not reach its goal, 2 bad input, 130 stopped with Ctrl-C. An error is one sentence
-on stderr; stdout carries results only.
+Results go to stdout. An error is one sentence on stderr. `ExitCode` lists the exit codes.
 """
 
 from __future__ import annotations
 
 import os
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
 
 from calibration.tasks.errors import WorkerError
@@ -28,10 +28,12 @@ from scenes.commands import (
     simulate,
     view,
 )
-from scenes.commands.shared.parsing import Parser, later_answer
+from scenes.commands.shared.exit_code import ExitCode
+from scenes.commands.shared.parsing import Parser, describe_planned
 from tissue_sim import __version__
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, nearest, sentence
 
+#: Module of each command, in the order of the help.
 COMMANDS = {
     "demo": demo,
     "doctor": doctor,
@@ -49,39 +51,45 @@ COMMANDS = {
     "devices": devices,
     "emulate": emulate,
 }
-DONE, GOAL_MISSED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code.
+    """Run one command and return its exit code, a value of `ExitCode`.
 
     Args:
-        argv: words after ``tissue-sim``; those of the process by default.
+        argv: arguments after ``tissue-sim``; None takes the arguments of the process.
     """
-    _speak_utf8()
+    _print_utf8()
     words = list(sys.argv[1:] if argv is None else argv)
     arguments = None
     try:
         arguments = _parse(words)
-        code = DONE if arguments is None else arguments.run(arguments)
-        sys.stdout.flush()  # here, where a reader that has left is noticed, and not at exit
+        code = ExitCode.DONE if arguments is None else arguments.run(arguments)
+        sys.stdout.flush()  # raises BrokenPipeError inside this block instead of at exit
         return code
     except InputError as error:
-        return _fail(str(error), BAD_INPUT)
+        return _fail(str(error), ExitCode.BAD_INPUT)
     except (ConvergenceError, MissingBackendError, WorkerError) as error:
-        return _fail(str(error), GOAL_MISSED)
+        return _fail(str(error), ExitCode.GOAL_MISSED)
     except BrokenPipeError:
-        # The reader of a pipe (head, less) has left: not an error. What is still buffered goes nowhere.
+        # A program such as head closed the pipe early, which is no error. The buffered rest goes to the null device,
+        # so that the interpreter does not fail when it flushes stdout at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return DONE
+        return ExitCode.DONE
     except OSError as error:
-        return _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error), BAD_INPUT)
+        text = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        return _fail(text, ExitCode.BAD_INPUT)
     except KeyboardInterrupt:
-        return _fail(f"stopped by Ctrl-C; {getattr(arguments, 'resume_hint', 'nothing was written')}", INTERRUPTED)
+        hint = getattr(arguments, "resume_hint", "nothing was written")
+        return _fail(f"stopped by Ctrl-C; {hint}", ExitCode.INTERRUPTED)
 
 
-def _parse(words: list[str]):
-    """Parsed arguments, or None where argparse has printed the help or the version."""
+def _parse(words: list[str]) -> Namespace | None:
+    """Parse the arguments; return None after argparse printed the help or the version.
+
+    Raises:
+        InputError: unknown command, action or option, or a bad value.
+    """
     _refuse_unknown_names(words)
     parser = make_parser()
     if not words:
@@ -89,20 +97,26 @@ def _parse(words: list[str]):
         return None
     try:
         arguments, rest = parser.parse_known_args(words)
-    except SystemExit:  # --help and --version; errors are raised as InputError
+    except SystemExit:  # argparse exits after --help and --version; its errors are raised as InputError
         return None
     if rest:
         options = list(arguments.parser.option_names())
         hint = nearest(rest[0].split("=")[0], options) if rest[0].startswith("-") else ""
-        raise InputError(f"{arguments.parser.prog.removeprefix('tissue-sim ')}: unexpected {rest[0]!r}{hint}")
+        command = arguments.parser.prog.removeprefix("tissue-sim ")
+        raise InputError(f"{command}: unexpected argument {rest[0]!r}{hint}")
     return arguments
 
 
 def make_parser() -> Parser:
-    """The parser of all commands. Imports nothing heavy: help must answer at once."""
+    """Return the parser of all commands.
+
+    It imports no numerical package, so that ``--help`` answers at once.
+    """
     parser = Parser(prog="tissue-sim",
-                    description="Soft-tissue finite elements, calibrated from measured force curves.",
-                    epilog="start with:  tissue-sim demo")
+                    description="Calibrate soft-tissue finite-element models from measured force curves, and simulate "
+                                "tests with them, also in real time.",
+                    epilog="first steps:\n  tissue-sim doctor\n  tissue-sim demo\n\n"
+                           "tissue-sim COMMAND --help explains a command")
     parser.add_argument("--version", action="version", version=f"tissue-sim {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, command in COMMANDS.items():
@@ -112,7 +126,11 @@ def make_parser() -> Parser:
 
 
 def _refuse_unknown_names(words: list[str]) -> None:
-    """Answer a mistyped command, or one of a later version, better than argparse does."""
+    """Refuse an unknown command or action with the nearest known name, which argparse does not give.
+
+    Raises:
+        InputError: unknown or planned command.
+    """
     if not words or words[0].startswith("-"):
         return
     name = words[0]
@@ -121,20 +139,24 @@ def _refuse_unknown_names(words: list[str]) -> None:
     actions = getattr(COMMANDS[name], "ACTIONS", ())
     if actions and len(words) > 1 and not words[1].startswith("-"):
         if words[1] in COMMANDS[name].LATER:
-            raise InputError(later_answer(f"command {f'{name} {words[1]}'!r}"))
+            raise InputError(describe_planned(f"command {f'{name} {words[1]}'!r}"))
         if words[1] not in actions:
             raise InputError(f"unknown command {f'{name} {words[1]}'!r}{nearest(words[1], actions)}")
 
 
-def _speak_utf8() -> None:
-    # A redirected stream on Windows has the code page's encoding, which has no lambda or plus-minus sign.
-    # And names of files may hold bytes that no encoding has.
+def _print_utf8() -> None:
+    """Set the encoding of stdout and stderr to UTF-8.
+
+    On Windows the encoding of a redirected stream lacks characters such as the plus-minus sign. File names may contain
+    bytes without a character; these are printed as escapes.
+    """
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(encoding="utf-8", errors="backslashreplace")
 
 
 def _fail(text: str, code: int) -> int:
+    """Print an error on stderr and return the exit code."""
     print(f"tissue-sim: {sentence(text)}", file=sys.stderr)
     return code
 

@@ -1,4 +1,4 @@
-"""Which values the colours of a printed picture stand for."""
+"""Colour scales of printed pictures: the range of field values that the colours show."""
 
 from __future__ import annotations
 
@@ -9,14 +9,18 @@ import numpy as np
 from scenes.field_labels import LABELS
 from tissue_sim.fem.fields import FIELD_UNITS
 
+#: A range of values below this fraction of their largest magnitude, or of mu0 for stresses, is rounding error.
+_ROUNDING = 1e-6
+
 
 class ColourScale(NamedTuple):
-    """Ends of a scale, in the unit of its label.
+    """Label and ends of a colour scale, in the unit of the label.
 
     Attributes:
-        label: name and unit; of a uniform field its value, too.
-        low, high: ends.
-        uniform: whether the field has one value only, up to rounding.
+        label: name and unit of the field; of a uniform field also its value.
+        low: lower end.
+        high: upper end.
+        uniform: whether the field has the same value everywhere, up to rounding.
     """
 
     label: str
@@ -26,24 +30,27 @@ class ColourScale(NamedTuple):
 
     @property
     def extend(self) -> str:
-        """Whether values lie beyond the ends, in matplotlib's words."""
+        """Argument `extend` of matplotlib's colour bar: "both" where values may lie beyond the ends, or "neither"."""
         return "neither" if self.uniform else "both"
 
 
 def colour_scale(fields: Any, name: str, sample: int = -1) -> ColourScale:
-    """The scale of a field: without 1 % of the volume at either end, where edges are singular.
+    """Return the colour scale of a field: its range without 1 % of the volume at either end.
+
+    Stresses are singular at edges, so that the full range would show the edges only.
 
     Args:
-        fields: of a simulation; see `tissue_sim.fem.solver.Fields`, with ``weights`` of the points.
-        name: in `LABELS`.
-        sample: of the simulation.
+        fields: fields of a simulation (`tissue_sim.fem.solver.Fields`) with ``weights``, the volumes of the quadrature
+            points, m3.
+        name: field, a key of `LABELS`.
+        sample: index of the sample.
     """
     label, factor = LABELS[name]
     low, high = volume_range(fields.at_points(name, sample) * factor, fields.weights)
-    least = 1e-6 * fields.material.mu0 * factor if FIELD_UNITS[name] == "Pa" else 0.0
-    uniform = high - low <= max(1e-6 * max(abs(low), abs(high)), least)
+    least = _ROUNDING * fields.material.mu0 * factor if FIELD_UNITS[name] == "Pa" else 0.0
+    uniform = high - low <= max(_ROUNDING * max(abs(low), abs(high)), least)
     if uniform:
-        # Rounding, not a pattern: a scale that starts at zero.
+        # A scale from zero to twice the value hides the rounding errors of a uniform field.
         value = 0.5 * (low + high) if max(abs(low), abs(high)) > least else 0.0
         label = f"{label}, uniform {value:.5g}"
         low, high = sorted((0.0, 2.0 * value)) if value else (-1.0, 1.0)
@@ -51,14 +58,17 @@ def colour_scale(fields: Any, name: str, sample: int = -1) -> ColourScale:
 
 
 def volume_range(values: np.ndarray, weights: np.ndarray, left_out: float = 0.01) -> tuple[float, float]:
-    """Range of a field without a share of the volume at either end, since edges are singular.
+    """Return two quantiles of a field by volume: its range without a fraction of the volume at either end.
 
     Args:
-        values: at the quadrature points, any shape.
+        values: field at the quadrature points, any shape.
         weights: volumes of the points, m3, of the same shape.
-        left_out: share of the volume.
+        left_out: fraction of the volume that is left out at the lower end, and the same at the upper end.
+
+    Returns:
+        Lower and upper end, in the unit of the values.
     """
     order = np.argsort(values, axis=None)
-    share = np.cumsum(np.ravel(weights)[order])
-    low, high = np.interp(np.array([left_out, 1.0 - left_out]) * share[-1], share, np.ravel(values)[order])
+    volume = np.cumsum(np.ravel(weights)[order])
+    low, high = np.interp(np.array([left_out, 1.0 - left_out]) * volume[-1], volume, np.ravel(values)[order])
     return float(low), float(high)

@@ -1,6 +1,9 @@
-"""The fields of a simulation as people read them. Imports nothing: help lists them."""
+"""Labels and display units of the fields of a simulation.
 
-#: Field -> (label with the unit people use, factor from SI); those that say most, first.
+The module imports nothing, because ``tissue-sim simulate --help`` lists the fields and must answer at once.
+"""
+
+#: Field name -> (label with its display unit, factor from SI to that unit); the most useful fields first.
 LABELS = {
     "von_mises": ("von Mises stress [kPa]", 1e-3), "energy": ("energy density [J/m³]", 1.0),
     "pressure": ("pressure [kPa]", 1e-3), "displacement": ("displacement [mm]", 1e3),

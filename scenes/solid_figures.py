@@ -1,6 +1,8 @@
-"""Pictures of a solid in space: a cut through the plane of the tool, and the surface seen obliquely."""
+"""Figures of three-dimensional simulations: a section through the tool axis and an oblique view of the surface."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,234 +14,304 @@ from tissue_sim.mesh.sections import section, section_lines
 from tissue_sim.mesh.subdivision import side_edges, surface_triangles, tetrahedra
 from tissue_sim.pose import Pose
 
+#: Grey of rigid bodies, a colour of matplotlib.
 RIGID = "0.72"
+#: Line style of the undeformed outline: offset, then lengths of dash and gap, points.
 _DASHED = (0, (4, 3))
-#: From where the surface is seen, degrees: about z from +x, and above the horizon.
-_AZIMUTH, _ELEVATION = -62.0, 26.0
-#: Share of a colour that is left where the light, from this direction, does not fall.
-_SHADE, _LIGHT = 0.55, np.array([0.25, -0.55, 0.8]) / np.linalg.norm([0.25, -0.55, 0.8])
-#: Surfaces that meet at a larger angle are an edge, and are shaded so.
-_EDGE = np.cos(np.radians(35.0))
-#: Nodes nearer to a plane than this share of the mesh's size lie on it.
-_ON_PLANE = 1e-9
+
+
+@dataclass(frozen=True)
+class SurfaceViewSettings:
+    """Camera and light of the surface picture.
+
+    Attributes:
+        azimuth_deg: direction of the camera about z, from +x.
+        elevation_deg: angle of the camera above the horizontal plane.
+        light: vector towards the light; its length does not matter.
+        shadow_brightness: fraction of a colour that remains on faces turned away from the light; 1 switches shading
+            off.
+        edge_angle_deg: faces that meet at a larger angle form a sharp edge and are shaded separately.
+        on_plane: nodes closer to the cutting plane than this fraction of the size of the mesh lie on the plane.
+    """
+
+    azimuth_deg: float = -62.0
+    elevation_deg: float = 26.0
+    light: tuple[float, float, float] = (0.25, -0.55, 0.8)
+    shadow_brightness: float = 0.55
+    edge_angle_deg: float = 35.0
+    on_plane: float = 1e-9
+
+
+_VIEW = SurfaceViewSettings()
 
 
 def draw_cut(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool: Tool) -> None:
-    """The deformed section in the plane through the tool's axis and x, with element edges, the undeformed outline and
-    the tool.
+    """Draw the deformed section in the plane through the tool's axis and the x axis.
+
+    The panel also shows the element edges, the undeformed outline (dashed), the base, the tool and the colour bar.
 
     Args:
-        axes: of matplotlib.
-        fields: of the simulation.
-        name: in `LABELS`.
-        sample: of the simulation.
-        pose: of the tool then.
-        tool: its shape.
+        axes: matplotlib axes.
+        fields: fields of the simulation.
+        name: field of the colours, a key of `LABELS`.
+        sample: index of the sample.
+        pose: pose of the tool at this sample.
+        tool: tool of the experiment.
     """
     from matplotlib.collections import LineCollection
     from matplotlib.tri import Triangulation
 
     mesh, scale = fields.mesh, colour_scale(fields, name, sample)
-    place = deformed(fields, sample)
-    heights = above_plane(place, pose)
+    nodes = deformed_nodes(fields, sample)
+    heights = distance_from_plane(nodes, pose)
     crossings, triangles = section(mesh.connectivity[:, tetrahedra(mesh.element)].reshape(-1, 4), heights)
-    points = crossings.carry(place)
+    points = crossings.carry(nodes)
     values = crossings.carry(fields.at_nodes(name, sample) * LABELS[name][1])
-    # Seen from -y, to which the triangles do not look.
+    # The picture is seen from -y; the reversed order of the corners turns the triangles towards the viewer.
     picture = axes.tripcolor(Triangulation(1e3 * points[:, 0], 1e3 * points[:, 2], triangles[:, ::-1]), values,
                              shading="gouraud", cmap="viridis", vmin=scale.low, vmax=scale.high)
-    picture.set_in_layout(False)  # it stays inside the frame; its size is asked of each triangle
+    picture.set_in_layout(False)  # faster: the layout would measure each triangle
     sides = surface_triangles(mesh.element, mesh.connectivity[:, mesh.element.faces].reshape(
         -1, mesh.element.faces.shape[1]))
-    edges = _in_plane(section_lines(sides, heights).carry(place))
+    edges = _project_lines(section_lines(sides, heights).carry(nodes))
     axes.add_collection(LineCollection(edges, colors="white", linewidths=0.3, alpha=0.4))
     outside = surface_triangles(mesh.element, np.concatenate(list(mesh.faces.values())))
-    axes.add_collection(LineCollection(_in_plane(section_lines(outside, heights).carry(place)), colors="0.15",
+    axes.add_collection(LineCollection(_project_lines(section_lines(outside, heights).carry(nodes)), colors="0.15",
                                        linewidths=1.0))
-    before = mesh.nodes - [0.0, 0.0, fields.datum]
-    axes.add_collection(LineCollection(_in_plane(section_lines(outside, above_plane(before, pose)).carry(before)),
-                                       colors="0.4", linewidths=0.9, linestyles=[_DASHED]))
-    low, high = 1e3 * place.min(axis=0), 1e3 * np.maximum(place.max(axis=0), before.max(axis=0))
-    width, plate = 0.59 * np.ptp(1e3 * place[:, 0]), 0.04 * (high - low).max()
+    undeformed = mesh.nodes - [0.0, 0.0, fields.datum]
+    outline = section_lines(outside, distance_from_plane(undeformed, pose)).carry(undeformed)
+    axes.add_collection(LineCollection(_project_lines(outline), colors="0.4", linewidths=0.9, linestyles=[_DASHED]))
+    low, high = 1e3 * nodes.min(axis=0), 1e3 * np.maximum(nodes.max(axis=0), undeformed.max(axis=0))
+    width, plate = 0.59 * np.ptp(1e3 * nodes[:, 0]), 0.04 * (high - low).max()
     middle = 0.5 * (low[0] + high[0])
     axes.fill_between([middle - width, middle + width], low[2], low[2] - plate, color=RIGID, linewidth=0)
     if tool.is_plate:
         height = 1e3 * pose.position[2]
         axes.fill_between([middle - width, middle + width], height, height + plate, color=RIGID, linewidth=0)
     else:
-        outline = tool_outline(tool, place, pose)
+        outline = tool_outline(tool, nodes, pose)
         both = np.concatenate([outline, (outline * [-1.0, 1.0])[::-1]])
         tip, rotation = np.array(pose.position), np.array(pose.rotation)
         drawn = 1e3 * (tip + np.column_stack([both[:, 0], np.zeros(len(both)), both[:, 1]]) @ rotation.T)
         axes.fill(drawn[:, 0], drawn[:, 2], color=RIGID, edgecolor="0.4", linewidth=0.6)
-    finish(axes, "x [mm]")
+    label_axes(axes, "x [mm]")
     axes.figure.colorbar(picture, ax=axes, label=scale.label, extend=scale.extend, shrink=0.85)
 
 
 def draw_surface(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool: Tool) -> None:
-    """The deformed surface with the edges of its elements, and the tool, as one sees them from above; arguments as of
-    `draw_cut`, and its colours."""
+    """Draw the deformed surface with its element edges, and the tool, in an oblique view from above.
+
+    Arguments and colours are those of `draw_cut`.
+    """
     from matplotlib import colormaps
     from matplotlib.collections import LineCollection
 
     mesh, scale = fields.mesh, colour_scale(fields, name, sample)
-    place = deformed(fields, sample)
+    nodes = deformed_nodes(fields, sample)
     sides = np.concatenate(list(mesh.faces.values()))
-    points, triangles = _with_edges(place, surface_triangles(mesh.element, sides))
+    points, triangles = _split_at_edges(nodes, surface_triangles(mesh.element, sides))
     values = fields.at_nodes(name, sample)[points] * LABELS[name][1]
-    share = (values - scale.low) / (scale.high - scale.low) if scale.high > scale.low else np.zeros_like(values)
-    bodies = [(place[points], triangles, colormaps["viridis"](np.clip(share, 0.0, 1.0))[:, :3])]
+    colour = (values - scale.low) / (scale.high - scale.low) if scale.high > scale.low else np.zeros_like(values)
+    bodies = [(nodes[points], triangles, colormaps["viridis"](np.clip(colour, 0.0, 1.0))[:, :3])]
     if not tool.is_plate:
-        outline = tool_outline(tool, place, pose)
-        vertices, faces = revolved(outline)
+        outline = tool_outline(tool, nodes, pose)
+        vertices, faces = revolve_profile(outline)
         vertices = np.array(pose.position) + vertices @ np.array(pose.rotation).T
-        apart, faces = _with_edges(vertices, faces)
-        bodies.append((vertices[apart], faces, np.full((len(apart), 3), float(RIGID))))
-    _paint(axes, bodies)
-    # Edges of the elements that look to the viewer.
-    lines = place[sides[:, side_edges(mesh.element)].reshape(-1, 2)]
-    normals = _sums(place, surface_triangles(mesh.element, sides), len(place))
-    lines = lines[(normals[sides[:, side_edges(mesh.element)].reshape(-1, 2)] @ _toward() > 0.0).all(axis=1)]
+        split, faces = _split_at_edges(vertices, faces)
+        bodies.append((vertices[split], faces, np.full((len(split), 3), float(RIGID))))
+    _draw_bodies(axes, bodies)
+    # Only edges of element faces that are turned towards the viewer are drawn.
+    lines = nodes[sides[:, side_edges(mesh.element)].reshape(-1, 2)]
+    normals = _vertex_normals(nodes, surface_triangles(mesh.element, sides), len(nodes))
+    lines = lines[(normals[sides[:, side_edges(mesh.element)].reshape(-1, 2)] @ _view_direction() > 0.0).all(axis=1)]
     if not tool.is_plate:
-        lines = lines[~_hidden(lines.mean(axis=1), *bodies[1][:2])]
+        lines = lines[~_is_hidden(lines.mean(axis=1), *bodies[1][:2])]
     thickness = min(0.4, 8.0 / np.sqrt(len(lines) + 1))
-    axes.add_collection(LineCollection(list(1e3 * _seen(lines)[..., :2]), colors="white", linewidths=thickness,
-                                       alpha=0.55))
+    axes.add_collection(LineCollection(list(1e3 * _camera_coordinates(lines)[..., :2]), colors="white",
+                                       linewidths=thickness, alpha=0.55))
     axes.set_aspect("equal")
     axes.autoscale_view()
     axes.set_axis_off()
-    axes.set_title("the surface from above", loc="left", fontsize=10)
+    axes.set_title("surface from above", loc="left", fontsize=10)
 
 
-def deformed(fields: SolidFields, sample: int) -> np.ndarray:
-    """Where the nodes are, m, in the frame of the scene, shape (nodes, 3)."""
+def deformed_nodes(fields: SolidFields, sample: int) -> np.ndarray:
+    """Return the deformed coordinates of the nodes in the frame of the scene, m, shape (nodes, 3)."""
     return fields.mesh.nodes + fields.displacement(sample) - [0.0, 0.0, fields.datum]
 
 
-def above_plane(place: np.ndarray, pose: Pose) -> np.ndarray:
-    """Height of places over the plane through the tool's axis and x, m, shape (n,); 0 where they lie on it."""
-    heights = place[:, 1] - pose.position[1]
-    heights[np.abs(heights) < _ON_PLANE * np.ptp(place)] = 0.0
+def distance_from_plane(points: np.ndarray, pose: Pose) -> np.ndarray:
+    """Return the signed distances of points, shape (n, 3), m, from the plane through the tool's axis and the x axis.
+
+    Returns:
+        Distances along y, m, shape (n,); exactly 0 for points on the plane up to rounding.
+    """
+    heights = points[:, 1] - pose.position[1]
+    heights[np.abs(heights) < _VIEW.on_plane * np.ptp(points)] = 0.0
     return heights
 
 
 def tool_pose(fields: SolidFields, sample: int, pose: Pose, tool: Tool) -> Pose:
-    """Where the tool is: at this pose, but above tissue that it would be in, where the load train gives way."""
+    """Return the pose at which the tool is drawn: the commanded pose, or a pose on the tissue surface above it.
+
+    A compliant load train keeps the tool above its commanded pose; there the tool would be drawn inside the tissue.
+
+    Args:
+        fields: fields of the simulation.
+        sample: index of the sample.
+        pose: commanded pose of the tool.
+        tool: tool of the experiment.
+    """
     if tool.is_plate:
-        return Pose((0.0, 0.0, float(deformed(fields, sample)[fields.mesh.sets["top"], 2].max())))
-    place = deformed(fields, sample)[fields.mesh.sets["top"]]
+        return Pose((0.0, 0.0, float(deformed_nodes(fields, sample)[fields.mesh.sets["top"], 2].max())))
+    surface = deformed_nodes(fields, sample)[fields.mesh.sets["top"]]
     rotation = np.array(pose.rotation)
-    local = (place - np.array(pose.position)) @ rotation
-    inside = float(tool.profile.gap(np.column_stack([np.hypot(local[:, 0], local[:, 1]), local[:, 2]])).min())
-    if inside > -1e-3 * tool.require_radius():
+    local = (surface - np.array(pose.position)) @ rotation
+    gap = float(tool.profile.gap(np.column_stack([np.hypot(local[:, 0], local[:, 1]), local[:, 2]])).min())
+    if gap > -1e-3 * tool.require_radius():
         return pose
-    x, y, z = np.array(pose.position) - inside * rotation[:, 2]
+    x, y, z = np.array(pose.position) - gap * rotation[:, 2]
     return Pose((float(x), float(y), float(z)), pose.orientation)
 
 
-def tool_outline(tool: Tool, place: np.ndarray, pose: Pose) -> np.ndarray:
-    """(r, z) of what is drawn of a needle, from its deepest point to the axis above the tissue, m, shape (n, 2)."""
-    top = place[:, 2].max() - pose.position[2] + 0.35 * np.ptp(place[:, 2])
+def tool_outline(tool: Tool, nodes: np.ndarray, pose: Pose) -> np.ndarray:
+    """Return the profile of a needle from its tip to the axis above the tissue.
+
+    Args:
+        tool: tool of the experiment.
+        nodes: deformed nodes of the tissue, m, shape (nodes, 3); the profile ends above them.
+        pose: pose of the tool.
+
+    Returns:
+        Points (r, z) relative to the tip, m, shape (n, 2).
+    """
+    top = nodes[:, 2].max() - pose.position[2] + 0.35 * np.ptp(nodes[:, 2])
     outline = tool.profile.outline(top / max(pose.rotation[2][2], 0.2))
     return np.concatenate([outline, [[0.0, outline[-1, 1]]]])
 
 
-def revolved(outline: np.ndarray, segments: int = 40) -> tuple[np.ndarray, np.ndarray]:
-    """A line (r, z) from the axis below to the axis above, shape (n, 2), turned around it: vertices, and triangles
-    whose normals point away from the body."""
+def revolve_profile(outline: np.ndarray, segments: int = 40) -> tuple[np.ndarray, np.ndarray]:
+    """Return the surface of revolution of a profile.
+
+    Args:
+        outline: points (r, z) of the profile from the axis at the bottom to the axis at the top, shape (n, 2).
+        segments: number of vertices around the axis.
+
+    Returns:
+        Vertices, shape (n segments, 3), and triangles with outward normals, shape (2 (n - 1) segments, 3).
+    """
     angles = np.linspace(0.0, 2.0 * np.pi, segments, endpoint=False)
     ring = np.column_stack([np.cos(angles), np.sin(angles)])
     vertices = np.concatenate([np.column_stack([r * ring, np.full(segments, z)]) for r, z in outline])
-    here = np.arange(segments)
-    beside = (here + 1) % segments
+    column = np.arange(segments)
+    following = (column + 1) % segments
     faces = []
     for k in range(len(outline) - 1):
         low, high = segments * k, segments * (k + 1)
-        faces += [np.column_stack([low + here, low + beside, high + beside]),
-                  np.column_stack([low + here, high + beside, high + here])]
+        faces += [np.column_stack([low + column, low + following, high + following]),
+                  np.column_stack([low + column, high + following, high + column])]
     return vertices, np.concatenate(faces)
 
 
-def finish(axes, across: str) -> None:
-    """Equal scales, and what they are."""
+def label_axes(axes, across: str) -> None:
+    """Set equal scales and the axis labels: `across` on the horizontal axis, z on the vertical axis."""
     axes.set_aspect("equal")
     axes.set_xlabel(across)
     axes.set_ylabel("z [mm]")
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _in_plane(points: np.ndarray) -> list[np.ndarray]:
-    """Ends of lines, shape (2 k, 3), m, as k lines (2, 2), mm."""
+def _project_lines(points: np.ndarray) -> list[np.ndarray]:
+    """Project end points (x, y, z) of k lines, m, shape (2 k, 3), to k arrays of (x, z), mm, shape (2, 2)."""
     return list(1e3 * points[:, [0, 2]].reshape(-1, 2, 2))
 
 
-def _toward() -> np.ndarray:
-    azimuth, elevation = np.radians([_AZIMUTH, _ELEVATION])
+def _view_direction() -> np.ndarray:
+    """Return the unit vector from the scene towards the camera."""
+    azimuth, elevation = np.radians([_VIEW.azimuth_deg, _VIEW.elevation_deg])
     return np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
 
 
-def _seen(points: np.ndarray) -> np.ndarray:
-    """To the right, up, and towards the viewer, shape (..., 3)."""
-    toward = _toward()
-    right = np.array([-np.sin(np.radians(_AZIMUTH)), np.cos(np.radians(_AZIMUTH)), 0.0])
-    return points @ np.stack([right, np.cross(toward, right), toward]).T
+def _camera_coordinates(points: np.ndarray) -> np.ndarray:
+    """Transform points, shape (..., 3), to the axes of the picture: right, up and towards the camera."""
+    direction, azimuth = _view_direction(), np.radians(_VIEW.azimuth_deg)
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    return points @ np.stack([right, np.cross(direction, right), direction]).T
 
 
-def _paint(axes, bodies: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
-    """Bodies of vertices, triangles and a colour at each vertex, those that are further away first."""
+def _draw_bodies(axes, bodies: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
+    """Draw shaded bodies with the painter's algorithm: the triangle farthest from the camera first.
+
+    Args:
+        axes: matplotlib axes.
+        bodies: vertices, m, shape (n, 3), triangles, shape (t, 3), and colours of the vertices, shape (n, 3), of each
+            body.
+    """
     from matplotlib.collections import TriMesh
     from matplotlib.tri import Triangulation
 
-    places, triangles, colours, before = [], [], [], 0
+    light = np.array(_VIEW.light) / np.linalg.norm(_VIEW.light)
+    positions, triangles, colours, offset = [], [], [], 0
     for vertices, faces, colour in bodies:
-        normals = _sums(vertices, faces, len(vertices))
+        normals = _vertex_normals(vertices, faces, len(vertices))
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-        light = _SHADE + (1.0 - _SHADE) * np.clip(normals @ _LIGHT, 0.0, 1.0)
+        shadow = _VIEW.shadow_brightness
+        brightness = shadow + (1.0 - shadow) * np.clip(normals @ light, 0.0, 1.0)
         a, b, c = np.moveaxis(vertices[faces], 1, 0)
-        faces = faces[np.cross(b - a, c - a) @ _toward() > 0.0]
-        places.append(vertices)
-        triangles.append(faces + before)
-        colours.append(colour * light[:, None])
-        before += len(vertices)
-    points, all_triangles = _seen(np.concatenate(places)), np.concatenate(triangles)
+        faces = faces[np.cross(b - a, c - a) @ _view_direction() > 0.0]
+        positions.append(vertices)
+        triangles.append(faces + offset)
+        colours.append(colour * brightness[:, None])
+        offset += len(vertices)
+    points, all_triangles = _camera_coordinates(np.concatenate(positions)), np.concatenate(triangles)
     order = np.argsort(points[all_triangles, 2].mean(axis=1))
     x, y = 1e3 * points[:, 0], 1e3 * points[:, 1]
     mesh = TriMesh(Triangulation(x, y, all_triangles[order]))
     mesh.set_facecolor([(red, green, blue, 1.0) for red, green, blue in np.concatenate(colours).tolist()])
-    mesh.set_in_layout(False)  # it stays inside the frame; its size is asked of each triangle
+    mesh.set_in_layout(False)  # faster: the layout would measure each triangle
     axes.add_collection(mesh)
     axes.update_datalim(np.column_stack([x, y]))
 
 
-def _hidden(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Which points stand behind a triangle, seen from the viewer, shape (n,)."""
-    seen, corners = _seen(points), _seen(vertices)[faces]
+def _is_hidden(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Tell for each point, shape (n, 3), whether a triangle lies between the point and the camera; bool, shape (n,)."""
+    seen, corners = _camera_coordinates(points), _camera_coordinates(vertices)[faces]
     hidden = np.zeros(len(points), dtype=bool)
     for a, b, c in corners:
-        twice = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        if twice <= 0.0:
+        doubled_area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        if doubled_area <= 0.0:
             continue
-        u = ((seen[:, 0] - a[0]) * (c[1] - a[1]) - (seen[:, 1] - a[1]) * (c[0] - a[0])) / twice
-        v = ((b[0] - a[0]) * (seen[:, 1] - a[1]) - (b[1] - a[1]) * (seen[:, 0] - a[0])) / twice
+        # Barycentric coordinates of the points in the projected triangle.
+        u = ((seen[:, 0] - a[0]) * (c[1] - a[1]) - (seen[:, 1] - a[1]) * (c[0] - a[0])) / doubled_area
+        v = ((b[0] - a[0]) * (seen[:, 1] - a[1]) - (b[1] - a[1]) * (seen[:, 0] - a[0])) / doubled_area
         inside = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)
         hidden |= inside & (a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2]) > seen[:, 2])
     return hidden
 
 
-def _sums(vertices: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
-    """Of the normals of the triangles at each vertex, shape (count, 3)."""
+def _vertex_normals(vertices: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
+    """Return the sum of the triangle normals, weighted by area, at each of `count` vertices, shape (count, 3)."""
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     normals = np.repeat(np.cross(b - a, c - a), 3, axis=0)
     return np.column_stack([np.bincount(faces.ravel(), normals[:, axis], count) for axis in range(3)])
 
 
-def _with_edges(place: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles that share vertices only where they meet smoothly: the old number of each vertex, shape (m,), and the
-    triangles between them."""
+def _split_at_edges(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Duplicate the vertices along sharp edges, so that smooth shading stops there.
+
+    Connected components of triangles that meet at less than `SurfaceViewSettings.edge_angle_deg` share vertices.
+
+    Args:
+        vertices: coordinates, shape (n, 3).
+        triangles: vertex numbers, shape (t, 3).
+
+    Returns:
+        Old number of each new vertex, shape (m,), and the triangles in new numbers, shape (t, 3).
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    a, b, c = np.moveaxis(place[triangles], 1, 0)
+    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
     normals = np.cross(b - a, c - a)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     ends = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
@@ -248,8 +320,8 @@ def _with_edges(place: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, n
     ends, owner = ends[order], owner[order]
     first = np.flatnonzero((ends[1:] == ends[:-1]).all(axis=1))
     one, other = owner[first], owner[first + 1]
-    smooth = np.einsum("ti,ti->t", normals[one], normals[other]) > _EDGE
+    smooth = np.einsum("ti,ti->t", normals[one], normals[other]) > np.cos(np.radians(_VIEW.edge_angle_deg))
     links = coo_array((np.ones(smooth.sum()), (one[smooth], other[smooth])), shape=(len(triangles),) * 2)
     _, group = connected_components(links, directed=False)
-    keys, numbers = np.unique(group[:, None].astype(np.int64) * len(place) + triangles, return_inverse=True)
-    return keys % len(place), numbers.reshape(-1, 3)
+    keys, numbers = np.unique(group[:, None].astype(np.int64) * len(vertices) + triangles, return_inverse=True)
+    return keys % len(vertices), numbers.reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as a wish to end, for programs that have something to finish."""
+"""Handlers of Ctrl-C and SIGTERM for programs that must finish their work in order."""
 
 from __future__ import annotations
 
@@ -9,26 +9,28 @@ from typing import Any
 
 
 @contextmanager
-def stopped_by_signals(stop: Callable[[], None], *, patient: bool = False) -> Iterator[None]:
-    """Ctrl-C and SIGTERM call `stop`; a second one does what it always does.
+def stopped_by_signals(stop: Callable[[], None], *, ignore_repeats: bool = False) -> Iterator[None]:
+    """Call `stop` at Ctrl-C (SIGINT) and SIGTERM inside the block, and restore the previous handlers after it.
+
+    By default the second signal has its usual effect, so that a program that hangs can still be ended.
 
     Args:
         stop: called in the main thread.
-        patient: whatever ends first must be ended in order, such as a motor: the end of the session counts, too, and
-            further signals are no other wish.
+        ignore_repeats: call `stop` at every further signal too, and at SIGHUP (end of the session) where the platform
+            has it. For programs that must bring a machine, such as a motor, to rest before they end.
     """
-    before: dict[int, Any] = {}
+    previous: dict[int, Any] = {}
 
-    def stop_once(number: int, _: Any) -> None:
+    def handle(number: int, _: Any) -> None:
         stop()
-        if not patient:
-            signal.signal(number, before[number])
+        if not ignore_repeats:
+            signal.signal(number, previous[number])
 
-    hang_up = [signal.SIGHUP] if patient and hasattr(signal, "SIGHUP") else []
+    hang_up = [signal.SIGHUP] if ignore_repeats and hasattr(signal, "SIGHUP") else []
     for number in (signal.SIGINT, signal.SIGTERM, *hang_up):
-        before[number] = signal.signal(number, stop_once)
+        previous[number] = signal.signal(number, handle)
     try:
         yield
     finally:
-        for each, handler in before.items():
+        for each, handler in previous.items():
             signal.signal(each, handler)

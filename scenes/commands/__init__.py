@@ -1,5 +1,11 @@
-"""The commands of `tissue-sim`: a module each, or a package where a command has tables and reports of its own.
+"""Commands of `tissue-sim`: one module for each command, or a package for a command with tables or reports.
 
-A command states `SUMMARY`, `EXAMPLE`, `add_arguments(parser)` and `run(arguments) -> exit code`. It imports numpy and
-everything above it inside `run`, so that help is instant. `scenes.cli` lists them.
+The module of a command defines
+
+- ``SUMMARY`` and ``EXAMPLE``, texts of the help;
+- ``add_arguments(parser)``, which declares the arguments;
+- ``run(arguments)``, which runs the command and returns its exit code.
+
+numpy and the packages that need it are imported inside `run`, so that ``--help`` answers at once. `scenes.cli.COMMANDS`
+lists the commands.
 """

@@ -1,23 +1,27 @@
-"""`tissue-sim doctor`: does this computer have what the program needs?"""
+"""`tissue-sim doctor`: check whether this computer meets the requirements of the program."""
 
 from __future__ import annotations
 
 from scenes.commands.shared.console import print_json, results_console
+from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.parsing import Parser, add_json, positive
 
-SUMMARY = "check Python, Taichi, the packages, real time, caches and ports"
+SUMMARY = "check this computer: Python, Taichi, packages, real-time behaviour, caches and ports"
 EXAMPLE = "tissue-sim doctor"
+#: Status of a check -> colour on a terminal.
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 
 
 def add_arguments(parser: Parser) -> None:
+    """Declare the arguments of `tissue-sim doctor`."""
     parser.add_argument("--clock-seconds", type=positive, metavar="N", default=2.0,
-                        help="how long to watch the clock (default: 2)")
+                        help="duration of the clock measurement (default: 2)")
     add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments) -> int:
+    """Print each check with its remedy; `ExitCode.GOAL_MISSED` if a check failed."""
     from scenes.doctor import examine
 
     checks = []
@@ -32,5 +36,5 @@ def run(arguments) -> int:
     if arguments.json:
         print_json({"ok": not failed, "checks": [check.as_json() for check in checks]})
     elif failed:
-        console.print(f"\nto mend: {', '.join(failed)}", markup=False)
-    return 1 if failed else 0
+        console.print(f"\nfailed checks: {', '.join(failed)}", markup=False)
+    return ExitCode.GOAL_MISSED if failed else ExitCode.DONE

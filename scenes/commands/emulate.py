@@ -1,4 +1,4 @@
-"""`tissue-sim emulate NAME...`: devices that are not there, on real sockets and terminals."""
+"""`tissue-sim emulate NAME...`: emulate devices on network sockets and pseudo-terminals."""
 
 from __future__ import annotations
 
@@ -6,29 +6,37 @@ import threading
 from typing import Any
 
 from scenes.commands.shared.console import print_json, results_console
+from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.parsing import Parser, add_json, positive
 from scenes.stop_signals import stopped_by_signals
 
-SUMMARY = "play devices that are not there: sensor, stage and hand by their real protocols, with faults on request"
+SUMMARY = "emulate force sensors, stages and a haptic device with their own protocols, and faults on request"
 EXAMPLE = "tissue-sim emulate rdt tic --faults loss=0.02 --seconds 60"
+#: Emulators for the help, which imports no emulator.
 _NAMES = "rdt, ati-serial, tic, grbl, haply"
 
 
 def add_arguments(parser: Parser) -> None:
+    """Declare the arguments of `tissue-sim emulate`."""
     parser.add_argument("names", nargs="+", metavar="NAME[:SETTINGS]",
-                        help=f"of {_NAMES}, or what a package adds; several share one virtual rig, so that what "
-                             "the stage presses is what the sensor feels")
+                        help=f"emulated device: {_NAMES}, or an emulator of an installed package; all devices share "
+                             "one virtual rig, so that the sensor measures the specimen that the stage presses")
     parser.add_argument("--faults", default="", metavar="NAME=NUMBER,...",
-                        help="loss, duplicate, reorder, garble (shares), delay_ms, disconnect_after_s, "
-                             "saturate_after_s, stall_after_s, drift_N_per_s, seed")
+                        help="faults of the devices: loss, duplicate, reorder, garble (fraction of the packets), "
+                             "delay_ms, disconnect_after_s, saturate_after_s, stall_after_s, drift_N_per_s, seed")
     parser.add_argument("--rate-hz", type=positive, metavar="N", default=1000.0,
-                        help="of the sensor (default: %(default)g)")
-    parser.add_argument("--seconds", type=positive, metavar="N", help="how long (default: until Ctrl-C)")
+                        help="sampling rate of the sensor (default: %(default)g)")
+    parser.add_argument("--seconds", type=positive, metavar="N", help="duration (default: until Ctrl-C)")
     add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments) -> int:
+    """Emulate the devices until Ctrl-C or the end of the duration.
+
+    Raises:
+        InputError: an unknown emulator or fault, or an address that cannot be used.
+    """
     from contextlib import ExitStack
 
     from haptics.devices.contracts import DeviceError
@@ -36,10 +44,10 @@ def run(arguments) -> int:
     from haptics.emulators.emulator import open_emulator
 
     faults = read_faults(arguments.faults)
-    bench = _study_rig(arguments.rate_hz, faults).bench
+    bench = _reference_rig(arguments.rate_hz, faults).bench
     emulators = [open_emulator(name, bench, faults) for name in arguments.names]
-    ending = threading.Event()
-    with ExitStack() as stack, stopped_by_signals(ending.set):
+    stop = threading.Event()
+    with ExitStack() as stack, stopped_by_signals(stop.set):
         try:
             for emulator in emulators:
                 stack.enter_context(emulator)
@@ -53,19 +61,25 @@ def run(arguments) -> int:
         else:
             console = results_console()
             for name, address in addresses.items():
-                console.print(f"{name}: open it as {address}", highlight=False)
-            console.print("behind sensor and stage: the study's needle, 2 mm above its phantom where the stage is at "
-                          "its zero", soft_wrap=True)
-            console.print("Ctrl-C ends it" + (f", or {arguments.seconds:g} s" if arguments.seconds else ""))
+                console.print(f"{name}: its address is {address}", highlight=False)
+            console.print("virtual rig: the needle of the reference study, 2 mm above its silicone specimen when the "
+                          "stage is at zero", soft_wrap=True)
+            after = f" (automatic end after {arguments.seconds:g} s)" if arguments.seconds else ""
+            console.print(f"Ctrl-C ends the emulation{after}")
         import sys
 
         sys.stdout.flush()
-        ending.wait(arguments.seconds)
-    return 0
+        stop.wait(arguments.seconds)
+    return ExitCode.DONE
 
 
-def _study_rig(rate: float, faults: Any) -> Any:
-    """The study's needle in its phantom."""
+def _reference_rig(rate: float, faults: Any) -> Any:
+    """Return a virtual rig with the needle and the silicone specimen of the reference study.
+
+    Args:
+        rate: sampling rate of the sensor, Hz.
+        faults: faults of the devices (`haptics.devices.virtual.faults.Faults`).
+    """
     import tissue_sim as ts
     from haptics.devices.virtual.rig import ElasticSpecimen, VirtualRig
     from scenes.commands.shared.tissue_flags import read_material

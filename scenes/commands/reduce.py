@@ -1,4 +1,4 @@
-"""`tissue-sim reduce`: a solid in space that is stepped a thousand times a second, for a tool that stays in a box."""
+"""`tissue-sim reduce`: reduced-order model of a three-dimensional test for simulation at 1 kHz."""
 
 from __future__ import annotations
 
@@ -8,65 +8,76 @@ from pathlib import Path
 
 from scenes.catalogue import SCENES
 from scenes.commands.shared.console import print_json, progress_console
+from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.experiment_flags import add_experiment_flags, check_scene, make_experiment
-from scenes.commands.shared.log_lines import status_of
+from scenes.commands.shared.log_lines import show_status
 from scenes.commands.shared.parsing import Parser, add_json, at_least, between, not_negative, positive
 from scenes.commands.shared.tissue_flags import read_material
 from tissue_sim.errors import InputError
 
-SUMMARY = "reduce a solid in space to what a tool in a box of poses needs, for 1000 steps a second"
+SUMMARY = "make a reduced model of a three-dimensional test for 1000 steps per second, for tool poses inside a box"
 EXAMPLE = ("tissue-sim reduce needle_indentation --material m.material.json --tool flat --tool-radius-mm 8 "
            "--depth-mm 4 --sideways-mm 3 --turn-deg 5 -o needle.reduced.npz")
-#: Error of the force, of its rms, from which on it is said what to do.
-_POOR = 0.03
+#: Relative rms error of the force above which the command recommends a better reduction.
+_ACCEPTABLE_ERROR = 0.03
 
 
 def add_arguments(parser: Parser) -> None:
+    """Declare the arguments of `tissue-sim reduce`."""
     parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
-                        help=f"{' or '.join(SCENES)} (default: %(default)s)")
+                        help=f"test to reduce: {', '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, metavar="FILE",
-                        help="NAME.material.json (default: the study's silicone, reduced_polynomial_2)")
+                        help="material file NAME.material.json (default: silicone of the reference study, law "
+                             "reduced_polynomial_2)")
     parser.add_argument("--also", type=Path, metavar="FILE", action="append", default=[],
-                        help="another material that it shall be good for, too: strokes are followed with each in turn "
-                             "(may be given several times)")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="NAME.reduced.npz")
-    parser.add_argument("--overwrite", action="store_true", help="replace an output that is there")
-    box = parser.add_argument_group("box of poses")
+                        help="further material for which the reduced model must be accurate; each material is used in "
+                             "turn for the training paths (may be given several times)")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE",
+                        help="file of the reduced model, NAME.reduced.npz")
+    parser.add_argument("--overwrite", action="store_true", help="replace existing output")
+    box = parser.add_argument_group("box of tool poses")
     box.add_argument("--depth-mm", type=positive, metavar="N", default=4.0,
-                     help="how far the tool may go in (default: %(default)g)")
+                     help="largest depth of the tool (default: %(default)g)")
     box.add_argument("--sideways-mm", type=not_negative, metavar="N", default=0.0,
-                     help="how far the tool may go aside, along x and y either way (default: 0)")
+                     help="largest lateral displacement, along x and y in both directions (default: 0)")
     box.add_argument("--turn-deg", type=between(0.0, 45.0), metavar="N", default=0.0,
-                     help="how far it may turn, about any axis (default: 0)")
-    effort = parser.add_argument_group("effort")
+                     help="largest rotation of the tool, about any axis (default: 0)")
+    effort = parser.add_argument_group("accuracy and effort")
     effort.add_argument("--resolution", choices=("realtime", "fast", "accurate"), default="realtime",
-                        help="of the whole solid (default: %(default)s)")
+                        help="mesh of the full model (default: %(default)s)")
     effort.add_argument("--strokes", type=at_least(2, 4000), metavar="N",
-                        help="motions on which the whole solid is followed (default: 24, of a tool that only touches "
-                             "60; 6 and 30 of a cylinder under an upright tool on its axis, whose mirror images count; "
-                             "as many again for each --also)")
+                        help="number of training paths, motions of the tool that the full model simulates (default: 24 "
+                             "for a bonded tool, 60 for other contact; for a cylinder under an upright tool on its "
+                             "axis 6 and 30, because mirror images are used too; the same number again for each "
+                             "--also)")
     effort.add_argument("--modes", type=at_least(2, 400), metavar="N",
-                        help="motions of the tissue that are kept (default: 24, of a tool that only touches 64)")
+                        help="number of displacement modes (default: 24 for a bonded tool, 64 for other contact)")
     effort.add_argument("--bulk-ratio", type=between(1.0, 1000.0), metavar="N",
-                        help="bulk modulus at most, over the shear modulus: the more modes and strokes, the stiffer it "
-                             "may be (default: 300, of a tool that slides 50)")
+                        help="upper limit of bulk modulus over shear modulus; a larger value needs more modes and "
+                             "training paths (default: 300; 50 for a tool that slides on the tissue)")
     effort.add_argument("--sampling", type=positive, metavar="N", default=6e-3,
-                        help="error of the forces of the sampled elements (default: %(default)g)")
+                        help="relative error of the internal forces of the sampled elements (hyper-reduction; default: "
+                             "%(default)g)")
     effort.add_argument("--tried", type=at_least(1, 1000), metavar="N", default=3,
-                        help="unseen strokes on which the result is tried, at least one with each material (default: "
-                             "%(default)s)")
+                        help="number of test paths, not used in training, for the error of the reduced model; at least "
+                             "one path for each material (default: %(default)s)")
     add_experiment_flags(parser, motion=False)
     add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments) -> int:
+    """Reduce the model, write its file and print its error; an interrupted reduction resumes.
+
+    Raises:
+        InputError: an output file that cannot be written, or values that the reduction does not accept.
+    """
     check_scene(arguments.scene)
     output: Path = arguments.output
     if output.exists() and not arguments.overwrite:
-        raise InputError("exists; add --overwrite, or choose another name", file=output)
+        raise InputError("exists already. Choose another name, or replace it with --overwrite", file=output)
     if not output.name.endswith(".npz"):
-        raise InputError("a reduced solid is a file NAME.reduced.npz; give it that ending", file=output)
+        raise InputError("the file name must end in .npz. Use NAME.reduced.npz", file=output)
 
     import tissue_sim as ts
     from tissue_sim.fem.reduced.file import POINTS
@@ -77,31 +88,31 @@ def run(arguments) -> int:
     experiment = make_experiment(arguments, ts.Protocol.ramp(depth, points=POINTS), material)
     box = ts.PoseBox(arguments.sideways_mm * 1e-3, depth, math.radians(arguments.turn_deg))
     folder = output.with_name(f"{output.name}.strokes")
-    arguments.resume_hint = "the same command goes on with the strokes that are done"
+    arguments.resume_hint = "finished training paths are kept. Run the same command to resume"
     console = progress_console(quiet=arguments.json)
-    with status_of(console, "making the mesh", quiet=arguments.json) as status:
-        def tell(stage: str, done: int, of: int, *, note: str = "") -> None:
+    with show_status(console, "generating the mesh", quiet=arguments.json) as status:
+        def show_stage(stage: str, done: int, of: int, *, note: str = "") -> None:
             status.update(f"{stage}: {done} of {of}{f', {note}' if note else ''}")
 
         reduced = ts.reduce_solid(
             ts.Model(experiment, material), box, resolution=arguments.resolution, strokes=arguments.strokes,
             modes=arguments.modes, sampling=arguments.sampling, bulk_ratio=arguments.bulk_ratio,
-            also=also, tried=arguments.tried, folder=folder, progress=tell)
+            also=also, tried=arguments.tried, folder=folder, progress=show_stage)
     ts.write_reduced(reduced, output)
     forget_strokes(folder)
     report = reduced.report
     if arguments.json:
         print_json({**report, "file": str(output)})
-        return 0
-    print(f"{report['freedoms']} freedoms in {report['modes']} modes, {report['elements_of_all']} elements in "
-          f"{report['elements']}, from {report['snapshots']} states of {report['strokes']} strokes")
-    several = f", of {report['materials']} materials," if also else ""
-    print(f"on {report['tried']} other strokes{several} the force is {100 * report['force_rms_error']:.2g} % off "
-          f"(rms; at most {100 * report['force_largest_error']:.2g} %, of {report['force_rms_N']:.3g} N)")
-    if report["force_rms_error"] > _POOR:
-        print(f"that is much: more strokes (--strokes {2 * report['strokes']}), more modes (--modes "
-              f"{2 * report['modes']}) or a smaller box make it better")
+        return ExitCode.DONE
+    print(f"{report['freedoms']} degrees of freedom reduced to {report['modes']} modes, {report['elements_of_all']} "
+          f"elements to {report['elements']}, from {report['snapshots']} states on {report['strokes']} training paths")
+    several = f" with {report['materials']} materials" if also else ""
+    print(f"force error on {report['tried']} test paths{several}: {100 * report['force_rms_error']:.2g} % rms, "
+          f"{100 * report['force_largest_error']:.2g} % at most, of the rms force {report['force_rms_N']:.3g} N")
+    if report["force_rms_error"] > _ACCEPTABLE_ERROR:
+        print(f"the error is larger than {100 * _ACCEPTABLE_ERROR:g} %. Use more training paths (--strokes "
+              f"{2 * report['strokes']}), more modes (--modes {2 * report['modes']}) or a smaller box")
     for warning in report.get("warnings", ()):
         print(f"tissue-sim: warning: {warning}", file=sys.stderr)
-    print(f"written to {output}")
-    return 0
+    print(f"wrote {output}")
+    return ExitCode.DONE

@@ -1,4 +1,4 @@
-"""`tissue-sim serve`: a tissue for programs that are not ours, over UDP."""
+"""`tissue-sim serve`: simulate tissue for other programs; poses and forces over UDP, configuration over TCP."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import gc
 import json
 import os
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,65 +22,93 @@ if TYPE_CHECKING:
     from haptics.server.server import TissueServer
     from tissue_sim import Experiment
 
-SUMMARY = "serve forces to a program of your own: poses in, forces out over UDP, configuration as JSON over TCP"
+SUMMARY = "run a force server for other programs: poses in and forces out over UDP, configuration as JSON over TCP"
 EXAMPLE = "tissue-sim serve --scene needle_indentation --material m.material.json --port 47700"
-PORT = 47700
-_LAST_PORT, _LARGEST_SESSION = 65535, 2**64 - 1
-#: Of a step at 1 kHz, us; and from one packet of a 1 kHz client to the next, with a margin.
-BUDGET_US, SPIN_US = 800.0, 2000.0
-#: As `haptics.server` has them.
-SILENCE_S, LARGEST_FORCE_N = 5.0, 100.0
-#: A tool that is deeper than this share of the specimen's height is none of the scene.
-DEEPEST = 0.9
+#: Largest number of a UDP or TCP port.
+_MAX_PORT = 65535
+#: Largest session number: it has 64 bits in the wire protocol.
+_MAX_SESSION = 2**64 - 1
+
+
+@dataclass(frozen=True)
+class ServerSettings:
+    """Default values of the flags, and fixed limits of the server.
+
+    Attributes:
+        port: port of the poses.
+        budget_us: wall time of a simulation step for a client at 1 kHz, us.
+        spin_us: busy-wait after a packet, us; longer than the period of a client at 1 kHz.
+        silence_s: time without packets after which another client may take over, s, as in `haptics.server`.
+        max_force: largest force of a reply, N, as in `haptics.server`.
+        max_depth: largest depth of the tool, as a fraction of the height of the specimen; deeper poses are refused.
+    """
+
+    port: int = 47700
+    budget_us: float = 800.0
+    spin_us: float = 2000.0
+    silence_s: float = 5.0
+    max_force: float = 100.0
+    max_depth: float = 0.9
+
+
+SETTINGS = ServerSettings()
 
 
 def add_arguments(parser: Parser) -> None:
+    """Declare the arguments of `tissue-sim serve`."""
     parser.add_argument("--scene", metavar="SCENE", default="needle_indentation",
-                        help=f"{' or '.join(SCENES)} (default: %(default)s)")
+                        help=f"test to simulate: {', '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, metavar="FILE",
-                        help="NAME.material.json; only a reduced solid brings its own")
+                        help="material file NAME.material.json; required without --reduced")
     add_solver_flags(parser)
     add_reduced_flag(parser)
     network = parser.add_argument_group("network")
-    network.add_argument("--port", type=at_least(0, _LAST_PORT), metavar="N", default=PORT,
-                         help=f"UDP port of the poses; 0 chooses a free one (default: {PORT})")
-    network.add_argument("--configuration-port", type=at_least(0, _LAST_PORT), metavar="N",
-                         help="TCP port of the configuration; 0 chooses a free one (default: as --port)")
+    network.add_argument("--port", type=at_least(0, _MAX_PORT), metavar="N", default=SETTINGS.port,
+                         help=f"UDP port of the poses; 0 selects a free port (default: {SETTINGS.port})")
+    network.add_argument("--configuration-port", type=at_least(0, _MAX_PORT), metavar="N",
+                         help="TCP port of the configuration; 0 selects a free port (default: value of --port)")
     network.add_argument("--host", metavar="ADDRESS", default="127.0.0.1",
-                         help="address of the network interface (default: 127.0.0.1, this machine only)")
+                         help="address of the network interface (default: 127.0.0.1, this computer only)")
     network.add_argument("--expose", action="store_true",
-                         help="allow a --host that other machines can reach: they need no password")
-    network.add_argument("--session", type=at_least(1, _LARGEST_SESSION), metavar="N",
-                         help="the one client that may have the tissue shows this number in its packets (default: "
-                              "whoever comes first)")
-    network.add_argument("--silence-s", type=positive, metavar="T", default=SILENCE_S,
-                         help="a client that is silent for so long loses the tissue to another (default: %(default)g)")
+                         help="allow a --host that other computers can reach; they need no password")
+    network.add_argument("--session", type=at_least(1, _MAX_SESSION), metavar="N",
+                         help="serve only clients whose packets carry this session number (default: the first client)")
+    network.add_argument("--silence-s", type=positive, metavar="T", default=SETTINGS.silence_s,
+                         help="time without packets after which another client may take over (default: %(default)g)")
     safety = parser.add_argument_group("safety")
-    safety.add_argument("--largest-force-N", type=positive, metavar="F", default=LARGEST_FORCE_N,
-                        help=f"no reply has more; at most {LARGEST_FORCE_N:g} (default: %(default)g)")
+    safety.add_argument("--largest-force-N", type=positive, metavar="F", default=SETTINGS.max_force,
+                        help=f"largest force of a reply, at most {SETTINGS.max_force:g} (default: %(default)g)")
     timing = parser.add_argument_group("timing")
     timing.add_argument("--budget-us", type=not_negative, metavar="N",
-                        help="wall time of a step after which the last equilibrium's force is carried on; 0: however "
-                             f"long it takes (default: {BUDGET_US:g}, with --resolution accurate 0)")
+                        help="time limit of a simulation step; a step that reaches it returns the force of the last "
+                             "equilibrium, extrapolated with its stiffness; 0: no limit (default: "
+                             f"{SETTINGS.budget_us:g}; with --resolution accurate 0)")
     timing.add_argument("--inertia", choices=("auto", "on", "off"), default="auto",
-                        help="the mass of the tissue counts; auto: where the tool is fast (default: auto)")
+                        help="inertia of the tissue; auto: on where the tool is fast (default: auto)")
     timing.add_argument("--spin-us", type=not_negative, metavar="N",
-                        help="watch the port so long after a packet before sleeping; takes a processor while a client "
-                             f"is there (default: {SPIN_US:g}; 0 on a single processor and with --real-time)")
+                        help="busy-wait this long for the next packet before sleeping; occupies one processor while a "
+                             f"client is active (default: {SETTINGS.spin_us:g}; 0 on a single processor and with "
+                             "--real-time)")
     timing.add_argument("--real-time", action="store_true",
-                        help="ask the system for SCHED_FIFO and locked memory: for machines that are busy otherwise")
+                        help="request real-time scheduling (SCHED_FIFO) and locked memory; useful where other programs "
+                             "load the computer")
     add_experiment_flags(parser)
     add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments) -> int:
+    """Serve the tissue until Ctrl-C or SIGTERM, then print the counters.
+
+    Raises:
+        InputError: missing material, unknown scene or solver, or values that scene or server do not accept.
+    """
     check_scene(arguments.scene)
     check_solver(arguments.solver)
     reduced = read_reduced(arguments)
     if arguments.material is None and reduced is None:
-        raise InputError("the tissue needs a material; give NAME.material.json", field="--material")
-    # Before numpy comes: a thread that waits for helpers keeps no time.
+        raise InputError("is required without --reduced. Give a material file NAME.material.json", field="--material")
+    # This must precede the import of numpy: waiting for helper threads of BLAS would make steps late.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
     import tissue_sim as ts
@@ -90,9 +119,9 @@ def run(arguments) -> int:
     from haptics.server.steps import ServedTissue
     from tissue_sim.parameters import parameter_values
 
-    if arguments.largest_force_N > LARGEST_FORCE_N:
-        raise InputError(f"{arguments.largest_force_N:g} N is more than a scene gives; {LARGEST_FORCE_N:g} N is the "
-                         "most", field="--largest-force-N")
+    if arguments.largest_force_N > SETTINGS.max_force:
+        raise InputError(f"must be at most {SETTINGS.max_force:g} N; got {arguments.largest_force_N:g} N",
+                         field="--largest-force-N")
 
     if reduced is not None and arguments.material is None:
         material_file = ts.MaterialFile.of(reduced.model.material)
@@ -104,58 +133,70 @@ def run(arguments) -> int:
     progress = progress_console(quiet=arguments.json)
 
     build = real_time_tissue(ts.Model(experiment, material), resolution=arguments.resolution,
-                             budget=budget(arguments), inertia=arguments.inertia, solver=arguments.solver, mesh=reduced)
+                             budget=step_budget(arguments), inertia=arguments.inertia, solver=arguments.solver,
+                             mesh=reduced)
 
     def rebuild() -> ServedTissue:
-        another = build()
-        another.warm_up()
-        return another
-
-    with progress.status("making the mesh"):
         simulator = build()
-    limits = SceneLimits(deepest=DEEPEST * experiment.specimen.height, force=arguments.largest_force_N)
-    # The ports come before the compilation: one that is taken should be known at once.
+        simulator.warm_up()
+        return simulator
+
+    with progress.status("generating the mesh"):
+        simulator = build()
+    limits = SceneLimits(deepest=SETTINGS.max_depth * experiment.specimen.height, force=arguments.largest_force_N)
+    # The ports are opened before the compilation, so that a port in use is reported at once.
     with TissueServer(simulator, host=arguments.host, port=arguments.port, configuration_port=port,
-                      description=lambda: describe(arguments, experiment, material_file, simulator, reduced),
+                      description=lambda: describe_scene(arguments, experiment, material_file, simulator, reduced),
                       parameters={} if reduced and reduced.rest else parameter_values(material),
                       silence=arguments.silence_s, limits=limits,
-                      rebuild=rebuild, session=arguments.session, spin=spin(arguments),
+                      rebuild=rebuild, session=arguments.session, spin=spin_time(arguments),
                       expose=arguments.expose) as server:
-        with progress.status("loading the solver (a machine's first run compiles it)"):
+        with progress.status("loading the solver (the first run on a computer compiles it)"):
             simulator.warm_up()
         gc.collect()
-        gc.freeze()  # what is there stays, and need not be looked through between two steps
+        gc.freeze()  # keeps existing objects out of garbage collections between two steps
         with real_time(arguments.real_time) as features, stopped_by_signals(server.stop):
-            announce(arguments, server, features)
+            print_ready_line(arguments, server, features)
             server.run()
-    report(server, sys.stderr if arguments.json else sys.stdout)
+    print_counters(server, sys.stderr if arguments.json else sys.stdout)
     return 0
 
 
-def budget(arguments) -> float | None:
-    """Wall time of a step, s; None: however long it takes."""
-    default = 0.0 if arguments.resolution == "accurate" else BUDGET_US
+def step_budget(arguments) -> float | None:
+    """Return the time limit of a simulation step, s; None for no limit."""
+    default = 0.0 if arguments.resolution == "accurate" else SETTINGS.budget_us
     return (default if arguments.budget_us is None else arguments.budget_us) * 1e-6 or None
 
 
-def spin(arguments) -> float:
-    """How long the server watches its port before it sleeps, s."""
+def spin_time(arguments) -> float:
+    """Return how long the server busy-waits for the next packet before it sleeps, s."""
     if arguments.spin_us is not None:
         return arguments.spin_us * 1e-6
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    # Under SCHED_FIFO a server that never sleeps would keep its own client from running.
-    return 0.0 if processors == 1 or arguments.real_time else SPIN_US * 1e-6
+    # With SCHED_FIFO a server that never sleeps would prevent its client from running on the same processor.
+    return 0.0 if processors == 1 or arguments.real_time else SETTINGS.spin_us * 1e-6
 
 
-def describe(arguments, experiment: Experiment, material_file, simulator, reduced=None) -> dict[str, Any]:
-    """What is served, for the command ``describe``; in SI."""
+def describe_scene(arguments, experiment: Experiment, material_file, simulator, reduced=None) -> dict[str, Any]:
+    """Return the answer to the configuration command ``describe``: scene, specimen, tool, material and solver.
+
+    Args:
+        arguments: parsed arguments of the command.
+        experiment: served experiment.
+        material_file: served material file.
+        simulator: simulator of the server.
+        reduced: reduced model that is served; None otherwise.
+
+    Returns:
+        JSON object in SI units; docs/wire_protocol.md documents its keys.
+    """
     import numpy as np
 
     from scenes.commands.material.summary import summarise
     from tissue_sim.parameters import declared
 
     specimen, tool, mesh = experiment.specimen, experiment.tool, simulator.mesh
-    first, further = (experiment.tool_pose(depth) for depth in (0.0, 1.0))
+    touch, deeper = (experiment.tool_pose(depth) for depth in (0.0, 1.0))
     box = None if reduced is None else {name: getattr(reduced.box, name) for name in ("sideways", "depth", "turn")}
     return {
         "scene": arguments.scene,
@@ -164,8 +205,8 @@ def describe(arguments, experiment: Experiment, material_file, simulator, reduce
         "tool": {"shape": tool.shape, "radius": tool.radius} | {name: getattr(tool, name)
                                                                 for name in declared(type(tool))},
         "interfaces": {name: getattr(experiment, name) for name in ("friction", "friction_base", "friction_wall")},
-        "first_touch": {"position": first.position, "orientation": first.orientation,
-                        "way": np.subtract(further.position, first.position).tolist()},
+        "first_touch": {"position": touch.position, "orientation": touch.orientation,
+                        "way": np.subtract(deeper.position, touch.position).tolist()},
         "box": box,
         "material_file": arguments.material,
         "material": summarise(material_file),
@@ -173,14 +214,14 @@ def describe(arguments, experiment: Experiment, material_file, simulator, reduce
         "force_error": simulator.force_error if reduced is None else reduced.report.get("force_rms_error"),
         "inertia": arguments.inertia,
         "budget": simulator.budget,
-        "limits": {"deepest": DEEPEST * specimen.height, "force": arguments.largest_force_N},
+        "limits": {"deepest": SETTINGS.max_depth * specimen.height, "force": arguments.largest_force_N},
         "solver": arguments.solver,
         "mesh": None if mesh is None else {"elements": len(mesh.connectivity), "element": mesh.element.name},
     }
 
 
-def announce(arguments, server: TissueServer, features) -> None:
-    """Say that the server is ready, on one line that a program can wait for."""
+def print_ready_line(arguments, server: TissueServer, features) -> None:
+    """Print addresses and ports of the ready server on one line, for which a program can wait."""
     host, port = server.address
     configuration_port = None if server.configuration_address is None else server.configuration_address[1]
     if arguments.json:
@@ -190,19 +231,19 @@ def announce(arguments, server: TissueServer, features) -> None:
     print(f"serving {arguments.scene} on {host}:{port} (UDP), configuration on {host}:{configuration_port} (TCP); "
           "Ctrl-C stops", flush=True)
     if arguments.expose:
-        print(f"tissue-sim: warning: every machine that reaches {host} can move the tool, change the parameters and "
-              "read the material, without a password", file=sys.stderr)
+        print(f"tissue-sim: warning: every computer that can reach {host} can move the tool, change the parameters and "
+              "read the material without a password", file=sys.stderr)
     for feature in features:
         if feature.message and arguments.real_time:
             print(f"tissue-sim: warning: {feature.message}", file=sys.stderr)
 
 
-def report(server: TissueServer, stream) -> None:
-    """The counters in two sentences."""
+def print_counters(server: TissueServer, stream) -> None:
+    """Print the packet counters of the server in two sentences."""
     counters = server.counters
     print(f"answered {counters.steps} poses of {counters.clients} clients: {counters.converged} converged, "
           f"{counters.late} late, {counters.stopped} stopped, {counters.refused} refused, {counters.fading} fading, "
           f"{counters.returning} returning, {counters.failed} failed", file=stream)
-    print(f"not answered: {counters.skipped} skipped for newer ones, {counters.stale} stale, {counters.malformed} "
-          f"malformed; turned away: {counters.turned_away} of other clients, {counters.other_version} of another "
-          f"version, {counters.flooded} of who sends too many", file=stream)
+    print(f"not answered: {counters.skipped} superseded by newer poses, {counters.stale} stale, {counters.malformed} "
+          f"malformed; rejected: {counters.turned_away} of other clients, {counters.other_version} of another protocol "
+          f"version, {counters.flooded} above the rate limit", file=stream)

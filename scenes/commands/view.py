@@ -1,4 +1,4 @@
-"""`tissue-sim view`: push a needle into tissue in a browser."""
+"""`tissue-sim view`: interactive page in the browser for a simulated test or a real test bench."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 from haptics.devices.back_ends import HAPTIC_DEVICES, open_haptic
 from scenes.catalogue import SCENES
 from scenes.commands.shared.console import print_json
+from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.experiment_flags import (
     add_experiment_flags,
     check_scene,
@@ -26,72 +27,85 @@ from scenes.commands.shared.tissue_flags import (
 )
 from tissue_sim.errors import InputError
 
-SUMMARY = "push a needle into tissue on a page in the browser, beside the measurement"
+SUMMARY = "simulate a test interactively on a page in the browser, and compare it with measurements"
 EXAMPLE = "tissue-sim view needle_indentation --material m.material.json --measured needle_1.csv needle_2.csv"
+#: Default port of the page.
 PORT = 8080
 
 
 def add_arguments(parser: Parser) -> None:
+    """Declare the arguments of `tissue-sim view`."""
     parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
-                        help=f"{' or '.join(SCENES)} (default: %(default)s)")
+                        help=f"test to simulate: {', '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, metavar="FILE",
-                        help="NAME.material.json (default: the study's silicone, reduced_polynomial_2)")
+                        help="material file NAME.material.json (default: silicone of the reference study, law "
+                             "reduced_polynomial_2)")
     parser.add_argument("--materials", type=Path, metavar="DIR",
-                        help="folder of the material files to choose from and to save to (default: that of --material, "
-                             "else the current one)")
+                        help="folder in which the page lists and saves material files (default: folder of --material, "
+                             "otherwise the current folder)")
     parser.add_argument("--measured", type=Path, nargs="+", metavar="FILE", default=[],
-                        help="recordings to compare with; those whose sidecar names a kind of test go with that scene, "
-                             "the others with SCENE")
+                        help="recordings for comparison; a recording belongs to the kind of test that its sidecar "
+                             "names, otherwise to SCENE")
     add_solver_flags(parser)
     add_reduced_flag(parser)
     parser.add_argument("--device", metavar="NAME:SETTINGS",
-                        help=f"a haptic device that moves the tool and feels the force: one of "
+                        help="haptic device that moves the tool and displays the force: one of "
                              f"{', '.join(HAPTIC_DEVICES)}")
     parser.add_argument("--no-real-time", action="store_true",
-                        help="ask the system for nothing: no SCHED_FIFO, no locked memory")
-    bench = parser.add_argument_group("a bench instead of a simulation; nothing on it is moved from the page")
+                        help="do not request real-time scheduling (SCHED_FIFO) and locked memory")
+    bench = parser.add_argument_group("show a test bench instead of a simulation (the page only displays it)")
     bench.add_argument("--run", type=Path, metavar="DIR", dest="run_folder",
-                       help="watch the run that 'tissue-sim record -o DIR' makes, while it goes")
-    bench.add_argument("--sensor", metavar="NAME:SETTINGS", help="watch a force sensor, such as rdt://192.168.1.1")
-    bench.add_argument("--stage", metavar="NAME:SETTINGS", help="with --sensor: and where this stage is")
+                       help="show the recording that 'tissue-sim record -o DIR' is making")
+    bench.add_argument("--sensor", metavar="NAME:SETTINGS",
+                       help="show the readings of a force sensor, such as rdt://192.168.1.1")
+    bench.add_argument("--stage", metavar="NAME:SETTINGS", help="with --sensor: also show the position of this stage")
     add_page_flags(parser)
     headless = parser.add_argument_group("without a browser")
-    headless.add_argument("--headless", action="store_true", help="show nothing: play the protocol, say what was felt")
-    headless.add_argument("--seconds", type=positive, metavar="N", help="end after so long (default: at Ctrl-C)")
+    headless.add_argument("--headless", action="store_true",
+                          help="run --protocol without a page and print a summary; requires --seconds")
+    headless.add_argument("--seconds", type=positive, metavar="N",
+                          help="end after this time (default: at Ctrl-C)")
     add_experiment_flags(parser)
     add_json(parser)
     parser.set_defaults(run=run)
 
 
 def add_page_flags(parser: Parser) -> None:
-    """Where the page is served, and how it draws."""
+    """Add the flags of the page: address, access and graphics."""
     page = parser.add_argument_group("page")
     page.add_argument("--port", type=at_least(0, 65535), metavar="N", default=PORT,
-                      help=f"of the page; 0: any free one (default: {PORT})")
+                      help=f"port of the page; 0 selects a free port (default: {PORT})")
     page.add_argument("--host", metavar="ADDRESS", default="127.0.0.1",
-                      help="address to serve on (default: 127.0.0.1, this computer only)")
+                      help="network address of the page (default: 127.0.0.1, this computer only)")
     page.add_argument("--expose", action="store_true",
-                      help="allow a --host that others reach: they can watch and steer without a password")
+                      help="allow a --host that other computers can reach; they can see and control the page without "
+                           "a password")
     page.add_argument("--no-token", action="store_true",
-                      help="open the page to every program of this computer, not only to who has the printed address")
+                      help="omit the access token from the address; every program on this computer can then open the "
+                           "page")
     page.add_argument("--open", action="store_true", help="open the page in the browser of this computer")
     page.add_argument("--low-graphics", action="store_true",
-                      help="coarser pictures at half the resolution, for browsers without a graphics card")
-    page.add_argument("--dark", action="store_true", help="begin with a dark page")
+                      help="simpler graphics at half the resolution, for computers without a graphics card")
+    page.add_argument("--dark", action="store_true", help="start with the dark colour theme")
 
 
 def run(arguments) -> int:
+    """Serve the page until its end, or run without a browser and print a summary.
+
+    Raises:
+        InputError: flags that contradict each other, or values that scene, page or device do not accept.
+    """
     check_scene(arguments.scene)
     if arguments.headless and arguments.seconds is None:
-        raise InputError("a viewer without a browser needs an end; say after how many seconds", field="--seconds")
+        raise InputError("is required with --headless. Give the duration in s", field="--seconds")
     if arguments.tilt_mm is not None:
-        raise InputError("a tilted tool is a correction of whole recordings and has no place in real time; leave it "
-                         "out", field="--tilt-mm")
+        raise InputError("corrects whole force curves and is not available in real time. Leave this flag out",
+                         field="--tilt-mm")
     if arguments.slip:
-        raise InputError("a face that slips in part is a correction of whole recordings and has no place in real time; "
-                         "leave it out, or use --friction", field="--slip")
+        raise InputError("corrects whole force curves and is not available in real time. Leave this flag out, or use "
+                         "--friction", field="--slip")
     if arguments.run_folder or arguments.sensor or arguments.stage:
-        return _watch(arguments)
+        return _show_bench(arguments)
     check_solver(arguments.solver)
     reduced = read_reduced(arguments)
 
@@ -104,7 +118,7 @@ def run(arguments) -> int:
     source = arguments.material or arguments.reduced
     scene = Scene(SCENES[arguments.scene], experiment, material, source.name if source else BUILT_IN,
                   read_measurements(arguments.measured, arguments.scene), arguments.solver, reduced=reduced)
-    # Other solvers than the usual one may take longer than a tick for an equilibrium, which no hand may wait for.
+    # Other solvers may need more than a tick for a step. The page can wait for them; a haptic device cannot.
     other = arguments.solver not in (Scene.solver, "reduced")
     settings = PATIENT if other and not arguments.device else SETTINGS
     options: dict[str, Any] = {"resolution": arguments.resolution,
@@ -123,33 +137,37 @@ def run(arguments) -> int:
         else:
             print(f"{answer['frames']} frames in {answer['seconds']:.1f} s; {answer['phase']}; "
                   f"largest force {answer['largest_force_N']:.3f} N", file=sys.stdout)
-        return 0 if answer["phase"] != "stopped" else 1
+        return ExitCode.DONE if answer["phase"] != "stopped" else ExitCode.GOAL_MISSED
     folder = arguments.materials or (arguments.material.parent if arguments.material else Path())
     return run_page(scene, folder, page_options(arguments), seconds=arguments.seconds, json=arguments.json, **options)
 
 
-def _watch(arguments) -> int:
-    """Serve the page of a bench."""
+def _show_bench(arguments) -> int:
+    """Serve the page of a test bench.
+
+    Raises:
+        InputError: flags that contradict each other, or an unknown device.
+    """
     from haptics.devices.back_ends import open_sensor, open_stage
     from haptics.devices.contracts import DeviceError
     from scenes.viewer.bench.page import run_bench_page
     from scenes.viewer.bench.sources import DevicesSource, RunSource
 
     if arguments.run_folder and (arguments.sensor or arguments.stage):
-        raise InputError("a run has its own devices; give --run or --sensor, not both", field="--run")
+        raise InputError("cannot be combined with --sensor and --stage. Give --run, or the devices", field="--run")
     if not arguments.run_folder and not arguments.sensor:
-        raise InputError("a stage alone shows no force; give --sensor too", field="--stage")
+        raise InputError("requires a force sensor. Add --sensor", field="--stage")
     try:
         source = RunSource(arguments.run_folder) if arguments.run_folder else DevicesSource(
             open_sensor(arguments.sensor), open_stage(arguments.stage) if arguments.stage else None)
     except DeviceError as error:
         print(f"tissue-sim: {error}", file=sys.stderr)
-        return 1
+        return ExitCode.GOAL_MISSED
     return run_bench_page(source, page_options(arguments), seconds=arguments.seconds, json=arguments.json)
 
 
 def page_options(arguments) -> dict:
-    """The dictionary `page` of `scenes.viewer.run.run_page`."""
+    """Return the options of the page for `scenes.viewer.run.run_page`."""
     from scenes.viewer.page_token import new_token
 
     return {"host": arguments.host, "port": arguments.port, "exposed": arguments.expose,

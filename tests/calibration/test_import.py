@@ -226,9 +226,9 @@ def test_all_bad_files_are_named(tmp_path):
 
 
 @pytest.mark.parametrize(("flags", "words"), [
-    (["--column", "force"], "CHANNEL=..."), (["--column", "farce=3"], "did you mean 'force'"),
+    (["--column", "force"], "CHANNEL=VALUE"), (["--column", "farce=3"], "did you mean 'force'"),
     (["--unit", "force=ell"], "unknown unit 'ell'"), (["--scale", "force=-1"], "--sign"),
-    (["--sign", "force=2"], "give 1 or -1"), (["--format", "zwik"], "did you mean 'zwick'"),
+    (["--sign", "force=2"], "must be 1 or -1"), (["--format", "zwik"], "did you mean 'zwick'"),
     (["--laws", "neo_hook"], "did you mean 'neo_hooke'"), (["--radius-mm", "1", "--area-mm2", "2"], "one of"),
     (["--column", "force=Nothing"], "has no column force = Nothing"), (["--delimiter", "ab"], "delimiter"),
     (["-o", "campaign.txt"], "ends in .toml"), (["--unit", "force=N", "--unit", "force=mN"], "given twice")])
@@ -254,7 +254,7 @@ def test_a_campaign_that_cannot_run_says_why(tmp_path, capsys):
     path, = put(tmp_path, bluehill(1))
     assert main(["import", str(path), "-o", str(tmp_path / "c.toml"), "--radius-mm", "10", "--height-mm", "2"]) == 1
     said = " ".join(capsys.readouterr().out.split())
-    assert "does not run as it stands" in said and "deeper than the specimen" in said
+    assert "the campaign cannot be calibrated yet" in said and "deeper than the specimen" in said
     assert sorted(each.suffix for each in tmp_path.iterdir()) == [".csv", ".png", ".toml"]
 
 

@@ -252,7 +252,7 @@ def test_sheets_of_other_tests_are_left_out_with_a_note(tmp_path):
     (["--unit", "strain=%"], "no column of strain is read"), (["--scale", "stress=2"], "no column of stress is read"),
     (["--sign", "temperature=1"], "no column of temperature is read"), (["--sheet", "1"], "only spreadsheets"),
     (["--measure", "force=true"], "measure of force must be"), (["--measure", "stress=logarithmic"], "must be one of"),
-    (["--format", "native"], "format must be one of"), (["--overwrite"], "nothing is written without -o"),
+    (["--format", "native"], "format must be one of"), (["--overwrite"], "has an effect only with -o"),
     (["--column", "strain=2", "--column", "stretch=2"], "a strain is read as a stretch")])
 def test_a_flag_without_effect_is_refused(tmp_path, capsys, flags, words):
     path = write(tmp_path, "Time (s),Displacement (mm),Force (N)", STRETCH, 10 * (1 - SHORT), -COMPRESSED * AREA,

@@ -369,7 +369,7 @@ def test_import_writes_a_campaign_of_a_stated_shape(folder, monkeypatch, capsys)
     assert main([*words, "--overwrite", *sizes[:4]]) == 1
     assert "the width of the specimen (--width-mm)" in " ".join(capsys.readouterr().out.split())
     assert main([*words, "--overwrite", "--length-mm", "20"]) == 2
-    assert "--length-mm: no size of a cylinder; add --shape block" in capsys.readouterr().err
+    assert "--length-mm: is not a size of a cylinder. Add --shape block" in capsys.readouterr().err
 
 
 def test_a_campaign_that_is_written_elsewhere_finds_its_mesh(folder):

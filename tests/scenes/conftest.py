@@ -1,4 +1,4 @@
-"""What tests of the commands and of the viewer share."""
+"""Fixtures for tests of the commands and of the viewer."""
 
 import importlib
 import math
@@ -10,14 +10,14 @@ from haptics.loop.process import LoopProcess
 
 @pytest.fixture(autouse=True)
 def no_log_lines(monkeypatch):
-    """What a command says does not depend on how long it took here."""
-    monkeypatch.setattr("scenes.commands.shared.log_lines.EVERY", math.inf)
+    """Suppress log lines, so that the output of a command does not depend on the speed of this computer."""
+    monkeypatch.setattr("scenes.commands.shared.log_lines.MIN_INTERVAL", math.inf)
 
 
 @pytest.fixture
 def of_gel(monkeypatch, root):
-    """Loops whose tissue is a spring of 200 N/m: their processes begin without kernels, seconds earlier."""
-    monkeypatch.syspath_prepend(root / "tests" / "haptics")  # the process of the loop inherits it
+    """Replace the tissue of loops by a spring of 200 N/m: their processes start without kernels, seconds earlier."""
+    monkeypatch.syspath_prepend(root / "tests" / "haptics")  # the loop process inherits the path
     gel = importlib.import_module("loop_tissues").Gel
 
     class OfGel(LoopProcess):

@@ -1,4 +1,4 @@
-"""`tissue-sim calibrate`: campaigns in, table and JSON out."""
+"""`tissue-sim calibrate`: tables, JSON, exit codes and errors."""
 
 import json
 import os
@@ -84,7 +84,7 @@ def test_material_of_a_calibration_can_be_shown_and_checked(campaign, tmp_path, 
     assert "compression_1.csv" in capsys.readouterr().out
 
 
-def test_folder_with_other_work_is_kept(campaign, tmp_path, capsys):
+def test_folder_with_other_files_is_kept(campaign, tmp_path, capsys):
     out = tmp_path / "out"
     out.mkdir()
     (out / "thesis.txt").write_text("do not lose", encoding="utf-8")
@@ -102,11 +102,11 @@ def test_two_campaigns_in_one_call(campaign, tmp_path, capsys):
     assert main(["calibrate", str(campaign), str(second), "-o", str(out), "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert [len(one["fits"]) for one in answer["campaigns"]] == [2, 1]
-    assert main(["calibrate", str(campaign), str(second), "-o", str(out)]) == 0, "the same work again is resumed"
+    assert main(["calibrate", str(campaign), str(second), "-o", str(out)]) == 0, "the same calibration is resumed"
     text = capsys.readouterr().out
     assert text.count("* best usable law") == 2
     for name in ("campaign", "second"):
-        assert f"read back from {out / name}, nothing was fitted" in text
+        assert f"read from {out / name}, where this calibration was already finished" in text
 
 
 def test_tables_fit_on_80_columns(tmp_path, capsys, monkeypatch):
@@ -129,14 +129,14 @@ def test_tables_fit_on_80_columns(tmp_path, capsys, monkeypatch):
     fits = {fit["law"]: fit for fit in json.loads((tmp_path / "out" / "fit.json").read_text(encoding="utf-8"))["fits"]}
     assert "E0 MPa" in text and "RMSE MPa" in text
     for law, fit in fits.items():
-        # To the place at which its error ends.
+        # Moduli are printed with the decimals of their standard error.
         E0, mu0 = (float(cell) for cell in next(line for line in lines if line.startswith(law)).split()[-5:-3])
         assert (E0, mu0) == pytest.approx((fit["E0_Pa"] / 1e6, fit["mu0_Pa"] / 1e6), rel=0.02)
     assert all(name in text for fit in fits.values() for name in fit["parameters"])
 
 
-def test_a_reader_that_leaves_is_no_error(campaign, tmp_path):
-    """``calibrate ... | head -1``: rich would end with 1."""
+def test_a_closed_pipe_is_no_error(campaign, tmp_path):
+    """``calibrate ... | head -1``: rich alone would end with exit code 1."""
     words = [sys.executable, "-m", "scenes.cli", "calibrate", str(campaign), "-o", str(tmp_path / "out")]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     read, write = os.pipe()
@@ -149,8 +149,8 @@ def test_a_reader_that_leaves_is_no_error(campaign, tmp_path):
 
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(("fits", "expected"), [(1, "no campaign was finished"),
-                                                (3, "campaigns that were finished are kept")])
-def test_ctrl_c_says_what_was_finished(fits, expected, campaign, tmp_path, capsys, monkeypatch):
+                                                (3, "finished campaigns are kept")])
+def test_ctrl_c_reports_finished_campaigns(fits, expected, campaign, tmp_path, capsys, monkeypatch):
     second = tmp_path / "second.toml"
     second.write_text(CAMPAIGN, encoding="utf-8")
     words = ["calibrate", str(campaign), str(second), "-o", str(tmp_path / "out")]
@@ -164,11 +164,11 @@ def test_ctrl_c_says_what_was_finished(fits, expected, campaign, tmp_path, capsy
 
     monkeypatch.setattr(ordinary, "fit_law", interrupted)
     assert main(words) == 130
-    assert f"stopped by Ctrl-C; {expected}: run the same command" in capsys.readouterr().err
+    assert f"stopped by Ctrl-C; {expected}. Run the same command" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_only_what_this_call_wrote_is_announced(campaign, tmp_path, capsys):
+def test_only_files_of_this_call_are_listed(campaign, tmp_path, capsys):
     second = tmp_path / "second.toml"
     second.write_text(CAMPAIGN, encoding="utf-8")
     out = tmp_path / "out"
@@ -185,7 +185,7 @@ def test_only_what_this_call_wrote_is_announced(campaign, tmp_path, capsys):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_table_of_fixed_bounded_and_unsound(campaign, tmp_path, capsys):
+def test_table_marks_fixed_and_bounded_parameters(campaign, tmp_path, capsys):
     text = CAMPAIGN.replace('"neo_hooke", ', '"mooney_rivlin", ').replace(
         "[noise]", "fixed = { C20 = 700.0 }\nbounds = { C01 = [2000.0, 5000.0] }\n[noise]")
     campaign.write_text(text, encoding="utf-8")
@@ -196,7 +196,7 @@ def test_table_of_fixed_bounded_and_unsound(campaign, tmp_path, capsys):
 
 
 def test_no_usable_law_is_exit_code_1(tmp_path, capsys):
-    """Data that soften in compression: the only law asked for is unstable within them."""
+    """The data soften in compression, where the only law of the campaign is unstable."""
     displacement = np.linspace(0, 0.035, 60)
     law, softening = ts.find_law("reduced_polynomial_2"), {"C10": 1400.0, "C20": -500.0}
     force = -np.pi * RADIUS**2 * law.nominal_stress(1 - displacement / HEIGHT, softening)
@@ -227,7 +227,7 @@ def test_bad_campaign_writes_nothing(campaign, tmp_path, capsys, old, new, expec
 
 @pytest.mark.usefixtures("undrawn")
 def test_measured_silicone(data_folder, tmp_path, capsys):
-    """Ecoflex 00-10, ten recordings pooled to 66 % strain: the published Yeoh parameters 7.702, -0.063, 0.248 kPa."""
+    """Ecoflex 00-10, ten pooled recordings to 66 % strain: published Yeoh parameters 7.702, -0.063, 0.248 kPa."""
     path = tmp_path / "ef10.toml"
     path.write_text(f"""
 [[specimen]]

@@ -1,4 +1,4 @@
-"""The command line as a whole: instant help, one sentence for every error, exit codes."""
+"""Command line in general: fast help, one sentence for each error, exit codes."""
 
 import json
 import shlex
@@ -34,7 +34,7 @@ for words in json.loads(sys.argv[1]):
 
 @pytest.fixture(scope="module")
 def answers():
-    """Of one process that is asked for help in every way: exit code, what is said, what has been imported by then."""
+    """Exit code, output and imported heavy packages of each help, from one process."""
     done = subprocess.run([sys.executable, "-c", ANSWERS, json.dumps(HELPS)], cwd=ROOT, capture_output=True, text=True,
                           encoding="utf-8")
     assert (done.returncode, done.stderr) == (0, "")
@@ -60,7 +60,7 @@ def test_every_help_has_a_description_and_an_example(words, capsys):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_example_of_a_help_is_understood(name):
+def test_example_of_a_help_is_valid(name):
     words = shlex.split(COMMANDS[name].EXAMPLE)
     assert words[0] == "tissue-sim"
     _, rest = make_parser().parse_known_args(words[1:])
@@ -68,7 +68,7 @@ def test_example_of_a_help_is_understood(name):
 
 
 def fails(capsys, words, code=2) -> str:
-    """Run, expect the exit code, an empty stdout and one line on stderr; return that line."""
+    """Run a command; check its exit code, its empty stdout and its single line on stderr; return this line."""
     assert main(words) == code
     out, err = capsys.readouterr()
     assert out == ""
@@ -85,27 +85,31 @@ def fails(capsys, words, code=2) -> str:
     (["simulate", "bonded_compression"], "required: --material"),
     (["simulate", "bonded_compression", "--material", "m", "--dept-mm", "3"], "did you mean '--depth-mm'?"),
     (["simulate", "bonded_compresion", "--material", "m"], "did you mean 'bonded_compression'?"),
-    (["simulate", "bonded_compression", "--material", "m", "--depth-mm", "-3"], "'-3' is not a positive number"),
-    (["simulate", "bonded_compression", "--material", "m", "--depth-mm", "nan"], "'nan' is not a positive number"),
+    (["simulate", "bonded_compression", "--material", "m", "--depth-mm", "-3"], "must be a positive number; got '-3'"),
+    (["simulate", "bonded_compression", "--material", "m", "--depth-mm", "nan"],
+     "must be a positive number; got 'nan'"),
     (["simulate", "bonded_compression", "--material", "m", "--points", "1"], "whole number of at least 2"),
     (["simulate", "bonded_compression", "--material", "m", "--points", "2.5"], "whole number of at least 2"),
     (["simulate", "bonded_compression", "--material", "m", "--resolution", "fat"], "'fat'"),
-    (["simulate", "needle_indentation", "--material", "m", "--tool-radius-mm", "0"], "'0' is not a positive number"),
-    (["simulate", "needle_indentation", "--material", "m", "--edge-radius-mm", "-1"], "'-1' is not a number of zero"),
-    (["simulate", "needle_indentation", "--material", "m", "--density-kg-m3", "inf"], "'inf' is not a positive number"),
+    (["simulate", "needle_indentation", "--material", "m", "--tool-radius-mm", "0"],
+     "must be a positive number; got '0'"),
+    (["simulate", "needle_indentation", "--material", "m", "--edge-radius-mm", "-1"],
+     "must be zero or a positive number; got '-1'"),
+    (["simulate", "needle_indentation", "--material", "m", "--density-kg-m3", "inf"],
+     "must be a positive number; got 'inf'"),
     (["simulate", "needle_indentation", "--material", "m", "--height-is", "guessed"], "'guessed'"),
-    (["simulate", "bonded_compression", "--material", "m", "again"], "unexpected 'again'"),
+    (["simulate", "bonded_compression", "--material", "m", "again"], "unexpected argument 'again'"),
     (["simulate", "bonded_compression", "--material", "m", "--friction", "sticky"],
-     "'sticky' is none of bonded, stick, frictionless and not a friction coefficient such as 0.7"),
-    (["simulate", "bonded_compression", "--material", "m", "--friction-base", "-0.1"], "'-0.1' is none of bonded"),
-    (["simulate", "bonded_compression", "--material", "m", "--friction-wall", "nan"], "'nan' is none of bonded"),
-    (["simulate", "needle_indentation", "--material", "m", "--half-angle-deg", "90"], "not a number between 0.573 and"),
-    (["simulate", "needle_indentation", "--material", "m", "--replicates", "1001"], "give at most 1000"),
+     "must be bonded, stick, frictionless or a friction coefficient such as 0.7; got 'sticky'"),
+    (["simulate", "bonded_compression", "--material", "m", "--friction-base", "-0.1"], "such as 0.7; got '-0.1'"),
+    (["simulate", "bonded_compression", "--material", "m", "--friction-wall", "nan"], "such as 0.7; got 'nan'"),
+    (["simulate", "needle_indentation", "--material", "m", "--half-angle-deg", "90"], "must be between 0.573 and"),
+    (["simulate", "needle_indentation", "--material", "m", "--replicates", "1001"], "must be at most 1000; got '1001'"),
     (["simulate", "bonded_compression", "--material", "m", "--protocol", "ramp 10mm @0.248"],
      "protocol: column 17, at the end: '0.248' has no unit; expected a speed such as 0.248mm/s; for example 'ramp"),
     (["simulate", "bonded_compression", "--material", "m", "--rig", "missing.rig.json"], "missing.rig.json"),
     (["simulate", "bonded_compression", "--material", "missing.json"], "missing.json"),
-    (["doctor", "--clock-seconds", "x"], "'x' is not a positive number"),
+    (["doctor", "--clock-seconds", "x"], "must be a positive number; got 'x'"),
     (["calibrate", "-o", "out"], "required: CAMPAIGN.toml"),
     (["calibrate", "missing.toml", "-o", "out"], "missing.toml"),
     (["design"], "required: CAMPAIGN.toml"),
@@ -115,13 +119,13 @@ def fails(capsys, words, code=2) -> str:
     (["diagnose", "missing.toml", "-o", "out"], "missing.toml"),
     (["demo", "--seed", "-1"], "whole number of at least 0"),
 ], ids=lambda value: " ".join(value) if isinstance(value, list) else None)
-def test_bad_words_get_one_sentence(words, expected, capsys, tmp_path, monkeypatch):
+def test_invalid_arguments_get_one_sentence(words, expected, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert expected in fails(capsys, words)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_planned_is_known(capsys):
+def test_planned_action_is_reported_as_unavailable(capsys):
     assert "not available in this version" in fails(capsys, ["material", "import", "x"])
 
 
@@ -137,7 +141,7 @@ def test_version(capsys):
     (MissingBackendError("the finite elements need taichi"), 1, "need taichi"),
     (PermissionError(13, "Permission denied", "out/fit.json"), 2, "out/fit.json: Permission denied"),
 ])
-def test_expected_errors_end_in_a_sentence(error, code, expected, capsys, monkeypatch):
+def test_expected_errors_are_one_sentence(error, code, expected, capsys, monkeypatch):
     def run(arguments):
         raise error
 
@@ -154,7 +158,7 @@ def test_a_programming_error_is_not_hidden(monkeypatch):
         main(["calibrate", "c.toml", "-o", "out"])
 
 
-def test_reader_that_leaves_is_no_error(tmp_path):
+def test_closed_pipe_is_no_error(tmp_path):
     path = tmp_path / "m.material.json"
     assert main(["material", "new", "--law", "neo_hooke", "--set", "C10=1", "-o", str(path)]) == 0
     script = f"import sys; from scenes.cli import main; sys.exit(main(['material', 'show', {str(path)!r}, '--json']))"
@@ -187,8 +191,8 @@ _WORDS = st.one_of(
 
 @settings(deadline=None, max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(_WORDS, max_size=6))
-def test_no_words_lead_to_a_traceback(capsys, words):
-    """Whatever is typed: help, or one sentence and exit code 2 (there is no material to simulate with)."""
+def test_no_arguments_lead_to_a_traceback(capsys, words):
+    """Any arguments give the help, or one sentence and exit code 2 (the material file does not exist)."""
     code = main(["simulate", "--material", "no such folder/m.material.json", *words])
     out, err = capsys.readouterr()
     assert (code, err.count("\n"), out) == (2, 1, "") or (code == 0 and ("-h" in words or "--help" in words))

@@ -1,4 +1,4 @@
-"""`tissue-sim design`: what experiments could tell before they are done, on the screen, as JSON and from Python."""
+"""`tissue-sim design`: predicted accuracy of planned experiments as tables, as JSON and from Python."""
 
 import json
 
@@ -39,7 +39,7 @@ EFFECTS = {"viscoelasticity": Viscoelasticity, "machine_compliance": MachineComp
 
 @pytest.fixture(autouse=True)
 def few_effects(monkeypatch):
-    """The whole catalogue takes longer than all that is asked here."""
+    """Use few effects; the whole catalogue takes longer than all tests of this file."""
     monkeypatch.setattr("calibration.diagnosis.proposals.CATALOGUE", EFFECTS)
 
 
@@ -48,7 +48,7 @@ def write(folder, text=PLAN, name="plan.toml"):
     return folder / name
 
 
-def test_json_tells_what_would_be_seen(tmp_path, capsys):
+def test_json_contains_detectable_sizes(tmp_path, capsys):
     assert main(["design", str(write(tmp_path)), "--samples", "60", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["law"] == "neo_hooke" and found["parameters"] == {"C10": 1500.0} and found["units"] == {"C10": "Pa"}
@@ -58,7 +58,7 @@ def test_json_tells_what_would_be_seen(tmp_path, capsys):
     rows = {each["name"]: each for each in found["candidates"]}
     assert rows["population"]["reason"] == "all tests are of one specimen" and not rows["population"]["testable"]
     assert rows["population"]["separated_by"] == Population.separated_by
-    # No data see less: every sample changed in full, nothing of it taken up by the fit.
+    # Lower bound of the detectable size: the effect changes every sample and the fit absorbs none of it.
     share, play = (rows[name]["seen_from"][path] for name, path in (
         ("viscoelasticity", "viscoelastic.terms[0].g"), ("backlash", "rig.backlash")))
     least = SEEN * 0.01 / (test["force_N"] * (3 * 60) ** 0.5)
@@ -69,11 +69,11 @@ def test_json_tells_what_would_be_seen(tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["plan.toml"], "nothing is written"
 
 
-def test_more_recordings_and_a_hold_show_more(tmp_path):
+def test_more_recordings_and_a_hold_improve_the_design(tmp_path):
     path = write(tmp_path)
     one, four = (design_experiments(path, replicates=n, samples=60) for n in (1, 4))
     assert isinstance(four, Design) and [test.recordings for test in four.tests] == [4]
-    # Noise, contact and zero of each recording are its own.
+    # Noise, contact and zero of the recordings are independent.
     assert one.standard_errors["C10"] == pytest.approx(2.0 * four.standard_errors["C10"], rel=0.05)
     ramp = design_experiments(write(tmp_path, RAMP, "ramp.toml"), replicates=4, samples=60)
     held, ramped = ({each.name: each for each in design.candidates} for design in (four, ramp))
@@ -82,7 +82,7 @@ def test_more_recordings_and_a_hold_show_more(tmp_path):
     assert relaxing[1] > 5 * relaxing[0]
 
 
-def test_the_screen_names_sizes_in_the_units_of_people(tmp_path, capsys):
+def test_tables_use_display_units(tmp_path, capsys):
     assert main(["design", str(write(tmp_path)), "--samples", "60", "--replicates", "2"]) == 0
     text = capsys.readouterr().out
     assert text.startswith("plan: Neo-Hooke, sensor noise 10 mN")
@@ -91,7 +91,7 @@ def test_the_screen_names_sizes_in_the_units_of_people(tmp_path, capsys):
         assert word in text, word
 
 
-def test_a_scatter_that_nobody_states_goes_with_the_force(tmp_path):
+def test_default_scatter_is_proportional_to_the_force(tmp_path):
     unstated = design_experiments(write(tmp_path, PLAN.replace("zero_jitter_N = 0.005\n", "")), samples=60)
     share = FIRST_ZERO * unstated.tests[0].force_N
     stated = design_experiments(write(tmp_path, PLAN.replace("zero_jitter_N = 0.005", f"zero_jitter_N = {share}")),
@@ -113,7 +113,7 @@ def test_bad_input_is_one_sentence(old, new, expected, tmp_path, capsys):
     assert stdout == "" and stderr.count("\n") == 1 and expected in stderr and "plan.toml" in stderr
 
 
-def test_python_refuses_too_few(tmp_path):
+def test_too_few_samples_or_replicates_are_refused(tmp_path):
     for wrong in ({"samples": 3}, {"replicates": 0}):
         with pytest.raises(InputError, match="too few"):
             design_experiments(write(tmp_path), **wrong)

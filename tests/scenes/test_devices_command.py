@@ -1,4 +1,4 @@
-"""`tissue-sim devices` and `tissue-sim emulate`: what is there, and what plays it."""
+"""`tissue-sim devices` lists devices, and `tissue-sim emulate` emulates them."""
 
 import json
 import os
@@ -15,7 +15,7 @@ def still(time):
     return (0.0,) * 6
 
 
-def test_what_opens_says_what_it_is_and_the_rest_why_not(capsys):
+def test_devices_that_open_describe_themselves_and_others_give_the_reason(capsys):
     with RdtEmulator(VirtualForceSensor(still, rdt.CHANNELS)) as emulator:
         names = [emulator.address, "virtual:", "tic:/dev/nowhere", "ati-daq:none.cal"]
         assert main(["devices", *names, "--json"]) == 0
@@ -37,13 +37,13 @@ def test_the_list_names_every_back_end(capsys, monkeypatch):
     assert "no serial port was found" in said
 
 
-def test_an_unknown_device_names_those_that_are(capsys):
+def test_an_unknown_device_is_refused(capsys):
     assert main(["devices", "tik:/dev/ttyACM0"]) == 2
     assert "names: must begin with one of ati-daq, ati-serial, " in capsys.readouterr().err
 
 
-def test_an_emulator_of_the_command_line_answers(capsys):
-    """In a process of its own, as users start it: sensor and stage of one virtual rig."""
+def test_emulators_can_be_opened(capsys):
+    """Sensor and stage of one virtual rig, emulated by a separate process."""
     program = subprocess.Popen([sys.executable, "-c", "import sys; from scenes.cli import main; sys.exit(main())",
                                 "emulate", "rdt", "tic", "--rate-hz", "200", "--json"],
                                env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, stdout=subprocess.PIPE,
@@ -61,7 +61,7 @@ def test_an_emulator_of_the_command_line_answers(capsys):
         assert program.wait(60) == 0
 
 
-def test_a_wrong_fault_names_the_nearest(capsys):
+def test_unknown_fault_and_emulator_name_the_nearest(capsys):
     assert main(["emulate", "rdt", "--faults", "los=0.1"]) == 2
     assert "did you mean 'loss'" in capsys.readouterr().err
     assert main(["emulate", "rtd"]) == 2

@@ -1,4 +1,4 @@
-"""`tissue-sim diagnose`: a specimen that relaxes, the answer on the screen, on the page and as JSON, a killed run."""
+"""`tissue-sim diagnose` of a relaxing specimen: output, report, JSON and an interrupted run."""
 
 import contextlib
 import io
@@ -40,13 +40,13 @@ EFFECTS = {"viscoelasticity": Viscoelasticity, "machine_compliance": MachineComp
 C10, G, TAU = 1404.9, 0.15, 12.0
 KEYS = {"verdict", "effects", "indistinguishable", "candidates", "regions", "gap_before_N", "gap_after_N", "noise_N",
         "held_out", "next_experiment", "fit_before", "fit_after", "output", "work"}
-#: What differs from run to run.
+#: Keys that differ from run to run.
 CLOCKS = ("stages", "output")
 
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
-    """Three recordings of a ramp, a hold and the way back, of a tissue that relaxes, and their campaign."""
+    """Campaign of three recordings (ramp, hold, unloading) of a relaxing tissue."""
     folder, random = tmp_path_factory.mktemp("relaxing"), np.random.default_rng(3)
     time = np.linspace(0.0, 60.0, 61)
     depth = np.interp(time, [0, 15, 45, 60], [0, 3e-3, 3e-3, 0])
@@ -69,7 +69,7 @@ def write(path, method="inverse_fem", more=INVERSE):
 
 @pytest.fixture(scope="module", autouse=True)
 def two_effects():
-    """The whole catalogue takes longer than all that is asked here."""
+    """Use two effects; the whole catalogue takes longer than all tests of this file."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("calibration.diagnosis.proposals.CATALOGUE", EFFECTS)
         yield
@@ -81,7 +81,7 @@ def run(*words):
 
 @pytest.fixture(scope="module")
 def answer(study, two_effects):
-    """What ``--json`` prints, and the folder."""
+    """Output of ``--json``, and the result folder."""
     out, text = study.parent / "out", io.StringIO()
     with contextlib.redirect_stdout(text):
         assert run(study, "-o", out, "--json", "--figures-format", "svg") == 0
@@ -101,7 +101,7 @@ def test_json_names_the_effect(answer):
     hold = next(each for each in found["regions"] if each["segment"] == "hold")
     assert hold["before_sigma"] > 5 > 3 > hold["after_sigma"] and "the force falls by" in hold["sentence"]
     assert found["fit_after"]["parameters"]["C10"] == pytest.approx(C10, rel=0.01)
-    assert found["fit_before"]["parameters"]["C10"] < 0.97 * C10, "the fit without it takes part of it up"
+    assert found["fit_before"]["parameters"]["C10"] < 0.97 * C10, "the fit without the effect absorbs a part of it"
     (unseen,) = found["held_out"]
     assert unseen["after_N"] < unseen["before_N"] and unseen["adequate_after"] and not unseen["adequate_before"]
     assert {each["name"]: each["units"] for each in found["candidates"]}["machine_compliance"] == {
@@ -109,11 +109,11 @@ def test_json_names_the_effect(answer):
 
 
 class Page(HTMLParser):
-    """Open tags, pictures and the text of the first term and description."""
+    """Open tags, pictures and texts of a page."""
 
     def __init__(self):
         super().__init__()
-        self.open, self.pictures, self.first, self.place = [], [], {}, []
+        self.open, self.pictures, self.first, self.texts = [], [], {}, []
 
     def handle_starttag(self, tag, attributes):
         if tag not in ("meta", "img", "br"):
@@ -127,25 +127,25 @@ class Page(HTMLParser):
     def handle_data(self, data):
         for tag in ("dt", "dd", "h2", "td"):
             if tag in self.open and data.strip():
-                self.place.append((tag, data.strip()))
+                self.texts.append((tag, data.strip()))
 
 
-def test_the_page_says_the_verdict_first(answer):
+def test_report_begins_with_the_verdict(answer):
     found, out = answer
     text = (out / "report.html").read_text(encoding="utf-8")
     page = Page()
     page.feed(text)
     assert page.open == [] and "http://" not in text and "https://" not in text
-    assert page.place[:2] == [("dt", "Named"), ("dd", found["message"])]
-    cells = [cell for tag, cell in page.place if tag == "td"]
+    assert page.texts[:2] == [("dt", "Named"), ("dd", found["message"])]
+    cells = [cell for tag, cell in page.texts if tag == "td"]
     assert "viscoelasticity" in cells and "machine compliance" in cells and any("mm/N" in cell for cell in cells)
-    # One test, the regions, the candidates and no formula.
+    # Figures of one test, the regions and the candidates.
     assert page.pictures == ["data:image/png;base64,"] * 3
     assert {path.name for path in out.glob("*.svg")} == {
         "report_test_1_plates.svg", "report_regions.svg", "report_candidates.svg"}
 
 
-def test_every_sample_before_and_after(answer):
+def test_residuals_of_every_sample_are_written(answer):
     _, out = answer
     table = np.genfromtxt(out / "residuals.csv", delimiter=",", names=True, encoding="utf-8", dtype=None)
     assert table.size == 3 * 61 and set(table["segment"]) == {"ramp", "hold", "unload"}
@@ -153,13 +153,13 @@ def test_every_sample_before_and_after(answer):
     assert np.std(after) == pytest.approx(0.01, rel=0.25) and np.std(before) > 2 * np.std(after)
 
 
-def test_a_finished_diagnosis_is_read_back(answer, study, capsys, monkeypatch):
+def test_a_finished_diagnosis_is_read_from_its_folder(answer, study, capsys, monkeypatch):
     _, out = answer
     monkeypatch.setattr("calibration.campaign_diagnosis.diagnose_campaign", None)
     assert run(study, "-o", out) == 0
     text = capsys.readouterr().out
     assert text.startswith("study: NAMED\nViscoelasticity (g1 = ")
-    assert "read back, nothing was computed" in text and "mm/N" in text
+    assert "this diagnosis was already finished" in text and "mm/N" in text
     for word in ("hold: the force falls by", "dBIC", "C10", "plates/plates_3", "fits with the likeliest"):
         assert word in text
 
@@ -206,7 +206,7 @@ def test_a_killed_run_resumes(answer, study, tmp_path, capsys):
         for each in (ours, theirs):
             each[fit] = {key: value for key, value in each[fit].items() if key not in ("cpu_s", "fem_solves",
                                                                                        "estimate_cpu_s")}
-    assert ours == theirs, "to the last digit"
+    assert ours == theirs, "equal to the last digit"
 
 
 @pytest.mark.parametrize(("method", "more", "words", "expected"), [
@@ -225,7 +225,7 @@ def test_bad_input_is_one_sentence(method, more, words, expected, study, tmp_pat
     assert set(tmp_path.iterdir()) - before == {campaign}
 
 
-def test_other_work_in_the_folder_stays(study, tmp_path, capsys):
+def test_other_files_in_the_folder_are_kept(study, tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
     assert run(study, "-o", tmp_path) == 2
     assert "choose an empty one or add --overwrite" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Pictures: written whole, of every field, and refused with a reason."""
+"""Figures of axisymmetric simulations: every field, every format, and errors."""
 
 import pytest
 
@@ -35,7 +35,7 @@ def test_every_field_is_drawn(bonded, field, tmp_path):
     assert (tmp_path / "f.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_colour_bar_of_a_uniform_field_says_its_value():
+def test_colour_bar_of_a_uniform_field_shows_its_value():
     from matplotlib.figure import Figure
 
     recording, _ = simulated("lubricated_compression", fields=True)
@@ -56,8 +56,8 @@ def test_flat_specimen_in_other_formats(suffix, tmp_path):
     ({}, {}),
     ({"density": 1040.0, "gravity": 9.81}, {"tool": ts.Tool("flat", 0.008, 0.002), "friction": "frictionless"}),
 ], ids=["sharp and bonded", "rounded, frictionless, settled"])
-def test_needle_stands_on_the_surface(weight, overrides):
-    """Its face is the depth below the settled surface, and tissue stands beside its shaft, not in it."""
+def test_needle_is_drawn_on_the_surface(weight, overrides):
+    """The face of the needle is at its depth below the settled surface, and no tissue is inside the shaft."""
     from matplotlib.colors import to_rgba
     from matplotlib.figure import Figure
 
@@ -73,12 +73,12 @@ def test_needle_stands_on_the_surface(weight, overrides):
     for axes in (section, fold):
         (needle,) = [patch for patch in axes.patches if patch.get_facecolor() == to_rgba(RIGID)]
         low, high = needle.get_path().vertices.min(axis=0), needle.get_path().vertices.max(axis=0)
-        # Contact holds at Gauss points; between them nodes of the coarse mesh stand a little in the tool.
+        # Contact is enforced at Gauss points; nodes of the coarse mesh may penetrate the tool slightly.
         assert low[1] == pytest.approx(settled - 7.0, abs=0.03)
         assert (low[0], high[0]) == pytest.approx((-8.0, 8.0))
     surface = fold.lines[0].get_xydata()
-    beside = surface[surface[:, 1] > low[1] + 1e3 * tool.edge_radius + 0.1]
-    assert len(beside) and beside[:, 0].min() > 7.98
+    at_shaft = surface[surface[:, 1] > low[1] + 1e3 * tool.edge_radius + 0.1]
+    assert len(at_shaft) and at_shaft[:, 0].min() > 7.98
 
 
 @pytest.mark.parametrize("specimen", [ts.Specimen(0.04, 0.07), ts.Specimen(0.05, 0.03)], ids=["tall", "flat"])

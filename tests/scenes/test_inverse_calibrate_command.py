@@ -1,4 +1,4 @@
-"""`tissue-sim calibrate` with the finite elements: screen, progress, what a stopped run leaves, several campaigns."""
+"""`tissue-sim calibrate` with finite elements: output, progress, interrupted runs and several campaigns."""
 
 import contextlib
 import csv
@@ -53,7 +53,7 @@ START = "starts = 1\nstart = { C10 = 1400.0, C20 = 600.0 }"
 
 @pytest.fixture(scope="module")
 def measured(reference, tmp_path_factory):
-    """Two replicates of bonded and lubricated compression, from curves of an independent solver."""
+    """Folder with two replicates of bonded and lubricated compression, from curves of an independent solver."""
     folder = tmp_path_factory.mktemp("measured")
     random = np.random.default_rng(11)
     displacement = np.linspace(0, 0.010, 41)
@@ -70,7 +70,7 @@ def measured(reference, tmp_path_factory):
 
 @pytest.fixture
 def write(measured, tmp_path):
-    """Write a campaign beside its recordings."""
+    """Function that writes a campaign in the folder of its recordings."""
     for path in measured.iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())
 
@@ -91,7 +91,7 @@ def joint(write):
 
 @pytest.fixture(autouse=True)
 def without_pictures(monkeypatch):
-    """Drawing them takes longer than the fits."""
+    """Skip the figures of the reports, which take longer than the fits."""
     monkeypatch.setattr("calibration.report.report._pictures", lambda *content: [])
 
 
@@ -107,7 +107,7 @@ def simulations(folder):
     return {path.name for path in (folder / "solves").iterdir()}
 
 
-def test_json_alone_with_the_whole_iteration_table(joint, tmp_path, capsys):
+def test_json_contains_the_whole_iteration_table(joint, tmp_path, capsys):
     assert run(joint, "-o", tmp_path / "out", "--json") == 0
     stdout, stderr = capsys.readouterr()
     answer = json.loads(stdout)
@@ -124,7 +124,7 @@ def test_results_fit_on_80_columns(write, tmp_path, capsys, monkeypatch):
     path = write(laws=("neo_hooke", "reduced_polynomial_2"), more="starts = 1")
     assert run(path, "-o", tmp_path / "out") == 0
     stdout, stderr = capsys.readouterr()
-    assert stderr == "", "nobody watches"
+    assert stderr == "", "no progress without a terminal"
     answer = read(tmp_path / "out")
     lines = stdout.splitlines()
     end = lines.index(answer["message"])
@@ -136,25 +136,25 @@ def test_results_fit_on_80_columns(write, tmp_path, capsys, monkeypatch):
     C10, error = best["parameters"]["C10"], best["standard_errors"]["C10"]
     low, high = best["intervals95"]["C10"]
     row = next(line for line in lines if re.match(r" *C10 ", line) and f"{C10 / 1e3:.4f} ±" in line)
-    # Between these an error leaves two digits.
+    # Within these limits the error is printed with these digits.
     assert 1.0 < error < 3.545 and row.split() == ["C10", f"{C10 / 1e3:.4f}", "±", f"{error / 1e3:.4f}", "kPa",
                                                    f"{low / 1e3:.4f}", "to", f"{high / 1e3:.4f}"]
     for p in answer["predictions"]:
         assert re.search(rf"{p['test']} +left out +{p['RMSE_N']:.3g} N +{p['percent']:.2g} ", text)
-    assert "left out %" in text and "noise: 0.02 N stated, white; between recordings 0.03 mm of contact" in text
+    assert "left out %" in text and "noise: 0.02 N stated, white; scatter between recordings 0.03 mm of contact" in text
     for fit in answer["fits"]:
         begin = f"{fit['law']}: {fit['iterations']} solves from 1 start"
         effort = next(line for line in lines if line.startswith(begin))
         assert f", {fit['fem_solves']} simulated test" in effort
         assert effort.endswith(f" {fit['cpu_s']:.3g} s of processor time")
-    # Neo-Hooke has no curvature: its misfit is named with place and size.
+    # The neo-Hookean law cannot fit the curvature: its misfit is printed with range and size.
     (worse,) = (fit for fit in answer["fits"] if fit["law"] == "neo_hooke")
     assert not all(region["adequate"] for region in worse["regions"])
     assert re.search(r"neo_hooke: smooth misfit in \w+ \([\w ,.]+ mm\): 0\.\d+ N, p [=<] ", text)
     assert f"{answer['best']}: no smooth misfit in any of {len(best['regions'])} regions" in text
 
 
-def test_the_held_out_test_ranks(write, tmp_path, capsys):
+def test_the_held_out_test_ranks_the_laws(write, tmp_path, capsys):
     assert run(write(held_out=("bonded",)), "-o", tmp_path / "out") == 0
     text = capsys.readouterr().out
     (prediction,) = read(tmp_path / "out")["predictions"]
@@ -163,24 +163,24 @@ def test_the_held_out_test_ranks(write, tmp_path, capsys):
     assert re.search(rf"bonded +held out +{prediction['RMSE_N']:.3g} N", text)
 
 
-def test_what_the_tests_do_not_tell(write, tmp_path, capsys):
-    """A shallow test does not see the second parameter: bounds cut its interval, and a deeper test is named."""
-    # A shallower one leaves a C20 below zero, of which the deeper tests take long to simulate.
+def test_unidentifiable_parameters_are_reported(write, tmp_path, capsys):
+    """A shallow test does not determine C20: its bound truncates the interval, and a deeper test is suggested."""
+    # A shallower test would give a negative C20, with which deeper tests take long to simulate.
     path = write(tests=("lubricated",), strain=0.06,
                  more=START + "\nbounds = { C20 = [-1000.0, 30000.0] }")
     run(path, "-o", tmp_path / "out")
     text = capsys.readouterr().out
     (fit,) = read(tmp_path / "out")["fits"]
     assert fit["not_identifiable"] == ["C20"] and fit["interval_notes"]["C20"] == "low: bound -1000"
-    assert "intervals that are cut: C20 low: bound -1000" in text and "(cut)" in text
+    assert "cut intervals: C20 low: bound -1000" in text and "(cut)" in text
     better = fit["suggestions"][0]
     assert better["standard_errors"]["C20"] < 0.1 * fit["standard_errors"]["C20"]
     assert f"not identifiable from these tests: C20; {better['test']} would give C20 ± " in text
-    assert "dBIC" in text, "with a single test nothing is predicted"
+    assert "dBIC" in text, "a single test has no prediction"
 
 
-def watched(monkeypatch, height=24):
-    """Everything that a terminal of 80 columns is told on stderr."""
+def terminal(monkeypatch, height=24):
+    """Stream that receives the stderr of a terminal of 80 columns."""
     stream = io.StringIO()
     monkeypatch.setattr("scenes.commands.calibrate.progress_console",
                         lambda quiet: Console(file=stream, force_terminal=True, width=80, height=height, quiet=quiet,
@@ -189,13 +189,13 @@ def watched(monkeypatch, height=24):
 
 
 def frames(stream):
-    """The pictures that replaced one another."""
+    """Return the successive frames of a live display as lists of lines."""
     plain = re.split(r"(?:\r?\x1b\[2K(?:\x1b\[1A)?)+", stream.getvalue())
     return [re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", frame).splitlines() for frame in plain]
 
 
 def test_iteration_table_is_live_on_a_terminal(joint, tmp_path, capsys, monkeypatch):
-    stream = watched(monkeypatch)
+    stream = terminal(monkeypatch)
     assert run(joint, "-o", tmp_path / "out") == 0
     stdout, stderr = capsys.readouterr()
     assert "run" not in stdout.split() and "corrected" not in stdout.split() and stderr == ""
@@ -214,8 +214,8 @@ def test_iteration_table_is_live_on_a_terminal(joint, tmp_path, capsys, monkeypa
     assert any(f"{len(fit['history'])} solves" in line for line in last)
 
 
-def test_what_is_left_follows_from_the_tasks_that_are_done(monkeypatch):
-    stream, now = watched(monkeypatch), [100.0]
+def test_remaining_time_follows_from_the_finished_tasks(monkeypatch):
+    stream, now = terminal(monkeypatch), [100.0]
     monkeypatch.setattr("scenes.commands.shared.progress.time.monotonic", lambda: now[0])
     console = Console(file=stream, force_terminal=True, width=120, quiet=True)
     progress = CampaignProgress(console)
@@ -226,28 +226,28 @@ def test_what_is_left_follows_from_the_tasks_that_are_done(monkeypatch):
             console.print(progress.render())
         return captured.get()
 
-    progress.say("study: profiles", 0, 8)
+    progress.show_task("study: profiles", 0, 8)
     now[0] = 120.0
-    assert "left" not in shown(), "nothing is done yet"
-    progress.say("study: profiles", 2, 8)
-    assert "about 1:00 left of this part" in shown()
+    assert "left" not in shown(), "no task is finished yet"
+    progress.show_task("study: profiles", 2, 8)
+    assert "about 1:00 remaining in this part" in shown()
     now[0] = 130.0
-    assert "about 0:50 left of this part" in shown(), "time goes on between tasks"
-    progress.say("study: profiles: C20", 2, 8)
-    assert "about 1:30 left of this part" in shown(), "what is worked on is named in it"
-    progress.say("study: tests left out, one at a time", 0, 3)
-    assert "left of this part" not in shown(), "another part"
+    assert "about 0:50 remaining in this part" in shown(), "the estimate decreases between tasks"
+    progress.show_task("study: profiles: C20", 2, 8)
+    assert "about 1:30 remaining in this part" in shown(), "a new sentence does not start a new part"
+    progress.show_task("study: tests left out, one at a time", 0, 3)
+    assert "remaining in this part" not in shown(), "another part"
 
 
-def test_the_table_stays_on_a_low_screen(joint, tmp_path, monkeypatch):
-    stream = watched(monkeypatch, height=12)
+def test_the_table_fits_on_a_low_terminal(joint, tmp_path, monkeypatch):
+    stream = terminal(monkeypatch, height=12)
     assert run(joint, "-o", tmp_path / "out") == 0
     counts = [sum(bool(re.match(r" *\d+ +\d+ ", line)) for line in frame) for frame in frames(stream)]
     assert max(counts) == 4 and max(map(len, frames(stream))) <= 12
 
 
 def test_json_is_quiet_on_a_terminal(joint, tmp_path, monkeypatch):
-    stream = watched(monkeypatch)
+    stream = terminal(monkeypatch)
     assert run(joint, "-o", tmp_path / "out", "--json") == 0
     assert stream.getvalue() == ""
 
@@ -264,10 +264,10 @@ def test_ctrl_c_keeps_the_simulations(overwrite, joint, tmp_path, capsys, monkey
         patch.setattr(generalised, "run_settle", interrupted)
         assert run(*words) == 130
     count = len(simulations(out))
-    assert count > 2, "more than looking at the start takes"
+    assert count > 2, "more than the simulations of the start"
     how = " without --overwrite" if overwrite else ""
     assert capsys.readouterr().err == (f"tissue-sim: stopped by Ctrl-C; {count} simulations are kept in "
-                                       f"{out / 'solves'}: run the same command{how} to go on\n")
+                                       f"{out / 'solves'}. Run the same command{how} to resume\n")
     assert run(joint, "-o", out, "--json") == 0
     resumed = json.loads(capsys.readouterr().out)["fits"][0]
     assert run(joint, "-o", tmp_path / "fresh", "--json") == 0
@@ -276,7 +276,7 @@ def test_ctrl_c_keeps_the_simulations(overwrite, joint, tmp_path, capsys, monkey
 
 
 def test_ctrl_c_before_the_folder_is_claimed(joint, tmp_path, capsys, monkeypatch):
-    """Results of other work that --overwrite would have replaced are not called results of this call."""
+    """Old results that --overwrite would have replaced are not reported as results of this command."""
     out = tmp_path / "out"
     assert run(joint, "-o", out, "--json") == 0
     capsys.readouterr()
@@ -323,13 +323,13 @@ def test_a_killed_run_resumes(joint, tmp_path, capsys):
     resumed = json.loads(capsys.readouterr().out)["fits"][0]
     assert run(joint, "-o", tmp_path / "fresh", "--json") == 0
     fresh = json.loads(capsys.readouterr().out)["fits"][0]
-    assert simulations(out) == simulations(tmp_path / "fresh"), "what was kept is what the fit needs"
+    assert simulations(out) == simulations(tmp_path / "fresh"), "all kept simulations are used"
     assert resumed["fem_solves"] == fresh["fem_solves"] - len(kept)
     assert resumed["parameters"] == fresh["parameters"] and resumed["intervals95"] == fresh["intervals95"]
 
 
 def test_summary_of_several_campaigns(write, tmp_path, capsys):
-    """Inverse and analytical ones, and a parameter that belongs to no law."""
+    """Inverse and analytical campaigns, and a parameter that is no parameter of the law."""
     inverse = write("inverse", more=START + '\nfixed = { "bulk.bulk_ratio" = 5000.0 }')
     inverse.write_text(inverse.read_text(encoding="utf-8").replace("bulk_ratio = 10000.0\n", ""), encoding="utf-8")
     analytical = tmp_path / "analytical.toml"
@@ -355,18 +355,18 @@ def test_summary_of_several_campaigns(write, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("kind", [WorkerError, ConvergenceError])
-def test_a_fit_that_comes_to_its_end_is_exit_code_1(kind, joint, tmp_path, capsys, monkeypatch):
+def test_a_failed_fit_is_exit_code_1(kind, joint, tmp_path, capsys, monkeypatch):
     def ends(*arguments, **keywords):
-        raise kind("this is as far as it went")
+        raise kind("the fit stopped")
 
     monkeypatch.setattr(generalised, "run_start", ends)
     assert run(joint, "-o", tmp_path / "out", "--json") == 1
     stdout, stderr = capsys.readouterr()
-    assert stdout == "" and stderr == "tissue-sim: this is as far as it went\n"
+    assert stdout == "" and stderr == "tissue-sim: the fit stopped\n"
 
 
 @pytest.mark.parametrize(("words", "expected"), [
-    (["--workers", "0"], "--workers: '0' is not a whole number of at least 1"),
+    (["--workers", "0"], "--workers: must be a whole number of at least 1; got '0'"),
     (["--workers", "2", "--dask", "tcp://127.0.0.1:8786"], "--dask: not allowed with argument --workers"),
     (["--dask", "nowhere at all"], "dask: "),
 ])
@@ -377,7 +377,7 @@ def test_bad_workers(words, expected, joint, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-def test_workers_are_asked_for(joint, tmp_path, monkeypatch):
+def test_number_of_workers_reaches_the_calibration(joint, tmp_path, monkeypatch):
     asked = []
 
     @contextlib.contextmanager

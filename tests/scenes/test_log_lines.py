@@ -1,4 +1,4 @@
-"""Progress of commands whose stderr is no terminal: a line now and then, and none with `--json`."""
+"""Progress of commands without a terminal: log lines at intervals, and none with `--json`."""
 
 import re
 
@@ -16,7 +16,7 @@ SIMULATE = ["simulate", "lubricated_compression", "--radius-mm", "20", "--height
 
 @pytest.fixture
 def always(monkeypatch):
-    monkeypatch.setattr(log_lines, "EVERY", 0.0)
+    monkeypatch.setattr(log_lines, "MIN_INTERVAL", 0.0)
 
 
 @pytest.fixture
@@ -27,28 +27,28 @@ def material(tmp_path):
     return str(path)
 
 
-def test_a_line_for_each_thing_that_is_done(always, material, capsys):
+def test_each_task_prints_a_line(always, material, capsys):
     assert main([*SIMULATE, "--material", material]) == 0
     lines = capsys.readouterr().err.splitlines()
     assert all(LINE.fullmatch(line) for line in lines) and lines[-1].endswith("simulating: 4 of 4 samples"), lines
 
 
-def test_none_with_json(always, material, capsys):
+def test_json_prints_no_lines(always, material, capsys):
     assert main([*SIMULATE, "--material", material, "--json"]) == 0
     assert capsys.readouterr().err == ""
 
 
-def test_lines_are_apart(monkeypatch, capsys):
+def test_lines_keep_their_interval(monkeypatch, capsys):
     now = 100.0
     monkeypatch.setattr(log_lines.time, "monotonic", lambda: now)
-    monkeypatch.setattr(log_lines, "EVERY", 60.0)
+    monkeypatch.setattr(log_lines, "MIN_INTERVAL", 60.0)
     status = log_lines.LogLines()
     for now in (101.0, 159.0, 161.0, 200.0, 230.0):
         status.update(f"at {now:g}")
     assert capsys.readouterr().err == "1:01 at 161\n2:10 at 230\n"
 
 
-def test_of_a_calibration(always, tmp_path, capsys):
+def test_a_calibration_prints_lines(always, tmp_path, capsys):
     displacement = np.linspace(0.0, 8e-3, 30)
     stress = ts.find_law("neo_hooke").nominal_stress(1 - displacement / 0.07, {"C10": 1000.0})
     recording = ts.Recording({"time": displacement / 1e-3, "displacement": displacement,

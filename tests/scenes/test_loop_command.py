@@ -1,4 +1,4 @@
-"""`tissue-sim loop`: its flags reach the loop, its report is printed, and a loop that dies is no success."""
+"""`tissue-sim loop`: flags, report, interruptions and errors."""
 
 import importlib
 import json
@@ -31,7 +31,7 @@ KEYS = {"scene", "motion", "resolution", "ended_by", "seconds", "period_us", "ti
 
 
 def writer_of(ring, ticks=50, seconds=600.0, alive=lambda: True):
-    """The process that makes a ring, as soon as it has so many ticks."""
+    """Wait until a ring buffer has `ticks` ticks, and return the identifier of the process that writes it."""
     deadline = time.monotonic() + seconds
 
     def wait_until(condition):
@@ -47,7 +47,7 @@ def writer_of(ring, ticks=50, seconds=600.0, alive=lambda: True):
 
 @pytest.fixture
 def asked(monkeypatch):
-    """What would be started, instead of starting it."""
+    """Function that runs the command and returns the parts of its loop process, which is not started."""
     class NotStartedError(Exception):
         pass
 
@@ -68,8 +68,8 @@ def asked(monkeypatch):
 
 @pytest.fixture
 def of_tissue(monkeypatch):
-    """Loops of another tissue: their processes begin without kernels, four seconds earlier."""
-    monkeypatch.syspath_prepend(ROOT / "tests" / "haptics")  # the process of the loop inherits it
+    """Function that replaces the tissue of loops: their processes start without kernels, four seconds earlier."""
+    monkeypatch.syspath_prepend(ROOT / "tests" / "haptics")  # the loop process inherits the path
     tissues = importlib.import_module("loop_tissues")
 
     def of_tissue(make):
@@ -84,12 +84,12 @@ def of_tissue(monkeypatch):
 
 @pytest.fixture
 def of_springs(of_tissue):
-    """Loops whose tissue is a spring of 200 N/m."""
+    """Replace the tissue of loops by a spring of 200 N/m."""
     of_tissue(lambda tissues: tissues.Spring)
 
 
-def test_a_short_loop_answers_in_json(capsys):
-    """The needle at 2 mm meets 0.3601 N by the reference curve, which knows no inertia."""
+def test_a_short_loop_reports_in_json(capsys):
+    """Without inertia, the needle at 2 mm has 0.3601 N in the reference curve."""
     assert main(["loop", "--seconds", "0.6", "--protocol", "ramp 2mm @5mm/s; hold 1s", "--budget-us", "0",
                  "--inertia", "off", "--no-real-time", "--json"]) == 0
     out, err = capsys.readouterr()
@@ -112,7 +112,7 @@ def test_a_short_loop_prints_a_table(of_springs, capsys):
     assert force == pytest.approx(200 * 2e-3, rel=0.02)
 
 
-def test_the_motion_is_the_one_asked_for(asked):
+def test_flags_select_the_motion(asked):
     _, source, *_ = asked("--depth-mm", "6", "--seed", "3", "--top-speed-mm-s", "100")
     twin = RandomWalk(3, 6e-3, -1.2e-3, 0.1)
     assert isinstance(source, RandomWalk)
@@ -121,16 +121,16 @@ def test_the_motion_is_the_one_asked_for(asked):
     assert isinstance(source, SineMotion) and source.depth(0.25) == pytest.approx(5e-3)
     assert source.depth(0.5) == pytest.approx(-1e-3)
     _, source, *_ = asked("--protocol", "ramp 4mm @2mm/s; unload")
-    assert isinstance(source, ProtocolMotion) and source.depth(6.0) == pytest.approx(4e-3), "it repeats where it closes"
+    assert isinstance(source, ProtocolMotion) and source.depth(6.0) == pytest.approx(4e-3), "a closed protocol repeats"
     _, source, *_ = asked("--motion", "protocol", "--depth-mm", "3", "--speed-mm-s", "1")
     assert source.depth(1.0) == pytest.approx(1e-3) and source.depth(9.0) == pytest.approx(3e-3)
     _, source, *_ = asked("--motion", "sine:depth_mm=2,frequency_hz=4", "--depth-mm", "5")
-    assert source.depth(0.125) == pytest.approx(2e-3), "what stands in the name counts"
+    assert source.depth(0.125) == pytest.approx(2e-3), "settings in the name take precedence"
     _, source, *_ = asked("--device", "virtual:hand:depth_mm=3")
     assert isinstance(source, VirtualHand) and source.pose(0.0).depth == 0.0
 
 
-def test_a_random_motion_goes_aside_and_turns_as_asked_for(asked):
+def test_random_motion_with_lateral_displacement_and_rotation(asked):
     _, source, *_ = asked("--solid", "--depth-mm", "4", "--sideways-mm", "3", "--turn-deg", "5", "--seed", "2",
                           "--top-speed-mm-s", "50", "--offset-mm", "12", "--tilt-deg", "10", "--tool", "round")
     twin = SpatialWalk(2, 4e-3, -0.8e-3, 3e-3, np.radians(5.0), 0.05, approach=ts.Approach(12e-3, np.radians(10.0)))
@@ -140,8 +140,8 @@ def test_a_random_motion_goes_aside_and_turns_as_asked_for(asked):
 
 @pytest.mark.parametrize("words", [("--motion", "sine"), ("--protocol", "ramp 4mm; unload"), ("--motion", "random"),
                                    ("--device", "virtual:sine")])
-def test_every_motion_begins_where_the_tool_touches(words, asked):
-    """The tool of --offset-mm and --tilt-deg: its first pose is on the way of the approach."""
+def test_every_motion_starts_at_first_contact(words, asked):
+    """With --offset-mm and --tilt-deg the first pose lies on the line of approach."""
     _, source, *_ = asked("--solid", "--offset-mm", "12", "--tilt-deg", "10", "--tool", "round", *words)
     pose, approach = source.pose(0.0), ts.Approach(12e-3, np.radians(10.0))
     assert pose.orientation == approach.pose(0.0).orientation
@@ -151,13 +151,13 @@ def test_every_motion_begins_where_the_tool_touches(words, asked):
 @pytest.mark.parametrize("words", [["--motion", "sine"], ["--motion", "random:depth_mm=4"],
                                    ["--device", "virtual:hand"]])
 @pytest.mark.parametrize("flag", ["--sideways-mm", "--turn-deg"])
-def test_what_goes_its_own_way_takes_no_walk(words, flag, capsys):
+def test_lateral_flags_are_refused_for_other_motions(words, flag, capsys):
     assert main(["loop", "--solid", *words, flag, "3"]) == 2
-    assert f"{flag}: only the random motion of the other flags takes it" in capsys.readouterr().err
+    assert f"{flag}: applies only to the random motion of the other flags" in capsys.readouterr().err
 
 
-def test_a_leaning_tool_stays_in_the_box_of_a_reduced_solid(asked, monkeypatch):
-    """It goes aside as it goes down."""
+def test_a_tilted_tool_stays_in_the_box_of_a_reduced_model(asked, monkeypatch):
+    """A tilted tool moves sideways as it goes deeper."""
     file, start = reduced_file(monkeypatch, 0.3, ts.Approach(5e-3, 0.3))
     _, source, *_ = asked("--reduced", "any.reduced.npz", "--top-speed-mm-s", "50")
     poses = [source.pose(t) for t in np.arange(0.0, 20.0, 0.05)]
@@ -166,16 +166,17 @@ def test_a_leaning_tool_stays_in_the_box_of_a_reduced_solid(asked, monkeypatch):
 
 
 @pytest.mark.parametrize(("words", "said"), [
-    (["--sideways-mm", "3"], "--sideways-mm: 3 leads out of the box of the reduced solid, as a tool that leans"),
-    (["--turn-deg", "10"], "--turn-deg: 10 leads out of the box")])
-def test_a_motion_out_of_the_box_of_a_reduced_solid_is_refused(words, said, monkeypatch, capsys):
+    (["--sideways-mm", "3"],
+     "--sideways-mm: must be at most 1.072 to stay in the box of poses of the reduced model, because a tilted"),
+    (["--turn-deg", "10"], "--turn-deg: must be at most 5.73 to stay in the box of poses")])
+def test_a_motion_beyond_the_box_of_a_reduced_model_is_refused(words, said, monkeypatch, capsys):
     reduced_file(monkeypatch, 0.3, ts.Approach(5e-3, 0.3))
     assert main(["loop", "--reduced", "any.reduced.npz", *words]) == 2
     assert said in capsys.readouterr().err
 
 
 def reduced_file(monkeypatch, friction, approach):
-    """A reduced solid that is no more than its box, which any file is read as; and where its tool begins."""
+    """Make the command load a reduced model that has only a box; return the model and the first pose of its tool."""
     holds = friction == "bonded"
     experiment = ts.KINDS["needle_indentation"].experiment(
         specimen=ts.Specimen(0.04, 0.07), protocol=ts.Protocol.ramp(3e-3, 3), friction=friction,
@@ -188,8 +189,8 @@ def reduced_file(monkeypatch, friction, approach):
 
 
 @pytest.mark.parametrize("friction", ["bonded", 0.3])
-def test_no_motion_leaves_the_box_of_a_reduced_solid(friction, asked, monkeypatch):
-    """And no tool that holds tissue pulls at it."""
+def test_no_motion_leaves_the_box_of_a_reduced_model(friction, asked, monkeypatch):
+    """A bonded tool does not lift off either."""
     holds = friction == "bonded"
     file, start = reduced_file(monkeypatch, friction, ts.Approach(5e-3))
     box = file.box
@@ -197,7 +198,7 @@ def test_no_motion_leaves_the_box_of_a_reduced_solid(friction, asked, monkeypatc
         _, source, *_ = asked("--reduced", "any.reduced.npz", "--motion", motion, "--top-speed-mm-s", "50")
         poses = [source.pose(t) for t in np.arange(0.0, 20.0, 0.05)]
         assert all(box.holds(pose, start) for pose in poses if holds or pose.depth >= 0.0)
-        assert (min(pose.depth for pose in poses) < 0.0) is not holds, "it lifts off what it does not hold"
+        assert (min(pose.depth for pose in poses) < 0.0) is not holds, "only a tool that is not bonded lifts off"
         if motion == "random":
             assert np.ptp([pose.position[1] for pose in poses]) > 2e-3 and isinstance(source, SpatialWalk)
     _, source, *_ = asked("--reduced", "any.reduced.npz", "--sideways-mm", "0", "--turn-deg", "0")
@@ -229,17 +230,17 @@ def test_flags_reach_the_coupling_and_the_controller(asked):
     assert rendering.coupling is None and rendering.controller is None
     build, device, rendering, *_ = asked("--device", "haply:ws://127.0.0.1:10001,largest_force_N=3",
                                          "--force-limit-N", "2")
-    assert build.keywords["inertia"] == "off", "behind a coupling"
+    assert build.keywords["inertia"] == "off", "inertia is off with a coupling"
     assert device.largest_force == 3.0 and rendering.limits.force == 2.0
-    assert rendering.coupling.stiffness == 1000.0 and rendering.controller.damping == 2.0, "of a real device"
+    assert rendering.coupling.stiffness == 1000.0 and rendering.controller.damping == 2.0, "defaults of a real device"
     rendering = asked("--device", "haply:ws://127.0.0.1:10001", "--coupling-stiffness-N-m", "0",
                       "--passivity-damping-N-s-m", "0")[2]
     assert rendering.coupling is None and rendering.controller is None
     assert asked("--coupling-stiffness-N-m", "800", "--inertia", "on")[0].keywords["inertia"] == "on"
 
 
-def test_a_device_feels_a_real_scene_within_its_limit(capsys):
-    """The needle at the study's silicone, a hand in a Haply emulator that presses 12 mm deep, and 1 N at most."""
+def test_the_force_at_a_device_stays_within_its_limit(capsys):
+    """Needle in silicone, moved 12 mm deep by the emulated hand of a Haply device with a limit of 1 N."""
     from haptics.devices.virtual.faults import Faults
     from haptics.emulators.haply import emulate_haply
 
@@ -253,20 +254,20 @@ def test_a_device_feels_a_real_scene_within_its_limit(capsys):
     assert answer["device"]["device_id"] == "049D" and "trouble" not in answer["device"]
 
 
-def test_the_live_line_is_read_from_the_ring(tmp_path):
+def test_the_status_line_is_read_from_the_ring(tmp_path):
     with RingWriter(tmp_path / "ring") as ring, RingReader(tmp_path / "ring") as reader:
         live, answer = LiveLine(reader, 60.0), ToolForce.axial(0.25, 200.0, ForceStatus.CONVERGED)
-        assert live.text() == "waiting for a tick"
+        assert live.text() == "waiting for the next tick"
         for n in range(1, 101):
             ring.append(n, n * 1e-3, Pose.at_depth(0.0), Pose.at_depth(1.5e-3), answer.wrench, answer, 1e-6 * n,
                         2e-6 * n, 3, 7, 0)
         assert live.text() == ("0 of 60 s: 1.50 mm, 0.250 N; p99 compute 99, lateness 198 us; late 3, missed 7")
-        assert live.text() == "waiting for a tick", "a line is over the ticks since the one before"
+        assert live.text() == "waiting for the next tick", "a line covers the ticks since the line before"
 
 
 @pytest.mark.parametrize(("words", "expected"), [
     (["needle"], "unknown scene 'needle'"),
-    (["--seconds", "0"], "'0' is not a positive number"),
+    (["--seconds", "0"], "must be a positive number; got '0'"),
     (["--spin-us", "1000"], "spin: 0.001 s; give 0 or more, but less than the period"),
     (["--motion", "jump"], "unknown motion 'jump'; known: random, sine, protocol, hand"),
     (["--motion", "sine:frequency_hz=fast"], "sine.frequency_hz: must be a number; got 'fast'"),
@@ -275,17 +276,19 @@ def test_the_live_line_is_read_from_the_ring(tmp_path):
     (["--motion", "sine:deep"], "sine.settings: must be NAME=NUMBER"),
     (["--device", "jump:0"], "unknown haptic device 'jump'; known: virtual"),
     (["--device", "virtual:sine:deep=3"], "virtual.sine.deep: unknown setting; known: depth_mm, lift, frequency_hz"),
-    (["--device", "virtual:", "--motion", "sine"], "--motion: a device brings its motion with it"),
-    (["--device", "haply:ws://127.0.0.1:1", "--force-limit-N", "9"], "--force-limit-N: 9 N, but the device allows 5 N"),
+    (["--device", "virtual:", "--motion", "sine"], "--motion: cannot be combined with --device"),
+    (["--device", "haply:ws://127.0.0.1:1", "--force-limit-N", "9"],
+     "--force-limit-N: must be at most 5 N, the limit of the device; got 9 N"),
     (["--device", "haply:127.0.0.1"],
      "haply.address: must be ws://HOST:PORT, such as ws://127.0.0.1:10001; got '127.0.0.1'"),
-    (["--coupling-damping-N-s-m", "2"], "--coupling-damping-N-s-m: a damper needs a spring beside it"),
-    (["--motion", "sine", "--protocol", "ramp 2mm"], "--protocol: a sine motion has none"),
+    (["--coupling-damping-N-s-m", "2"], "--coupling-damping-N-s-m: requires a coupling"),
+    (["--motion", "sine", "--protocol", "ramp 2mm"],
+     "--protocol: applies only to --motion protocol; got the motion 'sine'"),
     (["--material", "missing.json"], "missing.json"),
     (["--depth-mm", "70"], "deeper than the specimen is high"),
     (["--ring", "taken"], "taken: exists already"),
 ])
-def test_bad_words_get_one_sentence(words, expected, capsys, tmp_path, monkeypatch):
+def test_invalid_arguments_get_one_sentence(words, expected, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "taken").touch()
     assert main(["loop", *words]) == 2
@@ -310,12 +313,12 @@ def test_a_loop_that_is_killed_is_exit_code_1(of_springs, capsys, tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals and process groups")
-def test_ctrl_c_ends_it_with_its_report(tmp_path):
-    """A random motion, as without any flag."""
+def test_ctrl_c_ends_the_loop_with_its_report(tmp_path):
+    """Random motion, the default without flags."""
     ring = tmp_path / "ring"
     with subprocess.Popen([sys.executable, "-m", "scenes.cli", "loop", "--json", "--ring", ring], cwd=ROOT,
                           stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-                          # What runs in the background of a script inherits that SIGINT is ignored.
+                          # A background process of a script inherits an ignored SIGINT.
                           preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)) as process:
         writer_of(ring, alive=lambda: process.poll() is None)
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does
@@ -328,8 +331,8 @@ def test_ctrl_c_ends_it_with_its_report(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_ctrl_c_before_the_command_knows_that_the_loop_runs_has_its_report(of_springs, monkeypatch, capsys, tmp_path):
-    """As on a busy machine: the loop ticks, and this process has not yet read that it does."""
+def test_ctrl_c_during_the_start_of_a_running_loop_has_its_report(of_springs, monkeypatch, capsys, tmp_path):
+    """As on a busy machine: the loop ticks, but this process has not read its message yet."""
     ring = tmp_path / "ring"
 
     def interrupted(process, **_):
@@ -342,7 +345,7 @@ def test_ctrl_c_before_the_command_knows_that_the_loop_runs_has_its_report(of_sp
     assert answer["ended_by"] == "stop" and answer["ticks"] >= 50
 
 
-def test_ctrl_c_before_the_first_tick_is_said(of_tissue, monkeypatch, capsys):
+def test_ctrl_c_before_the_first_tick_is_reported(of_tissue, monkeypatch, capsys):
     def interrupted(process, **_):
         raise KeyboardInterrupt
 

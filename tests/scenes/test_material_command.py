@@ -1,4 +1,4 @@
-"""`tissue-sim material`: new, show, check."""
+"""`tissue-sim material`: new, show and check."""
 
 import json
 
@@ -25,7 +25,7 @@ def material(tmp_path):
     return path
 
 
-def test_new_writes_what_was_asked(material):
+def test_new_writes_the_stated_material(material):
     loaded = ts.load_material(material)
     assert dict(loaded.parameters) == {"C10": 1404.9, "C20": 699.4}
     assert (loaded.law, loaded.name, loaded.density) == ("reduced_polynomial_2", "phantom", 1040.0)
@@ -45,7 +45,7 @@ def test_show_json(material, capsys):
     assert main(["material", "show", str(material), "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["mu0_Pa"] == pytest.approx(2809.8)
-    # E0 of a slightly compressible solid lies below 3 mu0 = 8429.4 Pa by mu0 / (3 K) of itself.
+    # E0 = 3 mu0 / (1 + mu0 / (3 K)) for a slightly compressible solid, 3 mu0 = 8429.4 Pa.
     assert summary["E0_Pa"] == pytest.approx(8429.4 / (1 + 1 / 3000), rel=1e-9)
     assert summary["K_Pa"] == pytest.approx(2809.8e3)
     assert summary["parameters"]["C20"]["value"] == 699.4 and summary["parameters"]["C20"]["unit"] == "Pa"
@@ -53,13 +53,14 @@ def test_show_json(material, capsys):
     assert set(summary["stability"]["modes"]) == {"uniaxial", "planar", "equibiaxial"}
 
 
-def test_show_for_people(material, capsys):
+def test_show_as_text(material, capsys):
     capsys.readouterr()
     assert main(["material", "show", str(material)]) == 0
     text = capsys.readouterr().out
     for expected in ("phantom", "W = C10*(I1 - 3) + C20*(I1 - 3)^2", "1404.9",
                      "E0 8.4266 kPa, mu0 2.8098 kPa, K 2.8098 MPa",
-                     "stable in equibiaxial loading: stretch 0.3 to 3 (no loss found)", "valid range: not stated",
+                     "stable in equibiaxial loading: stretch 0.3 to 3 (no instability found)",
+                     "valid range: not stated",
                      "software: tissue-sim"):
         assert expected in text
 
@@ -85,7 +86,7 @@ def test_show_standard_errors(tmp_path, capsys):
 
 @pytest.fixture
 def relaxing(tmp_path):
-    """Everything that a material can have; the instantaneous mu0 is 2809.8 Pa / (1 - 0.3 - 0.1)."""
+    """Material with all effects; its instantaneous mu0 is 2809.8 Pa / (1 - 0.3 - 0.1)."""
     path = tmp_path / "v.material.json"
     material = ts.Material(
         "reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, name="relaxing",
@@ -96,16 +97,17 @@ def relaxing(tmp_path):
     return path
 
 
-def test_show_tells_both_moduli_and_every_effect(relaxing, capsys):
+def test_show_prints_both_moduli_and_every_effect(relaxing, capsys):
     assert main(["material", "show", str(relaxing)]) == 0
     text = capsys.readouterr().out
     for expected in ("instantaneous E0 14.049 kPa, mu0 4.683 kPa, incompressible",
-                     "long-term E 5.6196 kPa, mu 1.8732 kPa; the parameters above are long-term",
+                     "long-term E 5.6196 kPa, mu 1.8732 kPa; the parameters above are long-term values",
                      "viscoelastic (Prony series of the isochoric second piola stress): "
                      "g 0.3 +- 0.01, tau 2 s; g 0.1, tau 40 +- 4 s",
-                     "softening on first load: loss 0.4, modulus 50 Pa, share 1",
-                     "layer of 2 +- 0.1 mm, moduli times 3", "drainage: phi 0.2, diffusivity 0.01 mm2/s",
-                     "puncture at 6 mm: the force drops by 0.25 of itself"):
+                     "softening on first load: loss 0.4, modulus 50 Pa, fraction 1",
+                     "layer of 2 +- 0.1 mm: moduli multiplied by 3",
+                     "drainage (poroelasticity): phi 0.2, diffusivity 0.01 mm2/s",
+                     "puncture at 6 mm: the force drops by a fraction of 0.25"):
         assert expected in text
     assert main(["material", "show", str(relaxing), "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
@@ -114,7 +116,7 @@ def test_show_tells_both_moduli_and_every_effect(relaxing, capsys):
     assert summary["viscoelastic"]["terms"][0]["standard_errors"] == {"g": 0.01}
 
 
-def test_check_tells_them_too_and_ends_with_the_verdict(relaxing, capsys):
+def test_check_prints_moduli_and_effects_before_the_verdict(relaxing, capsys):
     assert main(["material", "check", str(relaxing)]) == 0
     text = capsys.readouterr().out
     assert "long-term E 5.6196 kPa" in text and "tau 40 +- 4 s" in text and text.endswith("v.material.json: good\n")
@@ -128,7 +130,7 @@ def test_new_with_a_prony_series(tmp_path, capsys):
 
 
 def unstable(path, lowest):
-    """Loses Drucker stability in compression: a negative second coefficient."""
+    """Write a material that loses Drucker stability in compression: its second coefficient is negative."""
     material = ts.Material("reduced_polynomial_2", {"C10": 1000.0, "C20": -400.0})
     ts.write_material_file(ts.MaterialFile.of(material, valid_range={"stretch": [lowest, 1.0]}), path)
 
@@ -139,7 +141,7 @@ def test_check_good(material, capsys):
     assert capsys.readouterr().out.endswith("m.material.json: good\n")
 
 
-def test_check_looks_at_the_valid_range_only(tmp_path, capsys):
+def test_check_covers_only_the_valid_range(tmp_path, capsys):
     path = tmp_path / "m.material.json"
     unstable(path, lowest=0.95)
     assert main(["material", "check", str(path)]) == 0
@@ -184,13 +186,18 @@ def test_existing_file_is_kept(material, capsys):
     (["--law", "neo_hooke", "--set", "C10=-1"], "must be positive"),
     (["--law", "neo_hooke", "--set", "C10=nan"], "expected a finite number"),
     (["--law", "neo_hooke", "--set", "C10=1", "--bulk-ratio", "2", "--incompressible"], "not allowed with"),
-    (["--law", "neo_hooke", "--set", "C10=1", "--bulk-ratio", "1"], "--bulk-ratio: K / mu0 is 1, outside 2 to 1e+06"),
-    (["--law", "neo_hooke", "--set", "C10=1", "--prony", "0.3"], "--prony: '0.3': expected a share and a time in s"),
-    (["--law", "neo_hooke", "--set", "C10=1", "--prony", "0.3,x"], "--prony: '0.3,x': expected a share"),
+    (["--law", "neo_hooke", "--set", "C10=1", "--bulk-ratio", "1"],
+     "--bulk-ratio: K / mu0 must be 2 to 1e+06, the verified range of the finite elements; got 1. "),
+    (["--law", "neo_hooke", "--set", "C10=1", "--prony", "0.3"],
+     "--prony: must be a fraction and a time in s, such as 0.3,2; got '0.3'"),
+    (["--law", "neo_hooke", "--set", "C10=1", "--prony", "0.3,x"],
+     "--prony: must be a fraction and a time in s, such as 0.3,2; got '0.3,x'"),
     (["--law", "neo_hooke", "--set", "C10=1", "--prony", "0.6,1", "--prony", "0.4,9"], "--prony.terms: the g of all"),
     (["--law", "neo_hooke", "--set", "C10=1", "--prony", "0.3,0"], "--prony.tau: 0 s is not a positive time"),
-    (["--law", "neo_hooke", "--set", "C10=1", "--moduli", "long_term"], "--moduli: needs a Prony series"),
-    (["--law", "neo_hooke", "--set", "C10=1", "--bulk-modulus-pa", "1e9"], "--bulk-modulus-pa: K / mu0 is 5e+08"),
+    (["--law", "neo_hooke", "--set", "C10=1", "--moduli", "long_term"], "--moduli: requires a Prony series"),
+    (["--law", "neo_hooke", "--set", "C10=1", "--bulk-modulus-pa", "1e9"],
+     "--bulk-modulus-pa: K / mu0 must be 2 to 1e+06 (4 to 2e+06 Pa), the verified range of the finite elements; got "
+     "5e+08"),
 ])
 def test_bad_parameters_write_nothing(words, expected, tmp_path, capsys):
     assert main(["material", "new", *words, "-o", str(tmp_path / "m.material.json")]) == 2
@@ -198,9 +205,9 @@ def test_bad_parameters_write_nothing(words, expected, tmp_path, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_name_says_that_it_is_a_material(tmp_path, capsys):
+def test_file_name_must_end_in_material_json(tmp_path, capsys):
     assert main([*NEW, "-o", str(tmp_path / "m.json")]) == 2
-    assert "ends in .material.json" in capsys.readouterr().err
+    assert "must end in .material.json" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

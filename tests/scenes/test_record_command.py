@@ -1,4 +1,4 @@
-"""`tissue-sim record`: a protocol on the virtual rig, its recordings through `calibrate`, and what is refused."""
+"""`tissue-sim record`: recordings on the virtual rig, their calibration, interruptions and errors."""
 
 import json
 import os
@@ -44,7 +44,7 @@ speed_mm_s = 10.0
 duration_s = 600.0
 stiffness_N_per_mm = 2.0
 force_margin_N = 1e3
-sensor_silence_s = 30.0   # a test machine may have much else to do
+sensor_silence_s = 30.0   # a test machine may be busy with other work
 
 [record]
 replicates = 2
@@ -71,23 +71,24 @@ def protocol(tmp_path):
 
 
 def started(*words, **options):
-    """The command in a process of its own."""
+    """Start the command in a separate process."""
     return subprocess.Popen([sys.executable, "-c", "import sys; from scenes.cli import main; sys.exit(main())", *words],
                             env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, text=True,
                             stdin=subprocess.DEVNULL, **options)
 
 
-def test_a_dry_run_says_what_would_be_done_and_starts_nothing(protocol, capsys):
+def test_a_dry_run_prints_the_plan(protocol, capsys):
     assert main(["record", str(protocol()), "--dry-run"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "ramp to 4 mm at 8 mm/s, unload to 0 mm at 8 mm/s" in said
-    assert "It ends beyond 20 N, outside of -6 to 12 mm" in said and "stalled motor is seen by the encoder" in said
+    assert "The run stops at a force above 20 N, a position outside -6 to 12 mm" in said
+    assert "The encoder detects a stalled motor" in said
     assert main(["record", str(protocol()), "--dry-run", "--json"]) == 0
     planned = json.loads(capsys.readouterr().out)
     assert planned["state"] == "planned" and planned["tests"][0]["replicates"] == 2
 
 
-def test_what_was_recorded_calibrates_unchanged(protocol, tmp_path, capsys):
+def test_recordings_can_be_calibrated(protocol, tmp_path, capsys):
     run = tmp_path / "run"
     assert main(["record", str(protocol()), "-o", str(run), "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
@@ -97,30 +98,30 @@ def test_what_was_recorded_calibrates_unchanged(protocol, tmp_path, capsys):
     assert metadata["specimen"] == {"name": "phantom", "shape": "cylinder", "radius_mm": 40.0, "height_mm": 70.0}
     assert main(["calibrate", str(run / "campaign.toml"), "-o", str(tmp_path / "out"), "--json"]) == 0
     fit, = json.loads(capsys.readouterr().out)["fits"]
-    # The study's silicone, whose C20 neo-Hooke takes into C10 in part.
+    # Silicone of the reference study; the neo-Hookean C10 absorbs a part of its C20.
     assert fit["parameters"]["C10"] == pytest.approx(1405.0, rel=0.03) and fit["R2"] > 0.999
 
 
-def test_the_folder_of_a_run_has_all_that_its_campaign_names(protocol, tmp_path):
-    """It calibrates from where it was taken to, with what it was recorded with."""
+def test_the_folder_of_a_run_contains_all_files_of_its_campaign(protocol, tmp_path):
+    """The campaign can be read after the folder was moved and the original rig file was deleted."""
     frame, run = tmp_path / "frame.rig.json", tmp_path / "deep" / "run"
     ts.write_rig(ts.Rig(zero_offset=0.25), frame)
     path = protocol(replace={"[fit]": '[defaults]\nrig = "frame.rig.json"\n\n[fit]', '"analytical"': '"inverse_fem"',
                              "replicates = 2": "replicates = 1"})
     assert main(["record", str(path), "-o", str(run)]) == 0
     frame.unlink()
-    taken = run.rename(tmp_path / "elsewhere")
-    test, = load_campaign(taken / "campaign.toml").tests
+    moved = run.rename(tmp_path / "elsewhere")
+    test, = load_campaign(moved / "campaign.toml").tests
     assert test.rig == ts.Rig(zero_offset=0.25)
 
 
-def test_recordings_of_a_prism_say_what_is_known_of_it(protocol):
+def test_recordings_of_a_prism_state_its_known_sizes(protocol):
     path = protocol(replace={"radius_mm = 40.0": 'shape = "prism"\narea_mm2 = 400.0'})
     said = read_protocol_file(path).plans["plates"].about["specimen"]
     assert said == {"name": "phantom", "shape": "prism", "area_mm2": pytest.approx(400.0), "height_mm": 70.0}
 
 
-def test_recordings_say_the_tool_of_defaults(protocol):
+def test_recordings_state_the_tool_of_the_defaults(protocol):
     path = protocol(replace={'kind = "lubricated_compression"': 'kind = "needle_indentation"',
                              "[fit]": '[defaults]\ntool = "flat"\ntool_radius_mm = 8.0\nfriction = "bonded"\n\n[fit]',
                              '"analytical"': '"inverse_fem"'})
@@ -128,7 +129,7 @@ def test_recordings_say_the_tool_of_defaults(protocol):
     assert (said["tool"], said["tool_radius_mm"], said["friction"]) == ("flat", 8.0, "bonded")
 
 
-def test_files_of_one_name_are_kept_apart(tmp_path):
+def test_files_of_equal_names_are_kept_apart(tmp_path):
     for place in ("a", "b"):
         (tmp_path / place).mkdir()
         (tmp_path / place / "tip.csv").write_text(place, encoding="utf-8")
@@ -142,20 +143,20 @@ def test_files_of_one_name_are_kept_apart(tmp_path):
     assert not RunFolder(tmp_path / "run", "digest").is_begun
 
 
-def test_a_fault_on_request_ends_it_with_the_reason_and_resume_goes_on(protocol, tmp_path, capsys):
+def test_exceeded_force_limit_stops_the_run_with_its_reason(protocol, tmp_path, capsys):
     run = tmp_path / "run"
     limits = {"force_N = 20.0": "force_N = 1.0"}
     assert main(["record", str(protocol(replace=limits)), "-o", str(run)]) == 1
     said = capsys.readouterr()
     assert "above the limit of 1 N" in said.err and "stopped (force) in plates, ramp" in said.out
     assert main(["record", str(tmp_path / "protocol.toml"), "-o", str(run)]) == 2
-    assert "go on with it by --resume" in capsys.readouterr().err
-    # Another protocol is another run.
+    assert "Resume the run with --resume" in capsys.readouterr().err
+    # A changed protocol belongs to another run.
     assert main(["record", str(protocol()), "-o", str(run), "--resume"]) == 2
     assert "choose another folder" in capsys.readouterr().err
 
 
-def test_a_killed_run_leaves_files_that_load_and_goes_on(protocol, tmp_path):
+def test_a_killed_run_leaves_readable_files(protocol, tmp_path):
     slow = protocol(replace={"ramp 4mm @8mm/s; unload": "ramp 3mm @8mm/s; hold 100s; unload"})
     run = tmp_path / "run"
     program = started("record", str(slow), "-o", str(run), "--json", stdout=subprocess.DEVNULL)
@@ -174,7 +175,7 @@ def test_a_killed_run_leaves_files_that_load_and_goes_on(protocol, tmp_path):
     assert not (run / "campaign.toml").exists()
 
 
-def test_ctrl_c_stands_the_stage_and_keeps_what_there_is(protocol, tmp_path):
+def test_ctrl_c_stops_the_stage_and_keeps_the_readings(protocol, tmp_path):
     slow = protocol(replace={"ramp 4mm @8mm/s; unload": "ramp 3mm @8mm/s; hold 100s; unload"})
     run = tmp_path / "run"
     program = started("record", str(slow), "-o", str(run), "--json", stdout=subprocess.PIPE)
@@ -191,17 +192,17 @@ def test_ctrl_c_stands_the_stage_and_keeps_what_there_is(protocol, tmp_path):
 
 
 @pytest.mark.parametrize(("change", "said"), [
-    ({"[limits]": "[limitz]"}, "limits: a motor needs limits"),
+    ({"[limits]": "[limitz]"}, "limits: is required, because a motor moves"),
     ({"force_N = 20.0": "force_N = 0.0"}, "limits.force: must be positive and finite; got 0"),
     ({"lubricant = ": "lubrication = "}, "unknown key"),
     ({"force_margin_N = 1e3": "force_margin_N = 0.1"}, "Use a speed of at most"),
-    ({'protocol = "ramp 4mm @8mm/s; unload"': ""}, "there is no motion to record"),
-    ({'protocol = "ramp 4mm @8mm/s; unload"': 'recordings = ["a.csv"]'}, "is what will be recorded"),
-    ({"[limits]": '[devices]\nstage = "tic:/dev/null"\n[limits]'}, "make both virtual, or give the sensor"),
-    ({"[limits]": '[devices]\nstage = "tic:/dev/null"\nsensor = "rdt://127.0.0.1"\n[limits]'}, "give --arm"),
+    ({'protocol = "ramp 4mm @8mm/s; unload"': ""}, "protocol: is required. Give a motion"),
+    ({'protocol = "ramp 4mm @8mm/s; unload"': 'recordings = ["a.csv"]'}, "recordings: must not be given"),
+    ({"[limits]": '[devices]\nstage = "tic:/dev/null"\n[limits]'}, "Make both virtual, or give the sensor"),
+    ({"[limits]": '[devices]\nstage = "tic:/dev/null"\nsensor = "rdt://127.0.0.1"\n[limits]'}, "--arm: is required"),
     ({"[limits]": '[virtual]\nfaults = "los=1"\n[limits]'}, "did you mean 'loss'"),
 ])
-def test_what_makes_no_sense_is_one_sentence(protocol, tmp_path, capsys, change, said):
+def test_invalid_protocols_get_one_sentence(protocol, tmp_path, capsys, change, said):
     assert main(["record", str(protocol(replace=change)), "-o", str(tmp_path / "run")]) == 2
     error = capsys.readouterr().err
     assert said in error and error.count("\n") == 1
@@ -213,14 +214,14 @@ def test_what_makes_no_sense_is_one_sentence(protocol, tmp_path, capsys, change,
     ({"contact_jitter_mm = 0.03": 'contact_jitter_mm = "estimate"'}, 'noise.contact_jitter_mm: "estimate" needs'),
     ({'["neo_hooke"]': '["neo_hook"]'}, "fit.laws[0]: unknown law 'neo_hook'"),
 ])
-def test_what_calibrate_would_refuse_is_not_recorded(protocol, tmp_path, capsys, change, said):
-    """As `calibrate` refuses the campaign that would have come out, before a folder is made or anything moves."""
+def test_protocols_that_calibrate_would_refuse_are_not_recorded(protocol, tmp_path, capsys, change, said):
+    """The error comes before a folder is created or a motor moves."""
     ts.write_rig(ts.Rig(zero_offset=0.25), tmp_path / "frame.rig.json")
     path = protocol(replace=change)
     for words in (["--dry-run"], ["-o", str(tmp_path / "run")]):
         assert main(["record", str(path), *words]) == 2
         error = capsys.readouterr().err
-        assert said in error and "calibrate would refuse what is recorded with it" in error and error.count("\n") == 1
+        assert said in error and "calibrate would not accept the recordings" in error and error.count("\n") == 1
         assert error.startswith(f"tissue-sim: {path}: ")
     assert not (tmp_path / "run").exists()
 

@@ -1,4 +1,4 @@
-"""Three tests recorded over real sockets and pseudo-terminals, calibrated: the virtual specimen is found again."""
+"""Three tests recorded over sockets and pseudo-terminals and calibrated: the fit recovers the virtual specimen."""
 
 import json
 import socket
@@ -69,7 +69,7 @@ speed_mm_s = 10.0
 duration_s = 600.0
 stiffness_N_per_mm = 5.0
 force_margin_N = 5e3
-sensor_silence_s = 30.0     # a test machine may have much else to do
+sensor_silence_s = 30.0     # a test machine may be busy with other work
 
 [record]
 replicates = 2
@@ -98,14 +98,14 @@ def protocol(tmp_path):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_what_is_recorded_over_the_protocols_finds_the_specimen(protocol, tmp_path, capsys, monkeypatch):
-    # The specimen is simulated in this process, too, and on a busy machine its solutions keep the Tic from answering.
+def test_recordings_over_device_protocols_recover_the_specimen(protocol, tmp_path, capsys, monkeypatch):
+    # This process also simulates the specimen, which delays the answers of the emulated Tic on a busy machine.
     monkeypatch.setattr("haptics.devices.tic.TIMING", replace(TIMING, answer=30.0))
     path, rdt, http = protocol
     read = read_protocol_file(path)
     run = tmp_path / "run"
     for number, test in enumerate(read.campaign.tests):
-        # A specimen is mounted: its sensor and its stage speak the protocols of an ATI box and of a Tic.
+        # Emulate sensor and stage of this specimen with the protocols of an ATI box and of a Tic.
         rig = virtual_rig(read, test)
         sensor = RdtEmulator(rig.sensor, port=rdt, http_port=http, settings=Settings(1e6, 1e6, rate=250.0))
         stage = emulate_tic(rig.bench, "steps_per_mm=1000", Faults())
@@ -113,7 +113,7 @@ def test_what_is_recorded_over_the_protocols_finds_the_specimen(protocol, tmp_pa
             (tmp_path / "port").symlink_to(stage.path)
             words = ["record", str(path), "-o", str(run), "--test", test.name, "--json"]
             if not number:
-                assert main(words) == 2 and "give --arm" in capsys.readouterr().err
+                assert main(words) == 2 and "--arm: is required" in capsys.readouterr().err
             code = main([*words, "--arm", *(["--resume"] if number else [])])
             answer = json.loads(capsys.readouterr().out)
             assert code == 0, answer["message"]
@@ -123,11 +123,11 @@ def test_what_is_recorded_over_the_protocols_finds_the_specimen(protocol, tmp_pa
     assert "Tic" in recording.metadata["stage"]["stage"] and recording.metadata["gaps"] == 0
     assert main(["calibrate", str(run / "campaign.toml"), "-o", str(tmp_path / "out"), "--json"]) == 0
     fit, = json.loads(capsys.readouterr().out)["fits"]
-    # Shares of the values. Where a machine has much else to do readings are dated milliseconds late, each of which is
-    # 8 um here; the intervals know it (C20's is 4 % at load 8), and must still tell one tissue from another.
+    # Largest relative half width of the intervals. On a busy machine, readings have time stamps that are milliseconds
+    # late (8 um of motion each), which widens the intervals (C20: 4 % at load 8).
     widest = {"C10": 0.01, "C20": 0.15}
     for name, true in PHANTOM.items():
-        # One interval in twenty misses, hence three half widths.
+        # One interval in twenty misses the true value, hence three half widths.
         found, (low, high) = fit["parameters"][name], fit["intervals95"][name]
         assert abs(found - true) <= 1.5 * (high - low), (name, found, low, high)
         assert 0.5 * (high - low) <= widest[name] * true, (name, found, low, high)

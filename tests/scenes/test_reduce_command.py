@@ -1,4 +1,4 @@
-"""`tissue-sim reduce`: what it says of its result."""
+"""`tissue-sim reduce`: report of the reduced model, and errors."""
 
 import json
 
@@ -11,8 +11,8 @@ SMALL = ["reduce", "needle_indentation", "--radius-mm", "30", "--height-mm", "20
          "--friction", "bonded", "--depth-mm", "2"]
 
 
-def test_without_more_flags_it_follows_a_needle_along_its_axis(tmp_path, capsys):
-    """By default the tool goes neither aside nor does it turn; that takes a few modes, and is good."""
+def test_default_box_is_a_motion_along_the_axis(tmp_path, capsys):
+    """By default the tool moves along its axis only; a few modes suffice."""
     path = tmp_path / "axis.reduced.npz"
     assert main([*SMALL, "--strokes", "3", "--tried", "1", "-o", str(path), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
@@ -23,16 +23,16 @@ def test_without_more_flags_it_follows_a_needle_along_its_axis(tmp_path, capsys)
 
 
 @pytest.mark.parametrize(("modes", "says"), [("2", True), ("12", False)])
-def test_a_poor_result_says_what_to_do(modes, says, tmp_path, capsys):
+def test_an_inaccurate_model_gives_a_remedy(modes, says, tmp_path, capsys):
     assert main([*SMALL, "--sideways-mm", "2", "--strokes", "2", "--modes", modes, "--tried", "1", "-o",
                  str(tmp_path / "poor.reduced.npz")]) == 0
     said = capsys.readouterr().out
-    assert ("that is much: more strokes (--strokes 4)" in said) is says, said
+    assert ("Use more training paths (--strokes 4)" in said) is says, said
 
 
 @pytest.mark.parametrize("shape", [["--radius-mm", "30", "--height-mm", "20"],
                                    ["--shape", "block", "--length-mm", "60", "--width-mm", "40", "--height-mm", "20"]])
-def test_a_box_beyond_the_specimen_is_refused_at_once(shape, tmp_path, capsys):
+def test_a_box_beyond_the_specimen_is_refused(shape, tmp_path, capsys):
     path = tmp_path / "wide.reduced.npz"
     assert main(["reduce", "needle_indentation", *shape, "--tool", "round", "--tool-radius-mm", "8", "--friction",
                  "0.3", "--sideways-mm", "35", "-o", str(path)]) == 2

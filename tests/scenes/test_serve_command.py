@@ -1,4 +1,4 @@
-"""`tissue-sim serve`: one line when it is ready, forces and configuration while it runs, counters at its end."""
+"""`tissue-sim serve`: a line when ready, forces and configuration while running, counters at the end."""
 
 import json
 import math
@@ -17,9 +17,9 @@ import tissue_sim as ts
 from haptics.server.client import TissueClient
 from haptics.server.wire import Status
 from scenes.cli import main
-from scenes.commands.serve import describe
+from scenes.commands.serve import describe_scene
 
-MEASURES = ["--radius-mm", "40", "--height-mm", "70"]
+SIZES = ["--radius-mm", "40", "--height-mm", "70"]
 
 
 @pytest.fixture(scope="module")
@@ -32,9 +32,9 @@ def material(tmp_path_factory):
 
 @contextmanager
 def serving(root, material, *words):
-    """The command as a process of its own, from its first line to its end."""
+    """Run the command in a separate process; yield the process and its first line."""
     process = subprocess.Popen([sys.executable, "-m", "scenes.cli", "serve", "--material", material, "--port", "0",
-                                "--budget-us", "0", *MEASURES, *words], cwd=root, text=True, encoding="utf-8",
+                                "--budget-us", "0", *SIZES, *words], cwd=root, text=True, encoding="utf-8",
                                stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     try:
         yield process, process.stdout.readline()
@@ -45,7 +45,7 @@ def serving(root, material, *words):
 
 @pytest.fixture(scope="module")
 def served(root, material):
-    """Ports of a running server; with JSON its counters, at the end, are kept out of stdout."""
+    """Ports of a running server; with JSON its counters go to stderr at the end."""
     with serving(root, material, "--json") as (process, line):
         answer = json.loads(line)
         assert set(answer) == {"host", "port", "configuration_port", "real_time"}
@@ -58,7 +58,7 @@ def served(root, material):
 
 @pytest.fixture
 def ask(served):
-    """Ask the configuration."""
+    """Function that sends a configuration command and returns the answer."""
     with socket.create_connection((served["host"], served["configuration_port"]), timeout=600) as peer:
         lines = peer.makefile("rb")
 
@@ -77,14 +77,14 @@ def client(served):
 
 
 def advance(client, depth):
-    """From rest to a depth at 2.5 mm/s, where mass does not count; the last reply."""
+    """Move from rest to a depth at 2.5 mm/s, where inertia is negligible; return the last reply."""
     for k in range(round(depth / 5e-5) + 1):
         reply = client.step(5e-5 * k, at=0.02 * k, reset=k == 0)
         assert reply.status == Status.CONVERGED and reply.age == 0.0 and not reply.flags
     return reply
 
 
-def test_force_is_that_of_the_reference_curve(client, reference):
+def test_force_agrees_with_the_reference_curve(client, reference):
     """Bonded punch at 2 mm: within 1 % of an independent solver."""
     displacement, force = np.loadtxt(reference / "punch_bonded_face_side_wall_RP.csv", delimiter=",", unpack=True)
     reply = advance(client, 0.002)
@@ -94,12 +94,12 @@ def test_force_is_that_of_the_reference_curve(client, reference):
     assert reply.stiffness[2][2] == pytest.approx(slope, rel=0.01)
 
 
-def test_fast_tool_feels_the_mass(client):
+def test_fast_tool_has_inertial_force(client):
     client.step(0.0, at=0.0, reset=True)
     assert client.step(0.0001, at=0.001).flags == 1
 
 
-def test_describe_says_what_is_served(ask):
+def test_describe_returns_the_scene(ask):
     answer = ask("describe")
     assert answer["scene"] == "needle_indentation" and answer["protocol"]["version"] == 3
     assert answer["tool"]["shape"] == "flat" and answer["tool"]["radius"] == 0.008
@@ -113,8 +113,8 @@ def test_describe_says_what_is_served(ask):
                                      "way": [0.0, 0.0, -1.0]}
 
 
-def test_a_client_is_told_where_a_reduced_solid_holds():
-    """Also how its tool leans, as docs/wire_protocol.md has it, and how far its force errs."""
+def test_describe_returns_box_and_error_of_a_reduced_model():
+    """The answer also contains the direction of a tilted tool, as docs/wire_protocol.md defines it."""
     experiment = ts.KINDS["needle_indentation"].experiment(
         specimen=ts.Specimen(0.04, 0.07), protocol=ts.Protocol.ramp(3e-3, points=2), tool=ts.Tool("flat", radius=8e-3),
         friction="bonded", approach=ts.Approach(15e-3, math.radians(10.0)))
@@ -123,15 +123,15 @@ def test_a_client_is_told_where_a_reduced_solid_holds():
     arguments = SimpleNamespace(scene="needle_indentation", material=None, inertia="auto", largest_force_N=100.0,
                                 solver="reduced")
     simulator = SimpleNamespace(mesh=None, resolution="own mesh", force_error=None, budget=None)
-    told = describe(arguments, experiment, ts.MaterialFile.of(material), simulator, reduced)
-    assert told["box"] == {"sideways": 2e-3, "depth": 3e-3, "turn": 0.1} and told["force_error"] == 0.007
-    touch = told["first_touch"]
+    answer = describe_scene(arguments, experiment, ts.MaterialFile.of(material), simulator, reduced)
+    assert answer["box"] == {"sideways": 2e-3, "depth": 3e-3, "turn": 0.1} and answer["force_error"] == 0.007
+    touch = answer["first_touch"]
     assert touch["position"] == pytest.approx((0.015, 0.0, 0.0), abs=1e-12)
     assert touch["orientation"] == pytest.approx((0.99619, 0.0, -0.08716, 0.0), abs=1e-5)
     assert touch["way"] == pytest.approx((0.17365, 0.0, -0.98481), abs=1e-5)
 
 
-def test_parameters_are_set_without_a_new_start(ask, client):
+def test_parameters_are_set_without_a_restart(ask, client):
     soft = advance(client, 0.001).force[2]
     assert ask("set_parameters", parameters={"C10": 2809.8, "C20": 1398.8})["parameters"]["C10"] == 2809.8
     hard = advance(client, 0.001).force[2]
@@ -140,8 +140,8 @@ def test_parameters_are_set_without_a_new_start(ask, client):
     assert "did you mean 'C10'?" in ask("set_parameters", parameters={"C1": 3.0})["error"]
 
 
-def test_what_the_scene_cannot_hold_is_refused(ask, client):
-    """Poses that once ended the process, or were answered with 180 kN."""
+def test_poses_beyond_the_scene_are_refused(ask, client):
+    """Poses that once ended the process, or gave 180 kN."""
     assert ask("describe")["limits"] == {"deepest": pytest.approx(0.063), "force": 100.0}
     force = advance(client, 0.002).force[2]
     for k, depth in enumerate((-1e300, 1e300, -1e300, 0.071, 1e3, 0.064)):
@@ -165,13 +165,14 @@ def test_surface_follows_the_tool(ask, client):
     assert np.hypot(vertices[:, 0], vertices[:, 1]).max() == pytest.approx(outline[:, 0].max())
 
 
-def test_states_come_back_with_their_force(ask, client):
+def test_saved_states_restore_their_force(ask, client):
     force = advance(client, 0.002).force[2]
     assert "at 2 mm" in ask("save", name="at 2 mm")["states"]
     advance(client, 0.0)
     assert "error" not in ask("restore", name="at 2 mm")
     reply = client.step(0.002, at=9.0)
-    assert reply.status == Status.RETURNING and reply.force[2] == 0.0, "a hand that is put into the tissue"
+    # The force must not jump when the tool is placed inside the tissue.
+    assert reply.status == Status.RETURNING and reply.force[2] == 0.0
     while reply.status == Status.RETURNING:
         reply = client.step(0.002, at=9.0)
     assert reply.force[2] == pytest.approx(force, rel=1e-5)
@@ -190,12 +191,12 @@ def test_ctrl_c_ends_with_counters(root, material):
 
 
 @pytest.mark.parametrize(("words", "expected"), [
-    (["--port", "70000"], "'70000' is too many"),
+    (["--port", "70000"], "must be at most 65535; got '70000'"),
     (["--host", "0.0.0.0"], "host: must be a loopback address"),
     (["--scene", "needle"], "unknown scene 'needle'"),
-    (["--largest-force-N", "1e6"], "--largest-force-N: 1e+06 N is more than a scene gives; 100 N is the most"),
-    (["--session", "0"], "'0' is not a whole number of at least 1"),
-    (["--spin-us", "-1"], "'-1' is not a number of zero or more"),
+    (["--largest-force-N", "1e6"], "--largest-force-N: must be at most 100 N; got 1e+06 N"),
+    (["--session", "0"], "must be a whole number of at least 1; got '0'"),
+    (["--spin-us", "-1"], "must be zero or a positive number; got '-1'"),
 ])
 def test_bad_input_is_one_sentence(material, capsys, words, expected):
     capsys.readouterr()

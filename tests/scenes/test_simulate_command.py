@@ -1,4 +1,4 @@
-"""`tissue-sim simulate`: JSON, files, figures, and a solver that gives up."""
+"""`tissue-sim simulate`: JSON, files, figures, and a solver that does not converge."""
 
 import json
 from pathlib import Path
@@ -29,8 +29,8 @@ def test_field_names_are_those_of_the_fields():
     assert set(LABELS) == set(FIELD_UNITS)
 
 
-def test_json_is_alone_and_right(material, capsys):
-    """Bonded compression against the independent reference curve: 1.5417 and 4.1035 N at 2 and 5 mm."""
+def test_json_is_the_only_output_and_correct(material, capsys):
+    """Bonded compression agrees with an independent reference curve: 1.5417 and 4.1035 N at 2 and 5 mm."""
     capsys.readouterr()
     assert main(["simulate", "bonded_compression", "--material", material, "--depth-mm", "5", "--points", "6",
                  "--json"]) == 0
@@ -80,16 +80,16 @@ def test_writes_a_recording_and_a_figure(material, tmp_path, capsys):
     assert main(words) == 2
     assert "--overwrite" in capsys.readouterr().err
     assert main([*words, "--overwrite"]) == 0
-    assert curve.read_bytes() == before, "the same question has the same answer"
+    assert curve.read_bytes() == before, "equal input gives equal output"
 
 
 @pytest.mark.parametrize(("words", "expected"), [
     (["--depth-mm", "70"], "deeper than the specimen is high"),
-    (["-o", "curve.csv", "--points", "4"], "give at least 5"),
-    (["--points", "100001"], "give at most 100000"),
-    (["-o", "curve.txt"], "ends in .csv"),
-    (["--figure", "f.bmp"], "ends in .png"),
-    (["-o", "."], "is a directory"),
+    (["-o", "curve.csv", "--points", "4"], "needs at least 5 samples; got 4"),
+    (["--points", "100001"], "must be at most 100000; got '100001'"),
+    (["-o", "curve.txt"], "must end in .csv"),
+    (["--figure", "f.bmp"], "must end in .png"),
+    (["-o", "."], "must be a file; got a directory"),
 ])
 def test_bad_input_writes_nothing(material, words, expected, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
@@ -115,7 +115,7 @@ def test_a_json_file_of_the_same_name_is_kept(material, tmp_path, capsys):
 
 @pytest.fixture
 def gives_up(monkeypatch):
-    """A solver that comes to the end of its means after half of the way."""
+    """Solver that stops after half of the protocol."""
     def simulate(model, **options):
         protocol = model.experiment.protocol
         half = ts.Recording({"time": protocol.time[:6], "displacement": protocol.displacement[:6],
@@ -129,7 +129,7 @@ def test_partial_curve_is_kept(material, gives_up, tmp_path, capsys):
     curve = tmp_path / "curve.csv"
     assert main(["simulate", "bonded_compression", "--material", material, "--points", "11", "-o", str(curve)]) == 1
     err = capsys.readouterr().err
-    assert err == f"tissue-sim: no convergence beyond 5 mm; the curve up to there is in {curve}\n"
+    assert err == f"tissue-sim: no convergence beyond 5 mm; the curve up to this point is in {curve}\n"
     np.testing.assert_allclose(ts.read_recording(curve).force, np.arange(6.0))
 
 
@@ -143,15 +143,15 @@ def test_partial_curve_in_json(material, gives_up, capsys):
     assert err.count("\n") == 1
 
 
-def test_the_bulge_meets_the_plates(material, capsys):
-    """An independent solution with contact there has 31.96 N at 21 mm; without it the force stays 6 % below."""
+def test_the_bulging_specimen_touches_the_plates(material, capsys):
+    """An independent solution with this contact has 31.96 N at 21 mm; without it the force is 6 % smaller."""
     words = ["simulate", "bonded_compression", "--material", material, "--depth-mm", "21", "--points", "22", "--json"]
     assert main(words) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["force_N"][-1] == pytest.approx(31.96, rel=0.01) and answer["warnings"] == []
 
 
-def test_a_force_that_errs_is_warned_of_in_both_outputs(tmp_path, capsys):
+def test_a_large_force_error_gives_a_warning_in_both_outputs(tmp_path, capsys):
     ts.write_material_file(ts.MaterialFile.of(ts.Material("neo_hooke", {"C10": 13989.0}, ts.Bulk("bulk_ratio", 740.0))),
                            tmp_path / "m.material.json")
     words = ["simulate", "needle_indentation", "--material", str(tmp_path / "m.material.json"), "--radius-mm", "37.9",
@@ -163,24 +163,25 @@ def test_a_force_that_errs_is_warned_of_in_both_outputs(tmp_path, capsys):
     assert warning.startswith("the force may err by about ") and answer["force_error"] > 0.03
     assert main(words) == 0
     out, err = capsys.readouterr()
-    assert err == f"tissue-sim: warning: {warning}\n" and "of its largest, by comparison" in " ".join(out.split())
+    assert err == f"tissue-sim: warning: {warning}\n"
+    assert "of the largest force, from a comparison" in " ".join(out.split())
     assert main([*words, "--json", "--no-force-error"]) == 0
-    unsaid = json.loads(capsys.readouterr().out)
-    assert "force_error" not in unsaid and unsaid["warnings"] == [] and unsaid["force_N"] == answer["force_N"]
+    without = json.loads(capsys.readouterr().out)
+    assert "force_error" not in without and without["warnings"] == [] and without["force_N"] == answer["force_N"]
 
 
-def test_material_beyond_its_range_and_stability_is_warned_of(tmp_path, capsys):
+def test_leaving_the_valid_and_stable_range_gives_warnings(tmp_path, capsys):
     material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": -100.0}, ts.Bulk("bulk_ratio", 1e4))
     ts.write_material_file(ts.MaterialFile.of(material, valid_range={"stretch": (0.9, 1.0)}),
                            tmp_path / "m.material.json")
     main(["simulate", "lubricated_compression", "--material", str(tmp_path / "m.material.json"), "--depth-mm", "28"])
     err = capsys.readouterr().err
-    assert "fitted for stretches from 0.9 to 1 only" in err and "not stable over the mean stretches" in err
+    assert "fitted to stretches from 0.9 to 1 only" in err and "unstable within the mean stretches" in err
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_the_test_it_was_fitted_to_is_in_its_range(tmp_path, capsys):
-    """A thin needle in a large specimen stretches almost none of it, whatever the mean stretch."""
+def test_the_fitted_test_is_in_the_valid_range(tmp_path, capsys):
+    """A thin needle stretches only a small part of a large specimen; the mean stretch would be misleading."""
     experiment = ts.KINDS["needle_indentation"].experiment(
         specimen=ts.Specimen(0.04, 0.07), protocol=ts.Protocol.ramp(5e-3, 9), tool=ts.Tool("sphere", radius=4e-3),
         friction="frictionless")
@@ -215,7 +216,7 @@ zero_jitter_N = 0.0
     assert json.loads(capsys.readouterr().out)["warnings"] == []
     assert main([*words, "9"]) == 0
     warning, = json.loads(capsys.readouterr().out)["warnings"]
-    assert warning.startswith("the tissue is stretched from") and "fitted for stretches from" in warning
+    assert warning.startswith("the stretches of the tissue are") and "fitted to stretches from" in warning
 
 
 def test_small_forces_keep_their_digits(material, capsys):
@@ -230,7 +231,7 @@ def test_small_forces_keep_their_digits(material, capsys):
 
 def test_field_without_figure_is_refused(material, capsys):
     assert main(["simulate", "lubricated_compression", "--material", material, "--field", "J"]) == 2
-    assert "add --figure" in capsys.readouterr().err
+    assert "Add --figure" in capsys.readouterr().err
 
 
 def simulate_json(capsys, material, *words) -> dict:
@@ -257,15 +258,15 @@ def test_needle_flags(material, capsys):
     assert forces[2] < 0.97 * forces[0] and forces[3] < forces[0]
 
 
-def test_measures_reach_the_experiment_in_si(material, monkeypatch):
-    """Every flag of tool, contact and tilt, as a solver that only looks at its model sees them."""
+def test_flags_reach_the_experiment_in_si_units(material, monkeypatch):
+    """Every flag of tool, contact and tilt arrives in the model that the solver receives."""
     seen = []
 
-    def look(model, **options):
+    def record_model(model, **options):
         seen.append(model.experiment)
         raise ConvergenceError("seen")
 
-    monkeypatch.setattr(ts, "simulate", look, raising=False)
+    monkeypatch.setattr(ts, "simulate", record_model, raising=False)
     words = ["simulate", "needle_indentation", "--material", material, "--tool", "cone", "--tool-radius-mm", "6",
              "--half-angle-deg", "30", "--tip-radius-mm", "0.5", "--friction", "0.7", "--friction-base", "stick",
              "--friction-wall", "0.2", "--adhesion-N", "0.05", "--adhesion-length-mm", "0.4", "--tilt-mm", "0.3"]
@@ -282,7 +283,7 @@ def test_measures_reach_the_experiment_in_si(material, monkeypatch):
 
 
 def test_profile_of_a_file(material, tmp_path, capsys):
-    """The outline of a flat needle of 8 mm with an edge radius of 1 mm, drawn with 40 lines, is that needle."""
+    """A profile of 40 lines along a flat needle of 8 mm with an edge radius of 1 mm gives the force of this needle."""
     angle = np.linspace(0, np.pi / 2, 40)
     outline = [(0.0, 0.0), *zip(7 + np.sin(angle), 1 - np.cos(angle), strict=True), (8.0, 60.0)]
     path = tmp_path / "tool.csv"
@@ -293,7 +294,7 @@ def test_profile_of_a_file(material, tmp_path, capsys):
 
 
 def test_pointed_needles_press_less(material, capsys):
-    """Sneddon: at the same depth a cone and a sphere touch less, and press less, than a flat face of their radius."""
+    """Sneddon: at equal depth a cone and a sphere have smaller contact areas and forces than a flat face."""
     words = ["needle_indentation", "--depth-mm", "2", "--points", "3", "--friction", "0.7"]
     flat, sphere, cone = (simulate_json(capsys, material, *words, *tool)["force_N"][-1] for tool in (
         ["--edge-radius-mm", "0.25"], ["--tool", "sphere"],
@@ -302,9 +303,10 @@ def test_pointed_needles_press_less(material, capsys):
 
 
 def test_self_weight(material, capsys):
-    """One-dimensional solution of the study's lubricated column: sag 2.780 mm, 1.3979 and 3.7793 N at 2 and 5 mm.
+    """One-dimensional solution of a lubricated column: sag 2.780 mm, 1.3979 and 3.7793 N at 2 and 5 mm.
 
-    It neglects the shear between layers that widen differently."""
+    This solution neglects the shear between layers that widen differently.
+    """
     words = ["lubricated_compression", "--depth-mm", "5", "--points", "6", "--gravity", "--density-kg-m3", "1040"]
     answer = simulate_json(capsys, material, *words)
     assert answer["self_weight"]["sag_mm"] == pytest.approx(2.780, rel=5e-3)
@@ -323,18 +325,18 @@ def test_density_is_that_of_the_material_file(material, tmp_path, capsys):
     assert own["self_weight"]["density_kg_m3"] == 1100
 
 
-def test_contact_and_weight_are_told(material, capsys):
+def test_contact_and_self_weight_are_printed(material, capsys):
     assert main(["simulate", "needle_indentation", "--material", material, "--depth-mm", "1", "--points", "2",
                  "--gravity", "--density-kg-m3", "1040"]) == 0
     out = capsys.readouterr().out
-    assert "the surface enters the tool by" in out and "(tolerance 0.0008 mm)" in out
-    assert "self-weight: the specimen sags 2." in out and "density 1040 kg/m3, g 9.81 m/s2" in out
+    assert "largest penetration of tool and tissue: " in out and "(tolerance 0.0008 mm)" in out
+    assert "self-weight: the specimen settles by 2." in out and "density 1040 kg/m3, g 9.81 m/s2" in out
 
 
 @pytest.mark.parametrize(("words", "expected"), [
-    (["bonded_compression", "--tool", "flat"], "--tool: bonded_compression is not done with the tool 'flat'; use scene "
-                                               "needle_indentation"),
-    (["needle_indentation", "--tool", "plate"], "use scene lubricated_compression or bonded_compression"),
+    (["bonded_compression", "--tool", "flat"],
+     "--tool: the scene bonded_compression does not allow the tool 'flat'. Use the scene needle_indentation"),
+    (["needle_indentation", "--tool", "plate"], "Use the scene lubricated_compression or bonded_compression"),
     (["needle_indentation", "--tool", "wedge"], "'wedge'"),
     (["bonded_compression", "--tool-radius-mm", "8"], "a plate covers the whole top face and has no radius"),
     (["bonded_compression", "--edge-radius-mm", "1"], "a plate covers the whole top face and has no radius"),
@@ -343,13 +345,15 @@ def test_contact_and_weight_are_told(material, capsys):
     (["needle_indentation", "--friction-wall", "bonded"], "use 'stick', 'frictionless'"),
     (["needle_indentation", "--edge-radius-mm", "8"], "does not fit a tool of radius"),
     (["needle_indentation", "--tool-radius-mm", "40"], "must be smaller than the specimen's"),
-    (["needle_indentation", "--adhesion-N", "0.1"], "--adhesion-N: adhesion needs a force and a length"),
-    (["needle_indentation", "--adhesion-length-mm", "1"], "--adhesion-length-mm: adhesion needs a force and a length"),
-    (["needle_indentation", "--gravity"], "states none; add --density-kg-m3"),
-    (["needle_indentation", "--density-kg-m3", "1040"], "--density-kg-m3: counts only where the specimen has weight"),
-    (["needle_indentation", "--height-is", "placed"], "--height-is: counts only where the specimen has weight"),
+    (["needle_indentation", "--adhesion-N", "0.1"],
+     "--adhesion-N: adhesion requires --adhesion-N and --adhesion-length-mm"),
+    (["needle_indentation", "--adhesion-length-mm", "1"],
+     "--adhesion-length-mm: adhesion requires --adhesion-N and --adhesion-length-mm"),
+    (["needle_indentation", "--gravity"], "states none. Add --density-kg-m3"),
+    (["needle_indentation", "--density-kg-m3", "1040"], "--density-kg-m3: has an effect only with --gravity"),
+    (["needle_indentation", "--height-is", "placed"], "--height-is: has an effect only with --gravity"),
 ])
-def test_flags_that_do_not_fit(material, words, expected, capsys):
+def test_contradictory_flags_are_refused(material, words, expected, capsys):
     capsys.readouterr()
     assert main(["simulate", *words, "--material", material]) == 2
     out, err = capsys.readouterr()

@@ -8,7 +8,7 @@ import pytest
 import tissue_sim as ts
 from scenes import draw_simulation
 from scenes.cli import main
-from scenes.commands.simulate.report import MOST_ROWS, shown_rows
+from scenes.commands.simulate.report import MAX_ROWS, select_rows
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.rig.file import write_rig
 from tissue_sim.rig.rig import Rig
@@ -44,8 +44,8 @@ def simulate_json(simulate):
 
 
 class TestProtocol:
-    def test_force_comes_back(self, simulate_json):
-        """Closed form of the lubricated cylinder: 3.31757 N at 5 mm, on the way in and out; nothing is lost."""
+    def test_unloading_returns_the_loading_force(self, simulate_json):
+        """Closed form of the lubricated cylinder: 3.31757 N at 5 mm in loading and unloading, without dissipation."""
         answer = simulate_json(LUBRICATED, "--protocol", "ramp 5mm @1mm/s; hold 2s; unload", "--points", "6")
         assert answer["displacement_mm"][:6] == pytest.approx(range(6))
         assert answer["time_s"][5] == pytest.approx(5) and answer["time_s"][-1] == pytest.approx(12)
@@ -72,7 +72,7 @@ class TestProtocol:
         assert "displacement [mm]" in out and "segment" not in out and "time [s]" not in out
 
     def test_figure_of_the_deepest_sample(self, simulate, tmp_path):
-        """Not of the last one, where the tool has left: 3.31757 N at 5 mm in closed form."""
+        """The last sample has no contact; the deepest has 3.31757 N at 5 mm in closed form."""
         code, _, err = simulate(LUBRICATED, "--protocol", "approach 1mm; ramp 5mm; unload; retract 1mm", "--points",
                                 "6", "--figure", str(tmp_path / "f.svg"))
         assert code == 0, err
@@ -81,7 +81,7 @@ class TestProtocol:
     @pytest.mark.parametrize(("words", "expected"), [
         (["--protocol", "ramp 10mm; hld 60s"], "protocol: column 12, at 'hld 60s': unknown segment 'hld'; did you mean "
                                                "'hold'? For example 'ramp 10mm"),
-        (["--protocol", "ramp 10mm", "--depth-mm", "5"], "--depth-mm: --protocol states its own depths; leave one"),
+        (["--protocol", "ramp 10mm", "--depth-mm", "5"], "--depth-mm: cannot be combined with --protocol"),
         (["--protocol", "ramp 70mm"], "deeper than the specimen is high"),
         (["--protocol", "hold 1s; ramp 200km"], "'km' is not a unit of length here; use mm, um, m"),
     ])
@@ -97,33 +97,33 @@ def curve(samples: int, segments=None) -> ts.Recording:
 
 
 class TestLongTables:
-    def test_short_ones_are_whole(self):
-        assert shown_rows(curve(MOST_ROWS)).tolist() == list(range(MOST_ROWS))
+    def test_short_curves_are_printed_completely(self):
+        assert select_rows(curve(MAX_ROWS)).tolist() == list(range(MAX_ROWS))
 
     def test_ends_and_changes_of_segment_are_kept(self):
-        rows = shown_rows(curve(1000, ["ramp"] * 333 + ["hold"] * 300 + ["unload"] * 367))
-        assert {0, 332, 632, 999} <= set(rows) and MOST_ROWS - 2 <= rows.size <= MOST_ROWS
+        rows = select_rows(curve(1000, ["ramp"] * 333 + ["hold"] * 300 + ["unload"] * 367))
+        assert {0, 332, 632, 999} <= set(rows) and MAX_ROWS - 2 <= rows.size <= MAX_ROWS
         assert np.diff(rows).max() < 20
 
     @pytest.mark.parametrize("samples", [61, 1000])
     def test_many_segments_are_thinned_too(self, samples):
-        rows = shown_rows(curve(samples, ["ramp", "unload"] * (samples // 2) + ["ramp"] * (samples % 2)))
-        assert rows[0] == 0 and rows[-1] == samples - 1 and rows.size == MOST_ROWS
+        rows = select_rows(curve(samples, ["ramp", "unload"] * (samples // 2) + ["ramp"] * (samples % 2)))
+        assert rows[0] == 0 and rows[-1] == samples - 1 and rows.size == MAX_ROWS
 
-    def test_it_is_said(self, simulate):
+    def test_omitted_samples_are_reported(self, simulate):
         _, out, _ = simulate(LUBRICATED, "--depth-mm", "1", "--points", "100")
-        assert "60 of 100 samples are shown; -o CURVE.csv keeps all" in out
+        assert "60 of 100 samples are shown; -o CURVE.csv writes all samples" in out
 
 
 class TestRig:
-    def test_of_a_file(self, simulate_json, tmp_path):
+    def test_rig_of_a_file(self, simulate_json, tmp_path):
         """Zero and gain of the sensor on the closed form, 1.24965 N at 2 mm."""
         write_rig(Rig(zero_offset=0.1, sensor_gain=0.02), tmp_path / "r.rig.json")
         answer = simulate_json(LUBRICATED, "--depth-mm", "2", "--points", "3", "--rig", str(tmp_path / "r.rig.json"))
         assert answer["force_N"] == pytest.approx([0.1, 1.02 * 0.6142 + 0.1, 1.02 * 1.24965 + 0.1], rel=1e-3)
 
-    def test_compliance_is_solved(self, simulate_json, tmp_path):
-        """At 2 mm and 1.24965 N, a train of 0.2 mm/N has moved 2 + 0.2 * 1.24965 mm."""
+    def test_compliance_is_part_of_the_simulation(self, simulate_json, tmp_path):
+        """At 2 mm and 1.24965 N a load train of 0.2 mm/N has moved 2 + 0.2 * 1.24965 mm."""
         write_rig(Rig(compliance=0.2e-3), tmp_path / "r.rig.json")
         depth = repr(2 + 0.2 * 1.24965)
         answer = simulate_json(LUBRICATED, "--depth-mm", depth, "--points", "21", "--rig", str(tmp_path / "r.rig.json"))
@@ -141,7 +141,7 @@ class TestRig:
         write_rig(Rig(sampling_rate=0.3), tmp_path / "r.rig.json")
         code, _, err = simulate(LUBRICATED, "--depth-mm", "2", "--rig", str(tmp_path / "r.rig.json"),
                                 "-o", str(tmp_path / "c.csv"))
-        assert code == 2 and "--rig: 3 points are too few for a recording" in err
+        assert code == 2 and "--rig: a recording needs at least 5 samples; got 3" in err
         assert [path.name for path in tmp_path.iterdir()] == ["r.rig.json"]
 
 
@@ -154,12 +154,12 @@ class TestReplicates:
             (tmp_path / folder).mkdir()
             code, out, _ = simulate(*self.WORDS, "--replicates", "3", "--seed", seed,
                                     "-o", str(tmp_path / folder / "curve.csv"))
-            assert code == 0 and "replicate 1 of 3" in out
+            assert code == 0 and "replicate 1 of 3 is shown" in out
             assert {path.name for path in (tmp_path / folder).iterdir()} == {
                 *files, *(file.replace("csv", "json") for file in files)}
         content = {(folder, file): (tmp_path / folder / file).read_bytes() for folder in "abc" for file in files}
         assert all(content["a", file] == content["b", file] for file in files)
-        assert len(set(content.values())) == 6, "neither seeds nor replicates share their noise"
+        assert len(set(content.values())) == 6, "seeds and replicates have independent noise"
         recordings = [ts.read_recording(tmp_path / "a" / file) for file in files]
         assert [recording.metadata["replicate"] for recording in recordings] == [1, 2, 3]
         noise = np.array([recording.force for recording in recordings]) - np.mean(
@@ -167,7 +167,7 @@ class TestReplicates:
         # 100 degrees of freedom are left: the estimate is within 25 % of the truth in 999 of 1000 cases.
         assert np.sqrt((noise**2).sum() / 100) == pytest.approx(0.02, rel=0.25)
 
-    def test_first_replicates_stay_when_more_are_asked_for(self, simulate_json):
+    def test_first_replicates_do_not_depend_on_their_number(self, simulate_json):
         few, many = (simulate_json(*self.WORDS, "--replicates", number)["replicates"] for number in ("2", "4"))
         assert many[:2] == few and len(many) == 4
         assert set(few[0]) == {"displacement_mm", "force_N", "seed"}
@@ -178,9 +178,9 @@ class TestReplicates:
         assert 0.01 < np.std(np.subtract(noisy["force_N"], clean["force_N"])) < 0.03
 
     @pytest.mark.parametrize(("words", "expected"), [
-        (["--replicates", "3"], "--replicates: counts only where there is noise; add --noise-N"),
-        (["--seed", "3"], "--seed: counts only where there is noise"),
-        (["--replicates", "3", "--noise-N", "0"], "--replicates: counts only where there is noise"),
+        (["--replicates", "3"], "--replicates: has an effect only with noise. Add --noise-N"),
+        (["--seed", "3"], "--seed: has an effect only with noise"),
+        (["--replicates", "3", "--noise-N", "0"], "--replicates: has an effect only with noise"),
     ])
     def test_noise_is_needed(self, words, expected, simulate):
         code, out, err = simulate(LUBRICATED, *words)
@@ -202,8 +202,8 @@ class TestReplicates:
         monkeypatch.setattr(ts, "simulate", give_up, raising=False)
         code, _, err = simulate(*self.WORDS, "--replicates", "2", "-o", str(tmp_path / "curve.csv"))
         one, two = tmp_path / "curve_1.csv", tmp_path / "curve_2.csv"
-        assert code == 1 and err == (f"tissue-sim: no convergence beyond 1 mm; the curve up to there is in {one} and "
-                                     f"{two}\n")
+        assert code == 1 and err == (f"tissue-sim: no convergence beyond 1 mm; the curve up to this point is in {one} "
+                                     f"and {two}\n")
         assert len(ts.read_recording(one)) == len(ts.read_recording(two)) == 6
 
 
@@ -212,11 +212,11 @@ def test_friction_scene_is_close_to_bonded(simulate, simulate_json):
     words = ["friction_compression", "--depth-mm", "5", "--points", "6"]
     answer = simulate_json(*words)
     assert answer["force_N"][-1] == pytest.approx(4.103, rel=0.01)
-    assert answer["slipping_points"] >= 0 and "points of the surface slip at once" in simulate(*words)[1]
+    assert answer["slipping_points"] >= 0 and "contact points slip at the same time" in simulate(*words)[1]
 
 
 class TestFigures:
-    """The sample that `draw_simulation` draws."""
+    """Selection of the sample that `draw_simulation` draws."""
 
     @pytest.fixture(scope="class")
     @staticmethod
@@ -237,6 +237,6 @@ class TestFigures:
         assert f"{force:.4g} N at {depth} mm" in (tmp_path / "f.svg").read_text(encoding="utf-8")
 
     def test_no_such_segment(self, relaxing, tmp_path):
-        with pytest.raises(ts.InputError, match="no segment 'reload'; it has: hold, ramp, unload"):
+        with pytest.raises(ts.InputError, match="no segment 'reload'; known: hold, ramp, unload"):
             draw_simulation(*relaxing, tmp_path / "f.png", segment="reload")
         assert not list(tmp_path.iterdir())

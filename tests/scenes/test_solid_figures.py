@@ -1,4 +1,4 @@
-"""Pictures of a solid in space: what they draw lies where the tissue and the tool are, in the colours of the field."""
+"""Figures of three-dimensional simulations: geometry of tissue and tool, and colours of the field."""
 
 import math
 
@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 import tissue_sim as ts
 from scenes.colour_scale import colour_scale
 from scenes.field_labels import LABELS
-from scenes.solid_figures import draw_cut, draw_surface, revolved, tool_pose
+from scenes.solid_figures import draw_cut, draw_surface, revolve_profile, tool_pose
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
@@ -23,7 +23,7 @@ POSE = ts.Approach(10e-3, LEAN).pose(5e-3)
 
 
 def fields_of(mesh, displacement):
-    """Fields without a solver, their scene's origin 1 mm above the mesh's."""
+    """Return fields without a solver; the origin of the scene is 1 mm above that of the mesh."""
     batches, count = ElementBatches(mesh), len(mesh.connectivity)
     return SolidFields(mesh, MATERIAL, 3e6, displacement[None], np.zeros((1, count, mesh.element.pressure_modes)),
                        *batches.of_points, batches.weights, np.ones(count), datum=1e-3)
@@ -41,7 +41,7 @@ def cylinder(request):
 
 
 def drawn_triangles(collection):
-    """Corners, mm, shape (t, 3, 2), of a coloured triangulation."""
+    """Return the corners of a coloured triangulation, mm, shape (t, 3, 2)."""
     triangles = collection._triangulation
     return np.column_stack([triangles.x, triangles.y])[triangles.triangles]
 
@@ -56,7 +56,7 @@ def test_a_cut_has_the_area_of_the_section_and_the_values_of_the_field(field, cy
     axes = Figure().subplots()
     draw_cut(axes, cylinder, field, -1, POSE, TOOL)
     section, = (each for each in axes.collections if hasattr(each, "_triangulation"))
-    # At y = 0 the tissue is shifted along x only, by what depends on z: the area stays.
+    # At y = 0 the displacement is along x and depends on z only, so that the area is preserved.
     assert abs(area(drawn_triangles(section)).sum()) == pytest.approx(80.0 * 70.0, rel=1e-6)
     label, factor = LABELS[field]
     scale = colour_scale(cylinder, field)
@@ -67,7 +67,7 @@ def test_a_cut_has_the_area_of_the_section_and_the_values_of_the_field(field, cy
     assert section.get_array().max() <= values[on_plane].max() + 1e-9
 
 
-def test_the_tool_stands_at_its_pose_with_its_lean(cylinder):
+def test_the_tool_is_drawn_at_its_pose_and_angle(cylinder):
     axes = Figure().subplots()
     draw_cut(axes, cylinder, "von_mises", -1, POSE, TOOL)
     outline = axes.patches[0].get_xy()
@@ -79,15 +79,15 @@ def test_the_tool_stands_at_its_pose_with_its_lean(cylinder):
     assert ((outline - tip) @ axis).min() == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_surface_shows_what_looks_to_the_viewer(cylinder):
+def test_only_faces_towards_the_camera_are_drawn(cylinder):
     axes = Figure().subplots()
     draw_surface(axes, cylinder, "displacement", -1, POSE, TOOL)
     mesh, = (each for each in axes.collections if hasattr(each, "_triangulation"))
-    assert (area(drawn_triangles(mesh)) > -1e-9).all(), "nothing is seen from behind"
+    assert (area(drawn_triangles(mesh)) > -1e-9).all(), "no face is seen from behind"
     assert len(np.unique(mesh.get_facecolor().round(3), axis=0)) > 20
 
 
-def test_a_tool_that_the_load_train_keeps_back_stands_on_the_tissue():
+def test_a_tool_behind_a_compliant_load_train_is_drawn_on_the_tissue():
     line = np.linspace(-0.02, 0.02, 5)
     fields = fields_of(block_mesh(line, line, line - 0.02, HEX8P0), np.zeros((125, 3)))
     upright = tool_pose(fields, -1, Pose((0.0, 0.0, -6e-3)), ts.Tool("flat", radius=8e-3))
@@ -97,13 +97,13 @@ def test_a_tool_that_the_load_train_keeps_back_stands_on_the_tissue():
 
 
 def test_a_body_of_revolution_has_its_volume():
-    vertices, faces = revolved(np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 3.0], [0.0, 3.0]]), segments=400)
+    vertices, faces = revolve_profile(np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 3.0], [0.0, 3.0]]), segments=400)
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     assert np.einsum("ti,ti->", np.cross(a, b), c) / 6.0 == pytest.approx(12.0 * np.pi, rel=1e-4)
 
 
 def test_simulate_draws_a_solid(tmp_path, capsys):
-    """The whole way, with as few solutions as there can be."""
+    """The command draws a figure; the test uses the smallest number of samples."""
     from scenes.cli import main
 
     material, figure = tmp_path / "m.material.json", tmp_path / "f.png"

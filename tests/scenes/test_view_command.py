@@ -1,4 +1,4 @@
-"""`tissue-sim view`: without a browser it plays and answers in JSON, and what cannot be shown is one sentence."""
+"""`tissue-sim view`: run without a browser, JSON output, and errors of one sentence."""
 
 import json
 import multiprocessing
@@ -22,14 +22,14 @@ KEYS = {"frames", "seconds", "phase", "message", "time_s", "displacement_mm", "f
 
 
 def recorded(path, **metadata):
-    """A ramp of the needle to 1 mm in a file."""
+    """Write a recording of a needle ramp to 1 mm."""
     depth = np.linspace(0.0, 1e-3, 21)
     ts.write_recording(ts.Recording({"time": depth / 1e-3, "displacement": depth, "force": 180 * depth}, {}, metadata),
                        path)
     return path
 
 
-def test_without_a_browser_it_says_what_was_felt(of_gel, capsys):
+def test_headless_run_returns_the_forces(of_gel, capsys):
     before = set(multiprocessing.active_children())
     assert main(["view", "--headless", "--seconds", "0.5", "--protocol", "ramp 2mm @20mm/s; hold 1s", "--json",
                  "--no-real-time"]) == 0
@@ -47,7 +47,7 @@ def test_without_a_browser_it_says_what_was_felt(of_gel, capsys):
 
 
 class Staged:
-    """A session whose simulation starts at the third frame; then it does what the test says."""
+    """Session whose simulation starts at the third frame; then `on_frame` and `refuses` define its behaviour."""
 
     waits_for_curve = False
 
@@ -102,13 +102,13 @@ def test_flags_reach_the_session(staged, capsys, tmp_path):
     assert (answer["rate_Hz"], answer["RMSE_N"]) == (None, None)
 
 
-def test_in_words_it_is_a_line(staged, capsys):
+def test_summary_is_one_line(staged, capsys):
     assert main(HEADLESS[:-1]) == 0
     assert capsys.readouterr().out == "1 frames in 0.1 s; running; largest force 0.000 N\n"
-    assert staged.newest.posted == [], "without a protocol the tool stays at the touch"
+    assert staged.newest.posted == [], "without a protocol the tool rests at first contact"
 
 
-def test_a_simulation_that_died_is_no_success(staged, monkeypatch, capsys):
+def test_a_crashed_simulation_is_exit_code_1(staged, monkeypatch, capsys):
     def died(session):
         seen = frame(session)
         seen.phase, seen.message = Phase.DIED, "The simulation has stopped: killed."
@@ -133,7 +133,7 @@ def test_ctrl_c_before_the_first_frame_is_no_traceback(staged, monkeypatch, caps
 
 
 def interrupted(frame):
-    """As `frame`, with a Ctrl-C at the first one."""
+    """Return `frame` with a Ctrl-C at its first call."""
     def interrupted(session):
         if session.frames == 0:
             signal.raise_signal(signal.SIGINT)
@@ -142,7 +142,7 @@ def interrupted(frame):
 
 
 def refused(capsys, *words):
-    """One sentence on stderr, exit code 2, and nothing on stdout."""
+    """Run `view`; check exit code 2, one sentence on stderr and an empty stdout; return the sentence."""
     assert main(["view", *words]) == 2
     out, err = capsys.readouterr()
     assert out == "" and err.startswith("tissue-sim: ") and err.count("\n") == 1 and "Traceback" not in err
@@ -151,22 +151,22 @@ def refused(capsys, *words):
 
 @pytest.mark.parametrize(("words", "expected"), [
     (["needle"], "unknown scene 'needle'"),
-    (["--headless"], "--seconds: a viewer without a browser needs an end"),
-    (["--headless", "--seconds", "0"], "'0' is not a positive number"),
-    (["--port", "70000"], "at most 65535"),
+    (["--headless"], "--seconds: is required with --headless"),
+    (["--headless", "--seconds", "0"], "must be a positive number; got '0'"),
+    (["--port", "70000"], "must be at most 65535"),
     (["--resolution", "coarse"], "'coarse'"),
     (["--depth-mm", "70"], "deeper than the specimen is high"),
-    (["--depth-mm", "3", "--protocol", "ramp 2mm"], "--depth-mm: --protocol states its own depths"),
+    (["--depth-mm", "3", "--protocol", "ramp 2mm"], "--depth-mm: cannot be combined with --protocol"),
     (["--material", "missing.material.json"], "missing.material.json"),
     (["--measured", "missing.csv"], "missing.csv"),
     (["--measured", "words.csv"], "words.csv"),
     (["--measured", "pulled.csv"], "pulled.csv: kind: must be one of lubricated_compression"),
     (["--measured", "force.csv"], "force.csv"),
 ])
-def test_bad_words_get_one_sentence(words, expected, capsys, tmp_path, monkeypatch):
-    """And no process is started for them."""
+def test_invalid_arguments_get_one_sentence(words, expected, capsys, tmp_path, monkeypatch):
+    """No session is started for invalid arguments."""
     def start(*_, **__):
-        raise AssertionError("a session was begun")
+        raise AssertionError("a session was started")
 
     monkeypatch.setattr("scenes.viewer.run.Session", start)
     monkeypatch.chdir(tmp_path)

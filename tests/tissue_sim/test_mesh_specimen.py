@@ -91,7 +91,7 @@ def test_the_command_line_takes_a_mesh(file, tmp_path, capsys):
         capsys.readouterr().err)
     assert "liver.vtu: is 40 m large where its unit is m" in refused("--solid", "--mesh-unit", "m")
     assert "no sides on the surface of the mesh are named 'skull'" in refused("--solid", "--mesh-top", "skull")
-    assert "--radius-mm: a mesh states shape and sizes of the specimen itself" in refused("--radius-mm", "30")
+    assert "--radius-mm: cannot be combined with --mesh" in refused("--radius-mm", "30")
     assert "reaches beyond the specimen, liver.vtu of 40 x 30 x 20 mm" in refused("--solid", "--offset-mm", "15")
     assert main(["simulate", "needle_indentation", "--material", str(path), "--mesh-unit", "cm"]) == 2
-    assert "--mesh-unit: a mesh of a file needs the file; add --mesh FILE" in capsys.readouterr().err
+    assert "--mesh-unit: requires a mesh file. Add --mesh FILE" in capsys.readouterr().err

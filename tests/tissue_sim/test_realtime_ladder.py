@@ -116,7 +116,7 @@ def test_a_mesh_on_which_nothing_stands_is_left_out(monkeypatch):
 def test_everybody_calls_them_the_same():
     names = [name for name, one in RESOLUTIONS.items() if one.force_errors]
     assert [rung.resolution for rung in realtime_rungs(model("plates").experiment)] == names
-    assert list(tissue_flags._RUNGS) == names and names[-1] == realtime_mesh.COARSEST
+    assert list(tissue_flags._REALTIME_LEVELS) == names and names[-1] == realtime_mesh.COARSEST
 
 
 @pytest.mark.parametrize("name", TESTS)

@@ -365,6 +365,6 @@ def test_the_command_takes_a_skin_and_another_one(tmp_path, capsys):
     assert main(["reduce", "needle_indentation", "--material", str(files[0]), "--also", str(files[1]), "--radius-mm",
                  "25", "--height-mm", "15", "--tool", "flat", "--tool-radius-mm", "6", "--friction", "bonded",
                  "--depth-mm", "2", "--strokes", "2", "--modes", "8", "--tried", "1", "-o", str(output)]) == 0
-    assert "on 2 other strokes, of 2 materials, the force is" in capsys.readouterr().out
+    assert "force error on 2 test paths with 2 materials: " in capsys.readouterr().out
     read = ts.load_reduced(output)
     assert read.model.material.layers == (SKIN,) and read.report["materials"] == 2

@@ -1,4 +1,4 @@
-"""The fits of a campaign on the screen: tables that fit on 80 columns, and what to know about them."""
+"""Printed fits of a campaign: tables of at most 80 columns, and remarks."""
 
 from __future__ import annotations
 
@@ -26,19 +26,21 @@ if TYPE_CHECKING:
     from calibration.fit.fit import Fit, Prediction, Region
     from calibration.fit.result import CalibrationResult
 
-#: Columns of the longest path into a material that are shown in a line.
+#: Width of the parameter names, characters; longer names are wrapped.
 _NAME_WIDTH = 29
-#: Of a note on an interval, and of the regions with a misfit of a law; all of them are in the report.
-_NOTE_WIDTH, _MOST_REGIONS = 60, 3
+#: Length of a note on an interval, characters; the report has the whole note.
+_NOTE_WIDTH = 60
+#: Number of regions with a misfit that are printed for a law; the report lists all.
+_MAX_REGIONS = 3
 
 
 def print_fits(result: CalibrationResult, console: Console) -> None:
-    """Print ranking, parameters, predictions, then what to know about them."""
+    """Print ranking, parameters and predictions of the laws, and remarks on them."""
     fits, tests, units = result.fits, {test.name: test for test in result.campaign.tests}, Units.of(result)
-    heading, meaning = _ranked_by(result)
+    heading, meaning = _ranking_criterion(result)
     console.print(_ranking_table(fits, heading, units))
     star = "" if fits[0].unusable else "* best usable law; "
-    print_sentence(console, f"{star}{meaning}; stable: stretches, in any loading")
+    print_sentence(console, f"{star}{meaning}; stable: range of stable stretches")
     console.print()
     console.print(_parameter_table(fits, units))
     console.print()
@@ -50,37 +52,38 @@ def print_fits(result: CalibrationResult, console: Console) -> None:
         console.print()
     if result.predictions:
         console.print(_prediction_table(result.predictions, tests, units))
-        chance = "; by chance: what noise, jitter and the errors of the parameters would make"
+        chance = "; by chance: error expected from noise, jitter and the errors of the parameters"
         several = any(prediction.mean_of for prediction in result.predictions)
-        chance += "; by the mean: of other specimens, whose scatter is chance too" if several else ""
+        chance += "; by the mean: predicted with the mean of other specimens, whose scatter is part of the chance" \
+            if several else ""
         known = any(prediction.expected_N is not None for prediction in result.predictions)
-        print_sentence(console, f"%: of the largest force or stress{chance if known else ''}")
+        print_sentence(console, f"%: relative to the largest force or stress{chance if known else ''}")
         console.print()
     print_sentence(console, result.message)
-    for sentence in (*_unpredicted(result.predictions), *_undetermined(fits, units),
-                     *_misfits(fits, tests, units), *_basis(result, tests, units)):
+    for sentence in (*_missing_predictions(result.predictions), *_identifiability_remarks(fits, units),
+                     *_misfit_remarks(fits, tests, units), *_accuracy_remarks(result, tests, units)):
         print_sentence(console, sentence)
-    # The message of the first law, where it is not usable, is part of that of the result.
+    # The message of the result contains that of the first law if the law is unusable.
     for having, remarks in remarks_by_law(fits, lambda fit: fit.warnings if fit.unusable is None else
                                           [] if fit is fits[0] else [fit.message]):
         names = "all laws" if 1 < len(having) == len(fits) else ", ".join(fit.law for fit in having)
         print_sentence(console, f"{names}: {remarks}")
     for fit in fits:
         if fit.fem_solves:
-            print_sentence(console, f"{fit.law}: {_effort(fit)}")
+            print_sentence(console, f"{fit.law}: {_describe_effort(fit)}")
 
 
-def _ranked_by(result: CalibrationResult) -> tuple[str, str]:
-    """Heading of the figure that ranks the laws, and what it means."""
+def _ranking_criterion(result: CalibrationResult) -> tuple[str, str]:
+    """Return column heading and explanation of the criterion that ranks the laws."""
     if all(fit.left_out is None for fit in result.fits):
-        return "dBIC", "dBIC: BIC above it"
+        return "dBIC", "dBIC: BIC minus the best BIC"
     if ranked_by_held_out(result.predictions):
-        return "held out %", "held out: error in tests that no fit has seen"
-    return "left out %", "left out: error in each test, predicted from the others"
+        return "held out %", "held out: error in tests that no fit used"
+    return "left out %", "left out: error in each test, predicted by a fit to the other tests"
 
 
 def _ranking_table(fits: Sequence[Fit], heading: str, units: Units) -> Table:
-    """One row for each law, with the figure that ranks them."""
+    """Return the table of the laws with ranking criterion, errors, moduli and stable stretches."""
     best, pressure = fits[0], units.pressure
     forces = best.RMSE_N is not None or best.RMSE_Pa is None
     load = units.force if forces else pressure
@@ -90,29 +93,29 @@ def _ranking_table(fits: Sequence[Fit], heading: str, units: Units) -> Table:
         error = fit.RMSE_N if forces else fit.RMSE_Pa
         above = None if fit.unusable else fit.BIC - best.BIC
         table.add_row(_ranked_name(fit, best), number(above if heading == "dBIC" else fit.left_out, 3),
-                      _share_of_variance(fit), "-" if error is None else f"{error / load.size:.4g}",
+                      _format_R2(fit), "-" if error is None else f"{error / load.size:.4g}",
                       *moduli_of(fit, units), stable_stretches(fit),
                       style=_ranked_style(fit, best))
     return table
 
 
 def _ranked_name(fit: Fit, best: Fit) -> str:
-    """The law, with a star where it is the best usable one: without a usable law there is a first one, and no best."""
+    """Return the name of a law, with a star if it is the best usable law; without a usable law none has a star."""
     return f"{fit.law} *" if fit is best and fit.unusable is None else fit.law
 
 
 def _ranked_style(fit: Fit, best: Fit) -> str | None:
-    """Style of a row of the ranking."""
+    """Return the style of a row of the ranking: bold for the best usable law."""
     return "bold" if fit is best and fit.unusable is None else None
 
 
-def _share_of_variance(fit: Fit) -> str:
-    """R2."""
+def _format_R2(fit: Fit) -> str:
+    """Format the coefficient of determination."""
     return f"{fit.R2:.5f}" if fit.R2 > -1 else f"{fit.R2:.3g}"
 
 
 def _parameter_table(fits: Sequence[Fit], units: Units) -> Table:
-    """Parameters with standard errors and profile-likelihood intervals, in the order of the ranking."""
+    """Return the table of the parameters of all laws with standard errors and profile-likelihood intervals."""
     table = text_table("parameter", "value ± standard error", "95 % interval", text=3)
     table.columns[0].no_wrap, table.columns[0].overflow = False, "fold"
     table.columns[0].max_width = _NAME_WIDTH
@@ -129,18 +132,18 @@ def _parameter_table(fits: Sequence[Fit], units: Units) -> Table:
 
 
 def _legend(fits: Sequence[Fit]) -> str:
-    """What in the model the symbols are that are no parameters of a law, and which derivatives are differences."""
-    places = {symbol: name for fit in fits for name, symbol in fit.symbols.items() if symbol != name}
-    parts = [f"{symbol}: {name}" for symbol, name in places.items()]
+    """Return the legend: full names of abbreviated parameters, and parameters with finite-difference derivatives."""
+    full_names = {symbol: name for fit in fits for name, symbol in fit.symbols.items() if symbol != name}
+    parts = [f"{symbol}: {name}" for symbol, name in full_names.items()]
     inexact = dict.fromkeys(fit.symbols[name] for fit in fits for name, how in fit.derivatives.items()
                             if how == "difference")
     if inexact:
-        parts.append(f"by differences of simulations: {', '.join(inexact)}")
+        parts.append(f"derivatives by finite differences: {', '.join(inexact)}")
     return "; ".join(parts)
 
 
 def _prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Test], units: Units) -> Table:
-    """Tests that a law was not fitted to."""
+    """Return the table of the errors in tests to which a law was not fitted."""
     table = text_table("law", "predicts", "", "RMSE", "%", "by chance", text=3)
     table.columns[1].no_wrap, table.columns[1].overflow = False, "fold"
     last = None
@@ -156,20 +159,20 @@ def _prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Tes
     return table
 
 
-def _unpredicted(predictions: Sequence[Prediction]) -> Iterator[str]:
-    """Why there is no prediction."""
+def _missing_predictions(predictions: Sequence[Prediction]) -> Iterator[str]:
+    """Yield the reason for each missing prediction."""
     for p in predictions:
         if p.percent is None:
-            yield f"{p.law} does not predict {p.test}: {p.note or 'the law does not carry the specimen so far'}"
+            yield f"{p.law} does not predict {p.test}: {p.note or 'the simulation did not reach its depth'}"
 
 
-def _undetermined(fits: Sequence[Fit], units: Units) -> Iterator[str]:
-    """What cut an interval, and what these tests do not determine."""
+def _identifiability_remarks(fits: Sequence[Fit], units: Units) -> Iterator[str]:
+    """Yield sentences on truncated intervals, unidentifiable parameters and poorly determined directions."""
     for fit in fits:
         cuts = [f"{fit.symbols[name]} {shorten(note, _NOTE_WIDTH, placeholder=' ...')}"
                 for name, profile in fit.profiles.items() for note in profile.notes]
         if cuts:
-            yield f"{fit.law}: intervals that are cut: {'; '.join(cuts)}"
+            yield f"{fit.law}: cut intervals: {'; '.join(cuts)}"
         if fit.not_identifiable:
             advice = "; ".join(suggestion_in_words(each, fit, units) for each in fit.suggestions)
             if fit.fem_solves and not advice:
@@ -182,48 +185,51 @@ def _undetermined(fits: Sequence[Fit], units: Units) -> Iterator[str]:
             yield f"{fit.law}: poorly determined: {directions}{advice}"
 
 
-def _misfits(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units) -> Iterator[str]:
-    """Regions whose residuals are more than noise, the surest first."""
+def _misfit_remarks(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units) -> Iterator[str]:
+    """Yield sentences on regions whose residuals exceed noise, the most significant first."""
     for fit in fits:
         bad = sorted((region for region in fit.regions if not region.adequate),
                      key=lambda region: (region.p, -region.statistic))
         if bad:
-            worst = "; ".join(_misfit(region, tests[region.test], units) for region in bad[:_MOST_REGIONS])
-            more = f"; and {len(bad) - _MOST_REGIONS} more" if len(bad) > _MOST_REGIONS else ""
+            worst = "; ".join(_describe_misfit(region, tests[region.test], units) for region in bad[:_MAX_REGIONS])
+            more = f"; and {len(bad) - _MAX_REGIONS} more" if len(bad) > _MAX_REGIONS else ""
             yield f"{fit.law}: smooth misfit in {worst}{more}"
         elif fit.regions:
             yield f"{fit.law}: no smooth misfit in any of {counted(len(fit.regions), 'region')}"
 
 
-def _misfit(region: Region, test: Test, units: Units) -> str:
+def _describe_misfit(region: Region, test: Test, units: Units) -> str:
+    """Return test, range, size and significance of a misfit."""
     size = units.load(test).text(region.misfit_N, 2)
     return f"{region.test} ({place_of(region, test, units)}): {size}, {probability(region.p)}"
 
 
-def _basis(result: CalibrationResult, tests: Mapping[str, Test], units: Units) -> Iterator[str]:
-    """Noise, jitter, mesh and weight that the numbers rest on."""
-    alike: dict[str, list[str]] = {}
+def _accuracy_remarks(result: CalibrationResult, tests: Mapping[str, Test], units: Units) -> Iterator[str]:
+    """Yield sentences on the noise, the scatter between recordings, the mesh error and the self-weight of the fit."""
+    tests_by_noise: dict[str, list[str]] = {}
     for noise in result.noise:
         colour = "white" if noise.correlation_time_s == 0 else f"correlated over {noise.correlation_time_s:.2g} s"
         words = f"{units.load(tests[noise.test]).text(noise.deviation_N, 2)} {noise.source}, {colour}"
-        alike.setdefault(words, []).append(noise.test)
-    parts = [words if len(alike) == 1 else f"{words} ({', '.join(names)})" for words, names in alike.items()]
+        tests_by_noise.setdefault(words, []).append(noise.test)
+    parts = [words if len(tests_by_noise) == 1 else f"{words} ({', '.join(names)})"
+             for words, names in tests_by_noise.items()]
     jitter = result.best.jitter
     scatter = ""
     if jitter is not None:
         freedom = "stated" if jitter.freedom is None else "assumed" if not jitter.freedom else \
             f"from {counted(jitter.freedom, 'degree')} of freedom"
         contact, zero = units.scatter(jitter, result.campaign.tests)
-        scatter = f"; between recordings {contact} of contact, {zero} of zero, {freedom}"
+        scatter = f"; scatter between recordings {contact} of contact, {zero} of zero, {freedom}"
     if parts:
         yield f"noise: {', '.join(parts)}{scatter}"
     meshes = [f"{mesh.test} {mesh.largest_percent:.2g} %" for mesh in result.best.mesh if mesh.largest_percent]
     if meshes:
-        yield f"accurate mesh minus fast mesh, corrected: {', '.join(meshes)}"
+        yield f"difference between accurate and fast mesh, included in the fit: {', '.join(meshes)}"
     yield statement(result.campaign, result.best)
 
 
-def _effort(fit: Fit) -> str:
+def _describe_effort(fit: Fit) -> str:
+    """Return the computational effort of a fit in words."""
     return (f"{counted(fit.iterations, 'solve')} from {counted(fit.starts, 'start')}, "
             f"{counted(fit.fem_solves, 'simulated test')} with profiles and predictions, {fit.cpu_s:.3g} s of "
             "processor time")

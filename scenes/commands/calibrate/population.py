@@ -1,4 +1,4 @@
-"""Specimens as a population, on the screen."""
+"""Printed statistics of a population of specimens."""
 
 from __future__ import annotations
 
@@ -16,10 +16,18 @@ if TYPE_CHECKING:
 
 
 def population_table(fits: Sequence[Fit], units: Units) -> Table | None:
-    """Mean and scatter between specimens of each law, with their 95 % intervals; None without a population."""
+    """Return the table of mean and between-specimen scatter of each parameter, with 95 % intervals.
+
+    Args:
+        fits: fits of a campaign, one for each law.
+        units: display units.
+
+    Returns:
+        The table; None if no fit has a population.
+    """
     if not any(fit.population for fit in fits):
         return None
-    table = text_table("between specimens", "mean ± standard error", "95 %", "spread", "95 %", text=5)
+    table = text_table("between specimens", "mean ± standard error", "95 %", "SD", "95 %", text=5)
     for fit in fits:
         if fit.population is None:
             continue

@@ -1,4 +1,4 @@
-"""The results of a call of the calibration on the screen."""
+"""Printed results of `tissue-sim calibrate`."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 
 def print_results(results: Sequence[CalibrationResult], output: Path, console: Console) -> None:
-    """Print tables and remarks of each campaign, and what was written.
+    """Print tables and remarks of each campaign, and the written files.
 
     Args:
-        results: of one call.
-        output: folder that was given in it.
-        console: where to print.
+        results: results of one call of `calibration.calibrate`.
+        output: result folder of this call.
+        console: console of the results.
     """
     for result in results:
         print_sentence(console, result.campaign.name)
@@ -31,13 +31,13 @@ def print_results(results: Sequence[CalibrationResult], output: Path, console: C
         print_sentence(console, sentence)
     for result in results:
         if result.resumed:
-            _print_place(console, f"read back from {result.output}, nothing was fitted")
+            _print_path(console, f"read from {result.output}, where this calibration was already finished")
         else:
-            _print_place(console, f"wrote {result.output / 'report.html'}")
+            _print_path(console, f"wrote {result.output / 'report.html'}")
     if len(results) > 1:
-        _print_place(console, f"wrote {output / 'summary.csv'}")
+        _print_path(console, f"wrote {output / 'summary.csv'}")
 
 
-def _print_place(console: Console, text: str) -> None:
-    """In one line, whatever its length: people copy paths."""
+def _print_path(console: Console, text: str) -> None:
+    """Print a sentence with a path on one line of any length, so that the path can be copied."""
     console.print(text, markup=False, emoji=False, soft_wrap=True)

@@ -1,4 +1,4 @@
-"""`tissue-sim demo`: the main job on a virtual specimen, or one in which something is hidden."""
+"""`tissue-sim demo`: measurement, calibration and prediction on a virtual specimen, also with a hidden effect."""
 
 from __future__ import annotations
 
@@ -7,37 +7,43 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from scenes.commands.shared.console import print_json, progress_console, results_console
+from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.log_lines import LogLines
 from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, at_least
 from scenes.commands.view import add_page_flags, page_options
 
-SUMMARY = "measure a virtual specimen, calibrate it, predict a test that the calibration never saw"
+SUMMARY = "measure a virtual specimen, calibrate its material and predict tests that the calibration did not use"
 EXAMPLE = "tissue-sim demo --hidden --view -o my-demo"
-FOLDER, HIDDEN_FOLDER = Path("tissue-sim-demo"), Path("tissue-sim-demo-hidden")
-#: Seeds that are drawn where none is given stay short enough to be typed.
-_SEEDS = 10_000
+#: Default folder of the results.
+FOLDER = Path("tissue-sim-demo")
+#: Default folder of the results with ``--hidden``.
+HIDDEN_FOLDER = Path("tissue-sim-demo-hidden")
+#: Random seeds are smaller than this number, so that they are easy to type.
+_MAX_SEED = 10_000
 
 
 def add_arguments(parser: Parser) -> None:
+    """Declare the arguments of `tissue-sim demo`."""
     parser.add_argument("--hidden", action="store_true",
-                        help="hide an effect in the specimen or the rig, or nothing, diagnose what a plain model "
-                             "misses, and tell the truth only then")
+                        help="hide a random effect (or none) in the specimen or the rig, diagnose the measurements, "
+                             "then reveal the effect")
     parser.add_argument("-o", dest="output", type=Path, metavar="DIR",
-                        help=f"folder of the results (default: {FOLDER} or {HIDDEN_FOLDER}, replaced on every run)")
+                        help=f"folder of the results (default: {FOLDER} or {HIDDEN_FOLDER}, replaced by every run)")
     parser.add_argument("--seed", type=at_least(0), metavar="N",
-                        help="seed of the measurement noise (default: 0), and of what is hidden (default: another one "
-                             "each time)")
+                        help="seed of the measurement noise (default: 0); with --hidden also of the hidden effect "
+                             "(default: random)")
     parser.add_argument("--view", action="store_true",
-                        help="then show the calibrated needle and the measurements on a page in the browser; of what "
-                             "was hidden, the models without and with what was found")
+                        help="then show the calibrated indentation test and the measurements on a page in the browser; "
+                             "with --hidden the models with and without the found effect")
     add_overwrite(parser)
     add_page_flags(parser)
     add_json(parser)
-    parser.set_defaults(run=run, resume_hint="run it again with --overwrite")
+    parser.set_defaults(run=run, resume_hint="run the command again with --overwrite")
 
 
 def run(arguments) -> int:
-    # The default folder belongs to the demo, so that running it twice works; a folder that a user named is the user's.
+    """Run the demo, and with ``--view`` show its result."""
+    # The demo replaces its default folder without a flag; a folder named by the user needs --overwrite.
     overwrite = arguments.overwrite or arguments.output is None
     if arguments.hidden:
         return _run_hidden(arguments, arguments.output or HIDDEN_FOLDER, overwrite)
@@ -50,16 +56,17 @@ def run(arguments) -> int:
         print_json(answer)
     if arguments.view:
         return _view(arguments, output, Path(answer["material_file"]))
-    return 0
+    return ExitCode.DONE
 
 
 def _run_hidden(arguments, output: Path, overwrite: bool) -> int:
+    """Run the demo with a hidden effect."""
     import random
 
     from calibration import Workers
     from scenes.demo.hidden_test import run_hidden_demo
 
-    seed = random.SystemRandom().randrange(_SEEDS) if arguments.seed is None else arguments.seed
+    seed = random.SystemRandom().randrange(_MAX_SEED) if arguments.seed is None else arguments.seed
     answer = run_hidden_demo(output, seed=seed, overwrite=overwrite, progress=_progress(quiet=arguments.json),
                              console=results_console(quiet=arguments.json),
                              workers=Workers(min(2, os.cpu_count() or 1)))
@@ -71,20 +78,24 @@ def _run_hidden(arguments, output: Path, overwrite: bool) -> int:
 
         return run_page(before_and_after_scene(answer.result, output / "measured"), answer.result.output,
                         page_options(arguments), json=arguments.json)
-    return 0
+    return ExitCode.DONE
 
 
 @contextmanager
 def _progress(*, quiet: bool):
-    """Gone before anything else is printed."""
+    """Show the progress inside the block; the display is removed before the results are printed.
+
+    Yields:
+        Function that shows the current task.
+    """
     from scenes.commands.shared.progress import CampaignProgress
 
     with CampaignProgress(progress_console(quiet=quiet), lines=LogLines(quiet=quiet)) as progress:
-        yield progress.say
+        yield progress.show_task
 
 
 def _view(arguments, output: Path, material_file: Path) -> int:
-    """Push the needle into the calibrated material, beside what was measured."""
+    """Show the page of an indentation of the calibrated material, with the measurements."""
     import tissue_sim as ts
     from scenes.demo.specimen import DEPTH, SPECIMEN
     from scenes.viewer.run import run_page

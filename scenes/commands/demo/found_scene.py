@@ -1,4 +1,4 @@
-"""What was found in the viewer: the model with it, the curve of the plain one, and what was measured."""
+"""Viewer scene of a diagnosis: the model with the found effects, the curve without them, and the measurements."""
 
 from __future__ import annotations
 
@@ -18,13 +18,17 @@ if TYPE_CHECKING:
 
 
 def before_and_after_scene(result: DiagnosisResult, measured: Path) -> Scene:
-    """The needle, where it feels what the tissue does, or the test in which the plain model misses most.
+    """Return the scene of the test that shows the found effects best, with measurements and the curve without effects.
+
+    The test is the needle indentation for effects of the tissue, otherwise the test in which the model without effects
+    deviates most.
 
     Args:
-        result: of the demo's campaign. measured: folder of its recordings.
+        result: diagnosis of the campaign of the demo.
+        measured: folder of the recordings.
     """
     diagnosis = result.diagnosis
-    test = _shown(diagnosis)
+    test = _select_test(diagnosis)
     kind = ts.KINDS[KINDS[test]]
     measurements = read_measurements(sorted(measured.glob("*.csv")), kind.name)
     plain = build_plain_models()[test]
@@ -33,11 +37,11 @@ def before_and_after_scene(result: DiagnosisResult, measured: Path) -> Scene:
     if diagnosis.fit_after is not None:
         found = replace(plain, material=ts.load_material(result.output / diagnosis.files["material"]))
     for each in diagnosis.effects:
-        # What belongs to the tissue is in the material already.
-        around = {number.path.partition("@")[0]: number.value for number in each.parameters
+        # Effects of the tissue are part of the material; parameters of experiment and rig are added here.
+        values = {number.path.partition("@")[0]: number.value for number in each.parameters
                   if number.path.startswith(("experiment.", "rig."))}
-        if around and (not each.tests or test in each.tests):
-            found = add_effect(each.name, around, found)
+        if values and (not each.tests or test in each.tests):
+            found = add_effect(each.name, values, found)
     compared = None
     if diagnosis.effects:
         name = f"without {' and '.join(each.title for each in diagnosis.effects)}"
@@ -47,11 +51,11 @@ def before_and_after_scene(result: DiagnosisResult, measured: Path) -> Scene:
     return Scene(kind, found.experiment, found.material, source, measurements, rig=found.rig, compared=compared)
 
 
-def _shown(diagnosis: Diagnosis) -> str:
-    """The test to look at."""
+def _select_test(diagnosis: Diagnosis) -> str:
+    """Return the name of the test that shows the found effects best."""
     if not diagnosis.effects or any(each.room == "tissue" for each in diagnosis.effects):
         return NEEDLE
-    having: dict[str, Sequence[str]] = {each.name: each.tests for each in HIDEABLE_EFFECTS}
-    tests = {test for each in diagnosis.effects for test in each.tests or having.get(each.name, tuple(KINDS))}
+    tests_of_effects: dict[str, Sequence[str]] = {each.name: each.tests for each in HIDEABLE_EFFECTS}
+    tests = {test for each in diagnosis.effects for test in each.tests or tests_of_effects.get(each.name, tuple(KINDS))}
     return max((region for region in diagnosis.regions if region.test in tests),
                key=lambda region: region.before_sigma).test

@@ -1,4 +1,4 @@
-"""`tissue-sim design CAMPAIGN.toml`: what planned experiments could tell."""
+"""`tissue-sim design CAMPAIGN.toml`: predict the accuracy of planned experiments."""
 
 from __future__ import annotations
 
@@ -6,36 +6,44 @@ from pathlib import Path
 
 from scenes.commands.shared.campaigns import add_workers
 from scenes.commands.shared.console import print_json, progress_console, results_console
+from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.log_lines import LogLines
 from scenes.commands.shared.parsing import Parser, add_json, at_least
 
-SUMMARY = "tell, before an experiment, how well it would know a material and which effects it would show"
+SUMMARY = "predict, before an experiment, the errors of the material parameters and which effects are detectable"
 EXAMPLE = "tissue-sim design plan.toml --replicates 3 --workers 2"
-#: Those of `calibration.design_experiments`.
-REPLICATES, SAMPLES, FEWEST_SAMPLES = 3, 500, 20
+#: Recordings of each planned test, the default of `calibration.design_experiments`.
+REPLICATES = 3
+#: Samples of a recording, the default of `calibration.design_experiments`.
+SAMPLES = 500
+#: Least number of samples that `calibration.design_experiments` accepts.
+MIN_SAMPLES = 20
 
 
 def add_arguments(parser: Parser) -> None:
+    """Declare the arguments of `tissue-sim design`."""
     parser.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml",
-                        help='campaign file with method = "inverse_fem", a start and force_N under [noise]; each test '
-                             'has recordings, or a motion such as protocol = "ramp 10mm; hold 60s; unload"')
+                        help='campaign file with method = "inverse_fem", the expected parameters as start, and force_N '
+                             'under [noise]; each test has recordings or a motion such as protocol = "ramp 10mm; '
+                             'hold 60s; unload"')
     parser.add_argument("--replicates", type=at_least(1), default=REPLICATES, metavar="N",
-                        help=f"recordings of each planned test (default: {REPLICATES})")
-    parser.add_argument("--samples", type=at_least(FEWEST_SAMPLES), default=SAMPLES, metavar="N",
-                        help=f"of each of them, evenly in time (default: {SAMPLES})")
-    parser.add_argument("--law", help="law of the expected material, one of the campaign's (default: its first)")
-    add_workers(parser, "the effects")
+                        help=f"number of recordings of each planned test (default: {REPLICATES})")
+    parser.add_argument("--samples", type=at_least(MIN_SAMPLES), default=SAMPLES, metavar="N",
+                        help=f"number of samples of a recording, evenly spaced in time (default: {SAMPLES})")
+    parser.add_argument("--law", help="material law, one of the laws of the campaign (default: its first law)")
+    add_workers(parser, "the evaluation of the effects")
     add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments) -> int:
+    """Predict and print the accuracy of the planned experiments."""
     from calibration import Workers, design_experiments
     from scenes.commands.shared.progress import CampaignProgress
 
     with CampaignProgress(progress_console(quiet=arguments.json), lines=LogLines(quiet=arguments.json)) as progress:
         design = design_experiments(arguments.campaign, law=arguments.law, replicates=arguments.replicates,
-                                    samples=arguments.samples, progress=progress.say,
+                                    samples=arguments.samples, progress=progress.show_task,
                                     workers=Workers(arguments.workers, arguments.dask))
     if arguments.json:
         from msgspec import to_builtins
@@ -45,4 +53,4 @@ def run(arguments) -> int:
         from scenes.commands.design.results import print_design
 
         print_design(design, results_console())
-    return 0
+    return ExitCode.DONE

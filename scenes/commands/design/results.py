@@ -1,4 +1,4 @@
-"""A design on the screen: what is planned, how well it would know the material, and what it would show."""
+"""Printed results of `tissue-sim design`: planned tests, expected parameter errors and detectable effects."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def print_design(design: Design, console: Console) -> None:
-    """Print what the experiments could tell."""
+    """Print the predicted accuracy of planned experiments as tables."""
     law = find_law(design.law)
     modulus = law.mu0({name: design.parameters[name] for name in law.parameters if name in design.parameters}) \
         if all(name in design.parameters for name in law.parameters) else 1e3
@@ -26,38 +26,41 @@ def print_design(design: Design, console: Console) -> None:
                            max(test.force_N for test in design.tests), modulus)
     noise = Units.of_sizes(1e-3, design.noise_N, modulus).force
     print_sentence(console, f"{design.campaign}: {law.title}, sensor noise {noise.text(design.noise_N, 3)}")
-    tables = [_tests(design, units), _parameters(design, units)]
-    seen, silent = _seen(design, units), _silent(design)
-    for table in [*tables, *(each for each in (seen, silent) if each is not None)]:
+    tables = [_tests_table(design, units), _parameters_table(design, units)]
+    effects = [_detectable_table(design, units), _undetectable_table(design)]
+    for table in [*tables, *(each for each in effects if each is not None)]:
         console.print()
         console.print(table)
 
 
-def _tests(design: Design, units: Units) -> Table:
-    table = text_table("planned", "recordings", "samples", "to", "largest force", "takes")
+def _tests_table(design: Design, units: Units) -> Table:
+    """Return the table of the planned tests."""
+    table = text_table("planned test", "recordings", "samples", "depth", "largest force", "duration")
     for test in design.tests:
         table.add_row(test.name, str(test.recordings), str(test.samples), units.length.text(1e-3 * test.depth_mm, 3),
                       units.force.text(test.force_N, 3), "-" if test.duration_s is None else f"{test.duration_s:.3g} s")
     return table
 
 
-def _parameters(design: Design, units: Units) -> Table:
+def _parameters_table(design: Design, units: Units) -> Table:
+    """Return the table of the parameters with their expected standard errors."""
     table = text_table("parameter", "expected", "error")
     for name, value in design.parameters.items():
         unit, error = units.of_parameter(design.units[name]), design.standard_errors[name]
-        known = {None: "left open by these tests", 0.0: "fixed"}.get(error, "")
-        share = f"{100 * error / abs(value):.2g} %" if error and value else "-"
+        known = {None: "not determined", 0.0: "fixed"}.get(error, "")
+        relative = f"{100 * error / abs(value):.2g} %" if error and value else "-"
         table.add_row(design.symbols[name], value_and_error(value / unit.size, error and error / unit.size, unit.name,
-                                                            known=known), share)
+                                                            known=known), relative)
     return table
 
 
-def _seen(design: Design, units: Units) -> Table | None:
+def _detectable_table(design: Design, units: Units) -> Table | None:
+    """Return the table of detectable effects, with their smallest detectable size and effects that look alike."""
     labels = labels_of(design.candidates)
     rows = [each for each in design.candidates if each.testable]
     if not rows:
         return None
-    table = text_table("effect", "seen from", "would look like", text=3)
+    table = text_table("effect", "detectable from", "similar to", text=3)
     table.columns[2].no_wrap = False
     for each in rows:
         table.add_row(label_of(each), sizes_in_words(each, units), ", ".join(labels.get(name, name)
@@ -65,11 +68,12 @@ def _seen(design: Design, units: Units) -> Table | None:
     return table
 
 
-def _silent(design: Design) -> Table | None:
+def _undetectable_table(design: Design) -> Table | None:
+    """Return the table of undetectable effects, with the reason and the experiment that would detect them."""
     rows = [each for each in design.candidates if not each.testable]
     if not rows:
         return None
-    table = text_table("not seen", "because", "what would show it", text=3)
+    table = text_table("not detectable", "reason", "detectable with", text=3)
     for column in table.columns[1:]:
         column.no_wrap = False
     for each in rows:

@@ -1,4 +1,4 @@
-"""Diagnoses on the screen: the verdict first, then what it rests on, in 80 columns."""
+"""Printed results of `tissue-sim diagnose`: the verdict first, then the evidence, in 80 columns."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from calibration.diagnosis.diagnosis import Diagnosis
     from calibration.diagnosis.result import DiagnosisResult
 
-#: Rows of the table of candidates; the page has all.
-_MOST = 8
+#: Largest number of effects in the table; the report lists all.
+_MAX_EFFECTS = 8
 
 
 def print_diagnoses(results: Sequence[DiagnosisResult], console: Console) -> None:
-    """Print each verdict with what it rests on, and where its page is."""
+    """Print the verdict of each diagnosis with its evidence, and the path of its report."""
     for result in results:
         diagnosis, units = result.diagnosis, Units.of_fit(result.diagnosis.fit_before)
         console.print(f"{result.campaign.name}: {diagnosis.verdict}", style="bold", markup=False, emoji=False)
@@ -34,25 +34,27 @@ def print_diagnoses(results: Sequence[DiagnosisResult], console: Console) -> Non
         console.print()
         for sentence in places(diagnosis):
             print_sentence(console, f"- {sentence}")
-        for table in (_candidates(diagnosis, units), _parameters(diagnosis, units), _held_out(diagnosis, units)):
+        tables = (_effects_table(diagnosis, units), _parameters_table(diagnosis, units),
+                  _held_out_table(diagnosis, units))
+        for table in tables:
             if table is not None:
                 console.print()
                 console.print(table)
         console.print()
-        for sentence in _rest(diagnosis):
+        for sentence in _remarks(diagnosis):
             print_sentence(console, sentence)
-        read = " (read back, nothing was computed)" if result.resumed else ""
-        console.print(f"{'kept' if result.resumed else 'wrote'} {result.output / 'report.html'}{read}", markup=False,
+        read = " (this diagnosis was already finished)" if result.resumed else ""
+        console.print(f"{'read' if result.resumed else 'wrote'} {result.output / 'report.html'}{read}", markup=False,
                       emoji=False, soft_wrap=True)
 
 
-def _candidates(diagnosis: Diagnosis, units: Units) -> Table | None:
-    """The likeliest effects that these tests can show."""
-    seen = [each for each in diagnosis.candidates if each.testable]
-    if not seen:
+def _effects_table(diagnosis: Diagnosis, units: Units) -> Table | None:
+    """Return the table of the most likely effects that the tests can detect; None without such an effect."""
+    detectable = [each for each in diagnosis.candidates if each.testable]
+    if not detectable:
         return None
-    table = text_table("effect", "score", "dBIC", "explains", "odds against", "smallest size seen", text=1)
-    for each in seen[:_MOST]:
+    table = text_table("effect", "score", "dBIC", "explains", "odds against", "detectable from", text=1)
+    for each in detectable[:_MAX_EFFECTS]:
         table.add_row(label_of(each), "-" if each.score is None else f"{each.score:.1f}",
                       "-" if each.delta_BIC is None else gain_text(each.delta_BIC),
                       "-" if each.explained_percent is None else f"{each.explained_percent:.3g} %",
@@ -61,9 +63,10 @@ def _candidates(diagnosis: Diagnosis, units: Units) -> Table | None:
     return table
 
 
-def _parameters(diagnosis: Diagnosis, units: Units) -> Table:
+def _parameters_table(diagnosis: Diagnosis, units: Units) -> Table:
+    """Return the table of the parameters before and after the found effects were added to the model."""
     before, after = diagnosis.fit_before, diagnosis.fit_after
-    headings = ["parameter", "nothing added", *([] if after is None else ["with what was added", "was off by"])]
+    headings = ["parameter", "without effects", *([] if after is None else ["with effects", "error without"])]
     table = text_table(*headings)
     names = dict.fromkeys((*before.parameters, *(() if after is None else after.parameters)))
     for name in names:
@@ -75,10 +78,11 @@ def _parameters(diagnosis: Diagnosis, units: Units) -> Table:
     return table
 
 
-def _held_out(diagnosis: Diagnosis, units: Units) -> Table | None:
+def _held_out_table(diagnosis: Diagnosis, units: Units) -> Table | None:
+    """Return the table of the errors in data that the fits did not use; None without such data."""
     if not diagnosis.held_out:
         return None
-    table = text_table("unseen data", "error before", "after", "noise", "only chance left")
+    table = text_table("held-out data", "error before", "error after", "noise", "adequate")
     for each in diagnosis.held_out:
         sizes = ["-" if size is None else units.force.text(size, 2)
                  for size in (each.before_N, each.after_N, each.noise_N)]
@@ -87,17 +91,17 @@ def _held_out(diagnosis: Diagnosis, units: Units) -> Table | None:
     return table
 
 
-def _rest(diagnosis: Diagnosis) -> Iterator[str]:
-    """What these tests cannot show, what to measure next, and what it took."""
-    seen = [each for each in diagnosis.candidates if each.testable]
-    if len(seen) > _MOST:
-        yield f"{counted(len(seen) - _MOST, 'more effect')} that these tests could show: in the report"
-    silent = [label_of(each) for each in diagnosis.candidates if not each.testable]
-    if silent:
-        yield f"not seen in these tests: {joined(silent)}"
+def _remarks(diagnosis: Diagnosis) -> Iterator[str]:
+    """Yield sentences on further effects, undetectable effects, the next experiments and the computing time."""
+    detectable = sum(each.testable for each in diagnosis.candidates)
+    if detectable > _MAX_EFFECTS:
+        yield f"{counted(detectable - _MAX_EFFECTS, 'more detectable effect')}: see the report"
+    undetectable = [label_of(each) for each in diagnosis.candidates if not each.testable]
+    if undetectable:
+        yield f"not detectable with these tests: {joined(undetectable)}"
     labels = labels_of(diagnosis.candidates)
     for each in diagnosis.next_experiment[:2]:
         names = joined([labels.get(name, name) for name in each.separates])
-        yield f"next: {each.sentence}{f' (separates {names})' if names else ''}"
+        yield f"next experiment: {each.sentence}{f' (distinguishes {names})' if names else ''}"
     yield (f"{sum(each.wall_s for each in diagnosis.stages):.0f} s: "
            + ", ".join(f"{each.name} {each.wall_s:.1f} s" for each in diagnosis.stages))

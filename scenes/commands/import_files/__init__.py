@@ -1,4 +1,4 @@
-"""`tissue-sim import FILES... -o campaign.toml`: files of a test machine in, a campaign that runs out."""
+"""`tissue-sim import FILES... -o campaign.toml`: read files of a test machine and write a campaign."""
 
 from __future__ import annotations
 
@@ -7,183 +7,215 @@ from pathlib import Path
 from typing import Any
 
 from scenes.commands.shared.console import print_json, results_console
+from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, at_least, interface, positive
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.specimen import specimen_sizes
 from tissue_sim.specimen.specimen import keys_of, with_article
 
-SUMMARY = "understand files of a test machine and write a campaign of them"
+SUMMARY = "read data files of a test machine, detect their format and write a campaign file"
 EXAMPLE = "tissue-sim import gel_1.csv gel_2.csv gel_3.csv -o gel.toml --radius-mm 10 --height-mm 12"
-#: What a person may call a channel, and how recordings do; a strain is read as a stretch.
+#: Channel name on the command line -> channel of a recording.
 _CHANNELS = {"time": "time", "displacement": "displacement", "force": "force", "stretch": "stretch",
              "strain": "strain", "shear_strain": "shear strain", "shear strain": "shear strain",
              "stress": "nominal stress", "nominal_stress": "nominal stress", "nominal stress": "nominal stress",
              "temperature": "temperature"}
-#: Keys of a specimen that need no shape.
-_OWN_FLAGS = ("radius_mm", "area_mm2", "height_mm")
+#: Sizes of a specimen that are allowed without --shape.
+_GENERAL_SIZES = ("radius_mm", "area_mm2", "height_mm")
+#: Flags that become keys of the tests in the campaign.
 _TEST_KEYS = ("tool", "tool_radius_mm", "friction", "speed_mm_s", "max_strain")
 
 
 def add_arguments(parser: Parser) -> None:
+    """Declare the arguments of `tissue-sim import`."""
     parser.add_argument("files", type=Path, nargs="+", metavar="FILE",
-                        help="text in any usual encoding, xlsx, xls, ods, mat, tdms, h5, or a file of an AFM")
+                        help="data file: text in any common encoding, xlsx, xls, ods, mat, tdms, h5, or a file of an "
+                             "atomic force microscope")
     parser.add_argument("-o", dest="output", type=Path, metavar="CAMPAIGN.toml",
-                        help="campaign to write, with a picture of what was understood beside it; without it "
-                             "nothing is written")
-    test = parser.add_argument_group("what the files do not state (the campaign has a line to fill in for it)")
-    test.add_argument("--kind", choices=tuple(KINDS), metavar="KIND", help=", ".join(KINDS))
+                        help="write this campaign file, and a figure of the curves in its folder; without -o the "
+                             "result is only printed")
+    test = parser.add_argument_group(
+        "information that the files do not contain (without the flag the campaign has a line to fill in)")
+    test.add_argument("--kind", choices=tuple(KINDS), metavar="KIND", help=f"kind of test: {', '.join(KINDS)}")
     test.add_argument("--shape", choices=_shapes(),
-                      help="shape of the specimen (default: cylinder, or its cross-section)")
+                      help="shape of the specimen (default: cylinder, or a prism with --area-mm2)")
     test.add_argument("--radius-mm", type=positive, metavar="N", help="radius of a cylindrical specimen")
     test.add_argument("--area-mm2", type=positive, metavar="N",
-                      help="cross-section of the specimen, instead of the radius")
+                      help="cross-sectional area of the specimen, instead of the radius")
     test.add_argument("--height-mm", type=positive, metavar="N",
                       help="height of the specimen; gauge length in tension, thickness in shear")
     for key, size in specimen_sizes().items():
-        if key not in _OWN_FLAGS:
+        if key not in _GENERAL_SIZES:
             test.add_argument(f"--{key.replace('_', '-')}", type=positive, metavar="N",
-                              help=f"{size.field.replace('_', ' ')} of a specimen: {', '.join(size.shapes)}")
-    test.add_argument("--tool", metavar="SHAPE", help="tool of an indentation: flat, round, cone, sphere")
-    test.add_argument("--tool-radius-mm", type=positive, metavar="N", help="radius of the tool")
-    test.add_argument("--friction", type=interface, metavar="HOW",
-                      help="interface of the plates: a coefficient of friction, or stick")
+                              help=f"{size.field.replace('_', ' ')} of a specimen of shape {' or '.join(size.shapes)}")
+    test.add_argument("--tool", metavar="SHAPE", help="shape of the indentation tool: flat, round, cone, sphere")
+    test.add_argument("--tool-radius-mm", type=positive, metavar="N", help="radius of the indentation tool")
+    test.add_argument("--friction", type=interface, metavar="CONTACT",
+                      help="contact between plates and specimen: bonded, stick, frictionless or a friction coefficient")
     test.add_argument("--speed-mm-s", type=positive, metavar="N",
-                      help="constant speed, for files without a column of time or without one of the motion")
-    test.add_argument("--max-strain", type=positive, metavar="N", help="largest strain that is fitted")
+                      help="constant speed of the test, for files without a time or displacement column")
+    test.add_argument("--max-strain", type=positive, metavar="N", help="largest strain used in the fit")
     test.add_argument("--zero", choices=("preload", "sensor"),
-                      help="why the force is not zero at zero displacement: the displacement was zeroed at a preload, "
-                           "or the load cell was not zeroed (default: decided by the curve)")
-    test.add_argument("--laws", metavar="LAW,...", help="laws to fit (default: a few of one or two parameters)")
+                      help="reason for a force at zero displacement: the displacement was zeroed at a preload, or the "
+                           "sensor was not zeroed (default: determined from the curve)")
+    test.add_argument("--laws", metavar="LAW,...",
+                      help="material laws to fit (default: laws with one or two parameters)")
     columns = parser.add_argument_group(
-        "columns, instead of those found (CHANNEL: time, displacement, force, stretch, strain, shear_strain, stress)")
+        "columns, where the detection is wrong (CHANNEL: time, displacement, force, stretch, strain, shear_strain, "
+        "stress)")
     for flag, value, text in (
-            ("--column", "CHANNEL=COLUMN", "header, number or letter of a column; then only named columns are read"),
-            ("--unit", "CHANNEL=UNIT", "mm, um, in, N, mN, gf, lbf, kPa, psi, s, min, %%, ..."),
-            ("--measure", "CHANNEL=MEASURE", "of a strain: engineering, logarithmic, green_lagrange, almansi; of a "
-                                             "stress: engineering, true, second_piola_kirchhoff"),
-            ("--scale", "CHANNEL=N", "factor of the values; for V and counts the SI units in 1 V or 1 count"),
-            ("--sign", "CHANNEL=1|-1", "-1 turns a column")):
+            ("--column", "CHANNEL=COLUMN", "header, number or letter of the column; only the named columns are read"),
+            ("--unit", "CHANNEL=UNIT", "unit of the column: mm, um, in, N, mN, gf, lbf, kPa, psi, s, min, %%, ..."),
+            ("--measure", "CHANNEL=MEASURE", "strain measure engineering, logarithmic, green_lagrange or almansi; "
+                                             "stress measure engineering, true or second_piola_kirchhoff"),
+            ("--scale", "CHANNEL=N", "factor of the values; for V and counts the SI value of 1 V or 1 count"),
+            ("--sign", "CHANNEL=1|-1", "-1 reverses the sign of the column")):
         columns.add_argument(flag, action="append", default=[], metavar=value, help=f"{text}; once for each")
-    columns.add_argument("--format", metavar="NAME", help="machine: mts, bluehill, zwick, exponent, mach1, mecmesin, "
-                                                          "trios, afm (default: found)")
+    columns.add_argument("--format", metavar="NAME", help="file format: mts, bluehill, zwick, exponent, mach1, "
+                                                          "mecmesin, trios, afm (default: detected)")
     columns.add_argument("--sheet", action="append", metavar="NAME",
-                         help="sheet of a spreadsheet; once for each replicate")
-    columns.add_argument("--delimiter", metavar="C", help="delimiter between the columns of a text (default: found)")
+                         help="sheet of a spreadsheet, by name or number; once for each replicate")
+    columns.add_argument("--delimiter", metavar="C", help="delimiter of the columns of a text file (default: detected)")
     columns.add_argument("--decimal", choices=(".", ","), metavar=".|,",
-                         help="decimal mark of the numbers; the other one separates thousands (default: found)")
+                         help="decimal mark; the other one separates thousands (default: detected)")
     columns.add_argument("--curve", action="append", type=at_least(1), metavar="N",
-                         help="number of the recording in the file, from 1; once for each (default: all)")
+                         help="number of a recording in the file, from 1; once for each recording (default: all)")
     columns.add_argument("--one-material", action="store_true",
-                         help="tables of a file are replicates of one material, whatever their titles")
-    columns.add_argument("--skip-lines", type=at_least(0), default=0, metavar="N", help="lines at the top to leave out")
+                         help="treat all tables of a file as replicates of one material, even if their titles differ")
+    columns.add_argument("--skip-lines", type=at_least(0), default=0, metavar="N",
+                         help="number of lines to skip at the top")
     add_overwrite(parser)
     add_json(parser)
     parser.set_defaults(run=run, resume_hint="nothing was written")
 
 
 def run(arguments) -> int:
+    """Import the files and print the result; `ExitCode.GOAL_MISSED` if the campaign is incomplete.
+
+    Raises:
+        InputError: files that cannot be read, contradictory flags, or an output file that cannot be written.
+    """
     from calibration.importing.files import import_files
     from calibration.importing.imported import to_json
 
     if arguments.overwrite and arguments.output is None:
-        raise InputError("nothing is written without -o, so nothing can be replaced. Leave the flag out",
+        raise InputError("has an effect only with -o. Leave this flag out, or add -o",
                          field="--overwrite")
-    imported = import_files(arguments.files, arguments.output, _wishes(arguments), overwrite=arguments.overwrite)
+    imported = import_files(arguments.files, arguments.output, _import_options(arguments),
+                            overwrite=arguments.overwrite)
     if arguments.json:
         print_json(to_json(imported))
     else:
         from scenes.commands.import_files.results import print_imported
 
         print_imported(imported, results_console())
-    # The goal is a campaign that runs.
-    return 0 if imported.complete else 1
+    return ExitCode.DONE if imported.complete else ExitCode.GOAL_MISSED
 
 
-def _wishes(arguments):
+def _import_options(arguments):
+    """Return the options of `calibration.importing` from the flags of columns, specimen and test.
+
+    Raises:
+        InputError: an unknown channel, unit, format or law, or contradictory flags.
+    """
     from calibration.importing.imported import Wishes
     from tissue_sim.laws import LAWS
     from tissue_sim.recording.formats import FORMATS
     from tissue_sim.recording.formats.guesses import Stated
     from tissue_sim.units import to_si
 
-    units, scales = _pairs(arguments.unit, "--unit"), _pairs(arguments.scale, "--scale")
+    units, scales = _channel_values(arguments.unit, "--unit"), _channel_values(arguments.scale, "--scale")
     for channel, unit in units.items():
         try:
             to_si(unit)
         except InputError as error:
             raise InputError(f"{channel}: {error.problem}", field="--unit") from None
-    signs = {channel: _number(text, "--sign") for channel, text in _pairs(arguments.sign, "--sign").items()}
+    signs = {channel: _to_number(text, "--sign")
+             for channel, text in _channel_values(arguments.sign, "--sign").items()}
     for channel, sign in signs.items():
         if sign not in (1, -1):
-            raise InputError(f"{channel}: {sign:g} is not a sign; give 1 or -1", field="--sign")
+            raise InputError(f"the sign of {channel} must be 1 or -1; got {sign:g}", field="--sign")
     if arguments.format is not None:
         FORMATS.find(arguments.format, "--format")
     laws = None if arguments.laws is None else tuple(name.strip() for name in arguments.laws.split(","))
     for law in laws or ():
         LAWS.find(law, "--laws")
     if arguments.radius_mm is not None and arguments.area_mm2 is not None:
-        raise InputError("a specimen has a radius or a cross-section; give one of --radius-mm and --area-mm2",
-                         field="--area-mm2")
-    stated = Stated(_pairs(arguments.column, "--column"), units,
-                    {channel: _positive(text) for channel, text in scales.items()},
+        raise InputError("cannot be combined with --radius-mm. Give one of them", field="--area-mm2")
+    hints = Stated(_channel_values(arguments.column, "--column"), units,
+                    {channel: _to_positive(text) for channel, text in scales.items()},
                     {channel: int(sign) for channel, sign in signs.items()}, arguments.kind, arguments.format,
                     _sheets(arguments.sheet), arguments.delimiter, arguments.skip_lines,
-                    measures=_pairs(arguments.measure, "--measure"), decimal=arguments.decimal, curve=arguments.curve,
-                    one_material=arguments.one_material)
-    specimen = _specimen(arguments)
+                    measures=_channel_values(arguments.measure, "--measure"), decimal=arguments.decimal,
+                    curve=arguments.curve, one_material=arguments.one_material)
+    specimen = _specimen_keys(arguments)
     test = {key: value for key in _TEST_KEYS if (value := getattr(arguments, key)) is not None}
-    return Wishes(stated, specimen, test, laws, arguments.zero)
+    return Wishes(hints, specimen, test, laws, arguments.zero)
 
 
 def _shapes() -> tuple[str, ...]:
-    """Of specimens whose sizes are flags."""
+    """Return the shapes of specimens whose sizes are flags."""
     return tuple(dict.fromkeys(shape for size in specimen_sizes().values() for shape in size.shapes))
 
 
-def _specimen(arguments) -> dict[str, float | str]:
-    keys = dict.fromkeys((*_OWN_FLAGS, *specimen_sizes()))
+def _specimen_keys(arguments) -> dict[str, float | str]:
+    """Return the keys of the specimen in the campaign.
+
+    Raises:
+        InputError: a size that the shape does not have.
+    """
+    keys = dict.fromkeys((*_GENERAL_SIZES, *specimen_sizes()))
     stated = {key: value for key in keys if (value := getattr(arguments, key)) is not None}
     shape = arguments.shape
-    has = _OWN_FLAGS if shape is None else keys_of(shape)
-    if other := next((key for key in stated if key not in has), None):
-        words = f"no size of a cylinder; add --shape {specimen_sizes()[other].shapes[0]}" if shape is None else (
-            f"{with_article(shape)} has none; leave it out")
-        raise InputError(words, field=f"--{other.replace('_', '-')}")
+    allowed = _GENERAL_SIZES if shape is None else keys_of(shape)
+    if other := next((key for key in stated if key not in allowed), None):
+        problem = f"is not a size of a cylinder. Add --shape {specimen_sizes()[other].shapes[0]}" if shape is None \
+            else f"is not a size of {with_article(shape)}. Leave this flag out"
+        raise InputError(problem, field=f"--{other.replace('_', '-')}")
     return stated if shape is None else {"shape": shape, **stated}
 
 
-def _pairs(texts: Sequence[str], flag: str) -> dict[str, str]:
-    """``["force=3"]`` -> ``{"force": "3"}``."""
+def _channel_values(texts: Sequence[str], flag: str) -> dict[str, str]:
+    """Read the values of a repeated flag, texts such as ``force=3`` (channel, then value).
+
+    Returns:
+        Value of each channel of the recording by its name.
+
+    Raises:
+        InputError: a text without ``=``, or an unknown or repeated channel.
+    """
     found: dict[str, str] = {}
     for text in texts:
         name, equals, value = (part.strip() for part in text.partition("="))
         if not equals or not value:
-            raise InputError(f"{text!r} is not CHANNEL=...; write it like force=...", field=flag)
+            raise InputError(f"must have the form CHANNEL=VALUE, such as force=3; got {text!r}", field=flag)
         if name not in _CHANNELS:
             raise InputError(f"unknown channel {name!r}{nearest(name, _CHANNELS)}", field=flag)
         if _CHANNELS[name] in found:
-            raise InputError(f"{name} is given twice", field=flag)
+            raise InputError(f"{name} is given twice. Give it once", field=flag)
         found[_CHANNELS[name]] = value
     return found
 
 
-def _number(text: str, flag: str) -> float:
+def _to_number(text: str, flag: str) -> float:
+    """Convert the value of a flag to a number."""
     try:
         return float(text)
     except ValueError:
-        raise InputError(f"{text!r} is not a number", field=flag) from None
+        raise InputError(f"must be a number; got {text!r}", field=flag) from None
 
 
-def _positive(text: str) -> float:
-    value = _number(text, "--scale")
+def _to_positive(text: str) -> float:
+    """Convert a value of ``--scale`` to a positive number."""
+    value = _to_number(text, "--scale")
     if not 0 < value < float("inf"):
-        raise InputError(f"{text} is not positive; the direction is said by --sign", field="--scale")
+        raise InputError(f"must be positive; got {text}. Use --sign to reverse a column", field="--scale")
     return value
 
 
 def _sheets(names: list[str] | None) -> Any:
-    """A number counts sheets from 1."""
+    """Return the sheets of ``--sheet``: one, a list of several, or None; a number is an index from 1."""
     if names is None:
         return None
     sheets = [int(name) if name.isdigit() else name for name in names]

@@ -1,4 +1,4 @@
-"""What an import understood, on the screen."""
+"""Printed results of `tissue-sim import`: recordings, assumptions, warnings and missing information."""
 
 from __future__ import annotations
 
@@ -16,31 +16,33 @@ if TYPE_CHECKING:
     from calibration.importing.imported import Imported, Part
     from calibration.importing.motion import Motion
 
-_MARKS = {"\t": "tab", " ": "blanks", ",": "comma", ";": "semicolon", "|": "bar", None: ""}
-#: Recordings in a table; all are in the JSON.
-_MOST_ROWS = 40
+#: Delimiter -> its name.
+_DELIMITER_NAMES = {"\t": "tab", " ": "spaces", ",": "comma", ";": "semicolon", "|": "bar", None: ""}
+#: Largest number of recordings in the table; the JSON object lists all.
+_MAX_ROWS = 40
 
 
 def print_imported(imported: Imported, console: Console) -> None:
-    """A row for each recording, the assumptions, then what is missing and what was written."""
-    files = text_table("file", "what", "test", "points", "Hz", "reaches", "contact", "cycles", "segments", text=3)
+    """Print the recordings, the assumptions, warnings, written files and missing information of an import."""
+    files = text_table("file", "format", "test", "samples", "Hz", "reaches", "contact", "cycles", "segments", text=3)
     for column in (0, 1, 2, 6, 8):
         files.columns[column].no_wrap, files.columns[column].overflow = False, "fold"
     files.columns[8].justify = "left"
     rows = [(test.name, part, number, motion) for test in imported.tests for part in test.parts
             for number, motion in enumerate(part.motions, start=1)]
-    for name, part, number, motion in rows[:_MOST_ROWS]:
+    for name, part, number, motion in rows[:_MAX_ROWS]:
         several = f" {number}" if len(part.motions) > 1 else ""
-        files.add_row(part.file.name + several, _what(part), name, str(len(part.reading.recordings[number - 1])),
-                      "-" if motion.rate is None else f"{motion.rate:.3g}", _reach(part, motion), _contact(motion),
-                      str(motion.cycles), ", ".join(_runs(motion)))
+        files.add_row(part.file.name + several, _describe_format(part), name,
+                      str(len(part.reading.recordings[number - 1])),
+                      "-" if motion.rate is None else f"{motion.rate:.3g}", _format_reach(part, motion),
+                      _format_contact(motion), str(motion.cycles), ", ".join(_segment_names(motion)))
     console.print(files)
-    if len(rows) > _MOST_ROWS:
-        print_sentence(console, f"and {len(rows) - _MOST_ROWS} more recordings")
+    if len(rows) > _MAX_ROWS:
+        print_sentence(console, f"and {len(rows) - _MAX_ROWS} more recordings")
     console.print()
     _print_assumptions(imported, console)
     for test in imported.tests:
-        print_sentence(console, f"{test.name}: {test.kind or 'kind not known'}; {test.reason}")
+        print_sentence(console, f"{test.name}: {test.kind or 'kind unknown'}; {test.reason}")
     for each in unused_columns(imported.tests):
         print_sentence(console, f"columns not used: {each}")
     for warning in imported.warnings:
@@ -50,16 +52,16 @@ def print_imported(imported: Imported, console: Console) -> None:
     for question in imported.questions:
         print_sentence(console, f"question: {question}")
     if imported.missing:
-        fill = "" if imported.output is None else f": give the flags, or fill in the lines in {imported.output}"
-        print_sentence(console, f"missing, and only you know it: {'; '.join(imported.missing)}{fill}")
+        remedy = "" if imported.output is None else f". Add the flags, or fill in the lines in {imported.output}"
+        print_sentence(console, f"missing information: {'; '.join(imported.missing)}{remedy}")
     elif imported.problem:
-        print_sentence(console, f"the campaign does not run as it stands: {imported.problem}")
+        print_sentence(console, f"the campaign cannot be calibrated yet: {imported.problem}")
     elif imported.output is not None and not imported.questions:
         print_sentence(console, f"next: tissue-sim calibrate {imported.output} -o results")
 
 
 def _print_assumptions(imported: Imported, console: Console) -> None:
-    """One row for each assumption; columns that are empty in all rows are left out."""
+    """Print the table of the assumptions, without columns that are empty in all rows."""
     rows = [row.cells for row in assumption_rows(imported.tests)]
     if not rows:
         return
@@ -73,27 +75,30 @@ def _print_assumptions(imported: Imported, console: Console) -> None:
     console.print()
 
 
-def _what(part: Part) -> str:
-    """``bluehill, comma``."""
+def _describe_format(part: Part) -> str:
+    """Return format, delimiter, number style and encoding of a file, such as ``bluehill, comma``."""
     understood = part.understanding
-    mark = _MARKS.get(understood.delimiter, str(understood.delimiter))
+    mark = _DELIMITER_NAMES.get(understood.delimiter, str(understood.delimiter))
     comma = "decimal comma" if understood.decimal_mark == "," else ""
     encoding = understood.encoding if understood.encoding not in (None, "utf-8") else ""
-    thousands = "thousands separated" if any(each.subject == "thousands separator"
+    thousands = "thousands separator" if any(each.subject == "thousands separator"
                                              for each in understood.assumptions) else ""
     return ", ".join(filter(None, (understood.format, mark, comma, thousands, encoding)))
 
 
-def _reach(part: Part, motion: Motion) -> str:
-    """The far end of the way, in the unit of people."""
+def _format_reach(part: Part, motion: Motion) -> str:
+    """Return the largest displacement, stretch or shear strain of a motion in its display unit.
+
+    A question mark follows a value whose unit is unknown.
+    """
     if any(column.missing for column in part.reading.columns if column.channel == motion.channel):
         return f"{max(motion.reach, key=abs):.4g} ?"
     unit, factor = shown("m") if motion.channel == "displacement" else ("", 1.0)
     return f"{max(motion.reach, key=abs) * factor:.4g} {unit}".strip()
 
 
-def _contact(motion: Motion) -> str:
-    """Where it touched, in the file's own displacement, and the 95 % interval."""
+def _format_contact(motion: Motion) -> str:
+    """Return the displacement of the first contact, as in the file, with its 95 % interval."""
     contact = motion.contact
     if contact is None or contact.status == "none":
         return "-"
@@ -104,8 +109,8 @@ def _contact(motion: Motion) -> str:
     return f"{factor * contact.displacement:.3g} ({low:.3g} to {high:.3g}){unit}"
 
 
-def _runs(motion: Motion) -> list[str]:
-    """Names of the segments, ``8 x`` where one comes as often."""
+def _segment_names(motion: Motion) -> list[str]:
+    """Return the names of the segments; of more than four segments the number of each, such as ``8 ramp``."""
     names = [segment.name for segment in motion.segments]
     if len(names) <= 4:
         return names

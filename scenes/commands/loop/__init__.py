@@ -1,16 +1,18 @@
-"""`tissue-sim loop`: the 1 kHz loop, and how well this computer keeps its time."""
+"""`tissue-sim loop`: run the 1 kHz force loop and report its timing."""
 
 from __future__ import annotations
 
 import math
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 from haptics.devices.back_ends import HAPTIC_DEVICES, MOTIONS
 from scenes.catalogue import SCENES
 from scenes.commands.shared.console import print_json, progress_console, results_console
+from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.experiment_flags import (
-    DEPTH_MM,
+    DEFAULT_DEPTH_MM,
     add_experiment_flags,
     check_scene,
     make_experiment,
@@ -26,90 +28,128 @@ from scenes.commands.shared.tissue_flags import (
 )
 from tissue_sim.errors import InputError
 
-SUMMARY = "run the 1 kHz loop, along a motion or with a haptic device, and report how well it keeps its time"
+SUMMARY = "run the force loop at 1 kHz with a prescribed motion or a haptic device, and report its timing"
 EXAMPLE = "tissue-sim loop needle_indentation --material m.material.json --seconds 60 --motion random"
-#: What stops a mistyped motion, not what a device bears, N and N per tick.
-FORCE_LIMIT, FORCE_RATE = 100.0, 1.0
-#: Of real devices, unless the flags say otherwise: the hands of docs/haptic_rendering.md that do not shake with it.
-COUPLING, CONTROLLER, ENERGY_LIMIT = (1000.0, 1.0), 2.0, 1.0
-#: Wall time of a step in a tick of 1000, us: the rest is for rendering, ring and surface.
-BUDGET = 800.0
-INTERRUPTED = 130
-_LOOK_EVERY = 0.25  # s
+#: Interval between updates of the status line, s.
+_UPDATE_INTERVAL = 0.25
+
+
+@dataclass(frozen=True)
+class LoopDefaults:
+    """Default values of the flags.
+
+    Coupling, passivity controller and energy limit apply to devices with a force limit only. Their values keep the
+    simulated hands of docs/haptic_rendering.md stable.
+
+    Attributes:
+        force_limit: largest rendered force, N. It catches mistyped motions; it does not protect a device.
+        force_rate: largest change of the rendered force per tick, N.
+        budget_us: wall time of a simulation step, us; the rest of the tick of 1000 us is for rendering, ring buffer and
+            surface.
+        coupling_stiffness: stiffness of the virtual coupling, N/m.
+        coupling_damping: damping of the virtual coupling, N s/m.
+        passivity_damping: largest damping of the passivity controller, N s/m.
+        energy_limit: net energy output at which the force is switched off, J.
+    """
+
+    force_limit: float = 100.0
+    force_rate: float = 1.0
+    budget_us: float = 800.0
+    coupling_stiffness: float = 1000.0
+    coupling_damping: float = 1.0
+    passivity_damping: float = 2.0
+    energy_limit: float = 1.0
+
+
+DEFAULTS = LoopDefaults()
 
 
 def add_arguments(parser: Parser) -> None:
+    """Declare the arguments of `tissue-sim loop`."""
     parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
-                        help=f"{' or '.join(SCENES)} (default: %(default)s)")
+                        help=f"test to simulate: {', '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, metavar="FILE",
-                        help="NAME.material.json (default: the study's silicone, reduced_polynomial_2)")
+                        help="material file NAME.material.json (default: silicone of the reference study, law "
+                             "reduced_polynomial_2)")
     parser.add_argument("--seconds", type=positive, metavar="N", default=60.0,
-                        help="how long; Ctrl-C ends it earlier (default: 60)")
+                        help="duration of the loop; Ctrl-C ends it earlier (default: 60)")
     add_solver_flags(parser)
     add_reduced_flag(parser)
     source = parser.add_argument_group("source of the motion")
     source.add_argument("--motion", metavar="NAME[:SETTINGS]",
-                        help=f"one of {', '.join(MOTIONS)}. random: as of a hand, with lift-offs; sine: up and down; "
-                             "protocol: that of --protocol, repeated where it closes; hand: stays where it is "
-                             "(default: random, or protocol where one is stated)")
+                        help=f"prescribed motion: one of {', '.join(MOTIONS)}. random: like a hand, with lift-off; "
+                             "sine: periodic along the axis; protocol: motion of --protocol, repeated if it ends where "
+                             "it starts; hand: the tool rests (default: random, or protocol with --protocol)")
     source.add_argument("--device", metavar="NAME:SETTINGS",
-                        help="a haptic device, which also feels the force, in place of a motion: one of "
-                             f"{', '.join(HAPTIC_DEVICES)}; 'virtual:sine:depth_mm=5' is a hand that follows that "
-                             "motion and gives way to the force")
+                        help="haptic device that moves the tool and displays the force, instead of --motion: one of "
+                             f"{', '.join(HAPTIC_DEVICES)}; 'virtual:sine:depth_mm=5' simulates a hand that follows a "
+                             "sine motion and yields to the force")
     source.add_argument("--top-speed-mm-s", type=positive, metavar="N", default=200.0,
-                        help="that a random motion never exceeds (default: 200)")
-    source.add_argument("--frequency-hz", type=positive, metavar="N", default=1.0, help="of a sine (default: 1)")
+                        help="speed limit of the random motion (default: 200)")
+    source.add_argument("--frequency-hz", type=positive, metavar="N", default=1.0,
+                        help="frequency of the sine motion (default: 1)")
     source.add_argument("--sideways-mm", type=not_negative, metavar="N",
-                        help="how far aside a random motion goes, along x and y either way (default: 0, or as far as "
-                             "the box of --reduced)")
+                        help="largest lateral displacement of the random motion, along x and y in both directions "
+                             "(default: 0; with --reduced the size of its box of poses)")
     source.add_argument("--turn-deg", type=not_negative, metavar="N",
-                        help="how far a random motion turns the tool, about any axis (default: 0, or as far as that "
-                             "box)")
-    source.add_argument("--seed", type=at_least(0), metavar="N", default=0, help="of a random motion (default: 0)")
+                        help="largest rotation of the random motion, about any axis (default: 0; with --reduced the "
+                             "size of its box of poses)")
+    source.add_argument("--seed", type=at_least(0), metavar="N", default=0,
+                        help="seed of the random motion (default: 0)")
     timing = parser.add_argument_group("timing and safety")
     timing.add_argument("--spin-us", type=not_negative, metavar="N", default=0.0,
-                        help="watch the clock so long before each tick in place of sleeping (default: 0)")
-    timing.add_argument("--budget-us", type=not_negative, metavar="N", default=BUDGET,
-                        help="wall time of a step after which the last equilibrium's force is carried on; 0: however "
-                             f"long it takes (default: {BUDGET:g})")
+                        help="busy-wait this long before each tick instead of sleeping: more exact ticks, but a higher "
+                             "processor load (default: 0)")
+    timing.add_argument("--budget-us", type=not_negative, metavar="N", default=DEFAULTS.budget_us,
+                        help="time limit of a simulation step; a step that reaches it returns the force of the last "
+                             "equilibrium, extrapolated with its stiffness; 0: no limit (default: "
+                             f"{DEFAULTS.budget_us:g})")
     timing.add_argument("--inertia", choices=("auto", "on", "off"), default="auto",
-                        help="the mass of the tissue counts; auto: where the tool is fast, and not behind a coupling "
+                        help="inertia of the tissue; auto: on where the tool is fast, but off with a coupling "
                              "(default: auto)")
     timing.add_argument("--no-real-time", action="store_true",
-                        help="ask the system for nothing: no SCHED_FIFO, no locked memory")
+                        help="do not request real-time scheduling (SCHED_FIFO) and locked memory")
     timing.add_argument("--force-limit-N", type=positive, metavar="N",
-                        help=f"largest rendered force (default: {FORCE_LIMIT:g}, or what the device allows)")
-    timing.add_argument("--force-rate-N", type=positive, metavar="N", default=FORCE_RATE,
-                        help=f"its largest change in a tick (default: {FORCE_RATE:g})")
+                        help=f"largest rendered force (default: {DEFAULTS.force_limit:g}, or the limit of the device)")
+    timing.add_argument("--force-rate-N", type=positive, metavar="N", default=DEFAULTS.force_rate,
+                        help=f"largest change of the rendered force per tick (default: {DEFAULTS.force_rate:g})")
     timing.add_argument("--coupling-stiffness-N-m", type=not_negative, metavar="N",
-                        help="a spring between the device and the tool; 0: none (default: none, and "
-                             f"{COUPLING[0]:g} for a device that allows a certain force only)")
+                        help="stiffness of the virtual coupling, a spring between device and tool; 0: no coupling "
+                             f"(default: {DEFAULTS.coupling_stiffness:g} for a device with a force limit, otherwise 0)")
     timing.add_argument("--coupling-damping-N-s-m", type=not_negative, metavar="N",
-                        help=f"damper beside that spring (default: {COUPLING[1]:g})")
+                        help=f"damping of the virtual coupling (default: {DEFAULTS.coupling_damping:g})")
     timing.add_argument("--passivity-damping-N-s-m", type=not_negative, metavar="N",
-                        help="most that the passivity controller adds while more energy has come out than was put in; "
-                             f"0: no controller (default: none, and {CONTROLLER:g} for such a device)")
+                        help="largest damping of the passivity controller, which acts while the hand has received more "
+                             "energy than it put in; 0: no controller (default: "
+                             f"{DEFAULTS.passivity_damping:g} for a device with a force limit, otherwise 0)")
     timing.add_argument("--energy-limit-J", type=positive, metavar="N",
-                        help="no force any more where so much more energy has come out than was put in (default: none, "
-                             f"and {ENERGY_LIMIT:g} for a device)")
+                        help="switch the force off when the hand has received this much more energy than it put in "
+                             f"(default: {DEFAULTS.energy_limit:g} for a device with a force limit, otherwise none)")
     timing.add_argument("--ring", type=Path, metavar="FILE",
-                        help="where viewers and recorders read the ticks (default: a file in memory)")
+                        help="file of the ring buffer, from which viewers and recorders read the ticks (default: a "
+                             "temporary file in memory)")
     add_experiment_flags(parser)
     add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments) -> int:
+    """Run the loop and print its report.
+
+    Raises:
+        InputError: flags that contradict each other, or values that scene, motion or device do not accept.
+    """
     check_scene(arguments.scene)
     name = arguments.device or arguments.motion or ("protocol" if arguments.protocol else "random")
     if arguments.device and arguments.motion:
-        raise InputError("a device brings its motion with it; give --motion or --device, not both", field="--motion")
+        raise InputError("cannot be combined with --device. Give one of them", field="--motion")
     if name != "protocol" and arguments.protocol:
-        raise InputError(f"a {name} motion has none; leave it out, or give --motion protocol", field="--protocol")
+        raise InputError(f"applies only to --motion protocol; got the motion {name!r}. Leave one of the flags out",
+                         field="--protocol")
     for flag in ("sideways_mm", "turn_deg"):
         if getattr(arguments, flag) is not None and name != "random":
-            raise InputError("only the random motion of the other flags takes it; leave --motion and --device out, or "
-                             "write random:sideways_mm=...,turn_deg=...", field="--" + flag.replace("_", "-"))
+            raise InputError("applies only to the random motion of the other flags; leave --motion and --device out, "
+                             "or write random:sideways_mm=...,turn_deg=...", field="--" + flag.replace("_", "-"))
     check_solver(arguments.solver)
     reduced = read_reduced(arguments)
 
@@ -124,57 +164,62 @@ def run(arguments) -> int:
     settings = LoopSettings(seconds=arguments.seconds, spin=arguments.spin_us * 1e-6,
                             real_time=not arguments.no_real_time)
     if reduced:
-        stay_in_box(arguments, reduced)
-    device = open_named(arguments, name, protocol, lifts=reduced is None or reduced.lifting == 0)
+        limit_to_box(arguments, reduced)
+    device = open_source(arguments, name, protocol, lifts=reduced is None or reduced.lifting == 0)
     device.set_approach(model.experiment.approach)
     rendering = make_rendering(arguments, device.largest_force)
-    # Behind a coupling the mass of the tissue is stable in time; but where it makes most answers late, the force is up
-    # to six times too large (docs/haptic_rendering.md).
+    # With a coupling, inertia is stable in time; but if inertia makes most steps late, the force is up to six times too
+    # large (docs/haptic_rendering.md).
     inertia = "off" if rendering.coupling is not None and arguments.inertia == "auto" else arguments.inertia
     make_tissue = real_time_tissue(model, resolution=arguments.resolution, inertia=inertia,
                                    looks_ahead=rendering.coupling is not None,
                                    budget=arguments.budget_us * 1e-6 or None, solver=arguments.solver, mesh=reduced)
     process = LoopProcess(make_tissue, device, rendering, settings, ring_path=arguments.ring)
     try:
-        report, interrupted = follow(process, arguments.seconds, quiet=arguments.json)
+        report, interrupted = run_to_end(process, arguments.seconds, quiet=arguments.json)
     except LoopError as error:
         print(f"tissue-sim: {error}", file=sys.stderr)
-        return 1
+        return ExitCode.GOAL_MISSED
     if arguments.json:
         print_json({"scene": arguments.scene, "motion": name, **report.as_json()})
     else:
         from scenes.commands.loop.report import print_report
 
         print_report(report, results_console())
-    return INTERRUPTED if interrupted else 0
+    return ExitCode.INTERRUPTED if interrupted else ExitCode.DONE
 
 
-def stay_in_box(arguments, reduced) -> None:
-    """Let a random motion go as far as a reduced solid knows; a tool that leans goes aside as it goes down.
+def limit_to_box(arguments, reduced) -> None:
+    """Set ``sideways_mm`` and ``turn_deg`` of the arguments to the box of poses of a reduced model where they are None.
+
+    A tilted tool moves sideways as it goes deeper, which leaves less of the box for lateral motion.
 
     Raises:
-        InputError: it is to go further.
+        InputError: the flags ask for a motion beyond the box.
     """
     box, approach = reduced.box, reduced.model.experiment.approach
-    aside = abs(math.tan(approach.angle)) * box.depth if approach is not None else 0.0
-    for name, size in (("sideways_mm", max(box.sideways - aside, 0.0) * 1e3), ("turn_deg", math.degrees(box.turn))):
+    drift = abs(math.tan(approach.angle)) * box.depth if approach is not None else 0.0
+    for name, size in (("sideways_mm", max(box.sideways - drift, 0.0) * 1e3), ("turn_deg", math.degrees(box.turn))):
         asked = getattr(arguments, name)
         if asked is None:
             setattr(arguments, name, size)
         elif asked > size * (1.0 + 1e-9):
-            why = ", as a tool that leans goes aside as it goes down" if aside and name == "sideways_mm" else ""
-            raise InputError(f"{asked:g} leads out of the box of the reduced solid{why}; give {size:.4g} at most, or "
-                             "leave it out", field=f"--{name.replace('_', '-')}")
+            why = ", because a tilted tool moves sideways as it goes deeper" if drift and name == "sideways_mm" else ""
+            raise InputError(f"must be at most {size:.4g} to stay in the box of poses of the reduced model{why}; got "
+                             f"{asked:g}", field=f"--{name.replace('_', '-')}")
 
 
-def open_named(arguments, name: str, protocol, *, lifts: bool = True):
-    """The motion or the device that the flags ask for.
+def open_source(arguments, name: str, protocol, *, lifts: bool = True):
+    """Open the motion or the haptic device that moves the tool.
 
     Args:
-        lifts: whether a random motion or a sine lifts the tool off.
+        arguments: parsed arguments.
+        name: name of the motion or device, with its settings.
+        protocol: protocol of the motion ``protocol``.
+        lifts: whether the motions ``random`` and ``sine`` lift the tool off the tissue.
 
     Raises:
-        InputError: no such motion or device, or what it refuses.
+        InputError: unknown motion or device, or invalid settings.
     """
     from haptics.devices.back_ends import open_haptic, open_motion
     from haptics.devices.motions import follow_protocol
@@ -183,56 +228,63 @@ def open_named(arguments, name: str, protocol, *, lifts: bool = True):
         return open_haptic(name)
     if name == "protocol":
         return follow_protocol(protocol)
-    depth = f"depth_mm={arguments.depth_mm or DEPTH_MM!r}" + ("" if lifts else ",lift=0")
-    by_flags = {"random": f"random:{depth},top_speed_mm_s={arguments.top_speed_mm_s!r},seed={arguments.seed},"
+    depth = f"depth_mm={arguments.depth_mm or DEFAULT_DEPTH_MM!r}" + ("" if lifts else ",lift=0")
+    motions_of_flags = {"random": f"random:{depth},top_speed_mm_s={arguments.top_speed_mm_s!r},seed={arguments.seed},"
                           f"sideways_mm={arguments.sideways_mm or 0.0!r},turn_deg={arguments.turn_deg or 0.0!r}",
                 "sine": f"sine:{depth},frequency_hz={arguments.frequency_hz!r}"}
-    return open_motion(by_flags.get(name, name))
+    return open_motion(motions_of_flags.get(name, name))
 
 
 def make_rendering(arguments, largest_force: float):
-    """From the device's pose to its force, as the flags say.
+    """Return the force rendering of the flags: limits, virtual coupling, passivity controller and energy limit.
 
     Args:
-        largest_force: of the device, N.
+        arguments: parsed arguments.
+        largest_force: force limit of the device, N; infinite for motions and virtual devices.
 
     Raises:
-        InputError: a limit above it, or a damper without its spring.
+        InputError: the force limit exceeds that of the device, or damping is given without coupling stiffness.
     """
     from haptics.safety.coupling import VirtualCoupling
     from haptics.safety.limits import ForceLimits
     from haptics.safety.passivity import EnergyLimit
     from haptics.safety.rendering import ForceRendering
 
-    limit = arguments.force_limit_N or FORCE_LIMIT
+    limit = arguments.force_limit_N or DEFAULTS.force_limit
     if arguments.force_limit_N and limit > largest_force:
-        raise InputError(f"{limit:g} N, but the device allows {largest_force:g} N; give no more, or set the device "
-                         "otherwise", field="--force-limit-N")
-    real = math.isfinite(largest_force)
+        raise InputError(f"must be at most {largest_force:g} N, the limit of the device; got {limit:g} N. Choose a "
+                         "smaller limit, or raise the limit in the settings of the device", field="--force-limit-N")
+    has_limit = math.isfinite(largest_force)
 
-    def asked(value: float | None, for_real: float) -> float:
-        return value if value is not None else for_real if real else 0.0
+    def with_default(value: float | None, device_default: float) -> float:
+        return value if value is not None else device_default if has_limit else 0.0
 
-    stiffness = asked(arguments.coupling_stiffness_N_m, COUPLING[0])
+    stiffness = with_default(arguments.coupling_stiffness_N_m, DEFAULTS.coupling_stiffness)
     damping = arguments.coupling_damping_N_s_m
     if damping and not stiffness:
-        raise InputError("a damper needs a spring beside it; give --coupling-stiffness-N-m, too",
-                         field="--coupling-damping-N-s-m")
-    coupling = VirtualCoupling(stiffness, COUPLING[1] if damping is None else damping) if stiffness else None
+        raise InputError("requires a coupling. Add --coupling-stiffness-N-m", field="--coupling-damping-N-s-m")
+    coupling = VirtualCoupling(stiffness, DEFAULTS.coupling_damping if damping is None else damping) \
+        if stiffness else None
+    passivity_damping = with_default(arguments.passivity_damping_N_s_m, DEFAULTS.passivity_damping)
+    energy_limit = arguments.energy_limit_J or (DEFAULTS.energy_limit if has_limit else math.inf)
     return ForceRendering(ForceLimits(limit, arguments.force_rate_N), coupling,
-                          controller_damping=asked(arguments.passivity_damping_N_s_m, CONTROLLER) or None,
-                          energy_limit=EnergyLimit(arguments.energy_limit_J or (ENERGY_LIMIT if real else math.inf)))
+                          controller_damping=passivity_damping or None, energy_limit=EnergyLimit(energy_limit))
 
 
-def follow(process, seconds: float, *, quiet: bool):
-    """Run the loop to its end, with a live line on a terminal.
+def run_to_end(process, seconds: float, *, quiet: bool):
+    """Run the loop process to its end, with a status line on a terminal.
+
+    Args:
+        process: loop process, not started.
+        seconds: planned duration, s.
+        quiet: show no status line.
 
     Returns:
-        Its report, and whether Ctrl-C ended it.
+        Report of the loop, and whether Ctrl-C ended it.
 
     Raises:
-        InputError, LoopError: it ended before its time.
-        KeyboardInterrupt: before its first tick.
+        InputError, LoopError: the loop process ended early.
+        KeyboardInterrupt: Ctrl-C before the first tick.
     """
     from haptics.loop.process import LoopError
     from scenes.commands.loop.report import LiveLine
@@ -244,15 +296,15 @@ def follow(process, seconds: float, *, quiet: bool):
             with process.ring() as ring:
                 live = LiveLine(ring, seconds)
                 console.print(f"ring: {process.ring_path}", markup=False, soft_wrap=True)
-                while (report := process.wait(_LOOK_EVERY)) is None:
+                while (report := process.wait(_UPDATE_INTERVAL)) is None:
                     if not console.quiet:
                         status.update(live.text())
             return report, False
         except KeyboardInterrupt:
-            # The loop may tick already, and this process not know it yet.
+            # The loop may tick already although this process has not read the message yet.
             report = process.stop()
             if report is not None:
                 return report, True
             if not process.ready:
                 raise
-            raise LoopError(f"stopped by Ctrl-C, without a report: {process.message}") from None
+            raise LoopError(f"stopped by Ctrl-C before the loop wrote a report: {process.message}") from None

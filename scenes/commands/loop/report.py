@@ -1,4 +1,4 @@
-"""What `tissue-sim loop` prints: a line while it runs, a table at its end."""
+"""Output of `tissue-sim loop`: a status line while the loop runs, and its report."""
 
 from __future__ import annotations
 
@@ -16,32 +16,35 @@ if TYPE_CHECKING:
     from haptics.loop.ring import RingReader
 
 
-#: What it means that a tick was flagged, by the name in the report; see `haptics.safety.rendering.RenderFlag`.
-_FLAGGED = {
-    "limited": "with the force held at its limit", "rate_limited": "with a force that was let change more slowly",
-    "invalid": "without a force that is a number", "lost_pose": "without a pose from the device",
-    "active": "when the hand had got more energy than it had put in",
-    "energy": "with the force taken away for its energy", "paused": "in a pause",
+#: Flag of a tick in the report -> its description; see `haptics.safety.rendering.RenderFlag`.
+_FLAG_DESCRIPTIONS = {
+    "limited": "with the force at its limit",
+    "rate_limited": "with a limited change of the force",
+    "invalid": "with a force that was not a finite number",
+    "lost_pose": "without a pose from the device",
+    "active": "in which the hand had received more energy than it put in",
+    "energy": "with the force switched off by the energy limit",
+    "paused": "in pause",
 }
 
 
 class LiveLine:
-    """The state of a loop in one line, from its ring: the loop itself is not asked.
+    """Status of a running loop in one line, read from its ring buffer without disturbing the loop.
 
     Args:
-        ring: of the loop.
-        seconds: how long it will run.
+        ring: reader of the ring buffer.
+        seconds: planned duration of the loop, s.
     """
 
     def __init__(self, ring: RingReader, seconds: float):
         self._ring, self._seconds, self._number = ring, seconds, 0
 
     def text(self) -> str:
-        """The line, over the ticks since it was asked for the last time."""
+        """Return the status line for the ticks since the last call."""
         ticks = self._ring.since(self._number)
         self._number, records = ticks.number, ticks.records
         if not len(records):
-            return "waiting for a tick"
+            return "waiting for the next tick"
         newest = records[-1]
         compute, lateness = (np.quantile(records[name], 0.99) * 1e6 for name in ("compute_time", "lateness"))
         return (f"{newest['time']:.0f} of {self._seconds:g} s: {newest['tool_depth'] * 1e3:.2f} mm, "
@@ -50,7 +53,7 @@ class LiveLine:
 
 
 def print_report(report: LoopReport, console: Console) -> None:
-    """The report as a table and a few sentences."""
+    """Print the report of the loop: a table of lateness and compute time, then one sentence for each other result."""
     from rich.text import Text
 
     table = text_table("", "p50", "p99", "p99.9", "max")
@@ -63,20 +66,20 @@ def print_report(report: LoopReport, console: Console) -> None:
                             f"{LATE * 1e3:g} ms), {report.missed} missed ({answer['missed_percent']:.3g} %)")
     answers = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in report.statuses.items() if count)
     if answers:
-        print_sentence(console, f"answers: {answers}")
+        print_sentence(console, f"simulation steps: {answers}")
     for name, count in report.flagged.items():
         if count:
-            print_sentence(console, f"ticks {_FLAGGED.get(name, name)}: {count}")
+            print_sentence(console, f"ticks {_FLAG_DESCRIPTIONS.get(name, name)}: {count}")
     if report.resolution not in ("", "own mesh"):
-        error = "" if report.force_error is None else f", whose force errs by {100 * report.force_error:.2g} % at most"
+        error = "" if report.force_error is None else f", force error at most {100 * report.force_error:.2g} %"
         print_sentence(console, f"mesh: {report.resolution}{error}")
     print_sentence(console, f"largest force: {report.largest_force:.4g} N")
     if report.device.get("trouble"):
-        print_sentence(console, f"the device was lost: {report.device['trouble']}")
+        print_sentence(console, f"the connection to the device was lost: {report.device['trouble']}")
     if report.peak_memory is not None:
         print_sentence(console, f"peak memory: {answer['peak_memory_MB']:.0f} MB")
     obtained = [feature.name for feature in report.real_time if feature.obtained]
-    print_sentence(console, f"real time: {', '.join(obtained) if report.real_time else 'not asked for'}")
+    print_sentence(console, f"real time: {', '.join(obtained) if report.real_time else 'not requested'}")
     for feature in report.real_time:
         if not feature.obtained:
             print_sentence(console, f"real time: {feature.message}")

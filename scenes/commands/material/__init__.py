@@ -1,4 +1,4 @@
-"""`tissue-sim material new|show|check|export`: material files."""
+"""`tissue-sim material new|show|check|export`: write, print, check and export material files."""
 
 from __future__ import annotations
 
@@ -6,30 +6,34 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from scenes.commands.shared.console import print_json, results_console
-from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, new_file, positive
+from scenes.commands.shared.exit_code import ExitCode
+from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, check_output, positive
 from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:
     from tissue_sim.material.material import Material
     from tissue_sim.material.viscoelasticity import Prony
 
-SUMMARY = "make, read, check and export material files"
+SUMMARY = "write, print, check and export material files"
 EXAMPLE = "tissue-sim material show phantom.material.json"
 ACTIONS = ("new", "show", "check", "export")
+#: Planned actions.
 LATER = ("import",)
 
-_NEW = ("write a material file from parameters",
+#: Description and example of each action.
+_NEW = ("write a material file from the parameters of a law",
         "tissue-sim material new --law reduced_polynomial_2 --set C10=1404.9 --set C20=699.4 --bulk-ratio 1000 "
         "-o m.material.json")
-_SHOW = ("formula, parameters, moduli, stability and provenance of a material file",
+_SHOW = ("print formula, parameters, moduli, stability and provenance of a material file",
          "tissue-sim material show m.material.json")
-_CHECK = ("exit 0 when the file is good, 2 when it cannot be read, 1 when the law is unstable in its valid range",
+_CHECK = ("check a material file; exit code 0: valid, 1: the law is unstable in its valid range, 2: unreadable",
           "tissue-sim material check m.material.json")
-_EXPORT = ("write a material for another program",
+_EXPORT = ("convert a material file to the format of another program",
            "tissue-sim material export m.material.json --to abaqus -o m.inp")
 
 
 def add_arguments(parser: Parser) -> None:
+    """Declare the actions of `tissue-sim material` and their arguments."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
 
     def action(name, texts, run) -> Parser:
@@ -39,39 +43,49 @@ def add_arguments(parser: Parser) -> None:
         return inner
 
     new = action("new", _NEW, run_new)
-    new.add_argument("--law", required=True, help="neo_hooke, mooney_rivlin, reduced_polynomial_1 to _3, ogden_1 to _3")
+    new.add_argument("--law", required=True,
+                     help="material law: neo_hooke, mooney_rivlin, reduced_polynomial_1 to _3, ogden_1 to _3, or a law "
+                          "of an installed package")
     new.add_argument("--set", dest="settings", action="append", default=[], metavar="NAME=VALUE",
-                     help="a parameter of the law, Pa (exponents: 1); once for each")
+                     help="value of a parameter of the law, in Pa (exponents without unit); once for each parameter")
     bulk = new.add_mutually_exclusive_group()
-    bulk.add_argument("--bulk-ratio", type=positive, metavar="N", help="K / mu0, 2 to 1e6")
-    bulk.add_argument("--bulk-modulus-pa", type=positive, metavar="N", help="K in Pa, 2 to 1e6 times mu0")
-    bulk.add_argument("--incompressible", action="store_true", help="no change of volume (default)")
+    bulk.add_argument("--bulk-ratio", type=positive, metavar="N",
+                      help="bulk modulus K over shear modulus mu0, 2 to 1e6")
+    bulk.add_argument("--bulk-modulus-pa", type=positive, metavar="N", help="bulk modulus K in Pa, 2 to 1e6 times mu0")
+    bulk.add_argument("--incompressible", action="store_true", help="incompressible material (default)")
     new.add_argument("--prony", action="append", default=[], metavar="G,TAU_S",
-                     help="a term of the Prony series: share of the instantaneous modulus that relaxes, relaxation "
-                          "time in s; 1 to 4 times")
+                     help="term of a Prony series: fraction of the instantaneous modulus that relaxes, and relaxation "
+                          "time in s; once for each of 1 to 4 terms")
     new.add_argument("--moduli", choices=("instantaneous", "long_term"), default="instantaneous",
-                     help="what the parameters of a law with --prony stand for (default: %(default)s)")
+                     help="whether the parameters of a law with --prony are instantaneous or long-term moduli "
+                          "(default: %(default)s)")
     new.add_argument("--region", action="append", default=[], metavar="NAME=FILE",
-                     help="what the tissue is in a region of the specimen's mesh: the material of another file, whose "
-                          "numbers are copied, without standard errors; once for each region")
-    new.add_argument("--name", default="", help="name for people")
-    new.add_argument("--density-kg-m3", type=positive, metavar="N", help="density")
-    new.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE", help="NAME.material.json")
+                     help="material of a named region of the specimen mesh, from another material file; its parameters "
+                          "are copied without standard errors; once for each region")
+    new.add_argument("--name", default="", help="name of the material")
+    new.add_argument("--density-kg-m3", type=positive, metavar="N", help="density of the material")
+    new.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE",
+                     help="material file NAME.material.json")
     add_overwrite(new)
-    action("show", _SHOW, run_show).add_argument("file", type=Path, metavar="FILE")
-    action("check", _CHECK, run_check).add_argument("file", type=Path, metavar="FILE")
+    show, check = action("show", _SHOW, run_show), action("check", _CHECK, run_check)
     export = action("export", _EXPORT, run_export)
-    export.add_argument("file", type=Path, metavar="FILE")
-    export.add_argument("--to", required=True, metavar="PROGRAM", help="abaqus (CalculiX reads it), or what an "
-                                                                       "installed package adds")
-    export.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT", help="file to write")
+    for each in (show, check, export):
+        each.add_argument("file", type=Path, metavar="FILE", help="material file NAME.material.json")
+    export.add_argument("--to", required=True, metavar="PROGRAM",
+                        help="abaqus (also read by CalculiX), or a program that an installed package adds")
+    export.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT", help="output file")
     add_overwrite(export)
 
 
 def run_new(arguments) -> int:
+    """Write a material file from the parameters of the flags.
+
+    Raises:
+        InputError: invalid parameters, or an output file that cannot be written.
+    """
     import tissue_sim as ts
 
-    new_file(arguments.output, "-o", overwrite=arguments.overwrite, suffixes=(".material.json",))
+    check_output(arguments.output, "-o", overwrite=arguments.overwrite, suffixes=(".material.json",))
     if arguments.bulk_ratio is not None:
         bulk = ts.Bulk("bulk_ratio", arguments.bulk_ratio)
     elif arguments.bulk_modulus_pa is not None:
@@ -91,65 +105,79 @@ def run_new(arguments) -> int:
         relaxed = "" if material.viscoelastic is None else f", long-term mu {format_pressure(material.mu_long_term)}"
         results_console().print(f"wrote {arguments.output}: E0 {format_pressure(material.E0)}, "
                                 f"mu0 {format_pressure(material.mu0)}{relaxed}", markup=False, soft_wrap=True)
-    return 0
+    return ExitCode.DONE
 
 
 def check_bulk(material, option: str) -> None:
-    """Refuse a bulk response that `simulate` would refuse.
+    """Check the bulk modulus of a material against the range of the finite elements.
+
+    Args:
+        material: new material.
+        option: command line option that states the bulk modulus, for the error message.
 
     Raises:
-        InputError: K / mu0 outside `BULK_RATIOS`, with the option that states it.
+        InputError: K / mu0 is outside `BULK_RATIOS`.
     """
     from tissue_sim.material.material import BULK_RATIOS
 
     ratio = material.bulk_modulus / material.mu0
     low, high = BULK_RATIOS
     if material.bulk.kind != "incompressible" and not low <= ratio <= high:
-        stated = "" if option == "--bulk-ratio" else f"; give {low * material.mu0:.4g} to {high * material.mu0:.4g} Pa"
-        raise InputError(f"K / mu0 is {ratio:.4g}, outside {low:g} to {high:g}, which the finite elements are checked "
-                         f"for{stated}, or --incompressible", field=option)
+        pressures = "" if option == "--bulk-ratio" else f" ({low * material.mu0:.4g} to {high * material.mu0:.4g} Pa)"
+        raise InputError(f"K / mu0 must be {low:g} to {high:g}{pressures}, the verified range of the finite elements; "
+                         f"got {ratio:.4g}. Change the value, or use --incompressible", field=option)
 
 
 def read_settings(settings: list[str]) -> dict[str, float]:
-    """``["C10=1404.9"]`` -> ``{"C10": 1404.9}``.
+    """Read parameters from texts such as ``C10=1404.9``.
+
+    Returns:
+        Value of each parameter by its name.
 
     Raises:
-        InputError: no ``=``, a value that is not a number, or a name given twice.
+        InputError: a text without ``=``, a value that is not a number, or a repeated name.
     """
     parameters: dict[str, float] = {}
     for setting in settings:
         name, sign, text = setting.partition("=")
         name = name.strip()
         if not sign or not name:
-            raise InputError(f"{setting!r} is not NAME=VALUE; write it like C10=1404.9", field="--set")
+            raise InputError(f"must have the form NAME=VALUE, such as C10=1404.9; got {setting!r}", field="--set")
         if name in parameters:
-            raise InputError(f"{name} is given twice; give it once", field="--set")
+            raise InputError(f"{name} is given twice. Give it once", field="--set")
         try:
             parameters[name] = float(text)
         except ValueError:
-            raise InputError(f"{text!r} is not a number; write it like {name}=1404.9", field="--set") from None
+            raise InputError(f"the value of {name} must be a number; got {text!r}", field="--set") from None
     return parameters
 
 
 def read_prony(terms: list[str], moduli: Literal["instantaneous", "long_term"]) -> Prony | None:
-    """``["0.3,2"]`` -> a `Prony` series with g 0.3 and tau 2 s; None of no terms.
+    """Read a Prony series from texts such as ``0.3,2`` (g = 0.3, tau = 2 s).
+
+    Args:
+        terms: one text for each term.
+        moduli: whether the parameters of the law are instantaneous or long-term moduli.
+
+    Returns:
+        The series; None without terms.
 
     Raises:
-        InputError: a term that is not two numbers, or one that `Prony` refuses.
+        InputError: a text that is not two numbers, values that `Prony` does not accept, or `moduli` without terms.
     """
     from tissue_sim.material.viscoelasticity import Prony, PronyTerm
 
     if not terms:
         if moduli != "instantaneous":
-            raise InputError("needs a Prony series; give --prony G,TAU_S as well", field="--moduli")
+            raise InputError("requires a Prony series. Add --prony G,TAU_S", field="--moduli")
         return None
     try:
         pairs = [tuple(map(float, term.split(","))) for term in terms]
     except ValueError:
         pairs = [()]
     if any(len(pair) != 2 for pair in pairs):
-        raise InputError(f"{', '.join(map(repr, terms))}: expected a share and a time in s, such as 0.3,2",
-                         field="--prony")
+        raise InputError("must be a fraction and a time in s, such as 0.3,2; got "
+                         f"{', '.join(map(repr, terms))}", field="--prony")
     try:
         return Prony(tuple(PronyTerm(*pair) for pair in pairs), moduli)
     except InputError as error:
@@ -157,10 +185,13 @@ def read_prony(terms: list[str], moduli: Literal["instantaneous", "long_term"]) 
 
 
 def read_regions(regions: list[str]) -> dict[str, Material]:
-    """``["tumour=stiff.material.json"]`` -> the material of that file, by the name of the region.
+    """Load the materials of regions from texts such as ``tumour=stiff.material.json``.
+
+    Returns:
+        Material of each region by its name.
 
     Raises:
-        InputError: no ``=``, a name given twice, or a file that is no material.
+        InputError: a text without ``=``, a repeated name, or an invalid material file.
     """
     from tissue_sim import load_material
 
@@ -168,14 +199,16 @@ def read_regions(regions: list[str]) -> dict[str, Material]:
     for region in regions:
         name, sign, file = region.partition("=")
         if not sign or not name or not file:
-            raise InputError(f"{region!r} is not NAME=FILE; write it like tumour=stiff.material.json", field="--region")
+            raise InputError(f"must have the form NAME=FILE, such as tumour=stiff.material.json; got {region!r}",
+                             field="--region")
         if name in read:
-            raise InputError(f"{name} is given twice; give it once", field="--region")
+            raise InputError(f"{name} is given twice. Give it once", field="--region")
         read[name] = load_material(file)
     return read
 
 
 def run_show(arguments) -> int:
+    """Print a material file."""
     from scenes.commands.material.summary import print_summary, summarise
     from tissue_sim import read_material_file
 
@@ -184,34 +217,41 @@ def run_show(arguments) -> int:
         print_json(summary)
     else:
         print_summary(summary, results_console())
-    return 0
+    return ExitCode.DONE
 
 
 def run_check(arguments) -> int:
-    from scenes.commands.material.summary import effects, loss_of_stability, moduli, summarise
+    """Check the stability of a material; `ExitCode.GOAL_MISSED` if it is unstable in its valid range."""
+    from scenes.commands.material.summary import describe_effects, describe_instability, describe_moduli, summarise
     from tissue_sim import read_material_file
 
     material_file = read_material_file(arguments.file)
-    lost = loss_of_stability(material_file)
+    instability = describe_instability(material_file)
     summary = summarise(material_file)
-    notes = effects(summary)
-    # The moduli are worth telling where there is more than one of each.
-    notes = [*moduli(summary), *notes] if notes else []
+    notes = describe_effects(summary)
+    # The moduli are printed only where effects may make instantaneous and long-term moduli differ.
+    notes = [*describe_moduli(summary), *notes] if notes else []
     if arguments.json:
-        print_json({"material_file": str(arguments.file), "stable": lost is None, "message": lost or "good",
-                    "notes": notes})
+        print_json({"material_file": str(arguments.file), "stable": instability is None,
+                    "message": instability or "good", "notes": notes})
     else:
-        for sentence in (*notes, f"{arguments.file}: {lost or 'good'}"):
+        for sentence in (*notes, f"{arguments.file}: {instability or 'good'}"):
             results_console().print(sentence, markup=False, soft_wrap=True)
-    return 0 if lost is None else 1
+    return ExitCode.DONE if instability is None else ExitCode.GOAL_MISSED
 
 
 def run_export(arguments) -> int:
+    """Write a material in the format of another program.
+
+    Raises:
+        InputError: an unknown program, a material without a counterpart there, or an output file that cannot be
+            written.
+    """
     from tissue_sim import load_material
     from tissue_sim.atomic_write import write_text
     from tissue_sim.exports import EXPORTERS
 
-    new_file(arguments.output, "-o", overwrite=arguments.overwrite)
+    check_output(arguments.output, "-o", overwrite=arguments.overwrite)
     write = EXPORTERS.find(arguments.to, "--to")
     material = load_material(arguments.file)
     try:
@@ -223,4 +263,4 @@ def run_export(arguments) -> int:
         print_json({"file": str(arguments.output), "to": arguments.to})
     else:
         results_console().print(f"wrote {arguments.output} for {arguments.to}", markup=False, soft_wrap=True)
-    return 0
+    return ExitCode.DONE

@@ -1,4 +1,4 @@
-"""What a person wants to know of a material file."""
+"""Summary of a material file: moduli, stability, effects beyond the hyperelastic law, valid range and provenance."""
 
 from __future__ import annotations
 
@@ -17,12 +17,16 @@ if TYPE_CHECKING:
 
     from tissue_sim import MaterialFile, Recording
 
-#: Stretches that one mesh reaches and another does not.
+#: Stretches may exceed the valid range by this much without a warning; two meshes of one test differ by about as much.
 RANGE_TOLERANCE = 0.01
 
 
 def summarise(material_file: MaterialFile) -> dict[str, Any]:
-    """The JSON object of ``material show``: formula, parameters, moduli (Pa), stability per mode, range, provenance."""
+    """Return the JSON object of ``material show``; the names of the keys contain the units.
+
+    It holds formula, parameters, moduli, effects beyond the hyperelastic law, stability in each loading mode, valid
+    range and provenance.
+    """
     material = material_file.material
     stability = check_stability(material.energy_law, material.values)
     bulk_modulus = material.bulk_modulus
@@ -49,53 +53,65 @@ def summarise(material_file: MaterialFile) -> dict[str, Any]:
     }
 
 
-def loss_of_stability(material_file: MaterialFile) -> str | None:
-    """One sentence where the law loses Drucker stability inside the file's valid stretch range; None where it does not.
+def describe_instability(material_file: MaterialFile) -> str | None:
+    """Describe the loss of Drucker stability of a law inside the valid stretch range of its file.
 
-    All three modes must be stable over the stated stretches. A file without a valid range is asked at rest only: it
-    promises nothing else.
+    The law must be stable in uniaxial, planar and equibiaxial loading, also in each region. A file without a valid
+    range is checked at rest only.
+
+    Returns:
+        One sentence; None for a stable law.
     """
     material = material_file.material
     low, high = valid_stretches(material_file)
-    searched = (min(low, 1.0), max(high, 1.0))
-    for region, own in {"": material, **material.regions}.items():
-        stability = check_stability(own.energy_law, own.values, searched)
-        if not (stability.stable and np.all(np.isfinite(own.values))):
-            where = f"region {region} is " if region else ""
-            return f"{where}unstable inside its valid range of stretches {low:g} to {high:g}: {stability.describe()}"
+    checked_range = (min(low, 1.0), max(high, 1.0))
+    for region, local in {"": material, **material.regions}.items():
+        stability = check_stability(local.energy_law, local.values, checked_range)
+        if not (stability.stable and np.all(np.isfinite(local.values))):
+            subject = f"region {region} is " if region else ""
+            return f"{subject}unstable inside its valid range of stretches {low:g} to {high:g}: {stability.describe()}"
     return None
 
 
-def doubts(material_file: MaterialFile, recording: Recording, height: float) -> list[str]:
-    """Sentences that warn of a material in a simulated test of a specimen of this height, m: outside its valid range,
-    or beyond its stability."""
+def range_warnings(material_file: MaterialFile, recording: Recording, height: float) -> list[str]:
+    """Return warnings about a simulated test in which the material leaves its valid range or its stable range.
+
+    Args:
+        material_file: material of the specimen.
+        recording: simulated test; with fields, their principal stretches are compared with the valid range.
+        height: height of the specimen, m.
+
+    Returns:
+        Warnings, one sentence each.
+    """
     sentences = []
     deepest = int(np.argmax(recording.displacement))
     stretch = 1 - float(recording.displacement[deepest]) / height
-    # As a calibration takes its range. Under a needle the mean stretch says nothing of the tissue that it reaches.
+    # A calibration derives its valid range from the same local stretches. Under a needle they differ much from the
+    # mean stretch of the specimen.
     lowest, highest = (stretch, 1.0) if recording.fields is None else recording.fields.stretch_range(deepest)
     if material_file.valid_range is not None and material_file.valid_range.stretch is not None:
         low, high = material_file.valid_range.stretch
         if lowest < low - RANGE_TOLERANCE or highest > high + RANGE_TOLERANCE:
-            sentences.append(f"the tissue is stretched from {lowest:.3g} to {highest:.3g}, and the material was fitted "
-                             f"for stretches from {low:.3g} to {high:.3g} only")
+            sentences.append(f"the stretches of the tissue are {lowest:.3g} to {highest:.3g}, but the material was "
+                             f"fitted to stretches from {low:.3g} to {high:.3g} only")
     material = material_file.material
     stability = check_stability(material.energy_law, material.values, (min(stretch, 1.0), max(stretch, 1.0)))
     if not stability.stable:
-        sentences.append(f"the law is not stable over the mean stretches of this test, {min(stretch, 1.0):.3g} to "
-                     f"{max(stretch, 1.0):.3g}: {stability.describe()}")
+        sentences.append(f"the law is unstable within the mean stretches of this test, {min(stretch, 1.0):.3g} to "
+                         f"{max(stretch, 1.0):.3g}: {stability.describe()}")
     return sentences
 
 
 def valid_stretches(material_file: MaterialFile) -> tuple[float, float]:
-    """Lowest and highest stretch of the valid range; (1, 1) where the file states none."""
+    """Return the lowest and highest stretch of the valid range; (1, 1) if the file states none."""
     stated = msgspec.to_builtins(material_file.valid_range) or {}
     low, high = stated.get("stretch") or (1.0, 1.0)
     return float(low), float(high)
 
 
-def moduli(summary: dict[str, Any]) -> list[str]:
-    """Lines with the moduli: one of a material that does not relax, otherwise instantaneous, long-term, convention."""
+def describe_moduli(summary: dict[str, Any]) -> list[str]:
+    """Return lines with the moduli: one line of an elastic material; instantaneous and long-term of a relaxing one."""
     K = "incompressible" if summary["incompressible"] else f"K {format_pressure(summary['K_Pa'])}"
     E0, mu0 = format_pressure(summary["E0_Pa"]), format_pressure(summary["mu0_Pa"])
     if summary["mu_long_term_Pa"] == summary["mu0_Pa"]:
@@ -103,42 +119,43 @@ def moduli(summary: dict[str, Any]) -> list[str]:
     stated = (summary["viscoelastic"] or {}).get("moduli", "instantaneous").replace("_", "-")
     return [f"instantaneous E0 {E0}, mu0 {mu0}, {K}",
             f"long-term E {format_pressure(summary['E_long_term_Pa'])}, mu "
-            f"{format_pressure(summary['mu_long_term_Pa'])}; the parameters above are {stated}"]
+            f"{format_pressure(summary['mu_long_term_Pa'])}; the parameters above are {stated} values"]
 
 
-def effects(summary: dict[str, Any]) -> list[str]:
-    """One line for each effect that the material has besides its law and its bulk response."""
+def describe_effects(summary: dict[str, Any]) -> list[str]:
+    """Return one line for each effect beyond the hyperelastic law, such as viscoelasticity, and for each region."""
     lines = []
     if series := summary["viscoelastic"]:
         terms = "; ".join(f"g {_with_error(term, 'g')}, tau {_with_error(term, 'tau_s')} s" for term in series["terms"])
         lines.append(f"viscoelastic (Prony series of the {series['form'].replace('_', ' ')} stress): {terms}")
     if soft := summary["softening"]:
         lines.append(f"softening on first load: loss {_with_error(soft, 'loss')}, modulus "
-                     f"{_with_error(soft, 'modulus_Pa', 0.0)} Pa, share {_with_error(soft, 'share', 1.0)}")
-    lines += [f"layer of {_with_error(layer, 'thickness_mm')} mm, moduli times {_with_error(layer, 'modulus_ratio')}"
-              for layer in summary["layers"] or ()]
+                     f"{_with_error(soft, 'modulus_Pa', 0.0)} Pa, fraction {_with_error(soft, 'share', 1.0)}")
+    lines += [f"layer of {_with_error(layer, 'thickness_mm')} mm: moduli multiplied by "
+              f"{_with_error(layer, 'modulus_ratio')}" for layer in summary["layers"] or ()]
     if pores := summary["poroelasticity"]:
-        lines.append(f"drainage: phi {_with_error(pores, 'phi')}, diffusivity "
+        lines.append(f"drainage (poroelasticity): phi {_with_error(pores, 'phi')}, diffusivity "
                      f"{_with_error(pores, 'diffusivity_mm2_per_s')} mm2/s")
     if hole := summary["puncture"]:
-        lines.append(f"puncture at {_with_error(hole, 'depth_mm')} mm: the force drops by {_with_error(hole, 'drop')} "
-                     "of itself")
+        lines.append(f"puncture at {_with_error(hole, 'depth_mm')} mm: the force drops by a fraction of "
+                     f"{_with_error(hole, 'drop')}")
     for name, region in (summary["regions"] or {}).items():
         numbers = [f"{key} {_with_error(parameter, 'value')} {parameter['unit'].replace('1', '')}".strip()
                    for key, parameter in region["parameters"].items()]
-        beside = [key for key in EFFECTS if region.get(key)]
+        others = [key for key in EFFECTS if region.get(key)]
         lines.append(f"region {name}: {', '.join([region['law'], *numbers])}"
-                     f"{', with ' + ', '.join(beside) if beside else ''}")
+                     f"{', with ' + ', '.join(others) if others else ''}")
     return lines
 
 
 def _with_error(entry: dict[str, Any], key: str, absent: float | None = None) -> str:
+    """Format a value with its standard error, if stated; `absent` is the value of a missing key."""
     error = entry.get("standard_error", entry.get("standard_errors", {}).get(key))
     return f"{entry.get(key, absent):.6g}" + ("" if error is None else f" +- {error:.2g}")
 
 
 def print_summary(summary: dict[str, Any], console: Console) -> None:
-    """Print `summarise` for people."""
+    """Print the object of `summarise` as text and a table."""
     from rich.table import Table
 
     def line(text: str) -> None:
@@ -153,9 +170,9 @@ def print_summary(summary: dict[str, Any], console: Console) -> None:
         error = parameter.get("standard_error")
         table.add_row(name, f"{parameter['value']:.6g}", "-" if error is None else f"{error:.3g}", parameter["unit"])
     console.print(table)
-    for sentence in moduli(summary):
+    for sentence in describe_moduli(summary):
         line(sentence)
-    for sentence in effects(summary):
+    for sentence in describe_effects(summary):
         line(sentence)
     if summary["density_kg_m3"] is not None:
         line(f"density {summary['density_kg_m3']:g} kg/m3")
@@ -163,20 +180,21 @@ def print_summary(summary: dict[str, Any], console: Console) -> None:
     for mode, (lower, upper) in summary["stability"]["modes"].items():
         ends = " and ".join(name for name, lost in (("below", lower > low), ("above", upper < high)) if lost)
         line(f"stable in {mode} loading: stretch {lower:.3g} to {upper:.3g} "
-             f"({f'lost {ends}' if ends else 'no loss found'})")
+             f"({f'unstable {ends}' if ends else 'no instability found'})")
     for title in ("valid_range", "provenance"):
         content = summary[title]
         line(f"{title.replace('_', ' ')}: {'not stated' if not content else ''}".rstrip())
         for key, value in (content or {}).items():
             if value not in (None, [], {}):
-                line(f"  {key}: {_brief(value)}")
+                line(f"  {key}: {_format_entry(value)}")
 
 
-def _brief(value: Any) -> str:
+def _format_entry(value: Any) -> str:
+    """Format an entry of valid range or provenance on one line."""
     if isinstance(value, list | tuple):
         if all(isinstance(entry, dict) for entry in value):
             return ", ".join(str(entry["file"]) for entry in value)
-        return " to ".join(_brief(entry) for entry in value)
+        return " to ".join(_format_entry(entry) for entry in value)
     if isinstance(value, dict):
-        return ", ".join(f"{key} {_brief(entry)}" for key, entry in value.items())
+        return ", ".join(f"{key} {_format_entry(entry)}" for key, entry in value.items())
     return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,4 +1,4 @@
-"""`tissue-sim record PROTOCOL.toml`: move a stage, measure, and write recordings that calibrate."""
+"""`tissue-sim record PROTOCOL.toml`: perform tests on a rig and write their recordings and a campaign."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scenes.commands.shared.console import print_json, progress_console, results_console
+from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.parsing import Parser, add_json
 from scenes.stop_signals import stopped_by_signals
 from tissue_sim.errors import InputError
@@ -21,34 +22,44 @@ if TYPE_CHECKING:
     from haptics.recorder.run_folder import RunFolder
     from scenes.commands.record.protocol_file import ProtocolFile
 
-SUMMARY = "record an experiment: find contact, move by a protocol, measure; on a virtual rig or on real devices"
+SUMMARY = "record tests on real devices or a virtual rig: find contact, move along a protocol, measure the force"
 EXAMPLE = "tissue-sim record protocol.toml -o run --dry-run"
+#: Name of the campaign file in the folder of a run.
 CAMPAIGN = "campaign.toml"
 
 
 def add_arguments(parser: Parser) -> None:
+    """Declare the arguments of `tissue-sim record`."""
     parser.add_argument("protocol", type=Path, metavar="PROTOCOL.toml",
-                        help="a campaign file whose tests have a protocol each, with [limits], [devices], [record] and "
-                             "[virtual]")
-    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="folder of the run; needed but for --dry-run")
-    parser.add_argument("--test", metavar="NAME", help="record this test only; with real devices the specimen and the "
-                                                       "tool of one test are mounted at a time")
-    parser.add_argument("--arm", action="store_true", help="let a real motor move")
-    parser.add_argument("--dry-run", action="store_true", help="print the motion, how long it takes and what would "
-                                                               "stop it; nothing is started")
+                        help="campaign file with a protocol for each test and the tables [limits], [devices], [record] "
+                             "and [virtual]")
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR",
+                        help="folder of the run; required without --dry-run")
+    parser.add_argument("--test", metavar="NAME",
+                        help="record only this test; required with real devices if the file has several tests, since "
+                             "only one specimen and tool are mounted")
+    parser.add_argument("--arm", action="store_true", help="allow the motor of a real stage to move")
+    parser.add_argument("--dry-run", action="store_true",
+                        help="print the motion, its duration and the stop conditions without starting a device")
     parser.add_argument("--resume", action="store_true",
-                        help="go on with the recordings that are missing: homes again, checks zero and contact")
+                        help="record the missing recordings of an interrupted run; the stage is homed, and zero and "
+                             "contact are checked again")
     add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments) -> int:
+    """Record the tests, or print the plan of a dry run; `ExitCode.GOAL_MISSED` if the run was stopped.
+
+    Raises:
+        InputError: an invalid protocol file, or flags that do not suit its tests and devices.
+    """
     from scenes.commands.record.bench import is_virtual, open_bench
     from scenes.commands.record.protocol_file import read_protocol_file
     from scenes.commands.record.results import print_plans, print_run
 
     protocol = read_protocol_file(arguments.protocol)
-    tests = _chosen(protocol, arguments.test)
+    tests = _select_tests(protocol, arguments.test)
     console = results_console(quiet=arguments.json)
     if arguments.dry_run:
         from haptics.recorder.plan import check_plans
@@ -62,34 +73,51 @@ def run(arguments) -> int:
                  "replicates": protocol.plans[test.name].replicates} for test in tests]})
         else:
             used = protocol.devices
-            devices = ("On the virtual rig; nothing real moves." if is_virtual(protocol) else
-                       f"Sensor {used.sensor}, stage {used.stage}; a real motor moves, with --arm only.")
+            devices = ("Devices: virtual rig; no motor moves." if is_virtual(protocol) else
+                       f"Devices: sensor {used.sensor}, stage {used.stage}; the motor moves only with --arm.")
             print_plans([protocol.plans[test.name] for test in tests], protocol.limits, bench, devices, seconds,
                         console)
-        return 0
+        return ExitCode.DONE
     if arguments.output is None:
-        raise InputError("name the folder of the run with -o DIR", field="--output")
+        raise InputError("is required without --dry-run. Name the folder of the run with -o DIR", field="--output")
     virtual = is_virtual(protocol)
     if not virtual and not arguments.arm:
-        raise InputError("this moves a real motor; look at --dry-run first, clear its way, and give --arm",
-                         field="--arm")
+        raise InputError("is required, because a real motor moves. Check the motion with --dry-run, clear the path of "
+                         "the stage, then add --arm", field="--arm")
     if not virtual and len(tests) > 1:
-        raise InputError(f"one test is mounted at a time; name it with --test, one of "
+        raise InputError("is required, because only one test can be mounted. Name it: "
                          f"{', '.join(test.name for test in tests)}", field="--test")
     return _record(arguments, protocol, tests, console, print_run)
 
 
-def _chosen(protocol: ProtocolFile, name: str | None) -> list[Any]:
+def _select_tests(protocol: ProtocolFile, name: str | None) -> list[Any]:
+    """Return the test of a name, or all tests for None.
+
+    Raises:
+        InputError: unknown name; the message names the nearest test.
+    """
     tests = [test for test in protocol.campaign.tests if name in (None, test.name)]
     if not tests:
         from tissue_sim.errors import nearest
 
-        raise InputError(f"no test {name!r}{nearest(str(name), list(protocol.plans))}", field="--test")
+        raise InputError(f"unknown test {name!r}{nearest(str(name), list(protocol.plans))}", field="--test")
     return tests
 
 
 def _record(arguments, protocol: ProtocolFile, tests: list[Any], console: Console,
             show: Callable[[RunFolder, Console], None]) -> int:
+    """Record the tests into the run folder, then print its state with `show` or as JSON.
+
+    Args:
+        arguments: parsed arguments.
+        protocol: protocol file.
+        tests: tests to record.
+        console: console of the results.
+        show: prints the state of a run folder.
+
+    Raises:
+        InputError: the folder holds another run, or a run without ``--resume``.
+    """
     from haptics.devices.contracts import DeviceError
     from haptics.recorder.guarded_motion import StoppedError
     from haptics.recorder.live import LiveFile
@@ -100,18 +128,19 @@ def _record(arguments, protocol: ProtocolFile, tests: list[Any], console: Consol
 
     folder = RunFolder(arguments.output, protocol.digest)
     if folder.is_begun and not arguments.resume:
-        raise InputError("holds a run already; go on with it by --resume, or choose another folder",
+        raise InputError("contains a run already. Resume the run with --resume, or choose another folder",
                          file=arguments.output)
     about = {"program": f"tissue_sim {__version__}", "protocol": protocol.path.name,
              "protocol_sha256": protocol.digest, "devices": {"sensor": protocol.devices.sensor,
                                                              "stage": protocol.devices.stage}}
     stopped: str | None = None
     live = LiveFile(arguments.output)
-    with folder, _wishes_to_stop(arguments.json) as asked, _shown(arguments.json) as show_here, live.publish():
+    with (folder, _stop_request(arguments.json) as stop_request, _live_status(arguments.json) as show_status,
+          live.publish()):
 
-        def watch(progress: RunProgress) -> None:
-            live.show(progress)
-            show_here(progress)
+        def watch(moment: RunProgress) -> None:
+            live.show(moment)
+            show_status(moment)
 
         for test in tests:
             plan = protocol.plans[test.name]
@@ -119,8 +148,8 @@ def _record(arguments, protocol: ProtocolFile, tests: list[Any], console: Consol
                 continue
             try:
                 recorder = Recorder(open_bench(protocol, test), plan, protocol.limits, folder, about=about,
-                                    stop_request=asked, on_progress=watch)
-                # Before anything moves: a file may change, or vanish, while the run goes.
+                                    stop_request=stop_request, on_progress=watch)
+                # Copied before the motion starts, because a file may change or disappear during the run.
                 for path in protocol.files:
                     folder.copy_file(path)
                 recorder.run()
@@ -140,14 +169,14 @@ def _record(arguments, protocol: ProtocolFile, tests: list[Any], console: Consol
         show(folder, console)
     if stopped:
         if not arguments.json:
-            print(f"tissue-sim: {stopped}; what was recorded is in {arguments.output}, and --resume goes on",
+            print(f"tissue-sim: {stopped}; the recordings are in {arguments.output}. Continue with --resume",
                   file=sys.stderr)
-        return 1
-    return 0
+        return ExitCode.GOAL_MISSED
+    return ExitCode.DONE
 
 
 def _write_campaign(protocol: ProtocolFile, folder: RunFolder) -> None:
-    """The campaign of all that was recorded so far."""
+    """Write the campaign file of the finished recordings; without recordings write nothing."""
     from tissue_sim.atomic_write import write_text
 
     done = set(folder.state["done"])
@@ -156,29 +185,40 @@ def _write_campaign(protocol: ProtocolFile, folder: RunFolder) -> None:
     if any(recordings.values()):
         missing = [f"{name}_{number}.csv" for name, plan in protocol.plans.items()
                    for number in folder.missing_replicates(name, plan.replicates)]
-        words = f"# Not recorded yet, and not in here: {', '.join(missing)}.\n" if missing else ""
+        words = f"# Not recorded yet: {', '.join(missing)}.\n" if missing else ""
         write_text(folder.folder / CAMPAIGN, words + protocol.campaign_text(recordings, folder.copy_file))
 
 
 @contextmanager
-def _wishes_to_stop(quiet: bool) -> Iterator[Callable[[], str | None]]:
-    """What somebody says who wants it to end: Ctrl-C, SIGTERM, or Enter at a terminal."""
-    said: list[str] = []
+def _stop_request(quiet: bool) -> Iterator[Callable[[], str | None]]:
+    """Watch for a request of the user to stop the run: Ctrl-C, SIGTERM, or Enter on a terminal.
 
-    def listen() -> None:
+    Args:
+        quiet: do not read the keyboard (``--json``).
+
+    Yields:
+        Function that returns the reason of the first request, or None without a request.
+    """
+    requests: list[str] = []
+
+    def read_keyboard() -> None:
         sys.stdin.readline()
-        said.append("stopped at the keyboard")
+        requests.append("stopped at the keyboard")
 
     if not quiet and sys.stdin is not None and sys.stdin.isatty():
-        threading.Thread(target=listen, name="emergency stop", daemon=True).start()
-    with stopped_by_signals(lambda: said.append("stopped by a signal (Ctrl-C, or the end of the session)"),
-                            patient=True):
-        yield lambda: said[0] if said else None
+        threading.Thread(target=read_keyboard, name="emergency stop", daemon=True).start()
+    with stopped_by_signals(lambda: requests.append("stopped by a signal (Ctrl-C, or the end of the session)"),
+                            ignore_repeats=True):
+        yield lambda: requests[0] if requests else None
 
 
 @contextmanager
-def _shown(quiet: bool) -> Iterator[Callable[[RunProgress], None]]:
-    """Numbers as they come, and how far the run is; nothing where nobody looks."""
+def _live_status(quiet: bool) -> Iterator[Callable[[RunProgress], None]]:
+    """Show position, force and progress of the run on a terminal; elsewhere, or if `quiet`, show nothing.
+
+    Yields:
+        Function that displays a state of the run.
+    """
     console = progress_console(quiet=quiet)
     if console.quiet:
         yield lambda progress: None
@@ -187,12 +227,12 @@ def _shown(quiet: bool) -> Iterator[Callable[[RunProgress], None]]:
 
     with Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=console,
                   transient=True) as progress:
-        task = progress.add_task("starting; Enter stops", total=1.0)
+        task = progress.add_task("starting; press Enter to stop", total=1.0)
 
         def watch(moment: RunProgress) -> None:
             replicate = f" {moment.replicate}" if moment.replicate else ""
             progress.update(task, completed=moment.fraction, description=(
                 f"{moment.test}{replicate} {moment.phase}: {moment.position * 1e3:7.3f} mm {moment.force:7.3f} N; "
-                "Enter stops"))
+                "press Enter to stop"))
 
         yield watch

@@ -1,4 +1,4 @@
-"""What stands on the bench: devices by name, or a virtual rig with the specimen of the test."""
+"""Devices of a recording: real sensor and stage by name, or a virtual rig with the specimen of the test."""
 
 from __future__ import annotations
 
@@ -14,33 +14,35 @@ from scenes.commands.shared.tissue_flags import read_material
 from tissue_sim import Model, Rig, load_rig
 from tissue_sim.errors import InputError
 
+#: Device name of the virtual rig.
 VIRTUAL = "virtual:"
-#: Back-ends that know nothing of what is really pressed.
-_FEELS_NOTHING = ("virtual", "replay")
+#: Back-ends that are not coupled to real hardware.
+_SIMULATED_BACK_ENDS = ("virtual", "replay")
 
 
 def is_virtual(protocol: ProtocolFile) -> bool:
-    """Whether nothing that moves is really there.
+    """Return whether the run uses the virtual rig.
 
     Raises:
-        InputError: a virtual sensor on a real stage, or the other way round: it would not feel what is pressed.
+        InputError: a virtual sensor with a real stage or vice versa (the sensor would not measure the specimen that the
+            stage presses), a replayed sensor, or settings of the virtual rig outside ``[virtual]``.
     """
     sensor, stage = (name.partition(":")[0] for name in (protocol.devices.sensor, protocol.devices.stage))
-    if (sensor in _FEELS_NOTHING) != (stage in _FEELS_NOTHING) or (sensor == "replay"):
-        raise InputError(f"a sensor {sensor!r} does not feel what a stage {stage!r} presses; make both virtual, or "
-                         "give the sensor that is on the tool", field="devices", file=protocol.path)
+    if (sensor in _SIMULATED_BACK_ENDS) != (stage in _SIMULATED_BACK_ENDS) or (sensor == "replay"):
+        raise InputError(f"the sensor {sensor!r} cannot measure the specimen that the stage {stage!r} presses. Make "
+                         "both virtual, or give the sensor at the tool", field="devices", file=protocol.path)
     for name, field in ((protocol.devices.sensor, "devices.sensor"), (protocol.devices.stage, "devices.stage")):
         if sensor == "virtual" and name != VIRTUAL:
-            raise InputError(f"{name!r}: what a virtual bench is like stands under [virtual]; give {VIRTUAL!r}",
+            raise InputError(f"must be {VIRTUAL!r}; got {name!r}. Settings of the virtual rig belong under [virtual]",
                              field=field, file=protocol.path)
     return sensor == "virtual"
 
 
 def open_bench(protocol: ProtocolFile, test: Test) -> Bench:
-    """The devices for a test; none is started.
+    """Return the devices for a test, not started.
 
     Raises:
-        InputError: no such device, or a specimen that cannot be simulated.
+        InputError: an unknown device, or a specimen that cannot be simulated.
     """
     if not is_virtual(protocol):
         return Bench(open_sensor(protocol.devices.sensor), open_stage(protocol.devices.stage))
@@ -48,14 +50,19 @@ def open_bench(protocol: ProtocolFile, test: Test) -> Bench:
 
 
 def virtual_rig(protocol: ProtocolFile, test: Test) -> VirtualRig:
-    """The virtual rig of a test: its specimen of the material of ``[virtual]``."""
+    """Return the virtual rig of a test; its specimen has the material of ``[virtual]``.
+
+    Raises:
+        InputError: the test is not simulated with a tool, or an invalid material or rig file.
+    """
     table, limits, folder = protocol.virtual, protocol.limits, protocol.path.parent
     rig = Rig() if table.rig is None else load_rig(folder / table.rig)
     plan = protocol.plans[test.name]
     compliance = 0.0 if table.remembers else rig.compliance
     material = read_material(None if table.material is None else folder / table.material)
     if test.experiment is None:
-        raise InputError("there is nothing to press", field=test.place, file=protocol.path)
+        raise InputError("the kind of test has no tool, so that the virtual rig cannot perform it. Leave the test out",
+                         field=test.place, file=protocol.path)
     model = Model(test.experiment, material, replace(Rig(), compliance=compliance))
     specimen: Specimen = (HistoryDependentSpecimen(model) if table.remembers else
                           ElasticSpecimen(model, 1.05 * plan.depth))

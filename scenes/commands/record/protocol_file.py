@@ -1,4 +1,4 @@
-"""PROTOCOL.toml: a campaign whose tests have a motion instead of recordings, the devices, and the limits."""
+"""Protocol file of `tissue-sim record`: a campaign with motions instead of recordings, devices and limits."""
 
 from __future__ import annotations
 
@@ -26,26 +26,44 @@ from tissue_sim.files import read_text
 from tissue_sim.recording.file import read_recording
 from tissue_sim.specimen import Specimen
 
-#: Tables that a campaign does not have.
-OWN_TABLES = ("devices", "virtual", "limits", "record")
-#: m/s, until a protocol names one: the study's.
+#: Tables of a protocol file that a campaign file does not have.
+PROTOCOL_TABLES = ("devices", "virtual", "limits", "record")
+#: Description of the file for error messages.
 _EXPECTED = "a protocol (TOML)"
+#: Speed where a protocol states none, m/s, as in the reference study.
 _SPEED = 0.248e-3
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How every table is read: unknown keys are errors."""
+    """Base class of the tables; unknown keys are errors."""
 
 
 class DevicesTable(_Table, frozen=True, kw_only=True):
-    """``[devices]``: as `haptics.devices.back_ends` names them."""
+    """Table ``[devices]``: force sensor and stage of the run.
+
+    Attributes:
+        sensor: force sensor, ``NAME:SETTINGS`` of `haptics.devices.back_ends.FORCE_SENSORS`.
+        stage: stage, ``NAME:SETTINGS`` of `haptics.devices.back_ends.STAGES`.
+    """
 
     sensor: str = "virtual:"
     stage: str = "virtual:"
 
 
 class VirtualTable(_Table, frozen=True, kw_only=True):
-    """``[virtual]``: the specimen on a virtual bench, and what stands between it and the numbers."""
+    """Table ``[virtual]``: specimen, rig and devices of the virtual rig.
+
+    Attributes:
+        material: material file of the specimen; None is the silicone of the reference study.
+        rig: rig file with compliance, noise and sensor errors; None is an ideal rig.
+        surface_mm: position of the stage at which the tool touches the specimen, mm.
+        rate_Hz: sampling rate of the sensor, Hz.
+        resolution_N: resolution of the sensor, N.
+        range_N: range of the sensor, N; beyond it the sensor saturates.
+        encoder: whether the stage measures its position.
+        faults: faults of the devices, ``NAME=NUMBER,...``.
+        remembers: whether the specimen has a memory (relaxation, softening); it is then simulated during the run.
+    """
 
     material: str | None = None
     rig: str | None = None
@@ -59,7 +77,20 @@ class VirtualTable(_Table, frozen=True, kw_only=True):
 
 
 class LimitsTable(_Table, frozen=True, kw_only=True):
-    """``[limits]``."""
+    """Table ``[limits]``: limits of the motion; a run stops beyond them.
+
+    Attributes:
+        force_N: largest force, N.
+        lowest_mm: lowest position of the stage, mm.
+        highest_mm: highest position of the stage, mm.
+        speed_mm_s: largest speed, mm/s.
+        duration_s: longest duration of the run, s.
+        stiffness_N_per_mm: largest expected stiffness of the specimen, N/mm; with `force_margin_N` it limits the speed.
+        force_margin_N: increase of the force that is allowed while the stage stops, N.
+        sensor_silence_s: longest time without a reading, s.
+        tare_N: largest reading of the sensor before it is zeroed for the first time, N.
+        on_stop: "stand": the tool stays where it is; "retract": the tool moves back.
+    """
 
     force_N: float
     lowest_mm: float
@@ -74,7 +105,26 @@ class LimitsTable(_Table, frozen=True, kw_only=True):
 
 
 class RecordTable(_Table, frozen=True, kw_only=True):
-    """``[record]``."""
+    """Table ``[record]``: procedure and metadata of the recordings.
+
+    Attributes:
+        replicates: recordings of each test.
+        contact: "force": find contact by the force; "here": the tool is in contact at the start; "auto": "here" for a
+            plate that is bonded to the specimen, otherwise "force".
+        touch: find contact before "each" recording or "once".
+        contact_force_N: force at which contact is detected, N.
+        approach_speed_mm_s: speed of the approach, mm/s.
+        retract_mm: distance of the tool from the specimen between recordings, mm.
+        preconditioning: number of motions without recording before the first recording.
+        rest_s: pause between two motions, s.
+        sign: 1, or -1 if the reading of the sensor decreases in compression.
+        axis: channel of the sensor that is recorded as force.
+        lag_from: recording on a stiff object, from which the lag of the sensor is measured.
+        lubricant: metadata of the recordings.
+        temperature_degC: metadata of the recordings, degrees Celsius.
+        operator: metadata of the recordings.
+        notes: metadata of the recordings.
+    """
 
     replicates: int = 3
     contact: Literal["auto", "force", "here"] = "auto"
@@ -93,7 +143,9 @@ class RecordTable(_Table, frozen=True, kw_only=True):
     notes: str | None = None
 
 
-class _OwnTables(_Table, frozen=True, kw_only=True):
+class _ProtocolTables(_Table, frozen=True, kw_only=True):
+    """All tables of `PROTOCOL_TABLES`."""
+
     devices: DevicesTable = DevicesTable()
     virtual: VirtualTable = VirtualTable()
     limits: LimitsTable
@@ -102,14 +154,18 @@ class _OwnTables(_Table, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class ProtocolFile:
-    """A protocol, read and checked.
+    """Contents of a valid protocol file.
 
     Attributes:
-        path: of it. digest: SHA-256 of its bytes.
-        campaign: its tests, with a protocol each and no recordings.
-        plans: one a test, by name.
-        limits, devices, virtual, record: its tables.
-        content: the whole file.
+        path: path of the file.
+        digest: SHA-256 of its text.
+        campaign: tests of the file, with protocols and without recordings.
+        plans: plan of each test by its name.
+        limits: limits of the motion.
+        devices: table ``[devices]``.
+        virtual: table ``[virtual]``.
+        record: table ``[record]``.
+        content: whole content of the file.
     """
 
     path: Path
@@ -124,16 +180,17 @@ class ProtocolFile:
 
     @property
     def files(self) -> list[Path]:
-        """Meshes, profiles and rigs that its tests depend on."""
+        """Files of meshes, tool profiles and rigs that the tests use."""
         return files_named(self.content, self.path.parent)
 
     def campaign_text(self, recordings: Mapping[str, list[str]], file_name: Callable[[Path], str]) -> str:
-        """The campaign of what was recorded, for ``tissue-sim calibrate``; tests without recordings are left out.
+        """Return the campaign file (TOML) of the recordings; tests without recordings are left out.
 
         Args:
-            recordings: of each test. file_name: gives a mesh, profile or rig, by its path, its name in the campaign.
+            recordings: file names of the recordings of each test.
+            file_name: function that maps the path of a mesh, profile or rig to its name in the campaign.
         """
-        content = {key: value for key, value in self.content.items() if key not in OWN_TABLES}
+        content = {key: value for key, value in self.content.items() if key not in PROTOCOL_TABLES}
         tests = []
         for entry, name in zip(content["test"], self.plans, strict=True):
             if recordings.get(name):
@@ -146,35 +203,35 @@ class ProtocolFile:
 
 
 def read_protocol_file(path: Path) -> ProtocolFile:
-    """Read and check a protocol.
+    """Read and check a protocol file.
 
     Raises:
-        InputError: anything wrong with it, with the file and the dotted field.
+        InputError: invalid content; the error has the file and the dotted field.
     """
     content, text = read_toml(path, _EXPECTED), read_text(path, _EXPECTED)
-    own = {key: content[key] for key in OWN_TABLES if key in content}
+    tables_content = {key: content[key] for key in PROTOCOL_TABLES if key in content}
     with located(file=path):
-        if "limits" not in own:
-            raise InputError("a motor needs limits; give force_N, lowest_mm, highest_mm, speed_mm_s, duration_s, "
-                             "stiffness_N_per_mm and force_margin_N", field="limits")
-        tables = decode(own, _OwnTables)
-        campaign = _campaign(path, content)
-        lag = _lag(tables.record, path.parent)
-        plans = {test.name: _plan(test, tables.record, lag, number, content,
-                                  prism=test.specimen is not None and test.specimen.name in campaign.prisms)
+        if "limits" not in tables_content:
+            raise InputError("is required, because a motor moves. Give force_N, lowest_mm, highest_mm, speed_mm_s, "
+                             "duration_s, stiffness_N_per_mm and force_margin_N", field="limits")
+        tables = decode(tables_content, _ProtocolTables)
+        campaign = _read_campaign(path, content)
+        lag = _measure_lag(tables.record, path.parent)
+        plans = {test.name: _make_plan(test, tables.record, lag, number, content,
+                                       prism=test.specimen is not None and test.specimen.name in campaign.prisms)
                  for number, test in enumerate(campaign.tests)}
         protocol = ProtocolFile(path, hashlib.sha256(text.encode()).hexdigest(), campaign, plans,
-                                _limits(tables.limits), tables.devices, tables.virtual, tables.record, content)
+                                _convert_limits(tables.limits), tables.devices, tables.virtual, tables.record, content)
         if "fit" in content:
-            _check_calibrates(protocol)
+            _check_campaign(protocol)
         return protocol
 
 
-def _check_calibrates(protocol: ProtocolFile) -> None:
-    """Read the campaign that the recordings will be in, as ``tissue-sim calibrate`` will.
+def _check_campaign(protocol: ProtocolFile) -> None:
+    """Check that ``tissue-sim calibrate`` will accept the campaign of the recordings, before anything is measured.
 
     Raises:
-        InputError: what that refuses, before anything was measured for it.
+        InputError: an error of the campaign.
     """
     with tempfile.TemporaryDirectory(prefix="tissue_sim_") as folder:
         recordings = {name: [f"{number}.csv"] for number, name in enumerate(protocol.plans)}
@@ -185,22 +242,26 @@ def _check_calibrates(protocol: ProtocolFile) -> None:
         try:
             load_campaign(path)
         except InputError as error:
-            raise InputError(f"{error.problem} (calibrate would refuse what is recorded with it)",
+            raise InputError(f"{error.problem} (calibrate would not accept the recordings)",
                              field=error.field) from None
 
 
-def _campaign(path: Path, content: Mapping[str, Any]) -> Campaign:
-    """The tests, read as those of a planned campaign; what is to be fitted plays no part."""
+def _read_campaign(path: Path, content: Mapping[str, Any]) -> Campaign:
+    """Read the tests as a planned campaign; the tables ``[fit]`` and ``[noise]`` are ignored.
+
+    Raises:
+        InputError: a test without protocol or with recordings, or another error of the campaign.
+    """
     for number, entry in enumerate(content.get("test", [])):
         if isinstance(entry, dict) and "recordings" in entry:
-            raise InputError("is what will be recorded; give a protocol instead, such as 'ramp 10mm @0.248mm/s; "
-                             "hold 60s; unload'", field=f"test[{number}].recordings")
+            raise InputError("must not be given, because the test is recorded. Give a protocol instead, such as "
+                             "'ramp 10mm @0.248mm/s; hold 60s; unload'", field=f"test[{number}].recordings")
         if isinstance(entry, dict) and "protocol" not in {**content.get("defaults", {}), **entry}:
-            raise InputError("there is no motion to record; give protocol = 'ramp 10mm @0.248mm/s; hold 60s; unload'",
+            raise InputError("is required. Give a motion such as 'ramp 10mm @0.248mm/s; hold 60s; unload'",
                              field=f"test[{number}].protocol")
-    planned = {key: value for key, value in content.items() if key not in (*OWN_TABLES, "fit", "noise")}
+    planned = {key: value for key, value in content.items() if key not in (*PROTOCOL_TABLES, "fit", "noise")}
     planned["fit"] = {"method": "inverse_fem", "laws": ["neo_hooke"]}
-    # Beside the file, for the files that it names.
+    # The temporary file is in the folder of the protocol file, because the paths in it are relative to that folder.
     with tempfile.NamedTemporaryFile("w", suffix=".toml", prefix=f".{path.stem}_", dir=path.parent, encoding="utf-8",
                                      delete=False) as file:
         file.write(to_toml(planned))
@@ -212,42 +273,56 @@ def _campaign(path: Path, content: Mapping[str, Any]) -> Campaign:
         Path(file.name).unlink(missing_ok=True)
 
 
-def _lag(record: RecordTable, folder: Path) -> dict[str, Any] | None:
-    """What a recording on something stiff says of the sensor's lag."""
+def _measure_lag(record: RecordTable, folder: Path) -> dict[str, Any] | None:
+    """Return the lag of the sensor with its 95 % interval, measured in the recording ``lag_from``; None without one."""
     if record.lag_from is None:
         return None
     found = measure_lag(read_recording(folder / record.lag_from))
     return {"value_s": found.value, "interval95_s": list(found.interval), "from": record.lag_from}
 
 
-def _plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, number: int,
-          content: Mapping[str, Any], *, prism: bool) -> Plan:
+def _make_plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, number: int,
+               content: Mapping[str, Any], *, prism: bool) -> Plan:
+    """Return the plan of a test: its motion, replicates, search for contact and metadata.
+
+    Args:
+        test: test of the campaign.
+        record: table ``[record]``.
+        lag: lag of the sensor, from `_lag`.
+        number: index of the test.
+        content: whole content of the file.
+        prism: whether the specimen is a prism of known cross-section only.
+
+    Raises:
+        InputError: a kind of test without a tool.
+    """
     if test.experiment is None:
-        raise InputError(f"a {test.kind.name} is not done with a tool that is pushed in; leave the test out",
+        raise InputError(f"tests of kind {test.kind.name} have no tool and cannot be recorded. Leave the test out",
                          field=f"{test.place}.kind")
     entry = {**content.get("defaults", {}), **content["test"][number]}
-    about = {"specimen": None if test.specimen is None else _about(test.specimen, prism=prism),
+    about = {"specimen": None if test.specimen is None else _specimen_metadata(test.specimen, prism=prism),
              "kind": test.kind.name, "tool": entry.get("tool", "plate"), "tool_radius_mm": entry.get("tool_radius_mm"),
              "friction": entry.get("friction"), "lubricant": record.lubricant,
              "temperature_degC": record.temperature_degC, "operator": record.operator, "notes": record.notes}
-    # A plate that is glued to the specimen touches from the beginning.
-    glued = test.experiment.tool.is_plate and test.experiment.friction == "bonded"
-    contact = record.contact if record.contact != "auto" else "here" if glued else "force"
+    # A plate that is bonded to the specimen is in contact from the start.
+    bonded = test.experiment.tool.is_plate and test.experiment.friction == "bonded"
+    contact = record.contact if record.contact != "auto" else "here" if bonded else "force"
     return Plan(test.name, tuple(legs(parse_protocol(test.protocol), _SPEED)), record.replicates, contact,
                 record.touch, record.contact_force_N, record.approach_speed_mm_s * 1e-3, record.retract_mm * 1e-3,
                 record.preconditioning, record.rest_s, record.sign, record.axis, lag,
                 {key: value for key, value in about.items() if value is not None})
 
 
-def _about(specimen: Specimen, *, prism: bool) -> dict[str, Any]:
-    """What recordings say of it; of a prism no more than is known."""
+def _specimen_metadata(specimen: Specimen, *, prism: bool) -> dict[str, Any]:
+    """Return the metadata of a specimen for its recordings; of a prism only cross-section and height are known."""
     if prism:
         return {"name": specimen.name, "shape": PRISM, "area_mm2": 1e6 * specimen.area,
                 "height_mm": specimen.sizes["height_mm"]}
     return {"name": specimen.name, "shape": specimen.shape, **specimen.stated}
 
 
-def _limits(table: LimitsTable) -> MotionLimits:
+def _convert_limits(table: LimitsTable) -> MotionLimits:
+    """Convert the table ``[limits]`` to SI units."""
     return MotionLimits(table.force_N, table.lowest_mm * 1e-3, table.highest_mm * 1e-3, table.speed_mm_s * 1e-3,
                         table.duration_s, table.stiffness_N_per_mm * 1e3, table.force_margin_N, table.sensor_silence_s,
                         table.tare_N, table.on_stop == "retract")

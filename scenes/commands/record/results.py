@@ -1,4 +1,4 @@
-"""A plan and a run on the screen."""
+"""Printed output of `tissue-sim record`: the plan of a dry run, and the state of a run."""
 
 from __future__ import annotations
 
@@ -19,8 +19,17 @@ if TYPE_CHECKING:
 
 def print_plans(plans: Sequence[Plan], limits: MotionLimits, bench: Bench, devices: str, seconds: float,
                 console: Console) -> None:
-    """What would be done, with which devices, and what would end it."""
-    table = text_table("test", "motion", "recordings", "preconditioning", "takes", text=2)
+    """Print the planned motion, its duration, the devices and the stop conditions.
+
+    Args:
+        plans: plans of the tests.
+        limits: limits of the motion.
+        bench: devices.
+        devices: sentence on the devices.
+        seconds: least duration of all recordings, s.
+        console: console of the results.
+    """
+    table = text_table("test", "motion", "recordings", "preconditioning", "duration", text=2)
     table.columns[1].no_wrap = False
     for plan in plans:
         table.add_row(plan.name, plan.title, f"{plan.replicates}", f"{plan.preconditioning}",
@@ -28,30 +37,32 @@ def print_plans(plans: Sequence[Plan], limits: MotionLimits, bench: Bench, devic
     console.print(table)
     console.print()
     print_sentence(console, devices)
-    print_sentence(console, f"It takes {seconds:.0f} s at least; finding contact comes on top.")
-    print_sentence(console, f"It ends beyond {limits.force:g} N, outside of {limits.lowest * 1e3:g} to "
-                            f"{limits.highest * 1e3:g} mm, faster than {limits.speed * 1e3:g} mm/s, after "
-                            f"{limits.duration:g} s, when the sensor is silent for {limits.sensor_silence:g} s, "
-                            "saturated or faulty, and when the stage reports a fault. The tool then "
-                            + ("goes back, where the stage can be believed." if limits.retracts else
-                               "stands where it is."))
-    print_sentence(console, f"{_runs_on(bench.stage.runs_on)} "
-                            + ("A stalled motor is seen by the encoder." if bench.stage.measures_position else
-                               "A stalled motor is not detectable: the stage knows only where it was driven to."))
+    print_sentence(console, f"Duration: at least {seconds:.0f} s, plus the time to find contact.")
+    print_sentence(console, f"The run stops at a force above {limits.force:g} N, a position outside "
+                            f"{limits.lowest * 1e3:g} to {limits.highest * 1e3:g} mm, a speed above "
+                            f"{limits.speed * 1e3:g} mm/s, a duration above {limits.duration:g} s, a sensor that is "
+                            f"saturated, faulty or silent for {limits.sensor_silence:g} s, or a fault of the stage. "
+                            "After a stop the tool "
+                            + ("retracts, unless the position of the stage is unreliable." if limits.retracts else
+                               "stays where it is."))
+    print_sentence(console, f"{_describe_crash(bench.stage.runs_on)} "
+                            + ("The encoder detects a stalled motor." if bench.stage.measures_position else
+                               "A stalled motor is not detected, because the stage reports its commanded position."))
 
 
-def _runs_on(seconds: float) -> str:
+def _describe_crash(seconds: float) -> str:
+    """Describe the behaviour of the stage after a crash of the program; `seconds` is how long it can move on."""
     if seconds == 0.0:
-        return "If this program dies, the stage stands."
-    return ("If this program dies, the stage moves on to where it was sent." if math.isinf(seconds) else
-            f"If this program dies, the stage moves on for {seconds:g} s at most.")
+        return "If this program crashes, the stage stops."
+    return ("If this program crashes, the stage moves on to its target." if math.isinf(seconds) else
+            f"If this program crashes, the stage moves on for at most {seconds:g} s.")
 
 
 def print_run(folder: RunFolder, console: Console) -> None:
-    """What was recorded."""
+    """Print the recordings of a run, its stops and the next command."""
     state = folder.state
     print_sentence(console, f"{len(state['done'])} recordings in {folder.folder}: {', '.join(state['done']) or 'none'}")
     for stop in state["stops"]:
         print_sentence(console, f"stopped ({stop['cause']}) in {stop['test']}, {stop['phase']}: {stop['message']}")
     if state["done"]:
-        print_sentence(console, f"calibrate them with:  tissue-sim calibrate {folder.folder / 'campaign.toml'} -o OUT")
+        print_sentence(console, f"next: tissue-sim calibrate {folder.folder / 'campaign.toml'} -o OUT")

@@ -1,1 +1,1 @@
-"""What several commands share: arguments, flags of an experiment, consoles, tables, pictures."""
+"""Parts that several commands use: argument types, experiment flags, exit codes, consoles, tables and progress."""

@@ -1,4 +1,4 @@
-"""What the commands that work on campaigns in a folder share: their flags, and what a stopped call leaves."""
+"""Flags of the commands that work on campaigns, and the state that an interrupted command leaves in its folder."""
 
 from __future__ import annotations
 
@@ -8,22 +8,33 @@ from pathlib import Path
 from scenes.commands.shared.parsing import Parser, at_least
 
 
-def add_workers(parser: Parser, what: str) -> None:
-    """``--workers`` and ``--dask``; `what` they share, in the help."""
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=at_least(1), default=1, metavar="N",
-                       help=f"processes that share {what} (default: this one)")
-    where.add_argument("--dask", metavar="ADDRESS",
-                       help="the same on a running dask cluster: tcp://HOST:PORT, or the file of its scheduler")
+def add_workers(parser: Parser, tasks: str) -> None:
+    """Add ``--workers`` and ``--dask``.
+
+    Args:
+        parser: parser of the command.
+        tasks: tasks that the processes share, in words for the help.
+    """
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument("--workers", type=at_least(1), default=1, metavar="N",
+                       help=f"number of processes that share {tasks} (default: 1)")
+    group.add_argument("--dask", metavar="ADDRESS",
+                       help="share the tasks on a running dask cluster: tcp://HOST:PORT, or its scheduler file")
 
 
 def add_figures_format(parser: Parser) -> None:
+    """Add ``--figures-format``."""
     parser.add_argument("--figures-format", choices=("svg", "pdf", "png"),
-                        help="write each picture of the report also as a file beside it")
+                        help="also write each figure of the report as a file of this format")
 
 
-def claim_on(output: Path) -> tuple[int, int] | None:
-    """Which file says what work a folder holds."""
+def read_folder_stamp(output: Path) -> tuple[int, int] | None:
+    """Identify the calibration or diagnosis to which a result folder belongs.
+
+    Returns:
+        Modification time, ns, and inode of ``work.json`` in the folder; None without this file. Two equal results mean
+        that no other calibration or diagnosis has taken the folder over.
+    """
     try:
         file = (output / "work.json").stat()
     except OSError:
@@ -31,13 +42,18 @@ def claim_on(output: Path) -> tuple[int, int] | None:
     return file.st_mtime_ns, file.st_ino
 
 
-def resume_hint(arguments: Namespace, last_file: str) -> str:
-    """What an interrupted call leaves, and how to go on with it; `last_file` of a campaign says that it is finished."""
+def describe_resumption(arguments: Namespace, last_file: str) -> str:
+    """Describe the results that an interrupted command has kept, and how to resume it.
+
+    Args:
+        arguments: parsed arguments with ``campaigns``, ``output``, ``overwrite`` and the default ``resume_hint``.
+        last_file: name of the file that a finished campaign has in its folder.
+    """
     folders = [arguments.output]
     if len(arguments.campaigns) > 1:
         folders = [arguments.output / path.stem for path in arguments.campaigns]
     finished = [folder for folder in folders if (folder / last_file).is_file()]
-    kept = ["campaigns that were finished are kept"] if finished else []
+    kept = ["finished campaigns are kept"] if finished else []
     for folder in folders:
         count = 0 if folder in finished else len(list(folder.glob("solves/*.msgpack")))
         if count:
@@ -46,4 +62,4 @@ def resume_hint(arguments: Namespace, last_file: str) -> str:
     if not kept:
         return arguments.resume_hint
     without = " without --overwrite" if arguments.overwrite else ""
-    return f"{', '.join(kept)}: run the same command{without} to go on"
+    return f"{', '.join(kept)}. Run the same command{without} to resume"

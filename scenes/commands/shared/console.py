@@ -1,4 +1,4 @@
-"""Where the commands print: results on stdout, progress on stderr, JSON alone."""
+"""Output streams of the commands: results and JSON on stdout, progress on stderr."""
 
 from __future__ import annotations
 
@@ -10,27 +10,33 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rich.console import Console
 
-#: Columns of a table that goes to a file or a pipe, where there is no terminal to ask.
+#: Width of tables that go to a file or a pipe, characters.
 PIPE_WIDTH = 132
 
 
 def print_json(content: dict[str, Any]) -> None:
-    """One JSON object on stdout; refuses NaN and infinity, which JSON does not have."""
-    print(json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False, default=_plain))
+    """Print one JSON object on stdout.
+
+    Raises:
+        ValueError: NaN or infinity, which JSON does not represent.
+        TypeError: a value of a type without a JSON form. Paths are printed as strings.
+    """
+    print(json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False, default=_path_to_str))
 
 
-def _plain(value: Any) -> str:
+def _path_to_str(value: Any) -> str:
+    """Convert a path to a string for JSON."""
     if isinstance(value, Path):
         return str(value)
-    raise TypeError(f"{type(value).__name__} has no place in JSON")
+    raise TypeError(f"{type(value).__name__} has no JSON form")
 
 
 def results_console(*, quiet: bool = False) -> Console:
-    """Console of the results: stdout, or nowhere when `quiet` (``--json``)."""
+    """Return the console of the results: stdout, or no output if `quiet` (``--json``)."""
     from rich.console import Console
 
     class ResultsConsole(Console):
-        """rich ends the process with code 1 when the reader of a pipe has left; `scenes.cli` knows better."""
+        """Console that passes a closed pipe on to `scenes.cli`; rich itself would end the process with code 1."""
 
         def on_broken_pipe(self) -> None:
             raise BrokenPipeError
@@ -40,7 +46,7 @@ def results_console(*, quiet: bool = False) -> Console:
 
 
 def progress_console(*, quiet: bool = False) -> Console:
-    """Console of progress: stderr, silent when `quiet` or where stderr is no terminal."""
+    """Return the console of the progress: stderr, or no output if `quiet` or if stderr is not a terminal."""
     from rich.console import Console
 
     return Console(stderr=True, quiet=quiet or not sys.stderr.isatty(), highlight=False)

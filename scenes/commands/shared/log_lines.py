@@ -1,4 +1,4 @@
-"""Progress where there is no terminal to draw it on: a line on stderr now and then, for who reads a log."""
+"""Progress without a terminal: at most one line per minute on stderr, for a log file."""
 
 from __future__ import annotations
 
@@ -11,43 +11,48 @@ from typing import TYPE_CHECKING, Protocol
 if TYPE_CHECKING:
     from rich.console import Console
 
-#: From the beginning to the first line, and from each to the next, s: what takes less says nothing.
-EVERY = 60.0
+#: Least time before the first line and between two lines, s. A shorter command prints none.
+MIN_INTERVAL = 60.0
 
 
 class Status(Protocol):
-    """Shows what is done."""
+    """Display of the current task of a command."""
 
     def update(self, sentence: str) -> None:
-        """This, from now on."""
+        """Show this sentence from now on."""
 
 
 class LogLines:
-    """A `Status` of a line a minute.
+    """`Status` that prints at most one line per `MIN_INTERVAL` on stderr.
 
     Args:
-        quiet: no line at all (``--json``).
+        quiet: print nothing (``--json``).
     """
 
     def __init__(self, *, quiet: bool = False):
         self._quiet = quiet
-        self._began = self._last = time.monotonic()
+        self._start = self._last = time.monotonic()
 
     def update(self, sentence: str) -> None:
-        """Print it with the time that has passed, if the last line is old enough."""
+        """Print the elapsed time and the sentence, if the last line is old enough."""
         now = time.monotonic()
-        if self._quiet or now - self._last < EVERY:
+        if self._quiet or now - self._last < MIN_INTERVAL:
             return
         self._last = now
-        print(f"{clock(round(now - self._began))} {sentence}", file=sys.stderr, flush=True)
+        print(f"{format_duration(round(now - self._start))} {sentence}", file=sys.stderr, flush=True)
 
 
 @contextmanager
-def status_of(console: Console, sentence: str, *, quiet: bool) -> Iterator[Status]:
-    """What is done, on the console of the progress, or as lines where that has no terminal.
+def show_status(console: Console, sentence: str, *, quiet: bool) -> Iterator[Status]:
+    """Show the current task on the progress console or, without a terminal, as log lines.
 
     Args:
-        console: see `progress_console`. quiet: neither.
+        console: progress console; see `scenes.commands.shared.console.progress_console`.
+        sentence: first task.
+        quiet: show nothing (``--json``).
+
+    Yields:
+        Display whose `update` replaces the sentence.
     """
     if console.quiet:
         yield LogLines(quiet=quiet)
@@ -56,6 +61,6 @@ def status_of(console: Console, sentence: str, *, quiet: bool) -> Iterator[Statu
         yield status
 
 
-def clock(seconds: int) -> str:
-    """``1:05``."""
+def format_duration(seconds: int) -> str:
+    """Format a duration, s, as minutes and seconds, such as ``1:05``."""
     return f"{seconds // 60}:{seconds % 60:02d}"

@@ -1,4 +1,4 @@
-"""What the commands share in reading their arguments: one-sentence errors, numbers, files to write."""
+"""Argument parser of the commands: errors as one sentence, number types, and checks of output files."""
 
 from __future__ import annotations
 
@@ -12,73 +12,77 @@ from tissue_sim.experiment.interfaces import INTERFACES
 
 
 class Parser(argparse.ArgumentParser):
-    """argparse with one-sentence errors, no abbreviations, and a help that keeps the lines of its example."""
+    """Argument parser that raises `InputError`, accepts no abbreviations and keeps the line breaks of its epilog."""
 
     def __init__(self, **options):
         options.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
         super().__init__(**options, allow_abbrev=False)
-        # The innermost parser sets its defaults last, so `arguments.parser` is that of the command in use.
+        # The innermost parser sets its defaults last, so that `arguments.parser` is the parser of the command.
         self.set_defaults(parser=self)
 
     def error(self, message: str):
+        """Raise the message of argparse as an `InputError`."""
         raise InputError(f"{message}; see '{self.prog} --help'")
 
     def option_names(self) -> Iterable[str]:
+        """Return the names of all options, such as ``--json``."""
         return (option for action in self._actions for option in action.option_strings)
 
 
-def later_answer(what: str) -> str:
-    """The one sentence for everything that is planned."""
-    return f"{what} is not available in this version; 'tissue-sim --help' lists what is"
+def describe_planned(feature: str) -> str:
+    """Return the error message for a planned feature, named at the beginning of the sentence."""
+    return f"{feature} is not available in this version. 'tissue-sim --help' lists the available commands"
 
 
 def add_json(parser: Parser) -> None:
+    """Add ``--json``."""
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
 
 
 def add_overwrite(parser: Parser) -> None:
-    parser.add_argument("--overwrite", action="store_true", help="replace output that is already there")
+    """Add ``--overwrite``."""
+    parser.add_argument("--overwrite", action="store_true", help="replace existing output")
 
 
 def positive(text: str) -> float:
-    """A finite number above zero."""
+    """Convert an argument to a finite number above zero."""
     value = _number(text)
     if not value > 0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+        raise argparse.ArgumentTypeError(f"must be a positive number; got {text!r}")
     return value
 
 
 def not_negative(text: str) -> float:
-    """A finite number of zero or more."""
+    """Convert an argument to a finite number of zero or more."""
     value = _number(text)
     if not value >= 0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of zero or more")
+        raise argparse.ArgumentTypeError(f"must be zero or a positive number; got {text!r}")
     return value
 
 
 def between(lowest: float, highest: float):
-    """A number above `lowest` and below `highest`."""
-    def inside(text: str) -> float:
+    """Return an argument type for numbers above `lowest` and below `highest`."""
+    def number_between(text: str) -> float:
         value = _number(text)
         if not lowest < value < highest:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a number between {lowest:.3g} and {highest:.3g}")
+            raise argparse.ArgumentTypeError(f"must be between {lowest:.3g} and {highest:.3g}; got {text!r}")
         return value
-    return inside
+    return number_between
 
 
 def interface(text: str) -> str | float:
-    """How a face holds the tissue: a word of `INTERFACES`, or Coulomb's coefficient of friction."""
+    """Convert an argument to an interface of a face: a word of `INTERFACES` or a Coulomb friction coefficient."""
     if text in INTERFACES:
         return text
     value = _number(text)
     if not value >= 0:
-        raise argparse.ArgumentTypeError(f"{text!r} is none of {', '.join(INTERFACES)} and not a friction coefficient "
-                                         "such as 0.7")
+        raise argparse.ArgumentTypeError(f"must be {', '.join(INTERFACES)} or a friction coefficient such as 0.7; got "
+                                         f"{text!r}")
     return value
 
 
 def _number(text: str) -> float:
-    """A finite number, or NaN."""
+    """Convert text to a finite number, or to NaN where that fails."""
     try:
         value = float(text)
     except ValueError:
@@ -87,31 +91,37 @@ def _number(text: str) -> float:
 
 
 def at_least(lowest: int, highest: int | None = None):
-    """A whole number not below `lowest`, nor above `highest` where that is given."""
-    def whole(text: str) -> int:
+    """Return an argument type for whole numbers from `lowest` to `highest` (None: without upper limit)."""
+    def whole_number(text: str) -> int:
         try:
             value = int(text)
         except ValueError:
             value = lowest - 1
         if value < lowest:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {lowest}")
+            raise argparse.ArgumentTypeError(f"must be a whole number of at least {lowest}; got {text!r}")
         if highest is not None and value > highest:
-            raise argparse.ArgumentTypeError(f"{text!r} is too many, give at most {highest}")
+            raise argparse.ArgumentTypeError(f"must be at most {highest}; got {text!r}")
         return value
-    return whole
+    return whole_number
 
 
-def new_file(path: Path | None, option: str, *, overwrite: bool, suffixes: tuple[str, ...] = ()) -> None:
-    """Refuse, before anything is computed, an output file that cannot or must not be written.
+def check_output(path: Path | None, option: str, *, overwrite: bool, suffixes: tuple[str, ...] = ()) -> None:
+    """Check an output file before the computation starts.
+
+    Args:
+        path: output file; None is accepted.
+        option: command line option that names the file, for the error message.
+        overwrite: whether an existing file may be replaced.
+        suffixes: allowed ends of the file name, in lower case; empty allows every name.
 
     Raises:
-        InputError: a directory, a suffix that is not in `suffixes`, or an existing file without ``--overwrite``.
+        InputError: the path is a directory, has another suffix, or exists and `overwrite` is False.
     """
     if path is None:
         return
     if path.is_dir():
-        raise InputError("is a directory; give the name of a file", file=path, field=option)
+        raise InputError("must be a file; got a directory", file=path, field=option)
     if suffixes and not path.name.lower().endswith(suffixes):
-        raise InputError(f"expected a name that ends in {' or '.join(suffixes)}", file=path, field=option)
+        raise InputError(f"the file name must end in {' or '.join(suffixes)}", file=path, field=option)
     if path.exists() and not overwrite:
-        raise InputError("exists already; give another name, or --overwrite to replace it", file=path, field=option)
+        raise InputError("exists already. Choose another name, or replace it with --overwrite", file=path, field=option)

@@ -1,4 +1,4 @@
-"""Tables and sentences of results on the screen."""
+"""Tables and sentences on the console."""
 
 from __future__ import annotations
 
@@ -10,7 +10,12 @@ if TYPE_CHECKING:
 
 
 def text_table(*headings: str, text: int = 1) -> Table:
-    """A rich table without lines; the first `text` columns hold words and stand left, the others numbers."""
+    """Return an empty table of the library rich, without lines.
+
+    Args:
+        headings: heading of each column.
+        text: number of text columns at the left, which are left-aligned; the other columns hold right-aligned numbers.
+    """
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
@@ -20,5 +25,5 @@ def text_table(*headings: str, text: int = 1) -> Table:
 
 
 def print_sentence(console: Console, sentence: str) -> None:
-    """Print it, wrapped between words on a terminal only; brackets in it are no markup."""
+    """Print a sentence literally (brackets are no markup); on a terminal it is wrapped between words."""
     console.print(sentence, markup=False, emoji=False, soft_wrap=not console.is_terminal)

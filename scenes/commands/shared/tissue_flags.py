@@ -1,4 +1,4 @@
-"""The flags that choose how the tissue is computed, and the material where none is stated."""
+"""Flags that select solver and resolution, and the default material."""
 
 from __future__ import annotations
 
@@ -12,42 +12,52 @@ from tissue_sim.errors import InputError, nearest
 if TYPE_CHECKING:
     from tissue_sim import Material, ReducedModel
 
-#: Meshes for real time; with a budget "realtime" is the finest of them that the computer steps in it.
-_RUNGS = ("realtime_120", "realtime_63", "realtime_35", "realtime_20")
-_RESOLUTIONS = {"realtime": f"realtime (within a budget the finest of {', '.join(_RUNGS)} that this computer steps in "
-                            "it; one of these fixes it)",
-                "fast": "fast (force within 1 %%)", "accurate": "accurate (within 0.2 %%)"}
+#: Meshes for real time, finest first; the number counts the elements of the mesh for the reference needle test.
+_REALTIME_LEVELS = ("realtime_120", "realtime_63", "realtime_35", "realtime_20")
+#: Resolution -> description in the help.
+_RESOLUTIONS = {"realtime": f"realtime (the finest of {', '.join(_REALTIME_LEVELS)} that this computer solves within "
+                            "the time budget of a step; naming one of these selects it)",
+                "fast": "fast (force error about 1 %%)", "accurate": "accurate (force error about 0.2 %%)"}
 
 
 def add_solver_flags(parser: Parser, resolutions: Sequence[str] = tuple(_RESOLUTIONS)) -> None:
-    """The solver, and its resolution: one of `resolutions`, by default the first."""
-    parser.add_argument("--resolution", choices=(*resolutions, *(_RUNGS if "realtime" in resolutions else ())),
-                        default=resolutions[0],
-                        help=f"{', '.join(_RESOLUTIONS[name] for name in resolutions)} (default: %(default)s)")
+    """Add the flags of the solver and its resolution.
+
+    Args:
+        parser: parser of the command.
+        resolutions: allowed resolutions, keys of `_RESOLUTIONS`; the first one is the default.
+    """
+    levels = _REALTIME_LEVELS if "realtime" in resolutions else ()
+    parser.add_argument("--resolution", choices=(*resolutions, *levels), default=resolutions[0],
+                        help=f"mesh: {', '.join(_RESOLUTIONS[name] for name in resolutions)} (default: %(default)s)")
     parser.add_argument("--solver", metavar="NAME", default="axisymmetric",
-                        help="axisymmetric, solid (in space), or one that an installed package adds (default: "
+                        help="axisymmetric, solid (three-dimensional), or a solver of an installed package (default: "
                              "%(default)s)")
     parser.add_argument("--solid", dest="solver", action="store_const", const="solid",
-                        help="the same as --solver solid")
+                        help="same as --solver solid")
 
 
 def add_reduced_flag(parser: Parser) -> None:
-    """A reduced solid in place of the scene that the other flags state."""
+    """Add ``--reduced``, which replaces the specimen, tool and solver of the other flags."""
     parser.add_argument("--reduced", type=Path, metavar="FILE",
-                        help="step this reduced solid (NAME.reduced.npz of `tissue-sim reduce`), with its specimen, "
-                             "tool and interfaces")
+                        help="reduced model from `tissue-sim reduce` (NAME.reduced.npz); it contains specimen, tool "
+                             "and interfaces")
 
 
 def read_reduced(arguments) -> ReducedModel | None:
-    """The reduced solid that is asked for; None where none is.
+    """Load the reduced model of ``--reduced``, and set ``solver`` and the default ``depth_mm`` of the arguments.
+
+    Returns:
+        The reduced model; None without ``--reduced``.
 
     Raises:
-        InputError: flags of a scene or a solver beside it.
+        InputError: a flag of specimen, tool or solver is given too, or the file is invalid.
     """
     if arguments.reduced is None:
         return None
     if arguments.solver != "axisymmetric":
-        raise InputError("a reduced solid is stepped by a solver of its own; leave this out", field="--solver")
+        raise InputError("cannot be combined with --reduced, which selects its solver. Leave this flag out",
+                         field="--solver")
     from tissue_sim.experiment.tools.tool import tool_sizes
     from tissue_sim.specimen.specimen import specimen_sizes
 
@@ -55,23 +65,23 @@ def read_reduced(arguments) -> ReducedModel | None:
               "mesh_unit", "mesh_base", "mesh_top", "gravity", *tool_sizes(), *specimen_sizes())
     for name in stated:
         if getattr(arguments, name, None) not in (None, False):
-            raise InputError("a reduced solid has it from its file; leave this out, or make another one",
-                             field=f"--{name.replace('_', '-')}")
+            raise InputError("cannot be combined with --reduced, whose file defines it. Leave this flag out, or "
+                             "make another reduced model", field=f"--{name.replace('_', '-')}")
     from tissue_sim import load_reduced
 
     reduced = load_reduced(arguments.reduced)
     arguments.solver = "reduced"
     if arguments.protocol is None and arguments.depth_mm is None:
-        # No motion leaves the box unless it is told to.
+        # The default motion stays inside the box of poses of the reduced model.
         arguments.depth_mm = reduced.box.depth * 1e3
     return reduced
 
 
 def check_solver(name: str) -> None:
-    """Refuse the name of a solver that is not there, without importing one that is.
+    """Check the name of a solver without importing the solver.
 
     Raises:
-        InputError: no such solver; names the nearest.
+        InputError: unknown solver; the message names the nearest one.
     """
     from tissue_sim.fem.solver import SOLVERS
 
@@ -80,7 +90,7 @@ def check_solver(name: str) -> None:
 
 
 def read_material(path: Path | None) -> Material:
-    """The material of a file, or the study's silicone."""
+    """Return the material of a file, or for None the silicone of the reference study."""
     import tissue_sim as ts
 
     if path is not None:

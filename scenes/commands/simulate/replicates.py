@@ -1,4 +1,4 @@
-"""The rig of the command line, and its readings of one simulation: replicates that differ in their noise."""
+"""Rig of `tissue-sim simulate`, and replicates: recordings of one simulation that differ in their noise."""
 
 from __future__ import annotations
 
@@ -13,27 +13,29 @@ from tissue_sim.errors import InputError
 if TYPE_CHECKING:
     from tissue_sim import Recording, Rig
 
-MOST_REPLICATES = 1000
+#: Largest value of ``--replicates``.
+MAX_REPLICATES = 1000
 
 
 def add_rig_flags(parser: Parser) -> None:
-    """The rig file, noise, replicates and seed."""
+    """Add the flags of rig file, noise, replicates and seed."""
     rig = parser.add_argument_group("rig")
     rig.add_argument("--rig", type=Path, metavar="FILE",
-                     help="NAME.rig.json, what load frame and sensor do (default: nothing)")
+                     help="rig file NAME.rig.json with the properties of load frame and sensor (default: an ideal rig)")
     rig.add_argument("--noise-N", type=not_negative, metavar="N",
-                     help="standard deviation of the force noise, in place of the rig's own")
-    rig.add_argument("--replicates", type=at_least(1, MOST_REPLICATES), metavar="N",
-                     help="recordings with noise of their own; -o CURVE.csv writes CURVE_1.csv, CURVE_2.csv, ...")
+                     help="standard deviation of the force noise (default: value of the rig file, or 0)")
+    rig.add_argument("--replicates", type=at_least(1, MAX_REPLICATES), metavar="N",
+                     help="number of recordings with independent noise; -o CURVE.csv writes CURVE_1.csv, "
+                          "CURVE_2.csv, ...")
     rig.add_argument("--seed", type=at_least(0), metavar="N",
-                     help="of the noise; the same seed gives the same files (default: that of the rig file, or 0)")
+                     help="seed of the noise; equal seeds give equal files (default: value of the rig file, or 0)")
 
 
 def make_rig(arguments) -> Rig:
-    """The rig of ``--rig`` with the noise and the seed of the flags.
+    """Return the rig of ``--rig`` with the noise and the seed of the flags.
 
     Raises:
-        InputError: a damaged file, or replicates or a seed where there is no noise.
+        InputError: an invalid rig file, or replicates or a seed without noise.
     """
     from tissue_sim.rig.file import load_rig
     from tissue_sim.rig.rig import Rig
@@ -44,13 +46,13 @@ def make_rig(arguments) -> Rig:
     if not rig.force_noise:
         for flag, value in (("--replicates", arguments.replicates), ("--seed", arguments.seed)):
             if value is not None:
-                raise InputError("counts only where there is noise; add --noise-N 0.02 or a rig with force_noise_N",
+                raise InputError("has an effect only with noise. Add --noise-N 0.02 or a rig with force_noise_N",
                                  field=flag)
     return rig if arguments.seed is None else replace(rig, seed=arguments.seed)
 
 
 def output_files(curve: Path | None, replicates: int | None) -> list[Path]:
-    """Files of the recordings: CURVE.csv, or CURVE_1.csv and so on where replicates are asked for."""
+    """Return the files of the recordings: CURVE.csv, or CURVE_1.csv, CURVE_2.csv, ... for replicates."""
     if curve is None:
         return []
     if replicates is None:
@@ -59,9 +61,15 @@ def output_files(curve: Path | None, replicates: int | None) -> list[Path]:
 
 
 def read_replicates(rig: Rig, recording: Recording, replicates: int | None) -> Sequence[Recording]:
-    """What the rig reads of a recording of true forces, once, or `replicates` times with noise of different seeds.
+    """Apply the sensor of a rig to a recording of true forces.
 
-    The seeds follow from that of the rig, and the first ones do not change when more replicates are asked for.
+    The seeds of the replicates follow from the seed of the rig. The first replicates do not change when their number
+    grows.
+
+    Args:
+        rig: rig with sensor and noise.
+        recording: simulated recording.
+        replicates: number of readings with different seeds; None makes one reading with the seed of the rig.
     """
     if replicates is None:
         return [rig.read(recording)]

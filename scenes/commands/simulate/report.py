@@ -1,4 +1,4 @@
-"""What `tissue-sim simulate` prints of its recordings: the JSON object, the printed curve, the remarks."""
+"""Output of `tissue-sim simulate`: the JSON object, the printed force curve and remarks on the solution."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ if TYPE_CHECKING:
 
     from tissue_sim import Recording
 
-#: Rows of a printed curve; of a longer one, some samples are left out.
-MOST_ROWS = 60
-#: Entries of the solver's report that are there where they apply.
-WHERE_THEY_APPLY = ("force_error", "penetration_mm", "penetration_tolerance_mm", "slipping_points", "self_weight")
+#: Largest number of rows of a printed curve; longer curves are thinned.
+MAX_ROWS = 60
+#: Entries of the solver report that appear in the JSON object only if they apply to the test.
+OPTIONAL_KEYS = ("force_error", "penetration_mm", "penetration_tolerance_mm", "slipping_points", "self_weight")
 
 
 def as_json(recordings: Sequence[Recording], resolution: str, failure: Exception | None, warnings: list[str], *,
             replicates: bool = False) -> dict[str, Any]:
-    """The object of ``simulate --json``; units are in the names of the keys.
+    """Return the object of ``simulate --json``; the names of the keys contain the units.
 
     Args:
-        recordings: the curve is that of the first; with `replicates` the forces of all follow.
-        resolution: as it was asked for.
-        failure: what stopped the solver.
-        warnings: sentences.
+        recordings: one recording, or all replicates; the curve is that of the first one.
+        resolution: resolution of the flag.
+        failure: error that stopped the solver; None if it finished.
+        warnings: warnings, one sentence each.
+        replicates: whether the object contains the forces of all recordings.
     """
     recording = recordings[0]
     solver = recording.metadata.get("solver", {})
@@ -34,7 +35,7 @@ def as_json(recordings: Sequence[Recording], resolution: str, failure: Exception
         "displacement_mm": (recording.displacement * 1e3).tolist(),
         "time_s": recording.time.tolist(),
         "force_N": recording.force.tolist(),
-        **_vectors(recording),
+        **_force_vectors(recording),
         **{name: labels.tolist() for name, labels in recording.labels.items()},
         "status": solver.get("status", "failed" if failure else "converged"),
         "message": str(failure) if failure else solver.get("message", ""),
@@ -43,7 +44,7 @@ def as_json(recordings: Sequence[Recording], resolution: str, failure: Exception
         "wall_s": solver.get("wall_s"),
         "mesh": solver.get("mesh"),
         "resolution": solver.get("resolution", resolution),
-        **{key: solver[key] for key in WHERE_THEY_APPLY if solver.get(key) is not None},
+        **{key: solver[key] for key in OPTIONAL_KEYS if solver.get(key) is not None},
     }
     if replicates:
         answer["replicates"] = [{"displacement_mm": (one.displacement * 1e3).tolist(), "force_N": one.force.tolist(),
@@ -51,8 +52,8 @@ def as_json(recordings: Sequence[Recording], resolution: str, failure: Exception
     return answer
 
 
-def _vectors(recording: Recording) -> dict[str, Any]:
-    """Force and torque on the tool, where there is more than a force along z."""
+def _force_vectors(recording: Recording) -> dict[str, Any]:
+    """Return force and torque vectors on the tool as JSON entries; empty for an axisymmetric simulation."""
     if "Fx" not in recording:
         return {}
     force, torque = ([recording.channel(f"{kind}{axis}") for axis in "xyz"] for kind in "FT")
@@ -61,11 +62,11 @@ def _vectors(recording: Recording) -> dict[str, Any]:
 
 
 def print_curve(recording: Recording, title: str, console: Console) -> None:
-    """Print force against displacement; with time and segment where there is more than one segment."""
+    """Print force against displacement, with time and segment if the protocol has several segments."""
     from rich.table import Table
     from rich.text import Text
 
-    rows = shown_rows(recording)
+    rows = select_rows(recording)
     table = Table(title=title)
     columns = []
     segments = [str(name) for name in recording.labels.get("segment", ())]
@@ -77,62 +78,66 @@ def print_curve(recording: Recording, title: str, console: Console) -> None:
     curves += [("displacement", recording.displacement * 1e3, "mm"), ("force", recording.force, "N")]
     for quantity, values, unit in curves:
         factor, prefix = (1e3, "m") if 0 < abs(values).max() < 0.1 and unit == "N" else (1.0, "")
-        # As text: rich reads brackets as markup.
+        # Text instead of str, because rich interprets brackets in a str as markup.
         table.add_column(Text(f"{quantity} [{prefix}{unit}]"), justify="right")
-        columns.append(aligned(values[rows] * factor))
+        columns.append(format_column(values[rows] * factor))
     for row in zip(*columns, strict=True):
         table.add_row(*row)
     console.print(table)
     if len(rows) < len(recording):
-        console.print(f"{len(rows)} of {len(recording)} samples are shown; -o CURVE.csv keeps all", markup=False)
+        sentence = f"{len(rows)} of {len(recording)} samples are shown; -o CURVE.csv writes all samples"
+        console.print(sentence, markup=False)
 
 
-def shown_rows(recording: Recording) -> np.ndarray:
-    """Indices of the samples that are printed: all of a short curve; of a long one some that are evenly spread, and
-    the last one of each segment while there is room for them."""
+def select_rows(recording: Recording) -> np.ndarray:
+    """Return the indices of the printed samples, at most `MAX_ROWS`.
+
+    A short curve is printed completely. Of a long one the last sample of each segment is printed (unless the segments
+    would take more than half of the rows), and evenly spaced samples.
+    """
     import numpy as np
 
     samples = len(recording)
-    if samples <= MOST_ROWS:
+    if samples <= MAX_ROWS:
         return np.arange(samples)
     changes = [labels[1:] != labels[:-1] for labels in recording.labels.values()]
     ends = np.flatnonzero(np.any(changes, axis=0)) if changes else np.array([], dtype=int)
-    if ends.size > MOST_ROWS // 2:
+    if ends.size > MAX_ROWS // 2:
         ends = ends[:0]
-    return np.union1d(ends, np.linspace(0, samples - 1, MOST_ROWS - ends.size).round().astype(int))
+    return np.union1d(ends, np.linspace(0, samples - 1, MAX_ROWS - ends.size).round().astype(int))
 
 
 def print_solver(recording: Recording, console: Console) -> None:
-    """Print size and cost of the solution, how far it errs, and what was assumed of contact and weight."""
+    """Print size, cost and force error of the solution, and remarks on contact and self-weight."""
     solver = recording.metadata.get("solver")
     if not solver:
         return
     mesh = solver["mesh"]
-    console.print(f"{mesh['elements']} elements, {mesh['freedoms']} freedoms, {solver['newton_iterations']} Newton "
-                  f"iterations, {solver['wall_s']:.2f} s", markup=False)
-    for sentence in remarks(solver):
+    console.print(f"{mesh['elements']} elements, {mesh['freedoms']} degrees of freedom, {solver['newton_iterations']} "
+                  f"Newton iterations, {solver['wall_s']:.2f} s", markup=False)
+    for sentence in describe_solution(solver):
         console.print(sentence, markup=False, soft_wrap=True)
 
 
-def remarks(solver: dict) -> Iterator[str]:
-    """How far the force errs, and what was assumed of contact and weight, a sentence each."""
+def describe_solution(solver: dict) -> Iterator[str]:
+    """Yield one sentence each on force error, penetration, friction and self-weight, as far as they apply."""
     if solver.get("force_error") is not None:
-        yield (f"the force errs by about {100 * solver['force_error']:.2g} % of its largest, by comparison with "
-               "another mesh and longer steps")
+        yield (f"estimated force error: {100 * solver['force_error']:.2g} % of the largest force, from a comparison "
+               "with another mesh and longer steps")
     if "penetration_mm" in solver:
-        yield (f"the surface enters the tool by {solver['penetration_mm']:.2g} mm at most "
+        yield (f"largest penetration of tool and tissue: {solver['penetration_mm']:.2g} mm "
                f"(tolerance {solver['penetration_tolerance_mm']:.2g} mm)")
     if "slipping_points" in solver:
-        yield f"friction: {solver['slipping_points']} points of the surface slip at once at most"
+        yield f"friction: at most {solver['slipping_points']} contact points slip at the same time"
     if "self_weight" in solver:
         weight = solver["self_weight"]
-        yield (f"self-weight: the specimen sags {weight['sag_mm']:.3f} mm before the test, from a moulded height of "
-               f"{weight['moulded_height_mm']:.3f} mm (assumed: density {weight['density_kg_m3']:g} kg/m3, g "
+        yield (f"self-weight: the specimen settles by {weight['sag_mm']:.3f} mm before the test, from a moulded height "
+               f"of {weight['moulded_height_mm']:.3f} mm (density {weight['density_kg_m3']:g} kg/m3, g "
                f"{weight['gravity_m_s2']:g} m/s2)")
 
 
-def aligned(values: np.ndarray, digits: int = 5) -> list[str]:
-    """Numbers of one column with the same decimals, so many that the largest shows `digits` digits."""
+def format_column(values: np.ndarray, digits: int = 5) -> list[str]:
+    """Format the numbers of a column with equal decimals; the largest number shows `digits` significant digits."""
     largest = float(abs(values).max())
     decimals = max(0, digits - 1 - math.floor(math.log10(largest))) if largest > 0 else digits - 1
     return [f"{value + 0.0:.{decimals}f}" if round(float(value), decimals) else f"{0:.{decimals}f}" for value in values]

@@ -11,6 +11,7 @@ import numpy as np
 import viser
 
 from scenes.field_labels import LABELS
+from scenes.provenance import recording_provenance
 from scenes.viewer.frame import Frame
 from scenes.viewer.measurement import branches_on_grid
 from scenes.viewer.page.notices import FAILED, notify, reply_to, send_file
@@ -20,7 +21,6 @@ from scenes.viewer.picture_file import Curve, compose_png
 from scenes.viewer.plots import LIGHT, depth_grid
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace, recording_files
-from scenes.what_was_done import what_was_done
 
 #: Time that a browser may take to render the picture that is saved, s.
 _RENDER_TIMEOUT = 8.0
@@ -141,7 +141,7 @@ def curve_files(scene: Scene, trace: Trace) -> dict[str, bytes]:
         InputError: The trace has fewer than two equilibria.
     """
     name = scene.kind.name
-    about = {"name": name, **what_was_done(name, scene.experiment), "material": scene.source, "simulated": True}
+    about = {"name": name, **recording_provenance(name, scene.experiment), "material": scene.source, "simulated": True}
     return recording_files(trace.recording(about), name)
 
 

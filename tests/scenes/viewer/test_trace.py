@@ -13,10 +13,10 @@ from calibration.campaign.campaign import load_campaign
 from haptics.loop.ring import PAUSED, TICK
 from scenes.catalogue import SCENES
 from scenes.cli import main
+from scenes.provenance import recording_provenance
 from scenes.viewer.page.saving import curve_files
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import SETTINGS, Trace, interpolate_branch, recording_files
-from scenes.what_was_done import what_was_done
 from tissue_sim.recording.segmentation import HYSTERESIS, one_way
 from tissue_sim.tool_force import ForceStatus
 
@@ -207,7 +207,7 @@ def test_a_saved_curve_has_the_metadata_of_a_simulated_one(tmp_path, kind, speci
     for name, content in curve_files(scene, fed(played([(0, 0), (5, 4e-3), (10, 0)], 10))).items():
         (tmp_path / name).write_bytes(content)
     felt = ts.read_recording(tmp_path / f"{kind}.csv")
-    assert {key: felt.metadata[key] for key in ("kind", "specimen", "tool")} == what_was_done(kind, experiment)
+    assert {key: felt.metadata[key] for key in ("kind", "specimen", "tool")} == recording_provenance(kind, experiment)
     assert felt.metadata["simulated"] is True
     assert main(["import", str(tmp_path / f"{kind}.csv"), "-o", str(tmp_path / "campaign.toml")]) == 0
     text = (tmp_path / "campaign.toml").read_text(encoding="utf-8")
