@@ -172,7 +172,6 @@ class ReducedSolver(PlacedReduced):
                 status = StepStatus.CONVERGED
                 break
             if (bad or unbalanced > (1.0 - _DESCENT) * last) and halvings < _MOST_HALVINGS and (iterations or bad):
-                # Half of the way back.
                 halvings += 1
                 here = 0.5 * (here + base[0])
                 here[:held] = self._lifted.amplitudes(frame)
@@ -382,16 +381,14 @@ def make_solver(model: Model, *, resolution: str = "realtime", mesh: SolidMesh |
 
     Args:
         model: the experiment of the reduced model, and a material.
-        resolution: not known here.
+        resolution, topology: not supported; `topology` must be None.
         mesh: the `ReducedModel`.
-        topology: not known here.
 
     Raises:
         InputError: no reduced model, or the experiment of another one.
     """
     if not isinstance(mesh, ReducedModel):
-        raise InputError("the reduced solver steps what `tissue-sim reduce` has made; give that as the mesh",
-                         field="mesh")
+        raise InputError("must be a ReducedModel, as `tissue-sim reduce` writes it", field="mesh")
     if topology is not None:
         raise InputError("a reduced model has the geometry that it was made of; leave the topology out",
                          field="topology")
