@@ -255,8 +255,9 @@ class PathFollower:
             if step.status is StepStatus.CONVERGED:
                 before = self._equilibrium
                 self._take(step, dt, weighs)
-                if weighs and first.is_merged:
-                    self._doubt_long_step(carried_on(before.wrench, before.stiffness, motion(here, target)))
+                if weighs and (first.is_merged or allowance.is_bounded):
+                    explained = carried_on(before.wrench, before.stiffness, motion(here, target))
+                    self._estimate_wave(explained, dt, is_merged=first.is_merged)
                 self._share, self._extrapolates = min(1.0, 2.0 * self._share), True
                 is_timed = inertial or solver.relaxes
                 is_over = self._leaps or not is_timed or first.dt - dt <= _ROUNDING * first.dt
@@ -302,15 +303,24 @@ class PathFollower:
             pending.give_up()
         return self._answered(pose, tick, status, outside, solves, residual, began)
 
-    def _doubt_long_step(self, carried: Screw) -> None:
-        """Estimate the error of a step of tissue with mass in which ticks were merged.
+    def _estimate_wave(self, explained: Screw, dt: float, *, is_merged: bool) -> None:
+        """Estimate the force of waves in tissue with mass, and with it the error of a step in which ticks were merged.
 
         The force of a wave depends on the length of the time step. The part of the force that the last force and the
-        tissue's own stiffness do not explain (`carried`, N) is that of the waves, and bounds the error.
+        tissue's own stiffness do not explain is that of a wave. A wave lasts for several steps and can pass through
+        zero in one of them: earlier waves count with a decay of the time constant `LINGERS`.
+
+        Args:
+            explained: force and torque without waves, N and N m.
+            dt: time of the step, s.
+            is_merged: whether the step replaces several ticks.
         """
-        wave = math.dist(self._equilibrium.wrench[:3], carried[:3])
-        self.error = wave + (self.error or 0.0)
-        self._is_long = wave > _WAVE * self._largest_force
+        path = self._pending
+        path.wave = max(math.dist(self._equilibrium.wrench[:3], explained[:3]),
+                        path.wave * max(0.0, 1.0 - dt / LINGERS))
+        if is_merged:
+            self.error = path.wave + (self.error or 0.0)
+            self._is_long = path.wave > _WAVE * self._largest_force
 
     def _straightness(self, inertial: bool) -> float:
         """How far late poses of the tool may be from one line that replaces them, m."""
@@ -319,7 +329,7 @@ class PathFollower:
         return math.inf
 
     def _stiffness_request(self, allowance: Allowance, allowed: int) -> OwnStiffness:
-        """Whether a part that may take so many linear solves also finds the stiffness without mass."""
+        """Whether a part that may take `allowed` linear solves also finds the stiffness without mass."""
         age = self._equilibrium.stiffness_age + 1
         if age < self._stiffness_lasts:
             return OwnStiffness.OMITTED

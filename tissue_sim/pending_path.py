@@ -41,18 +41,20 @@ class PendingPath:
         meets: whether the tool meets tissue in the next increment; see `FreeTool.meet`.
         lost: time for which an equilibrium is not that of the tool's own motion, since ticks that were not on one line
             were merged, s.
+        wave: force of the waves that the last steps of tissue with mass have shown, which decays, N.
     """
 
-    __slots__ = ("_spare", "lost", "meets", "ticks")
+    __slots__ = ("_spare", "lost", "meets", "ticks", "wave")
 
     def __init__(self) -> None:
         self.ticks: list[Tick] = []
-        self.meets, self.lost, self._spare = False, 0.0, 0.0
+        self.meets, self.lost, self._spare, self.wave = False, 0.0, 0.0, 0.0
 
     def copy(self) -> PendingPath:
         """An independent copy, for saved states."""
         other = PendingPath()
         other.ticks, other.meets, other.lost, other._spare = list(self.ticks), self.meets, self.lost, self._spare
+        other.wave = self.wave
         return other
 
     @property

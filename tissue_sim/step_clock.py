@@ -95,11 +95,14 @@ class Allowance:
         clock: knows what they take.
         most: linear solutions of the step; None: as many as it takes.
         ends: when its time ends, on `time.perf_counter`; None: never.
+
+    Attributes:
+        is_bounded: whether the number of solutions or the time is limited.
     """
 
     def __init__(self, clock: StepClock, most: int | None, ends: float | None):
         self._clock, self._ends, self._left = clock, ends, _UNBOUNDED if most is None else most
-        self._begins = True
+        self._begins, self.is_bounded = True, most is not None or ends is not None
 
     def fitting(self, answers: int = 1) -> int:
         """How many solves the next part may take beside its answers; below one: it may not begin."""
@@ -110,7 +113,7 @@ class Allowance:
         return fits
 
     def has_time(self, solves: int, answers: int) -> bool:
-        """Whether the time, without the bound on solves, is enough for so many solves and answers."""
+        """Whether the time, without the bound on solves, is enough for these solves and answers."""
         if self._ends is None:
             return True
         left = self._ends - time.perf_counter() - (answers - 1) * self._clock.fixed

@@ -34,7 +34,7 @@ def size_assumptions(reading: Reading, stated: Mapping[str, Any]) -> tuple[Assum
     Args:
         reading: of tables. stated: keys of ``[[specimen]]`` that the user states.
     """
-    if not any(column.channel == "displacement" for column in reading.columns):
+    if not any(column.channel in ("displacement", "force") for column in reading.columns):
         return ()
     given = {key for key in reading.specimen if key != "shape"} | set(stated)
     section = bool(given & {"radius_mm", "area_mm2"}) or "shape" in given
