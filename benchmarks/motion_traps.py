@@ -247,8 +247,10 @@ def foreign_state(chance: np.random.Generator, scene: Scene) -> Motion:
     if scene.shape != "plate":
         others.append(replace(scene, radius=scene.radius * float(chance.choice([0.98, 1.03])),
                               tool_options=tuple((name, 0.9 * value) for name, value in scene.tool_options)))
-    # Specimens between frictionless plates deform homogeneously, and have the same mesh at every resolution.
-    if scene.resolution == "realtime_20" and not (scene.shape == "plate" and scene.friction == "frictionless"):
+    # Solids have a mesh of their own. Specimens between frictionless plates deform homogeneously, and have the same mesh
+    # at every resolution.
+    is_homogeneous = scene.shape == "plate" and scene.friction == "frictionless"
+    if scene.solver == "axisymmetric" and scene.resolution == "realtime_20" and not is_homogeneous:
         others.append(replace(scene, resolution="realtime_35"))
     other = others[int(chance.integers(len(others)))]
     operations = (*moves(poses[:at], dt), ForeignState(other, 0.5 * scene.depth), *moves(poses[at:], dt))
