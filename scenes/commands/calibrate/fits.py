@@ -76,7 +76,7 @@ def print_fits(result: CalibrationResult, console: Console) -> None:
 def _ranking_criterion(result: CalibrationResult) -> tuple[str, str]:
     """Return column heading and explanation of the criterion that ranks the laws."""
     if all(fit.left_out is None for fit in result.fits):
-        return "dBIC", "dBIC: BIC minus the best BIC"
+        return "dBIC", "dBIC: BIC minus the best"
     if ranked_by_held_out(result.predictions):
         return "held out %", "held out: error in tests that no fit used"
     return "left out %", "left out: error in each test, predicted by a fit to the other tests"
