@@ -247,8 +247,8 @@ def foreign_state(chance: np.random.Generator, scene: Scene) -> Motion:
     if scene.shape != "plate":
         others.append(replace(scene, radius=scene.radius * float(chance.choice([0.98, 1.03])),
                               tool_options=tuple((name, 0.9 * value) for name, value in scene.tool_options)))
-    # Solids have a mesh of their own. Specimens between frictionless plates deform homogeneously, and have the same mesh
-    # at every resolution.
+    # Solids have one mesh. Specimens between frictionless plates deform homogeneously: their mesh is the same at every
+    # resolution.
     is_homogeneous = scene.shape == "plate" and scene.friction == "frictionless"
     if scene.solver == "axisymmetric" and scene.resolution == "realtime_20" and not is_homogeneous:
         others.append(replace(scene, resolution="realtime_35"))
