@@ -51,7 +51,7 @@ def run() -> Figure:
     fits = {"stiff machine": found.fit_before, "with compliance": found.fit_after}
     axes.bar(list(fits), [fit.parameters["C10"] for fit in fits.values()])
     axes.axhline(1400.0, color="black", linestyle="--", label="true value")
-    axes.set(ylabel="C10 [Pa]", ylim=(1250, 1450), title=found.message[:48])
+    axes.set(ylabel="C10 [Pa]", ylim=(1250, 1450), title=f"Found: {found.effects[0].title}")
     axes.legend(frameon=False)
     return figure
 

@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 import tissue_sim as ts
 
 TICK = 1e-3
-#: From 2 to 6 mm deep.
-START, GOAL = 2e-3, 6e-3
+#: Depths between which the needle is inserted, m.
+START = 2e-3
+GOAL = 6e-3
 SPEEDS = (0.5e-3, 2e-3, 8e-3, 32e-3)
 #: Largest force allowed, N.
 LIMIT = 0.8

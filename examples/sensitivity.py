@@ -1,4 +1,4 @@
-"""Derivative of the force with the parameters of the material, against finite differences.
+"""Derivative of the force with the parameters of the material, against Euler's theorem.
 
 The force of an elastic specimen is homogeneous of degree one in the moduli of its law: F(sC10, sC20) = s F(C10,
 C20). By Euler's theorem

@@ -27,7 +27,7 @@ def is_afm(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
-    # The last one is what zipfile raises where an archive asks for a newer version of the format than it reads.
+    # zipfile raises NotImplementedError for an archive of a newer version of the zip format than it can read.
     except (zipfile.BadZipFile, OSError, NotImplementedError):
         return False
     return not any(name in ("[Content_Types].xml", "content.xml") or name.startswith("xl/") for name in names)

@@ -14,7 +14,10 @@ from tissue_sim.mesh.hexahedra import HEX8P0
 from tissue_sim.mesh.solid import needle_solid
 from tissue_sim.pose import Pose
 
-RADIUS, MODULUS = 8e-3, 4000.0
+#: m.
+RADIUS = 8e-3
+#: Pa.
+MODULUS = 4000.0
 
 
 def learned(missed=0.02, distance=2e-3, between=1e-3, interval=0.05):

@@ -9,7 +9,13 @@ import tissue_sim as ts
 from tissue_sim.pending_path import MOST_TICKS, PendingPath
 from tissue_sim.pose import Pose
 
-START, TICK, RADIUS, TOLERANCE = Pose.at_depth(0.0), 1e-3, 8e-3, 1e-6
+START = Pose.at_depth(0.0)
+#: Time of a tick, s.
+TICK = 1e-3
+#: Radius of the contact, m.
+RADIUS = 8e-3
+#: Largest distance from a line, m.
+TOLERANCE = 1e-6
 
 
 def path(depths, times=None):

@@ -5,7 +5,11 @@ import pytest
 
 import tissue_sim as ts
 
-RADIUS, HEIGHT, C10 = 0.030, 0.035, 5000.0
+#: Radius and height of the specimen, m.
+RADIUS = 0.030
+HEIGHT = 0.035
+#: Pa.
+C10 = 5000.0
 MATERIAL = ts.Material("neo_hooke", {"C10": C10}, ts.Bulk("bulk_ratio", 1e4))
 
 

@@ -7,7 +7,9 @@ import tissue_sim as ts
 
 BULK = ts.Bulk("bulk_ratio", 1e3)
 RELAXING = ts.Material("neo_hooke", {"C10": 2200.0}, BULK, viscoelastic=ts.Prony((ts.PronyTerm(g=0.2, tau=0.2),)))
-FLAT, BALL, PLATE = ts.Tool("flat", 6.5e-3), ts.Tool("round", 8e-3), ts.Tool("plate")
+FLAT = ts.Tool("flat", 6.5e-3)
+BALL = ts.Tool("round", 8e-3)
+PLATE = ts.Tool("plate")
 PRESS = [-1e-4, -4e-5, 2e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 1.4e-3]
 
 
