@@ -14,6 +14,7 @@ import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.alternatives import describe_alternatives
+from calibration.fit.contact_cover import unknown_contacts
 from calibration.fit.determination import SETTINGS as DETERMINATION
 from calibration.fit.determination import Determination
 from calibration.fit.estimate import Estimate
@@ -83,9 +84,9 @@ class Evidence:
 
 def judge(evidence: Evidence) -> tuple[list[Clause], str, str | None]:
     """Clauses in the order of their weight, status, and the reasons why the fit is not usable (None: it is)."""
-    clauses = [_physical(evidence), _converged(evidence), _stable(evidence), _recorded(evidence), _replicates(evidence),
-               _residuals(evidence), _explained(evidence), _displacement(evidence), _bounds(evidence),
-               _determined(evidence), _unique(evidence), _population(evidence)]
+    clauses = [_physical(evidence), _converged(evidence), _stable(evidence), _recorded(evidence), _contact(evidence),
+               _replicates(evidence), _residuals(evidence), _explained(evidence), _displacement(evidence),
+               _bounds(evidence), _determined(evidence), _unique(evidence), _population(evidence)]
     failed = [clause for clause in clauses if not clause.holds]
     if not failed:
         return clauses, USABLE, None
@@ -167,6 +168,12 @@ def _recorded(evidence: Evidence) -> Clause:
     reasons = [f"{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: {sentence}"
                for sentence, names in found.items()]
     return _clause("recordings", "misfit", "; ".join(reasons))
+
+
+def _contact(evidence: Evidence) -> Clause:
+    """Contact that is found and not fitted, where the shear modulus depends on its place within the interval."""
+    return _clause("contact", "not_determined", unknown_contacts(evidence.estimate),
+                   "set offset = \"fit\" in [fit], state the contact in mm, or record more air with less noise")
 
 
 def contradictions(curve: MeasuredCurve, remembers: bool) -> list[str]:

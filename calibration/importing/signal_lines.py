@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 from calibration.importing.imported import ImportedTest, Line, Part
 from calibration.importing.zero import PRELOAD
+from tissue_sim.experiment.kinds.kind import KINDS
+from tissue_sim.recording.contact_error import INTERVAL_DEVIATIONS, contact_error
+from tissue_sim.recording.formats.assumption import MODULUS_TOLERANCE
 from tissue_sim.recording.recording import MIN_POINTS
 from tissue_sim.recording.screening import Control
+from tissue_sim.recording.segments import loading_of
 
 #: Bounds of a contact offset that is fitted, in its standard deviation.
 _BOUNDS = 3.0
@@ -33,25 +38,62 @@ def leave_out_lines(parts: Sequence[Part]) -> list[Line]:
     return [Line("leave_out", next(iter(found.values())) if alone else found, f"{reasons[0]}{more}")]
 
 
+class _Offset(NamedTuple):
+    """Standard deviation and largest value of a contact offset, mm, and the reason to fit it."""
+
+    prior: float
+    bound: float
+    reason: str
+
+
 def offset_lines(tests: Sequence[ImportedTest], *, bounded: bool) -> list[Line]:
-    """Keys of ``[fit]`` by which contact before the zero of the displacement is found.
+    """Keys of ``[fit]`` by which contact is found where the displacement was zeroed at a preload, or where the interval
+    of contact after air is too wide for the modulus.
 
     Args:
         bounded: whether the method takes bounds of the offset.
     """
-    preloads = [test for test in tests if test.zero is not None and test.zero.value == PRELOAD]
-    if not preloads:
+    found = [*_of_preloads(tests), *(_of_wide_intervals(tests) if bounded else ())]
+    if not found:
         return []
-    test = max(preloads, key=lambda each: abs(each.zero.shift) if each.zero is not None else 0.0)
-    assert test.zero is not None
-    shift = 1e3 * abs(test.zero.shift)
-    side = "after contact" if test.zero.load > 0 else "before the force of the specimen is zero"
-    why = (f"{test.name}: the displacement was zeroed at a preload of {test.zero.load:.3g} N, about {shift:.2g} mm "
-           f"{side}")
-    lines = [Line("offset", "fit", why), Line("offset_prior_mm", float(f"{shift:.2g}"), "covers that distance")]
+    widest = max(found, key=lambda each: each.prior)
+    lines = [Line("offset", "fit", widest.reason),
+             Line("offset_prior_mm", float(f"{widest.prior:.2g}"), "covers that distance")]
     if bounded:
-        lines.append(Line("offset_bounds_mm", float(f"{_BOUNDS * shift:.2g}"), "three times that distance"))
+        lines.append(Line("offset_bounds_mm", float(f"{widest.bound:.2g}"), "largest offset"))
     return lines
+
+
+def _of_preloads(tests: Sequence[ImportedTest]) -> Iterator[_Offset]:
+    for test in tests:
+        if test.zero is None or test.zero.value != PRELOAD:
+            continue
+        shift = 1e3 * abs(test.zero.shift)
+        side = "after contact" if test.zero.load > 0 else "before the force of the specimen is zero"
+        yield _Offset(shift, _BOUNDS * shift, f"{test.name}: the displacement was zeroed at a preload of "
+                      f"{test.zero.load:.3g} N, about {shift:.2g} mm {side}")
+
+
+def _of_wide_intervals(tests: Sequence[ImportedTest]) -> Iterator[_Offset]:
+    """Contact that is found after air, and whose interval changes the modulus by more than its tolerance."""
+    for test in tests:
+        if not any(line.key == "contact" for line in test.lines):
+            continue
+        for part in test.parts:
+            for recording, motion in zip(part.reading.recordings, part.motions, strict=True):
+                contact = motion.contact
+                if contact is None or motion.channel != "displacement":
+                    continue
+                kept = recording if motion.kept is None else recording.select(motion.kept)
+                way, load, _ = loading_of(kept, KINDS.get(test.kind) if test.kind else None)
+                time = kept.time if "time" in kept else None
+                way, load = contact.counted_from(way, load, time)
+                pressed = way >= 0
+                error = contact_error(way[pressed], load[pressed], None if time is None else time[pressed], contact)
+                half = 0.5e3 * (contact.interval[1] - contact.interval[0])
+                if error > MODULUS_TOLERANCE:
+                    yield _Offset(half / INTERVAL_DEVIATIONS, half, f"{test.name}: contact is known to "
+                                  f"{half:.2g} mm, which changes the modulus by {100 * error:.2g} %")
 
 
 def start_lines(tests: Sequence[ImportedTest]) -> list[Line]:

@@ -15,6 +15,7 @@ QUESTIONS = {
     "converged": "a minimum was found",
     "stable": "stable over the data",
     "recordings": "recordings sound for this law",
+    "contact": "contact known well enough for the shear modulus",
     "replicates": "recordings agree",
     "residuals": "residuals within the limit",
     "explained": "variance of the force explained",

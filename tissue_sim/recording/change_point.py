@@ -16,6 +16,8 @@ _CORRELATIONS = np.array([0.0, 0.15, 0.3, 0.5, 0.7, 0.85, 0.95, 0.99])
 _CHOSEN = 1.15
 #: Least share of the power alone in the force at the end of the part: a cone is no line with a large second term.
 _LEADING = 0.3
+#: Change of the power, and of contact over the length of the part, for derivatives.
+_MOVED = 1e-4
 #: Numbers that are worked on at once.
 _TOGETHER = 150_000
 
@@ -248,10 +250,7 @@ class ChangePointFit:
     def colour(self, place: float, power: float) -> float:
         """Correlation of the noise, with all that is fitted here counted."""
         self.coefficients(place, power)
-        small = 1e-4 * self._scale, 1e-4
-        moved = [self._columns(np.array([place - small[0]]), np.array([[power]]))[0],
-                 self._columns(np.array([place]), np.array([[power + small[1]]]))[0]]
-        design = np.vstack([self._design, *moved]).T
+        design = np.vstack([self._design, *self._moved(place, power)]).T
         return _correlation(self.part.force - self.part.force[0], design)
 
     def without_contact(self) -> float:
@@ -265,6 +264,30 @@ class ChangePointFit:
         self._design = np.stack([np.ones(t.size), t, *columns])
         wanted = self._whiten(self.part.force - self.part.force[0])
         return np.linalg.lstsq(self._whiten(self._design).T, wanted, rcond=None)[0]
+
+    def drift_error(self, place: float, power: float, variance: float) -> float:
+        """Standard error of the drift over the part, N, where contact and power are fitted too.
+
+        Args:
+            variance: of the whitened residual, N2.
+        """
+        self.coefficients(place, power)
+        weighed = self._whiten(np.vstack([self._design, *(each - self._design[2] for each in self._moved(place, power))]))
+        size = np.linalg.norm(weighed, axis=1).clip(1e-150)
+        covariance = np.linalg.pinv((weighed / size[:, None]) @ (weighed / size[:, None]).T)
+        return float(np.sqrt(max(variance * covariance[1, 1], 0.0)) / size[1])
+
+    def zero_without_drift(self, place: float, power: float) -> float:
+        """Zero less the first force, N, of the law without a drift."""
+        self.coefficients(place, power)
+        design = np.delete(self._design, 1, axis=0)
+        wanted = self._whiten(self.part.force - self.part.force[0])
+        return float(np.linalg.lstsq(self._whiten(design).T, wanted, rcond=None)[0][0])
+
+    def _moved(self, place: float, power: float) -> list[np.ndarray]:
+        """The leading term at a contact and with a power that are slightly different, shapes (n,)."""
+        return [self._columns(np.array([place - _MOVED * self._scale]), np.array([[power]]))[0][0],
+                self._columns(np.array([place]), np.array([[power + _MOVED]]))[0][0]]
 
     def residual(self, place: float, power: float) -> np.ndarray:
         """Force less the law, not whitened, N, shape (n,)."""

@@ -31,6 +31,9 @@ _SMALLER = 0.7
 #: A rise in the air that is steeper than this share of the rise after it, and more than so many deviations of the
 #: noise, is no drift; nor is one of more than a share of the largest force.
 _DRIFT, _DRIFT_RISE, _DRIFT_SHARE = 0.2, 5.0, 0.05
+#: A drift of less than this many standard errors is taken as zero: the few samples in air that show it would be
+#: extrapolated over the whole test.
+_DRIFT_ERRORS = 4.0
 #: Most samples that are worked on; more are averaged.
 _MOST = 4000
 #: Fewest samples of a part, fewest that are not in contact, and fewest in all.
@@ -52,7 +55,8 @@ class Contact:
             the latest place; ``"unclear"``: the interval is wide as a third of the way, or the law describes nothing;
             ``"none"``: no force.
         displacement: best estimate, m; NaN where there is none. interval: 95 %, m.
-        force_zero: of the sensor at the first sample, N. drift: N/s (N a sample where there is no time).
+        force_zero: of the sensor at the first sample, N. drift: N/s (N a sample where there is no time); 0 where it is
+            not significant. drift_error: its standard error, N/s; 0 without a drift.
         index: of the first sample in contact; 0 where there was no air.
         exponent: power with which the force starts. noise: standard deviation, N.
         step: between two samples on the way, m. air, loading: samples before and after contact that it stands on.
@@ -71,6 +75,7 @@ class Contact:
     air: int = 0
     loading: int = 0
     adequate: bool = True
+    drift_error: float = 0.0
 
     @property
     def found(self) -> bool:
@@ -181,9 +186,13 @@ def _answer(way: _WayIn, fitted: ChangePointFit, profile: Profile, adequate: boo
     deviation = float(np.std(fitted.residual(place, power)))
     first = int(np.argmax(part.displacement > place)) if part.displacement[-1] > place else part.displacement.size
     span = (part.time[-1] - part.time[0]) or 1.0
-    found = Contact("found", float(place), (float(low), float(high)), float(coefficients[0] + part.force[0]),
-                    float(coefficients[1] / span), int(np.argmax(way.whole.displacement > place)), float(power),
-                    deviation, way.step, first, part.displacement.size - first, adequate)
+    zero, drift = float(coefficients[0] + part.force[0]), float(coefficients[1] / span)
+    error = fitted.drift_error(place, power, profile.variance) / span
+    if abs(drift) < _DRIFT_ERRORS * error:
+        zero, drift, error = fitted.zero_without_drift(place, power) + float(part.force[0]), 0.0, 0.0
+    found = Contact("found", float(place), (float(low), float(high)), zero, drift,
+                    int(np.argmax(way.whole.displacement > place)), float(power), deviation, way.step, first,
+                    part.displacement.size - first, adequate, error)
     if special.fdtrc(fitted.terms + 2, freedom, ratio) > _NO_FORCE:
         rises = float(way.smooth.max()) - way.zero > _LEAST_RISE * max(way.noise, deviation)
         latest = float(way.whole.displacement.max()) if rises else np.inf
@@ -199,7 +208,7 @@ def _answer(way: _WayIn, fitted: ChangePointFit, profile: Profile, adequate: boo
     gain = float(np.mean(part.force[-3:])) - part.force[0] - coefficients[0] - rise
     steep = in_air > 0 and after > 0 and rise / in_air > _DRIFT * gain / after
     if rise > _DRIFT_RISE * deviation and (steep or rise > _DRIFT_SHARE * float(np.ptp(way.smooth))):
-        found = replace(no_air, displacement=way.start, drift=0.0, exponent=np.nan)
+        found = replace(no_air, displacement=way.start, drift=0.0, drift_error=0.0, exponent=np.nan)
     elif np.isneginf(low) or first < _FEWEST_AIR:
         found = no_air
     low, high = found.interval

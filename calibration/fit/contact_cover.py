@@ -1,0 +1,43 @@
+"""Whether the recordings determine contact well enough for the shear modulus."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from calibration.campaign.measured import MeasuredCurve
+from calibration.fit.estimate import Estimate
+from calibration.fit.ordinary_problem import OrdinaryProblem
+from tissue_sim.recording.contact_error import contact_error
+from tissue_sim.recording.formats.assumption import MODULUS_TOLERANCE
+
+
+def unknown_contacts(estimate: Estimate) -> str:
+    """The recordings whose contact is not known well enough, in words; empty where all are.
+
+    A contact offset that is fitted has its uncertainty in the standard errors of the parameters.
+    """
+    if _fits_contact(estimate.problem):
+        return ""
+    errors = [(curve, error) for curve in estimate.problem.measured if (error := _error(curve)) > MODULUS_TOLERANCE]
+    if not errors:
+        return ""
+    curve, error = max(errors, key=lambda each: each[1])
+    assert curve.whole is not None and curve.whole.segmentation.contact is not None
+    low, high = curve.whole.segmentation.contact.interval
+    place = f"strain {low:.3g} to {high:.3g}" if curve.stressed else f"{1e3 * low:.4g} to {1e3 * high:.4g} mm"
+    more = f" and {len(errors) - 1} more" if len(errors) > 1 else ""
+    return (f"{curve.name}{more}: contact is known to be at {place} (95 %), and the shear modulus changes by "
+            f"{100 * error:.2g} % within that interval; the limit is {100 * MODULUS_TOLERANCE:g} %")
+
+
+def _fits_contact(problem: Any) -> bool:
+    if isinstance(problem, OrdinaryProblem):
+        return bool(problem.shifted)
+    return "contact" in problem.kinds
+
+
+def _error(curve: MeasuredCurve) -> float:
+    contact = None if curve.whole is None else curve.whole.segmentation.contact
+    if contact is None or curve.test.contact != "find":
+        return 0.0
+    return contact_error(curve.displacement, curve.force, curve.time, contact)

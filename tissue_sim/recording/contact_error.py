@@ -1,0 +1,35 @@
+"""Error of a modulus by the uncertainty of contact: its place and the drift of the force before it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tissue_sim.recording.contact import Contact
+
+#: Half width of an interval of 95 % in standard deviations.
+INTERVAL_DEVIATIONS = 1.96
+
+
+def contact_error(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None, contact: Contact) -> float:
+    """Relative half width of the 95 % interval of a modulus, as far as contact determines it.
+
+    A model force k f(x) is fitted by least squares to F(x). A contact that is d farther changes the model by -d F'(x)
+    and the factor k by d <F, F'> / <F, F>, where the integral of F F' over the displacement is half of the change of
+    F^2. A force error e changes k by <F, e> / <F, F>.
+
+    Args:
+        motion, load: of the fitted samples, positive under load, from contact, shape (n,). time: s, or None.
+        contact: that was found. Others give 0.
+    """
+    if not contact.found or motion.size < 2:
+        return 0.0
+    end = int(np.argmax(motion)) + 1
+    motion, load = motion[:end], load[:end]
+    squared = float(np.sum(0.5 * (load[1:] ** 2 + load[:-1] ** 2) * np.diff(motion)))
+    if end < 2 or not squared > 0:
+        return 0.0
+    half = 0.5 * (contact.interval[1] - contact.interval[0])
+    by_place = half * float(np.max(load) ** 2) / (2.0 * squared)
+    clock = np.arange(end, dtype=float) if time is None else time[:end]
+    drifted = INTERVAL_DEVIATIONS * contact.drift_error * (clock - clock[0])
+    return float(np.hypot(by_place, float(load @ drifted) / float(load @ load)))
