@@ -1,0 +1,224 @@
+"""Candidates for outliers in one channel of a recording, and the values that their neighbours predict.
+
+A running median of seven samples and a median of short linear predictions mark candidates. A candidate is contradicted if
+a polynomial through its neighbours on both sides (a line on one side at the ends, and on each side of a step) describes
+these neighbours, and the candidate lies many deviations of that fit, of the noise and of the resolution away from it.
+
+Source: Hampel, J. Am. Stat. Assoc. 69 (1974) 383, for the running median.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class OutlierSettings:
+    """Thresholds of `find_outliers`.
+
+    Attributes:
+        fewest: samples of a recording that is examined. longest: samples of a group.
+        neighbours: on each side of a group inside. one_sided: neighbours of a group at an end.
+        of_fit: distance from the prediction in deviations of the neighbours from their fit; at an end more.
+        of_noise: distance in deviations of the noise. of_steps: distance from the running median in steps between
+            neighbouring samples. of_resolution: distance in last digits.
+        core: distance of the samples of a group from the running median, over that of the farthest one.
+        of_range: distance as a fraction of the range of the channel.
+        event: change of the motion across a group, in the largest step of its neighbours, above which a peak of the
+            load belongs to the motion.
+        rest: fraction of the largest value below which a first or last sample is at rest.
+        like: largest first step of a motion that counts from its first sample, in the largest of the following ones.
+        correlated: correlation of motion and load above which their signs are known.
+        plausible: largest motion at rest over that of the test, where a machine does not start at zero.
+        stiffness: largest ratio of the stiffness of the first step from rest to that of the test.
+        most: largest fraction of outliers; more are an error.
+    """
+
+    fewest: int = 12
+    longest: int = 3
+    neighbours: int = 6
+    one_sided: int = 8
+    of_fit: float = 8.0
+    of_fit_at_end: float = 10.0
+    of_noise: float = 8.0
+    of_steps: float = 3.0
+    core: float = 0.25
+    of_resolution: float = 3.5
+    of_range: float = 0.01
+    event: float = 2.0
+    rest: float = 0.03
+    like: float = 3.0
+    correlated: float = 0.5
+    plausible: float = 1.5
+    stiffness: float = 5.0
+    most: float = 0.1
+
+
+SETTINGS = OutlierSettings()
+#: Samples of the running median.
+_WINDOW = 7
+#: Samples of a block in which the noise and the steps are estimated.
+_BLOCK = 32
+#: Median of the distances from a running median of seven, in deviations of Gaussian noise.
+_MEDIAN_DISTANCE = 0.52
+
+
+class Channel:
+    """One channel with its noise, steps and candidates, shape (n,)."""
+
+    def __init__(self, values: np.ndarray, settings: OutlierSettings, *, is_counted: bool = False):
+        self.values, self.settings, self.is_counted = values, settings, is_counted
+        padded = np.concatenate([_line(values[:9], np.arange(-3, 0)), values,
+                                 _line(values[:-10:-1], np.arange(-3, 0))[::-1]])
+        self.smooth = _running_median(padded)
+        self.away = away = np.abs(values - self.smooth)
+        local = np.abs(values - _interpolated(padded))
+        steps = np.abs(np.diff(values))
+        self.range = float(np.ptp(self.smooth))
+        least = 1e-9 * float(np.abs(self.smooth).max() or 1.0)
+        positive = steps[steps > least]
+        if positive.size <= 2 * settings.longest:
+            # The steps may be those to an outlier and back.
+            positive = np.abs(np.diff(self.smooth))
+            positive = positive[positive > least]
+        self.resolution = float(positive.min()) if positive.size else 0.0
+        self.noise = _local_scale(away) / _MEDIAN_DISTANCE
+        self.steps = _local_scale(np.append(steps, steps[-1]))
+        least = np.maximum(settings.of_range * self.range, settings.of_resolution * self.resolution)
+        self.least = np.maximum(least, settings.of_noise * self.noise)
+        noise = np.maximum(self.noise, _local_scale(local) / _MEDIAN_DISTANCE)
+        self.groups = (away > np.maximum(self.least, settings.of_steps * self.steps)) & (self.range > 0)
+        # Predictions that use a group of outliers are wrong: they find only single samples far from groups.
+        near = np.convolve(self.groups, np.ones(_WINDOW), "same") > 0
+        self.singles = (local > np.maximum(least, settings.of_noise * noise)) & ~near & (self.range > 0)
+
+    def outliers(self) -> Iterator[tuple[tuple[int, ...], float]]:
+        """Groups of samples that their neighbours contradict, and the value that these predict for the first one."""
+        for candidates in (self.groups, self.singles):
+            edges = np.flatnonzero(np.diff(np.concatenate([[False], candidates, [False]]).astype(int)))
+            runs = [self._core(*run) for run in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
+            bad = np.zeros(self.values.size, bool)
+            for first, last in runs:
+                bad[first:last] = True
+            good = np.flatnonzero(~bad)
+            for first, last in runs:
+                if last - first > self.settings.longest:
+                    continue
+                predicted = self._contradicted(first, last, good)
+                if predicted is not None:
+                    yield tuple(range(first, last)), predicted
+
+    def _core(self, first: int, last: int) -> tuple[int, int]:
+        """The samples of a run that are far away: next to three outliers the running median is off by several steps."""
+        far = first + np.flatnonzero(self.away[first:last] >= self.settings.core * self.away[first:last].max())
+        return int(far[0]), int(far[-1]) + 1
+
+    def _contradicted(self, first: int, last: int, good: np.ndarray) -> float | None:
+        """Prediction for sample `first` if all samples up to `last` (not included) lie far from theirs; else None.
+
+        Args:
+            good: samples that are no candidates, sorted.
+        """
+        setting, place = self.settings, int(np.searchsorted(good, first))
+        before, after = good[max(place - setting.one_sided, 0):place], good[place:place + setting.one_sided]
+        one_sided = min(before.size, after.size) < setting.longest
+        if one_sided:
+            around = after[:setting.one_sided] if after.size > before.size else before[-setting.one_sided:]
+        else:
+            around = np.concatenate([before[-setting.neighbours:], after[:setting.neighbours]])
+        degree = 1 if one_sided else 2
+        if around.size < degree + 3:
+            return None
+        middle, group = 0.5 * (first + last - 1), np.arange(first, last)
+        coefficients = np.polynomial.polynomial.polyfit(around - middle, self.values[around], degree)
+        gaps = self.values[around] - np.polynomial.polynomial.polyval(around - middle, coefficients)
+        deviation = float(np.sqrt(np.sum(gaps**2) / (around.size - degree - 1)))
+        predicted = np.polynomial.polynomial.polyval(group - middle, coefficients)
+        limit = max(float(self.least[first]), (setting.of_fit_at_end if one_sided else setting.of_fit) * deviation,
+                    float(np.ptp(self.values[around])) if one_sided else 0.0)
+        if not np.all(np.abs(self.values[group] - predicted) > limit):
+            beyond = None if one_sided else self._beyond_step(group, before, after)
+            if beyond is None:
+                return None
+            predicted = np.array([beyond])
+        # Rounding errors of the fit are zero.
+        return float(predicted[0]) if abs(predicted[0]) > 1e-9 * self.range else 0.0
+
+    def _beyond_step(self, group: np.ndarray, before: np.ndarray, after: np.ndarray) -> float | None:
+        """The nearer one of two predictions, from lines through the samples before and after a group, if the group lies
+        far outside of the interval between them, as no sample of a step does; else None."""
+        limits, ends = [float(self.least[group[0]])], []
+        for side in (before, after):
+            if side.size < 2 * self.settings.longest:
+                return None
+            line = np.polynomial.polynomial.polyfit(side - group[0], self.values[side], 1)
+            gaps = self.values[side] - np.polynomial.polynomial.polyval(side - group[0], line)
+            limits.append(self.settings.of_fit_at_end * float(np.sqrt(np.sum(gaps**2) / (side.size - 2))))
+            limits.append(float(np.ptp(self.values[side])))
+            ends.append(np.polynomial.polynomial.polyval(group - group[0], line))
+        low, high = np.min(ends, axis=0) - max(limits), np.max(ends, axis=0) + max(limits)
+        values = self.values[group]
+        if np.all(values < low):
+            return float(np.min(ends, axis=0)[0])
+        return float(np.max(ends, axis=0)[0]) if np.all(values > high) else None
+
+    def jump(self, first: int, last: int) -> float:
+        """Change of the values across samples `first` to `last` (not included); at an end the step next to them."""
+        before, after = first - 1, last
+        if first == 0:
+            before = last - 1
+        elif last == self.values.size:
+            after = first
+        return float(self.values[after] - self.values[before])
+
+    def largest_step(self, first: int, last: int) -> float:
+        """Largest step between the neighbours on one side of samples `first` to `last` (not included)."""
+        count = self.settings.neighbours
+        sides = self.values[max(first - count, 0):first], self.values[last:last + count]
+        return max((float(np.abs(np.diff(side)).max()) for side in sides if side.size > 1), default=0.0)
+
+
+def _line(values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Line through the first samples, at other places; one half of the samples may be wrong.
+
+    Source: Siegel, Biometrika 69 (1982) 242, repeated medians.
+    """
+    places = np.arange(values.size)
+    gaps = places[:, None] - places[None]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slopes = np.where(gaps == 0, np.nan, (values[:, None] - values[None]) / gaps)
+    slope = float(np.median(np.nanmedian(slopes, axis=1)))
+    return float(np.median(values - slope * places)) + slope * at
+
+
+def _running_median(padded: np.ndarray) -> np.ndarray:
+    """Median of seven samples around each one; `padded` has three more at each end."""
+    rows = [padded[k:padded.size - _WINDOW + 1 + k] for k in range(_WINDOW)]
+    # Exchanges that bring the median of seven into the fourth place: Devillard, Fast median search (1998).
+    for low, high in ((0, 5), (0, 3), (1, 6), (2, 4), (0, 1), (3, 5), (2, 6), (2, 3), (3, 6), (4, 5), (1, 4), (1, 3),
+                      (3, 4)):
+        rows[low], rows[high] = np.minimum(rows[low], rows[high]), np.maximum(rows[low], rows[high])
+    return rows[3]
+
+
+def _interpolated(padded: np.ndarray) -> np.ndarray:
+    """Median of five linear predictions of each sample from its neighbours; `padded` has three more at each end."""
+    size = padded.size - _WINDOW + 1
+    by = [padded[k:k + size] for k in range(_WINDOW)]
+    rows = [0.5 * (by[2] + by[4]), 0.5 * (by[1] + by[5]), 0.5 * (by[0] + by[6]), 2 * by[2] - by[1], 2 * by[4] - by[5]]
+    for low, high in ((0, 1), (3, 4), (0, 3), (1, 4), (1, 2), (2, 3), (1, 2)):
+        rows[low], rows[high] = np.minimum(rows[low], rows[high]), np.maximum(rows[low], rows[high])
+    return rows[2]
+
+
+def _local_scale(values: np.ndarray) -> np.ndarray:
+    """Median of blocks of neighbours, or of all values where that is larger, at each sample, shape (n,)."""
+    blocks = max(values.size // _BLOCK, 1)
+    whole = values[:blocks * _BLOCK].reshape(blocks, -1) if values.size >= _BLOCK else values[None]
+    scale = np.median(whole, axis=1)
+    near = np.max([np.append(scale[:1], scale[:-1]), scale, np.append(scale[1:], scale[-1:])], axis=0)
+    everywhere = float(np.median(values))
+    return np.maximum(near, everywhere)[np.minimum(np.arange(values.size) // _BLOCK, blocks - 1)]
