@@ -28,7 +28,7 @@ def group(parts: Sequence[Part]) -> list[tuple[str, tuple[Part, ...], str]]:
         reading = part.reading
         stem = counted[part.file]
         key = (stem, reading.name, reading.kind.kind, repr(sorted(reading.options.items(), key=str)),
-               size_signature(reading.stated), repr(sorted(reading.specimen.items())),
+               size_signature(reading.stated, reading.kind.kind), repr(sorted(reading.specimen.items())),
                tuple((column.channel, column.header, column.unit) for column in reading.columns))
         clusters = alike.setdefault(key, [])
         cluster = next((each for each in clusters if same_motion(each[0], part)), None)

@@ -27,15 +27,14 @@ def by_material(reading: Reading, groups: Sequence[Group], places: Sequence[tupl
         stated: `Stated.one_material` keeps the tables together.
     """
     tables = _tables(groups, places)
-    together = {(group.numbers.table.name, group.line) for group in groups} - set(places)
-    if together:
-        # A repeated header continues a recording, whose sizes may be stated below any of its parts.
-        reading = replace(reading, stated=read_only(_all_statements(groups)))
+    # A repeated header continues a recording, whose sizes may be stated below any of its parts; and what is stated about
+    # one of several alike tables may contradict what is stated about the others.
+    reading = replace(reading, stated=read_only(_all_statements(groups)))
     if tables is None:
         return [reading]
     titles = [title for _, title in tables]
     materials = [""] * len(titles) if stated.one_material else materials_of(titles)
-    keys = [(material, size_signature(group.stated))
+    keys = [(material, size_signature(group.stated, reading.kind.kind))
             for material, (group, _) in zip(materials, tables, strict=True)]
     if len(set(keys)) < 2:
         return [reading]
@@ -49,7 +48,7 @@ def by_material(reading: Reading, groups: Sequence[Group], places: Sequence[tupl
         name = materials[chosen[0]] or titles[chosen[0]] or f"table {curves[0]}"
         found.append(replace(
             reading, name=name, recordings=tuple(reading.recordings[i] for i in chosen),
-            stated=read_only(dict(tables[chosen[0]][0].stated)),
+            stated=read_only(_all_statements([tables[i][0] for i in chosen])),
             options=read_only({**reading.options, "curve": curves if len(curves) > 1 else curves[0]}),
             assumptions=(*reading.assumptions, *question)))
     return found

@@ -143,9 +143,9 @@ def sizes_without_unit(stated: Mapping[str, str]) -> dict[str, str]:
     return found
 
 
-def size_signature(stated: Mapping[str, str]) -> tuple[tuple[str, float], ...]:
-    """The same for files, or sheets, that state the same sizes."""
-    return tuple(sorted((size.key, size.value) for size in find_sizes(stated, None).values()
+def size_signature(stated: Mapping[str, str], kind: str | None = None) -> tuple[tuple[str, float], ...]:
+    """The same for files, or sheets, that state the same sizes of a specimen for a kind of test."""
+    return tuple(sorted((size.key, size.value) for size in find_sizes(stated, kind).values()
                         if size.key != "speed_mm_s"))
 
 

@@ -56,15 +56,14 @@ class Statements(dict[str, str]):
         self.setdefault(key, value)
 
 
-def table_statements(numbers: Numbers, used: Sequence[int], *, decimal: str | None, table: int = 0, tables: int = 1,
-                     elsewhere: Sequence[Row] = ()) -> Statements:
+def table_statements(numbers: Numbers, used: Sequence[int], *, decimal: str | None, table: int = 0, tables: int = 1
+                     ) -> Statements:
     """What a file states about one table of numbers.
 
     Args:
         numbers: the table. used: places from 0 of the columns that are read.
         decimal: decimal mark of the numbers of the file; None: the numbers do not show it.
         table: number from 0 of it among `tables` of the file, which chooses the row of a summary with as many rows.
-        elsewhere: rows of other tables and sheets, which count where the table states nothing.
     """
     found = Statements()
     row_statements(numbers.above, found, decimal, table, tables)
@@ -77,13 +76,24 @@ def table_statements(numbers: Numbers, used: Sequence[int], *, decimal: str | No
         for key, value in _pairs(others, decimal):
             if size_class(key) is not None:
                 found.add(key, value, f"line {row.line}")
+    return found
+
+
+def add_unstated(rows: Sequence[Row], found: Statements, decimal: str | None, table: int = 0, tables: int = 1) -> None:
+    """Add what rows of other tables and sheets state, but no size that is stated already."""
     more = Statements()
-    row_statements(elsewhere, more, decimal, table, tables)
+    row_statements(rows, more, decimal, table, tables)
     stated = {size_class(key) for key in found}
     for key, value in more.items():
         if size_class(key) is None or size_class(key) not in stated:
             found.add(key, value, "elsewhere")
-    return found
+
+
+def states_sizes(rows: Sequence[Row]) -> bool:
+    """Whether rows outside of the numbers state a size of the specimen."""
+    found = Statements()
+    row_statements(rows, found)
+    return any(size_class(key) is not None for key in found)
 
 
 def row_statements(rows: Sequence[Row], found: Statements, decimal: str | None = None, table: int = 0,

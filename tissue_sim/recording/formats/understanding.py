@@ -31,8 +31,17 @@ from tissue_sim.recording.formats.materials import by_material, with_different_t
 from tissue_sim.recording.formats.orientation import oriented
 from tissue_sim.recording.formats.pairing import Group, alike, find_groups, no_pair
 from tissue_sim.recording.formats.sources import Numbers, Source, find_numbers, open_source
-from tissue_sim.recording.formats.statements import listed_sizes, merged, table_statements
+from tissue_sim.recording.formats.statements import (
+    Statements,
+    add_unstated,
+    listed_sizes,
+    merged,
+    row_statements,
+    states_sizes,
+    table_statements,
+)
 from tissue_sim.recording.formats.sweeps import is_sweep, sweep_sentence
+from tissue_sim.recording.formats.table import Row
 from tissue_sim.recording.formats.table_reader import TableReader
 from tissue_sim.recording.formats.vocabulary import MACHINES, Machine, find_machine
 
@@ -119,29 +128,50 @@ def _with_statements(source: Source, found: Sequence[Numbers], groups: Sequence[
     elsewhere += [row for numbers in found if id(numbers) not in read for row in numbers.lines]
     # Rows below the last table may state the sizes of all.
     trailing = [row for group in groups[-1:] for row in group.numbers.below]
+    around = _rows_of_blocks([group.numbers for group in groups])
     complete: list[Group] = []
     for i, group in enumerate(groups):
+        above, below, shared = around[id(group.numbers)]
         places = [column.place - 1 for column in group.columns]
+        decimal = stated.decimal or _probable_mark(group.numbers, places)
+        own = replace(group.numbers, above=above, below=() if shared else below)
+        statements: Mapping[str, str] = table_statements(own, places, decimal=decimal, table=i, tables=len(groups))
+        # A list with a row for each table states more about a table than the rows before it.
+        lists = listed_sizes((*groups[0].numbers.above, *trailing, *elsewhere), decimal, i, len(groups))
+        statements = merged(lists, statements)
+        every = Statements(merged(complete[-1].stated if complete else {}, statements))
+        if shared:
+            row_statements(below, every, decimal, i, len(groups))
         last = group.numbers is groups[-1].numbers
-        statements = _statements(group.numbers, places, stated, used=places, table=i, tables=len(groups),
-                                 elsewhere=elsewhere if last else [*trailing, *elsewhere])
-        if complete:
-            # A list above the first table has a row for each table.
-            decimal = stated.decimal or _probable_mark(group.numbers, places)
-            statements = merged(listed_sizes(groups[0].numbers.above, decimal, i, len(groups)), statements)
-        complete.append(replace(group, stated=merged(complete[-1].stated if complete else {}, statements)))
+        add_unstated(elsewhere if last else [*trailing, *elsewhere], every, decimal, i, len(groups))
+        complete.append(replace(group, stated=every))
     return complete
 
 
-def _statements(numbers: Numbers, places: Sequence[int], stated: Stated, *, used: Sequence[int] = (),
-                **context: Any) -> Mapping[str, str]:
+def _rows_of_blocks(tables: Sequence[Numbers]) -> dict[int, tuple[tuple[Row, ...], tuple[Row, ...], bool]]:
+    """Identity of each table of numbers -> the rows above and below it, and whether those below are about all tables.
+
+    Rows below the last of several tables of a sheet replace nothing that is stated above. Where no size is stated above
+    the first table, and sizes are stated below each, those between two tables are about the upper one.
+    """
+    found: dict[int, tuple[tuple[Row, ...], tuple[Row, ...], bool]] = {}
+    for sheet in dict.fromkeys(id(numbers.table) for numbers in tables):
+        blocks = list({id(each): each for each in tables if id(each.table) == sheet}.values())
+        after = [*(each.above for each in blocks[1:]), blocks[-1].below]
+        if len(blocks) > 1 and not states_sizes(blocks[0].above) and all(map(states_sizes, after)):
+            found |= {id(each): ((), rows, False) for each, rows in zip(blocks, after, strict=True)}
+            continue
+        found |= {id(each): (each.above, each.below, bool(each.below) and len(blocks) > 1) for each in blocks}
+    return found
+
+
+def _statements(numbers: Numbers, places: Sequence[int], stated: Stated) -> Mapping[str, str]:
     """Key -> value with unit, as the file states them about a table; see `table_statements`.
 
     Args:
         places: columns, from 0, whose first rows tell the decimal mark of the lines around the table.
     """
-    decimal = stated.decimal or _probable_mark(numbers, places)
-    return table_statements(numbers, used, decimal=decimal, **context)
+    return table_statements(numbers, (), decimal=stated.decimal or _probable_mark(numbers, places))
 
 
 def _probable_mark(numbers: Numbers, places: Sequence[int]) -> str | None:
