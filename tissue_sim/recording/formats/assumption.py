@@ -25,8 +25,12 @@ class Alternative:
 
     @property
     def changes_modulus(self) -> bool:
-        """Whether the modulus changes by more than `MODULUS_TOLERANCE`, or by an unknown amount."""
-        return self.modulus_ratio is None or abs(self.modulus_ratio - 1.0) > MODULUS_TOLERANCE
+        """Whether the modulus changes by more than `MODULUS_TOLERANCE`, or by an unknown amount.
+
+        Either value may be the true one: the change counts relative to the smaller modulus.
+        """
+        ratio = self.modulus_ratio
+        return ratio is None or not ratio > 0 or max(ratio, 1.0 / ratio) > 1.0 + MODULUS_TOLERANCE
 
 
 @dataclass(frozen=True)
