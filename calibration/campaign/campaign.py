@@ -79,6 +79,7 @@ class Test:
         rig: what stands between the tissue and the recordings; without noise and resolution.
         contact: displacement at which it touches, m; ``"recorded"``: the recording's own zero; ``"find"``: found.
         failure: what becomes of a recording from its failure on: ``"cut"``, ``"keep"`` or ``"refuse"``.
+        control: quantity that the machine controls, ``"displacement"`` or ``"force"``; ``"find"``: by the signals.
         protocol: its motion, where it is planned and has no recordings. solver: name of what simulates it.
         leave_out: name of a recording -> numbers of the samples that are left out, from 1; the name ``""`` is that of
             the only recording. Outliers of the other recordings are found.
@@ -99,6 +100,7 @@ class Test:
     protocol: str | None = None
     solver: str = "axisymmetric"
     leave_out: Mapping[str, tuple[int, ...]] = field(default_factory=_read_only)
+    control: Literal["find", "displacement", "force"] = "find"
 
 
 @dataclass(frozen=True)
@@ -268,7 +270,7 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
             _reading(entry, read_columns_key(entry, field)), entry.max_strain, entry.hold_out, field,
             read_experiment(entry, specimen, folder, field), read_rig(entry, folder, field),
             entry.contact if isinstance(entry.contact, str) else 1e-3 * entry.contact, entry.failure, entry.protocol,
-            read_solver(entry, specimen, field), _leave_out(entry, f"{field}.leave_out"))
+            read_solver(entry, specimen, field), _leave_out(entry, f"{field}.leave_out"), entry.control)
     if all(test.hold_out for test in tests.values()):
         raise InputError("every test is held out, so there is nothing to fit; set hold_out = false on one",
                          field="test[0].hold_out")

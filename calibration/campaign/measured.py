@@ -197,7 +197,7 @@ def _curve(recording: Recording, screening: Screening, name: str, path: Path, te
                          "a time column, or speed_mm_s", field="recordings")
     remembering = remembers(test, material) or (campaign.fit.whole and time is not None)
     height = 1.0 if test.specimen is None else test.specimen.height
-    screening = with_control(screening, displacement, force, time)
+    screening = with_control(screening, displacement, force, time, test)
     if remembering:
         require_loading(displacement, force, screening, path)
     labels = np.char.lower(recording.labels["segment"].astype(str)) if "segment" in recording.labels else None

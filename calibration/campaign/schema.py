@@ -83,6 +83,7 @@ class TestTable(_Table, frozen=True, kw_only=True):
     hold_out: bool = False
     contact: Literal["recorded", "find"] | float = "recorded"
     failure: Literal["cut", "keep", "refuse"] = "cut"
+    control: Literal["find", "displacement", "force"] = "find"
     leave_out: Literal["find"] | list[int] | dict[str, list[int]] = "find"
     rig: str | None = None
 

@@ -32,7 +32,8 @@ def cleaned(recording: Recording, name: str, test: Test) -> tuple[Recording, Scr
     zeroed = [channel for channel, entry in columns.items() if entry.get("offset") == "start"]
     own = name.removeprefix(f"{test.name}/")
     try:
-        return clean(recording, test.leave_out.get(own, test.leave_out.get("")), zeroed)
+        return clean(recording, test.leave_out.get(own, test.leave_out.get("")), zeroed,
+                     None if test.control == "find" else test.control)
     except InputError as error:
         raise InputError(f"{own}: {error.problem}", file=error.file, field=error.field) from None
 
@@ -54,13 +55,16 @@ def check_left_out(test: Test, names: Sequence[str], campaign: Campaign) -> None
                              file=campaign.path, field=f"{place}.{name}")
 
 
-def with_control(screening: Screening, motion: np.ndarray, load: np.ndarray, time: np.ndarray | None) -> Screening:
+def with_control(screening: Screening, motion: np.ndarray, load: np.ndarray, time: np.ndarray | None, test: Test
+                 ) -> Screening:
     """The findings with the controlled quantity.
 
     Args:
         motion, load: of the samples that are kept, positive under load, shape (n,). time: s, shape (n,), or None.
+        test: that may state the quantity.
     """
-    return replace(screening, control=find_control(motion, load, time))
+    control = find_control(motion, load, time)
+    return replace(screening, control=control if test.control == "find" else replace(control, equal_samples=0))
 
 
 def with_preload(screening: Screening, motion: np.ndarray, load: np.ndarray, campaign: Campaign, *,

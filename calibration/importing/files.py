@@ -68,7 +68,8 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     check_wishes(wishes)
     understood = same_decimal_mark([with_sizes_compared(with_size_assumptions(each, wishes), wishes)
                                     for each in _understand(paths, wishes)])
-    parts = [Part(each, reading, tuple(describe_motion(recording, reading.kind.kind)
+    controlled = wishes.test.get("control")
+    parts = [Part(each, reading, tuple(describe_motion(recording, reading.kind.kind, controlled)
                                        for recording in reading.recordings))
              for each in understood for reading in each.readings]
     groups = [(name, *_with_zero(alike, wishes), reason) for name, alike, reason in group(parts)]

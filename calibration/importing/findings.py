@@ -5,23 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from tissue_sim.recording.contact import Contact
-from tissue_sim.recording.formats.assumption import Assumption
-from tissue_sim.recording.screening import Screening, numbered
+from tissue_sim.recording.formats.assumption import Alternative, Assumption
+from tissue_sim.recording.screening import EQUAL_LOAD, Screening, numbered
 
 
-def assumptions_of(screening: Screening, contact: Contact | None, *, has_air: bool | None, stressed: bool
-                   ) -> tuple[Assumption, ...]:
+def assumptions_of(screening: Screening, contact: Contact | None, *, has_air: bool | None, stressed: bool,
+                   controlled: str | None = None) -> tuple[Assumption, ...]:
     """The assumptions about one recording.
 
     Args:
         screening: with its controlled quantity. contact: None where it was not looked for.
         has_air: whether there is air before contact; None: unknown. stressed: recorded as strain and stress.
+        controlled: quantity that the user states; None: found in the signals.
     """
-    return tuple(_assumptions(screening, contact, has_air=has_air, stressed=stressed))
+    return tuple(_assumptions(screening, contact, has_air=has_air, stressed=stressed, controlled=controlled))
 
 
-def _assumptions(screening: Screening, contact: Contact | None, *, has_air: bool | None, stressed: bool
-                 ) -> Iterator[Assumption]:
+def _assumptions(screening: Screening, contact: Contact | None, *, has_air: bool | None, stressed: bool,
+                 controlled: str | None) -> Iterator[Assumption]:
     control = screening.control
     if screening.samples:
         sentences = [*(each.sentence for each in screening.left_out), *(each.sentence for each in screening.saturation)]
@@ -29,7 +30,15 @@ def _assumptions(screening: Screening, contact: Contact | None, *, has_air: bool
     if contact is not None and contact.found:
         yield Assumption("contact", "after air" if has_air else "at the first sample",
                          (contact.in_words(stressed=stressed),))
-    if control is not None and control.quantity is not None:
+    if controlled is not None:
+        yield Assumption("controlled quantity", controlled, (), flag=f"--control {controlled}", is_stated=True)
+    elif control is not None and control.equal_samples:
+        # The modulus at the held load, or that of the loading alone: the ratio is not known before a fit.
+        yield Assumption("controlled quantity", "the force is held, and its column holds the set value",
+                         (EQUAL_LOAD.format(control.equal_samples),), (),
+                         (Alternative("the load cell is saturated", None, "--control displacement"),),
+                         "--control force")
+    elif control is not None and control.quantity is not None:
         evidence = {"creep": "the force is constant while the displacement creeps",
                     "staircase": "the displacement is constant in several holds under load",
                     "ramp and hold": "the displacement is constant in a hold under load"}.get(

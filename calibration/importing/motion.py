@@ -91,11 +91,15 @@ class Motion:
         return True if contact.found else None
 
 
-def describe_motion(recording: Recording, kind: str | None) -> Motion:
-    """The way of a recording with a motion and a load, of a test of that kind."""
+def describe_motion(recording: Recording, kind: str | None, controlled: str | None = None) -> Motion:
+    """The way of a recording with a motion and a load, of a test of that kind.
+
+    Args:
+        controlled: quantity that the user states; None: found in the signals.
+    """
     channel = next(name for name in MOTIONS if name in recording)
     size = len(recording)
-    recording, screening = clean(recording)
+    recording, screening = clean(recording, controlled=controlled)
     is_kept = np.ones(size, bool)
     is_kept[np.array(screening.samples, int) - 1] = False
     kept = np.flatnonzero(is_kept)
@@ -113,10 +117,12 @@ def describe_motion(recording: Recording, kind: str | None) -> Motion:
     if rate is None and abs(way[0]) > abs(way[-1]):
         # A table without a clock has no order; from rest on it reads as a loading.
         recording = recording.select(slice(None, None, -1))
-    screening = replace(screening, control=_control(recording, kind))
+    control = _control(recording, kind)
+    screening = replace(screening, control=control if controlled is None else replace(control, equal_samples=0))
     motion = Motion(channel, (float(way.max()), float(way.min())), rate, duration, speed,
                     find_segments(recording, kind), screening=screening, kept=None if kept.size == size else kept)
-    assumptions = assumptions_of(screening, motion.contact, has_air=motion.air, stressed=motion.found.stressed)
+    assumptions = assumptions_of(screening, motion.contact, has_air=motion.air, stressed=motion.found.stressed,
+                                 controlled=controlled)
     return replace(motion, warnings=tuple(_warnings(recording, motion)), assumptions=assumptions)
 
 

@@ -22,8 +22,8 @@ _BITS = 4.0
 _SHOWN = {"length": (" mm", 1e3), "force": (" N", 1.0), "stress": (" kPa", 1e-3), "ratio": ("", 1.0)}
 
 
-def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: Sequence[str] = ()
-          ) -> tuple[Recording, Screening]:
+def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: Sequence[str] = (),
+          controlled: str | None = None) -> tuple[Recording, Screening]:
     """The recording without outliers and saturated samples, and the findings.
 
     Args:
@@ -31,6 +31,8 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
         leave_out: numbers of the samples to leave out, from 1; None: outliers are found.
         zeroed: channels that were counted from the first sample; where that is an outlier, they are counted from the
             value that the other samples show for it.
+        controlled: ``"displacement"`` or ``"force"``, as the user states it: a controlled channel is not saturated, and
+            the other one is not held.
 
     Raises:
         InputError: a number beyond the recording, too many outliers, too few samples that are kept, or a zero that the
@@ -58,13 +60,17 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
         raise InputError(f"only {kept.size} of {len(recording)} samples are kept; at least {MIN_POINTS} are needed",
                          field="leave_out")
     rest = recording if kept.size == len(recording) else recording.select(kept)
-    saturation = (*_of_measured_load(rest, kept, load, motion), *_of_channel(rest, kept, motion, load))
+    saturation = () if controlled == "force" else _of_measured_load(rest, kept, load, motion,
+                                                                    is_free=controlled == "displacement")
+    if controlled != "displacement":
+        saturation += _of_channel(rest, kept, motion, load, is_free=controlled == "force")
     if saturation:
-        cut = [number - 1 for each in saturation for number in each.samples]
-        if len(recording) - len(cut) >= MIN_POINTS:
-            is_kept[cut] = False
-            kept = np.flatnonzero(is_kept)
-            rest = recording.select(kept)
+        is_kept[[number - 1 for each in saturation for number in each.samples]] = False
+        kept = np.flatnonzero(is_kept)
+        if kept.size < MIN_POINTS:
+            raise InputError(f"{saturation[0].sentence}, and {kept.size} samples remain; at least {MIN_POINTS} are "
+                             "needed")
+        rest = recording.select(kept)
     screening = Screening(found, saturation, suspected=suspected)
     if kept.size and kept[0] > 0:
         rest = rest.with_channels(**{name: rest.channel(name) - _start(recording, screening, name)
@@ -129,18 +135,19 @@ def _as_stated(recording: Recording, leave_out: Sequence[int], found: tuple[Left
 
 
 def _of_channel(recording: Recording, kept: np.ndarray, name: str, other: str, values: np.ndarray | None = None,
-                title: str = "", rounding: float = 0.0) -> tuple[Saturation, ...]:
+                title: str = "", rounding: float = 0.0, *, is_free: bool = False) -> tuple[Saturation, ...]:
     """Saturation of a channel.
 
     Args:
         kept: places of the samples in the recording as the file has it, shape (n,). other: channel that continues.
         values: another measure of the channel, with its title; None: those of the channel.
-        rounding: see `find_saturation`.
+        rounding, is_free: see `find_saturation`.
     """
     values = recording.channel(name) if values is None else values
     goes_on = "motion" if other in MOTIONS else "load"
     found = []
-    for run in find_saturation(values, recording.channel(other), _clock(recording), rounding=rounding):
+    for run in find_saturation(values, recording.channel(other), _clock(recording), rounding=rounding,
+                               is_free=is_free):
         level = float(values[run.first])
         samples = tuple((kept[run.first:run.last + 1] + 1).tolist())
         found.append(Saturation(name, level, samples,
@@ -150,7 +157,8 @@ def _of_channel(recording: Recording, kept: np.ndarray, name: str, other: str, v
     return tuple(found)
 
 
-def _of_measured_load(recording: Recording, kept: np.ndarray, load: str, motion: str) -> tuple[Saturation, ...]:
+def _of_measured_load(recording: Recording, kept: np.ndarray, load: str, motion: str, *, is_free: bool
+                      ) -> tuple[Saturation, ...]:
     """Saturation of the load in the measure that the file states, or of the force that this stress implies.
 
     A load cell at its limit gives a constant force, which is the nominal stress times the undeformed area. The true
@@ -158,14 +166,14 @@ def _of_measured_load(recording: Recording, kept: np.ndarray, load: str, motion:
     """
     measure = stated_measures(recording).get(load)
     if measure is None or "stretch" not in recording:
-        return _of_channel(recording, kept, load, motion)
+        return _of_channel(recording, kept, load, motion, is_free=is_free)
     stretch = recording.channel("stretch")
     stated = measure.invert(recording.channel(load), stretch)
     # A product and its quotient differ in the last bits.
     bits = _BITS * np.finfo(float).eps * float(np.abs(stated).max())
-    return (_of_channel(recording, kept, load, motion, stated, measure.title, bits)
+    return (_of_channel(recording, kept, load, motion, stated, measure.title, bits, is_free=is_free)
             or _of_channel(recording, kept, load, motion, None, f"nominal stress that follows from the {measure.title}",
-                           _rounding_of_nominal(recording, measure)))
+                           _rounding_of_nominal(recording, measure), is_free=is_free))
 
 
 def _rounding_of_nominal(recording: Recording, measure: Measure) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.change_point import ChangePointFit, Part, Profile
+from tissue_sim.recording.resolution import rounding_step
 from tissue_sim.recording.segmentation import label_motion
 
 #: Powers with which the force may start: plates and flat punches, balls (3/2), cones.
@@ -236,7 +237,7 @@ class _WayIn:
     @classmethod
     def of(cls, time: np.ndarray, displacement: np.ndarray, force: np.ndarray) -> _WayIn:
         labels = label_motion(time, displacement)
-        rounding = _rounding_step(force) / np.sqrt(12.0)
+        rounding = rounding_step(force) / np.sqrt(12.0)
         bend = (force[1:-1] - 0.5 * (force[:-2] + force[2:])) / np.sqrt(1.5)
         noise = max(float(np.median(np.abs(bend))) / 0.6745, rounding, 1e-9 * float(np.abs(force).max()), 1e-300)
         smooth = np.convolve(np.pad(force, 1, mode="edge"), np.full(3, 1 / 3), "valid")
@@ -279,14 +280,3 @@ class _WayIn:
             if end < parts[-1].time.size:
                 parts.append(self.whole.until(end))
         return parts
-
-
-def _rounding_step(force: np.ndarray) -> float:
-    """Step of a sensor that shows few different values, N; 0 where there is none."""
-    values = np.unique(force)
-    steps = np.diff(values)
-    steps = steps[steps > 1e-9 * np.abs(values).max()]
-    if not steps.size or values.size > 0.5 * force.size:
-        return 0.0
-    multiples = steps / steps.min()
-    return float(steps.min()) if np.abs(multiples - np.round(multiples)).max() < 1e-3 else 0.0

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from tissue_sim.recording.oscillation import Oscillation, find_oscillation
+from tissue_sim.recording.saturation import last_digit
 from tissue_sim.recording.screening import CREEPS, Control
 from tissue_sim.recording.segmentation import label_motion
 
@@ -29,6 +30,11 @@ _STRAIGHT = 0.01
 _STRAIGHTER = 4.0
 #: Displacement of the first sample, as a fraction of the range, up to which the specimen is undeformed there.
 _UNDEFORMED = 0.05
+#: Last digit of a load, as a fraction of its level, below which a load without noise is not measured or is saturated: a
+#: fifth of the 1 % within which a creep test holds its load (ISO 899-1).
+_FINE_DIGIT = 0.002
+#: Fraction of the samples of a hold that are equal.
+_EQUAL = 0.9
 #: Most samples that are examined; others are skipped evenly.
 _MOST = 20_000
 #: Samples at each end of a hold whose median counts.
@@ -62,7 +68,7 @@ def find_control(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None =
         first, last, creep = max(crept, key=lambda each: each[2])
         start = crept[0][0]
         return Control("force", "creep", 0.0, creep, loading=start, time_constant=_time_constant(motion, clock, first,
-                       last), loading_time=float(clock[start] - clock[0]))
+                       last), loading_time=float(clock[start] - clock[0]), equal_samples=_equal(load, first, last))
     loaded = [first for first, last in holds if np.median(load[first:last]) - rest > _LOADED * np.ptp(load)]
     steps = [first for first in loaded if motion[first] >= 0.98 * motion[:first + 1].max()]
     pattern = "staircase" if len(steps) > 1 else "ramp and hold" if loaded else "cycles" if oscillation else "ramp"
@@ -72,6 +78,16 @@ def find_control(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None =
     return Control("displacement" if loaded else quantity, pattern, relaxation, loading=min([*loaded, peak + 1]),
                    time_constant=_time_constant(load, clock, first, last) if relaxation else None,
                    loading_time=float(clock[_arrival(motion)] - clock[0]))
+
+
+def _equal(load: np.ndarray, first: int, last: int) -> int:
+    """Number of samples from `first` to `last` (not included) whose load is equal to the last digit; 0: they scatter,
+    or the digit is coarse."""
+    level = float(np.median(load[first:last]))
+    count = int(np.count_nonzero(load[first:last] == level))
+    if count < max(_FEWEST, _EQUAL * (last - first)):
+        return 0
+    return count if 0.0 < last_digit(load) <= _FINE_DIGIT * abs(level) else 0
 
 
 def creep_holds(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None = None) -> tuple[tuple[int, int], ...]:

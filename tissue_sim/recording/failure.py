@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.recording.resolution import rounding_step
 from tissue_sim.recording.segmentation import STRAIGHT, corners_of, label_motion
 
 #: Least share of the force that is lost, and least loss in deviations of the noise.
@@ -189,9 +190,9 @@ def _describe(displacement: np.ndarray, force: np.ndarray, index: int, zero: flo
 
 
 def _noise_of(force: np.ndarray) -> float:
-    """Deviation of the noise from smooth curves, also of one with a colour, N."""
+    """Deviation of the noise from smooth curves, also of one with a colour, and of the rounding of the sensor, N."""
     bend = (force[1:-1] - 0.5 * (force[:-2] + force[2:])) / np.sqrt(1.5)
-    deviations = [np.median(np.abs(bend)) / 0.6745]
+    deviations = [np.median(np.abs(bend)) / 0.6745, rounding_step(force) / np.sqrt(12.0)]
     if force.size > 2 * _SMOOTH:
         # The middle of a cubic through its neighbours: Savitzky and Golay, Anal. Chem. 36 (1964) 1627.
         around = np.vander(np.arange(_SMOOTH) - _SMOOTH // 2, 4)

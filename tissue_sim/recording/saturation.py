@@ -21,6 +21,9 @@ class SaturationSettings:
         at_rest: distance of the extreme value from the first ones, as a fraction of the range.
         gap: largest number of samples between two at the extreme value that are counted as saturated.
         coarse: progress of the other channel, in its last digits.
+        noisy: deviation of the noise before a run, in last digits, above which equal values are no measurement: with 2
+            digits the next value is equal with a probability of 0.2, and four more are with one of 0.002.
+        noise_from: samples before a run from which that noise is known.
     """
 
     fewest: int = 5
@@ -32,6 +35,8 @@ class SaturationSettings:
     gap: int = 3
     at_rest: float = 0.1
     coarse: float = 4.0
+    noisy: float = 2.0
+    noise_from: int = 12
 
 
 SETTINGS = SaturationSettings()
@@ -53,18 +58,20 @@ class SaturatedRun:
 
 
 def find_saturation(values: np.ndarray, other: np.ndarray, time: np.ndarray | None = None, *, rounding: float = 0.0,
-                    settings: SaturationSettings = SETTINGS) -> tuple[SaturatedRun, ...]:
+                    is_free: bool = False, settings: SaturationSettings = SETTINGS) -> tuple[SaturatedRun, ...]:
     """Find where a channel is cut off at its largest or smallest value.
 
     A run of equal extreme values is saturation if the other channel continues in its direction at no less than half of
     its rate before, and the channel would have changed clearly at its rate before. Holds, coarse sensors, air, creep at
-    a constant force and ruptures are none.
+    a constant force and ruptures are none. Where the channel has a noise of several digits before the run, equal values
+    are no measurement, and the other channel needs only continue.
 
     Args:
         values: of the channel in the order of time, any unit and sign, shape (n,).
         other: the channel that continues: the motion of a load, the load of a motion, shape (n,).
         time: s, shape (n,); None: even steps.
         rounding: width of the interval in which values count as equal, of values that are computed from rounded ones.
+        is_free: whether the channel is known not to be controlled, so that no hold keeps it equal.
     """
     clock = np.arange(values.size, dtype=float) if time is None else time
     steps = np.abs(np.diff(values))
@@ -84,9 +91,28 @@ def find_saturation(values: np.ndarray, other: np.ndarray, time: np.ndarray | No
             continue
         for run in _runs(np.flatnonzero(side * values >= side * extreme - rounding), settings):
             least = max(missing, digit * _smooth_maximum(run.count, settings))
-            if _is_saturated(run, side * values, other, clock, least, travel, settings):
+            is_equal = is_free or _is_noisy_before(run, values, rounding, settings)
+            if (is_equal and _continues(run, other, travel)) or _is_saturated(run, side * values, other, clock, least,
+                                                                             travel, settings):
                 found.append(run)
     return tuple(sorted(found, key=lambda run: run.first))
+
+
+def _is_noisy_before(run: SaturatedRun, values: np.ndarray, rounding: float, settings: SaturationSettings) -> bool:
+    """Whether the samples before a run scatter by several of their last digits, or widths of the rounding."""
+    if run.first < settings.noise_from:
+        return False
+    before = values[:run.first]
+    digit = max(last_digit(values), rounding)
+    # Curves and steps bend, too: the third differences of a smooth curve are small.
+    noise = float(np.median(np.abs(np.diff(before, 3)))) / (0.6745 * np.sqrt(20.0))
+    return 0.0 < settings.noisy * digit <= noise
+
+
+def _continues(run: SaturatedRun, other: np.ndarray, travel: float) -> bool:
+    """Whether the other channel changes more than `travel` along a run, away from its start."""
+    along = other[run.first:run.last + 1] - other[run.first]
+    return bool(abs(along[-1]) > travel and abs(along[-1]) >= 0.5 * float(np.ptp(along)))
 
 
 def _smooth_maximum(count: int, settings: SaturationSettings) -> float:

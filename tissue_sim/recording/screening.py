@@ -14,6 +14,8 @@ CREEPS = 0.02
 LOSES = 0.05
 #: Estimated relative error of an elastic modulus by relaxation or creep during the loading, above which it is wrong.
 RATE_ERROR = 0.05
+#: A load without noise, in words; {} is the number of its samples.
+EQUAL_LOAD = "the load is equal to the last digit in {} samples while the displacement grows"
 #: The remedy where a material relaxes, creeps or dissipates.
 VISCOELASTIC_REMEDY = "state viscoelastic.terms[0].g and viscoelastic.terms[0].tau_s in [fit.start]"
 
@@ -89,6 +91,8 @@ class Control:
         loading: number of samples of the first loading before the first hold or creep.
         time_constant: s (samples without time), in which 63 % of the relaxation or creep takes place; None without one.
         loading_time: s (samples), from the first sample to the largest displacement, or to the start of the creep.
+        equal_samples: number of samples of the longest creep whose load is equal to the last digit, where that digit is
+            much finer than a controller holds a load; 0 elsewhere, and where the user states the quantity.
     """
 
     quantity: Literal["displacement", "force"] | None
@@ -100,6 +104,7 @@ class Control:
     loading: int = 0
     time_constant: float | None = None
     loading_time: float = 0.0
+    equal_samples: int = 0
 
     @property
     def rate_error(self) -> float:
@@ -127,6 +132,13 @@ class Control:
         recording is not seen: half of the limit applies.
         """
         return not self.dissipates and self.rate_error <= (0.5 if self.pattern == "creep" else 1.0) * RATE_ERROR
+
+    @property
+    def doubt(self) -> str:
+        """The two explanations of a load that is equal to its last digit, and the remedy; empty where it is not."""
+        return "" if not self.equal_samples else (
+            f"{EQUAL_LOAD.format(self.equal_samples)}: the force is held and the column holds its set value (control = "
+            "\"force\" in the test), or the load cell is saturated (control = \"displacement\")")
 
     @property
     def sentence(self) -> str:
@@ -195,8 +207,9 @@ class Screening:
         """The remarks by which the moduli of an elastic fit are wrong or doubtful."""
         found = [] if self.preload is None or self.preload.is_settled else [self.preload.sentence]
         found += self.doubts
-        if self.control is not None and not self.control.is_elastic:
-            found.append(self.control.sentence)
+        if self.control is not None:
+            found += [self.control.doubt] if self.control.doubt else []
+            found += [] if self.control.is_elastic else [self.control.sentence]
         return tuple(found)
 
 

@@ -24,7 +24,7 @@ _CHANNELS = {"time": "time", "displacement": "displacement", "force": "force", "
 #: Sizes of a specimen that are allowed without --shape.
 _GENERAL_SIZES = ("radius_mm", "area_mm2", "height_mm")
 #: Flags that become keys of the tests in the campaign.
-_TEST_KEYS = ("tool", "tool_radius_mm", "friction", "speed_mm_s", "max_strain")
+_TEST_KEYS = ("tool", "tool_radius_mm", "friction", "speed_mm_s", "max_strain", "control")
 
 
 def add_arguments(parser: Parser) -> None:
@@ -56,6 +56,9 @@ def add_arguments(parser: Parser) -> None:
     test.add_argument("--speed-mm-s", type=positive, metavar="N",
                       help="constant speed of the test, for files without a time or displacement column")
     test.add_argument("--max-strain", type=positive, metavar="N", help="largest strain used in the fit")
+    test.add_argument("--control", choices=("displacement", "force"),
+                      help="quantity that the machine controls: a force that stays equal to the last digit is held, or "
+                           "its sensor is saturated (default: determined from the curve)")
     test.add_argument("--zero", choices=("preload", "sensor"),
                       help="reason for a force at zero displacement: the displacement was zeroed at a preload, or the "
                            "sensor was not zeroed (default: determined from the curve)")
