@@ -15,6 +15,8 @@ from tissue_sim.units import known_unit, loose_header
 
 #: A word: two letters or more.
 _WORD = re.compile(r"[^\W\d_]{2}")
+#: A cell as short as a unit.
+_SHORT = re.compile(r"^\S{1,8}$")
 #: Rows by which columns of numbers are told from others.
 _EXAMINED = 50
 #: Steps of the first column between the rows above and below a row of text in one table.
@@ -172,6 +174,13 @@ def is_unit_row(row: Row, places: Sequence[int]) -> bool:
     """Whether cells at the places hold units, all of them that hold anything; a bracket says so of any word."""
     cells = [row.cells[place] for place in places if place < len(row.cells) and row.cells[place]]
     return bool(cells) and all(known_unit(cell) or cell[0] in "[(" for cell in cells)
+
+
+def is_mostly_units(row: Row, places: Sequence[int]) -> bool:
+    """Whether at least two cells at the places, and half of them, hold units, and the others a short word."""
+    cells = [row.cells[place] for place in places if place < len(row.cells) and row.cells[place]]
+    known = sum(known_unit(cell) is not None for cell in cells)
+    return known >= max(2, 0.5 * len(cells)) and all(_SHORT.match(cell) and not is_number(cell) for cell in cells)
 
 
 def _runs(rows: Iterable[Row], places: Sequence[int]) -> list[list[Row]]:

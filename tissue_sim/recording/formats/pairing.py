@@ -19,6 +19,7 @@ from tissue_sim.recording.formats.sizes import size_signature, sizes_without_uni
 from tissue_sim.recording.formats.sources import Numbers
 from tissue_sim.recording.formats.speed_text import speeds_in
 from tissue_sim.recording.formats.statements import constant_columns
+from tissue_sim.recording.formats.temperature import has_temperature
 from tissue_sim.recording.formats.vocabulary import Machine, plain, role_of, source_of
 from tissue_sim.recording.measures import ENGINEERING, MEASURES, measure_of
 from tissue_sim.recording.recording import CHANNELS
@@ -112,7 +113,7 @@ def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated, state
             continue
         time = chosen.get("time", time)
         wanted = {**({"time": time} if time is not None else {}), **{role: chosen[role] for role in pair},
-                  **({"temperature": chosen["temperature"]} if "temperature" in chosen else {})}
+                  **({"temperature": chosen["temperature"]} if has_temperature(numbers, chosen) else {})}
         rank = {each.place: each.rank for each in part}
         columns = tuple(replace(_column(numbers, place, role, machine, stated), rank=rank.get(place, 0))
                         for role, place in wanted.items())

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tissue_sim.errors import InputError
 from tissue_sim.files import decode_text, read_bytes
-from tissue_sim.recording.formats.blocks import begins_with_word, is_unit_row
+from tissue_sim.recording.formats.blocks import begins_with_word, is_mostly_units, is_unit_row
 from tissue_sim.recording.formats.cell_units import without_cell_units
 from tissue_sim.recording.formats.columns import Sheets, check_delimiter
 from tissue_sim.recording.formats.containers import is_container, read_container
@@ -190,9 +190,10 @@ def _of_table(table: Table) -> Iterator[Numbers]:
 def _names(above: list[Row], columns: Sequence[int]) -> tuple[Row | None, Row | None, int]:
     """Rows of names and units right above the numbers, and how many rows stand above both."""
     header, units, rest = None, None, len(above)
-    for row in reversed(above[-3:]):
+    for number, row in enumerate(reversed(above[-3:]), start=1):
         named = [i for i in columns if i < len(row.cells) and row.cells[i] and not is_number(row.cells[i])]
-        if units is None and named and is_unit_row(row, columns):
+        if units is None and named and (is_unit_row(row, columns) or (
+                header is None and is_mostly_units(row, columns) and _names_columns(above[:-number], columns))):
             units = row
         elif header is None and not _states_size(row) and 2 * len(named) >= len(columns) and len(named) >= 2:
             header = row
@@ -202,6 +203,12 @@ def _names(above: list[Row], columns: Sequence[int]) -> tuple[Row | None, Row | 
         if header is not None and units is not None:
             break
     return header, units, rest
+
+
+def _names_columns(above: Sequence[Row], columns: Sequence[int]) -> bool:
+    """Whether the last row has a name for each of the columns."""
+    return bool(above) and all(i < len(above[-1].cells) and above[-1].cells[i] and not is_number(above[-1].cells[i])
+                               for i in columns)
 
 
 def _states_size(row: Row) -> bool:

@@ -1,0 +1,24 @@
+"""A temperature in a file of measurements, which a test may have and does not need."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from tissue_sim.recording.formats.number_text import is_number
+from tissue_sim.recording.formats.sources import Numbers
+from tissue_sim.units import quantity_of
+
+
+def has_temperature(numbers: Numbers, places: Mapping[str, int]) -> bool:
+    """Whether a table has a temperature that can be read in all its rows.
+
+    Args:
+        places: role of a column -> its place, from 0.
+    """
+    if "temperature" not in places:
+        return False
+    place = places["temperature"]
+    unit = numbers.unit(place)
+    if unit is not None and quantity_of(unit) != "temperature":
+        return False
+    return all(place < len(row.cells) and is_number(row.cells[place]) for row in numbers.rows)
