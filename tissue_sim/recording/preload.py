@@ -16,6 +16,9 @@ _FEWEST = 6
 _ELSEWHERE = 0.05
 #: Load at zero as a fraction of the range, above which the moduli err by more than 4 %.
 _FRACTION = 0.02
+#: Motion between neighbours of a hold, as a fraction of the range, and fewest of its samples.
+_STILL = 1e-3
+_HOLD = 5
 #: Load at zero in standard errors of its estimate.
 _SIGNIFICANT = 6.0
 
@@ -37,7 +40,7 @@ def load_at_zero(motion: np.ndarray, load: np.ndarray) -> LoadAtZero | None:
     Args:
         motion, load: positive under load, the motion from its zero, in the order of time, shape (n,).
     """
-    peak = int(np.argmax(motion)) + 1
+    peak = _before_relaxation(motion, load, int(np.argmax(motion)) + 1)
     reach = float(np.ptp(motion))
     if peak < _FEWEST or not reach > 0 or not np.ptp(load) > 0 or abs(motion[0]) > _ELSEWHERE * reach:
         return None
@@ -55,6 +58,20 @@ def load_at_zero(motion: np.ndarray, load: np.ndarray) -> LoadAtZero | None:
         if _SIGNIFICANT * error <= _FRACTION * range_of_load:
             return None
     return None
+
+
+def _before_relaxation(motion: np.ndarray, load: np.ndarray, end: int) -> int:
+    """Number of samples up to the first hold of the motion in which the load relaxes; `end` without such a hold.
+
+    From there on the load is no function of the motion alone, and no curve through it shows the load at zero.
+    """
+    still = np.abs(np.diff(motion[:end])) < _STILL * float(np.ptp(motion))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
+    for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        lost = float(np.median(load[first:first + 2]) - np.median(load[last - 1:last + 1]))
+        if last - first >= _HOLD and lost > _FRACTION * float(np.ptp(load)):
+            return first + 1
+    return end
 
 
 def _intercept(way: np.ndarray, felt: np.ndarray, degree: int) -> tuple[float, float]:
