@@ -174,8 +174,10 @@ class _Reference:
 
     def _step(self, pose: Pose, dt: float) -> None:
         answer = self._answer = self._simulator.step(pose, dt)
-        # A later equilibrium of tissue that depends on its path is no truth after one that is missing.
-        self._is_known &= answer.status is ts.ForceStatus.CONVERGED
+        # A later equilibrium of tissue that depends on its path is no truth after one that is missing. Where the tissue
+        # has mass, an equilibrium in the same ticks is the truth, also if its waves make it LATE.
+        is_equilibrium = answer.status is ts.ForceStatus.LATE and answer.age == 0.0 and self._has_mass
+        self._is_known &= answer.status is ts.ForceStatus.CONVERGED or is_equilibrium
 
     def _truth(self, factor: float) -> Truth:
         answer = self._answer

@@ -23,6 +23,7 @@ from tissue_sim.tool_force import (
     shortened,
 )
 from tissue_sim.tool_track import ToolTrack, fraction_in_air
+from tissue_sim.wave_error import WaveScale
 
 #: Linear solutions of a part of a step that begins with an extrapolation (True) or without one.
 _MOST_SOLVES = {True: 6, False: 30}
@@ -38,9 +39,6 @@ _ROUNDING = 1e-9
 _SMALLEST_CUT = 2.0**-8
 #: Late ticks are merged if their poses are on one line up to this fraction of the largest part.
 _STRAIGHT = 2.0**-8
-#: Force of waves over the largest force so far above which an equilibrium of merged ticks is not CONVERGED; about the
-#: error of the coarsest mesh for real time.
-_WAVE = 0.02
 #: Below this fraction of the largest part the tissue creeps past a part that fails.
 _CREEPS = 0.5
 #: Linear solutions of a step of a creep.
@@ -88,13 +86,14 @@ class PathFollower:
     _left: float
     _largest_force: float
     _error_floor: float
+    _wave_scale: WaveScale
     _stiffness_lasts: int
     _weighs: bool
     _bonded: bool
     _keeps_path: bool
     _pulls: bool
     _leaps: bool
-    _is_long: bool
+    _has_waves: bool
     _begins: bool
     _has_warned: bool
     _extrapolates: bool
@@ -253,11 +252,8 @@ class PathFollower:
                 continue
             attempt, self._attempt = replace(attempt, spent=attempt.spent + step.iterations), None
             if step.status is StepStatus.CONVERGED:
-                before = self._equilibrium
                 self._take(step, dt, weighs)
-                if weighs and (first.is_merged or allowance.is_bounded):
-                    explained = carried_on(before.wrench, before.stiffness, motion(here, target))
-                    self._estimate_wave(explained, dt, is_merged=first.is_merged)
+                self._estimate_waves(motion(here, target), dt, weighs=weighs)
                 self._share, self._extrapolates = min(1.0, 2.0 * self._share), True
                 is_timed = inertial or solver.relaxes
                 is_over = self._leaps or not is_timed or first.dt - dt <= _ROUNDING * first.dt
@@ -267,6 +263,9 @@ class PathFollower:
                     # The motion to the first pose is unknown: the tissue is at rest there.
                     solver.stand_still()
                     self._begins = False
+                elif inertial and (creep is not None or self._leaps):
+                    # The tissue was brought to rest without its mass: its waves are lost.
+                    pending.lost = LINGERS
                 if not pending.ticks:
                     self._leaps, self._anew, status = False, not self._bonded, ForceStatus.CONVERGED
             elif creep is None and step.status is StepStatus.SLOW and allowed < most:
@@ -303,24 +302,22 @@ class PathFollower:
             pending.give_up()
         return self._answered(pose, tick, status, outside, solves, residual, began)
 
-    def _estimate_wave(self, explained: Screw, dt: float, *, is_merged: bool) -> None:
-        """Estimate the force of waves in tissue with mass, and with it the error of a step in which ticks were merged.
+    def _estimate_waves(self, way: Screw, dt: float, *, weighs: bool) -> None:
+        """Estimate the error of the force by waves in tissue with mass that a step does not resolve.
 
-        The force of a wave depends on the length of the time step. The part of the force that the last force and the
-        tissue's own stiffness do not explain is that of a wave. A wave lasts for several steps and can pass through
-        zero in one of them: earlier waves count with a decay of the time constant `LINGERS`.
+        Steps that replace several ticks are longer and resolve less; the estimate holds for them as for any step.
 
         Args:
-            explained: force and torque without waves, N and N m.
+            way: motion of the tool, m and rad.
             dt: time of the step, s.
-            is_merged: whether the step replaces several ticks.
+            weighs: whether the mass counts.
         """
-        path = self._pending
-        path.wave = max(math.dist(self._equilibrium.wrench[:3], explained[:3]),
-                        path.wave * max(0.0, 1.0 - dt / LINGERS))
-        if is_merged:
-            self.error = path.wave + (self.error or 0.0)
-            self._is_long = path.wave > _WAVE * self._largest_force
+        waves, at, scale = self._pending.waves, self._equilibrium, self._wave_scale
+        if not weighs or at.step_stiffness is None:
+            waves.rest(None if self._is_unloaded else way, dt)
+            return
+        waves.advance(at.stiffness, at.step_stiffness, way, dt, scale)
+        self._has_waves = waves.is_supersonic or not is_known_well(at.wrench, waves.force, scale.floor)
 
     def _straightness(self, inertial: bool) -> float:
         """How far late poses of the tool may be from one line that replaces them, m."""
@@ -352,14 +349,16 @@ class PathFollower:
         if status is ForceStatus.CONVERGED:
             ahead = self._ahead(tick) if self.looks_ahead and at.inertial and tick > 0.0 else None
             within = at.step_stiffness
-            if self._pending.lost > 0.0 or self._is_long or not is_known_well(wrench, self.error, self._error_floor):
+            if self._pending.lost > 0.0 or self._has_waves or not is_known_well(wrench, self.error, self._error_floor):
                 status = ForceStatus.LATE
         elif not outside:
             # Mass resists the acceleration within a step, not a steady motion.
             wrench = self._carried_on(wrench, motion(at.pose, pose))
             if status is ForceStatus.STOPPED:
                 wrench = shortened(wrench, self._largest_force + force_of_increment(at.stiffness, self._largest_part))
-        error = self.error if status is not ForceStatus.STOPPED else None
+        # An equilibrium without the waves of the tissue says nothing about their force.
+        is_unknown = self.error is None or status is ForceStatus.STOPPED or self._pending.lost > 0.0
+        error = None if is_unknown else self.error + self._pending.waves.force
         return ToolForce(wrench, at.stiffness, status, solves, residual, time.perf_counter() - began, at.inertial,
                          waiting, at.pose if tool.twist is None else tool.given(at.pose), ahead, within,
                          at.stiffness_time + waiting, error, waiting, True,
@@ -377,7 +376,7 @@ class PathFollower:
 
     def _take(self, step: Step, dt: float, inertial: bool) -> None:
         """Keep the answer of an equilibrium."""
-        self._is_long = False
+        self._has_waves = False
         left = self._left = self._reduced.go(self._solver.pose.depth, dt)
         at = self._equilibrium = self._equilibrium.followed_by(step, self._solver.pose, left, inertial, dt)
         x, y, z, *_ = at.wrench

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, replace
 
 from tissue_sim.pose import Pose, between, motion
+from tissue_sim.wave_error import WaveError
 
 #: Largest number of ticks that are followed one by one. The oldest ones beyond it are merged.
 MOST_TICKS = 32
@@ -24,13 +25,11 @@ class Tick:
         pose: where it ends.
         dt: its time, s.
         touches: whether the tool is in the air until then and meets tissue in the next tick; see `FreeTool.meet`.
-        is_merged: whether it replaces several ticks.
     """
 
     pose: Pose
     dt: float
     touches: bool = False
-    is_merged: bool = False
 
 
 class PendingPath:
@@ -41,20 +40,20 @@ class PendingPath:
         meets: whether the tool meets tissue in the next increment; see `FreeTool.meet`.
         lost: time for which an equilibrium is not that of the tool's own motion, since ticks that were not on one line
             were merged, s.
-        wave: force of the waves that the last steps of tissue with mass have shown, which decays, N.
+        waves: error of the force by waves that the steps do not resolve.
     """
 
-    __slots__ = ("_spare", "lost", "meets", "ticks", "wave")
+    __slots__ = ("_spare", "lost", "meets", "ticks", "waves")
 
     def __init__(self) -> None:
         self.ticks: list[Tick] = []
-        self.meets, self.lost, self._spare, self.wave = False, 0.0, 0.0, 0.0
+        self.meets, self.lost, self._spare, self.waves = False, 0.0, 0.0, WaveError()
 
     def copy(self) -> PendingPath:
         """An independent copy, for saved states."""
         other = PendingPath()
         other.ticks, other.meets, other.lost, other._spare = list(self.ticks), self.meets, self.lost, self._spare
-        other.wave = self.wave
+        other.waves = self.waves.copy()
         return other
 
     @property
@@ -114,7 +113,7 @@ class PendingPath:
             count, self.lost = len(self.ticks) - MOST_TICKS + 1, lasts
         if count > 1:
             merged = self.ticks[:count]
-            self.ticks[:count] = [replace(merged[-1], dt=sum(tick.dt for tick in merged), is_merged=True)]
+            self.ticks[:count] = [replace(merged[-1], dt=sum(tick.dt for tick in merged))]
 
     def _straight(self, start: Pose, radius: float, tolerance: float, timed: bool) -> int:
         """Number of the first ticks in which the tool moves along one line."""

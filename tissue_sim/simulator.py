@@ -30,6 +30,7 @@ from tissue_sim.snapshot import Snapshot, snapshot
 from tissue_sim.step_clock import StepClock, require_solves
 from tissue_sim.tool_force import ForceStatus, ToolForce, error_floor
 from tissue_sim.tool_track import ToolTrack, is_on_axis
+from tissue_sim.wave_error import WaveScale
 
 #: Unbalanced over balanced forces at which an equilibrium is one.
 TOLERANCE = 1e-6
@@ -123,6 +124,7 @@ class Simulator(PathFollower, KernelOwner):
         # A turn counts as the way of a point at the edge of the contact.
         self._radius = model.experiment.contact_radius
         self._largest_part = LARGEST_PART * self._radius
+        self._wave_scale = WaveScale.of(model, self.density)
         self._error_floor = error_floor(model.material.mu0, self._radius)
         self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         # What the effects on the whole force left of it at the last equilibrium.
@@ -139,8 +141,8 @@ class Simulator(PathFollower, KernelOwner):
         self._pending, self._lingers, self._share = PendingPath(), math.inf, 1.0
         # Whether the tool is pressed on again after no other way was left: until then no time passes.
         self._leaps = False
-        # Whether the last equilibrium is one of merged ticks of tissue that swings.
-        self._is_long = False
+        # Whether waves that the last step did not resolve are too large a part of its force.
+        self._has_waves = False
         # An iteration to go on with; whether one may begin with an extrapolation; and whether the tool may be pressed
         # anew where no other way is left.
         self._attempt: Attempt | None = None
@@ -316,7 +318,7 @@ class Simulator(PathFollower, KernelOwner):
         self._pending, self._lingers, self._share = state.pending.copy(), state.lingers, state.share
         self._begins, self._largest_force = state.begins, state.largest_force
         self._motion_check, self._reduced.history = state.motion_check.copy(), state.history
-        self._attempt, self._extrapolates, self._anew, self._is_long = None, True, not self._bonded, False
+        self._attempt, self._extrapolates, self._anew, self._has_waves = None, True, not self._bonded, False
 
     @exclusive
     def clone(self) -> Simulator:

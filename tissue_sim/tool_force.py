@@ -91,7 +91,9 @@ class ForceStatus(IntEnum):
     - the tissue is in equilibrium with the tool at the pose of this step, within the tolerance, with the material that
       is set now;
     - the equilibrium is one of this time: no time and no part of the path is left to later steps;
-    - the estimated error of the force, where one is known, is at most `ERROR_SHARE` of the force, or `error_floor`.
+    - the estimated error of the force, where one is known, is at most `ERROR_SHARE` of the force, or `error_floor`;
+    - where the tissue has mass, the part of the error that unresolved waves have is at most `ERROR_SHARE` of the force,
+      or `tissue_sim.wave_error.WaveScale.floor`, the tool is slower than shear waves, and no wave was lost.
 
     It says nothing of the age of the stiffness (`ToolForce.stiffness_age`). An error that is not known is None, not 0.
     A tissue answers with the first four; the others belong to what is between a tissue and a hand

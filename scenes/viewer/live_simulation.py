@@ -255,10 +255,10 @@ def _warning_text(status: ForceStatus, last: np.void) -> str:
     """Return cause and remedy of a status; empty for an accurate equilibrium."""
     if _is_inaccurate(status, last):
         return (f"The force is in equilibrium, but its estimated error is {last['force_error']:.2g} N. "
-                "Use a finer mesh or a deeper indentation.")
+                "Use a finer mesh, a deeper indentation or a slower motion.")
     return "" if status is ForceStatus.CONVERGED else status.message
 
 
 def _is_inaccurate(status: ForceStatus, last: np.void) -> bool:
-    """Return whether the newest force is an equilibrium force whose estimated mesh error is too large."""
+    """Return whether the newest force is an equilibrium force whose estimated error is too large."""
     return status is ForceStatus.LATE and last["age"] == 0.0 and bool(np.isfinite(last["force_error"]))

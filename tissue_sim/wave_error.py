@@ -1,0 +1,136 @@
+"""Error of the force that is due to waves which the time steps do not resolve, in tissue with mass.
+
+The tissue that moves with the tool has the mass m = (k_step - k) dt2, with the stiffness k_step within a step and the
+stiffness k without mass. The inertial force of a step is f = d(m v)/dt. Backward differences of second order resolve f
+if f changes evenly from step to step. Otherwise a wave begins within the step: an impact, a stop, or nodes that come
+into contact. The history of its force within the step is unknown, so that the size of the force is the error there:
+the difference between f and its extrapolation of order zero or one, whichever is smaller.
+
+The impulse J = f dt of the wave is known. The wave leaves the contact within a time T and therefore has a force of
+about J / T. Under a tool that is small in comparison with the specimen this is a shear wave, T = a / c_s, with the
+radius a of the contact and c_s = sqrt(G / rho); between plates it is a pressure wave, T = H / c_p, with the height H
+and c_p = sqrt((K + 4/3 G) / rho). T cannot be shorter than a step. The boundaries of the specimen reflect the wave back
+to the contact. Waves of different origin add up in energy, not in amplitude. Their energy decays while the mass of the
+tissue counts; this decay stands for the damping, which the model does not have.
+
+A tool that is faster than the shear waves (v >= c_s) runs ahead of the deformation. The front before the tool has a
+strain of the order v / c_s >= 1, which no mesh of finite elements resolves, so that finer steps do not converge.
+
+Sources: Achenbach, Wave Propagation in Elastic Solids (1973), sections 1.3 and 2.10, for the impulse of a front and
+the speeds of waves; Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, sections II.4 and III.7, for
+error estimates from differences between steps and from the order with the smallest one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from tissue_sim.model import Model
+from tissue_sim.pose import Screw, Vector, scaled
+from tissue_sim.tool_force import ERROR_SHARE, Matrix
+
+#: Time constant of the decay of reflected waves, s. In elastic tissue, which has no damping, steps of 1 ms and of
+#: 0.1 ms still differ by the force of the wave 0.25 s after an impact.
+REVERBERATION = 0.3
+_AT_REST: Vector = (0.0, 0.0, 0.0)
+_STANDS: Screw = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class WaveScale:
+    """Time and speed of the waves under a tool.
+
+    Attributes:
+        duration: time in which a wave leaves the contact, s.
+        shear_speed: of shear waves, m/s.
+        floor: estimated error by waves that never rules out CONVERGED, N: the fraction `ERROR_SHARE` of the force at a
+            depth of an eighth of the radius. Waves let the force pass through zero, so that it is no scale of their
+            error.
+    """
+
+    duration: float
+    shear_speed: float
+    floor: float
+
+    @classmethod
+    def of(cls, model: Model, density: float) -> WaveScale:
+        """Of a model whose tissue has this density, kg/m3."""
+        experiment, material = model.experiment, model.material
+        shear_modulus = material.mu0
+        speed, radius = math.sqrt(shear_modulus / density), experiment.contact_radius
+        floor = ERROR_SHARE * shear_modulus * radius * radius
+        if not experiment.tool.is_plate:
+            return cls(radius / speed, speed, floor)
+        pressure_speed = math.sqrt((material.bulk_modulus + 4.0 / 3.0 * shear_modulus) / density)
+        return cls(experiment.specimen.height / pressure_speed, speed, floor)
+
+
+class WaveError:
+    """Estimate of the error of the force that is due to waves which the steps do not resolve.
+
+    Attributes:
+        force: the estimate at the last equilibrium, N.
+        is_supersonic: whether the tool was faster than the shear waves in the last step.
+    """
+
+    __slots__ = ("_dt", "_inertial", "_momentum", "_slope", "_square", "_velocity", "force", "is_supersonic")
+
+    def __init__(self) -> None:
+        self.force, self._square, self._dt, self.is_supersonic = 0.0, 0.0, math.inf, False
+        self._momentum: Vector | None = None
+        self._inertial, self._slope, self._velocity = _AT_REST, _AT_REST, _STANDS
+
+    def copy(self) -> WaveError:
+        """An independent copy, for saved states."""
+        other = WaveError()
+        for name in self.__slots__:
+            setattr(other, name, getattr(self, name))
+        return other
+
+    def rest(self, way: Screw | None, dt: float) -> None:
+        """Register a step in which the mass does not count.
+
+        Args:
+            way: motion of the tool, which tissue in contact follows, m and rad; None if there is no contact.
+            dt: time of the step, s.
+        """
+        self.force, self._square, self._dt, self.is_supersonic = 0.0, 0.0, math.inf, False
+        self._momentum, self._inertial, self._slope = None, _AT_REST, _AT_REST
+        self._velocity = scaled(1.0 / dt, way) if way is not None and dt > 0.0 else _STANDS
+
+    def advance(self, stiffness: Matrix, step_stiffness: Matrix, way: Screw, dt: float, scale: WaveScale) -> None:
+        """Register a step in which the mass counts.
+
+        Args:
+            stiffness, step_stiffness: without mass and within the step, as in a `ToolForce`.
+            way: motion of the tool in the step, m and rad.
+            dt: time of the step, s.
+            scale: of the shear waves.
+        """
+        momentum = _momentum(stiffness, step_stiffness, way, dt)
+        before = self._momentum
+        if before is None:
+            before = _momentum(stiffness, step_stiffness, scaled(dt, self._velocity), dt)
+        inertial = _rate(momentum, before, dt)
+        slope = _rate(inertial, self._inertial, dt)
+        # A force of a step that was shorter has lasted for the time of that step only.
+        lasts = min(dt, self._dt)
+        change = lasts * min(math.hypot(*slope), math.dist(slope, self._slope))
+        self._momentum, self._inertial, self._slope, self._dt = momentum, inertial, slope, dt
+        impulse = change * lasts
+        self._square = self._square * math.exp(-2.0 * dt / REVERBERATION) + impulse * impulse
+        self.force = max(change, math.sqrt(self._square) / max(scale.duration, dt))
+        self.is_supersonic = math.hypot(*way[:3]) >= scale.shear_speed * dt
+
+
+def _momentum(stiffness: Matrix, step_stiffness: Matrix, way: Screw, dt: float) -> Vector:
+    """Momentum of the tissue that moves with the tool, N s, along the three axes."""
+    x, y, z = (0.0 if own is within else dt * sum((b - a) * part for a, b, part in zip(own, within, way, strict=True))
+               for own, within in zip(stiffness[:3], step_stiffness[:3], strict=True))
+    return (x, y, z)
+
+
+def _rate(now: Vector, before: Vector, dt: float) -> Vector:
+    """Change per time."""
+    return (now[0] - before[0]) / dt, (now[1] - before[1]) / dt, (now[2] - before[2]) / dt
