@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.laws.derivation import derived
-from tissue_sim.public_names import ModuleOnUse
+from tissue_sim.public_names import LazyModule
 
 if TYPE_CHECKING:
     import sympy as sp
 else:
-    sp = ModuleOnUse("sympy")
+    sp = LazyModule("sympy")
 
 #: Around J = 1 a series starts Newton's iteration for a cube root well; further away it need not converge.
 _NEAR = 0.3

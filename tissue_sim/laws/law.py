@@ -16,12 +16,12 @@ import numpy as np
 
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.laws.derivation import derived, printed
-from tissue_sim.public_names import ModuleOnUse
+from tissue_sim.public_names import LazyModule
 
 if TYPE_CHECKING:
     import sympy as sp
 else:
-    sp = ModuleOnUse("sympy")
+    sp = LazyModule("sympy")
 
 #: Homogeneous incompressible deformations: mode -> (principal stretches of lambda, work-conjugate factor of P).
 _MODES = {
