@@ -218,7 +218,7 @@ class PathFollower:
             target, dt = between(here, first.pose, share), 0.0 if self._leaps else share * first.dt
             if (attempt := self._attempt) is not None:
                 target, dt = attempt.pose, attempt.dt
-            elif creep is None and not solver.takes(target):
+            elif creep is None and not solver.accepts_pose(target):
                 status, outside = ForceStatus.STOPPED, True
                 break
             weighs = inertial and dt > 0.0 and creep is None
@@ -296,7 +296,7 @@ class PathFollower:
                     self._share, self._leaps, self._anew = 1.0, True, False
                 elif self._share < _SMALLEST_CUT:
                     self._share, self._anew, status = _SMALLEST_CUT, not self._bonded, ForceStatus.STOPPED
-        if status is ForceStatus.LATE and not solver.takes(pose):
+        if status is ForceStatus.LATE and not solver.accepts_pose(pose):
             # Extrapolate to the last pose that the tool may have; no force is estimated beyond it.
             status, outside = ForceStatus.STOPPED, True
         if status is ForceStatus.STOPPED:

@@ -1,4 +1,4 @@
-"""Public names: lazy imports of packages and modules, and old names that give a `DeprecationWarning` for one release."""
+"""Public names: lazy imports of packages and modules; old names that give a `DeprecationWarning` for one release."""
 
 from __future__ import annotations
 

@@ -150,7 +150,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
         _note_largest(report, step)
         wrenches.append(drive.arrive(step.wrench, dt))
         if (size := math.hypot(*wrenches[-1][:3])) >= largest:
-            largest, report["warnings"] = size, list(tissue.doubts())
+            largest, report["warnings"] = size, list(tissue.warnings())
         travels.append(drive.travel)
         if watch:
             watch.sample(tissue, drive.share)
@@ -176,15 +176,15 @@ def _compare(tissue: Solver, model: Model, force: np.ndarray, solver: str, resol
     """By how much a force (N, of each sample) errs, from the same test in other steps on another mesh; where that is
     worth a warning, from one with steps half as long there too. None where the solver knows no other mesh, or
     the tool does not get through to a sample there."""
-    comparison, protocol = tissue.comparison(resolution), model.experiment.protocol
-    if comparison is None:
+    estimate, protocol = tissue.error_estimate(resolution), model.experiment.protocol
+    if estimate is None:
         return None
 
     def forces(places: np.ndarray) -> np.ndarray:
         other, solves = [], 0
         along = replace(model, experiment=replace(model.experiment, protocol=protocol.at(places)))
         try:
-            drive = _Drive(SOLVERS.find(solver, "solver")(along, resolution=comparison.resolution, topology=topology),
+            drive = _Drive(SOLVERS.find(solver, "solver")(along, resolution=estimate.resolution, topology=topology),
                            along, tolerance=_ROUGH)
         except ConvergenceError:
             return np.zeros(0)
@@ -199,13 +199,13 @@ def _compare(tissue: Solver, model: Model, force: np.ndarray, solver: str, resol
     places = other_steps(protocol.displacement)
     other = forces(places)
     common = np.flatnonzero(places[:other.size] % 1.0 == 0.0)
-    found = force_error(force, places[common].astype(int), other[common], comparison.share)
+    found = force_error(force, places[common].astype(int), other[common], estimate.fraction)
     if found is None or found.share <= WORTH_A_WARNING:
         return found
     # A step in which contact begins anew may err by many times more than one half as long. An error that is in
     # proportion to the length, and that of the mesh, are no more than twice what steps half as long differ by.
     other = forces(0.5 * np.arange(2 * protocol.time.size - 1))[::2]
-    again = force_error(force, np.arange(force.size), other, 2.0 * comparison.share, shorter=True)
+    again = force_error(force, np.arange(force.size), other, 2.0 * estimate.fraction, shorter=True)
     return again if again is not None and other.size == force.size and again.share < found.share else found
 
 
@@ -324,7 +324,7 @@ class _Drive:
         yield replace(step, status=StepStatus.SLOW, iterations=0)
 
     def _pose(self, travel: float) -> Pose:
-        return self._solver.follow(self._experiment.tool_pose(travel))
+        return self._solver.project_pose(self._experiment.tool_pose(travel))
 
 
 def _approach(solver: Solver, target: Pose, dt: float = 0.0, **options: Any) -> Iterator[Step]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.explicit_coupling import MotionCheck
-from tissue_sim.fem.solver import SOLVERS, Rung, Surface
+from tissue_sim.fem.solver import SOLVERS, ResolutionLevel, Surface
 from tissue_sim.kernel_owner import KernelOwner, busy, exclusive
 from tissue_sim.live_material import require_live, require_same_layers, require_tissue
 from tissue_sim.material.effect import ReducedForce
@@ -24,7 +24,7 @@ from tissue_sim.parameters import with_values
 from tissue_sim.path_following import LARGEST_PART, PathFollower
 from tissue_sim.pending_path import PendingPath
 from tissue_sim.pose import Pose
-from tissue_sim.realtime_ladder import choose, measure_tick
+from tissue_sim.realtime_ladder import choose_level, measure_tick
 from tissue_sim.simulator_state import AT_REST, NEVER, Attempt, Creep, SimulatorState, StateOrigin
 from tissue_sim.snapshot import Snapshot, snapshot
 from tissue_sim.step_clock import StepClock, require_solves
@@ -37,8 +37,8 @@ TOLERANCE = 1e-6
 DENSITY = 1000.0
 #: Inertial steps after which the stiffness of the tissue without its mass is computed again, by a linear solution.
 _STIFFNESS_LASTS = 5
-#: Number of the rung of the ladder of meshes that is tried first.
-_FIRST_RUNG = 1
+#: Number of the level of the ladder of meshes that is tried first.
+_FIRST_LEVEL = 1
 
 
 class Simulator(PathFollower, KernelOwner):
@@ -104,11 +104,11 @@ class Simulator(PathFollower, KernelOwner):
         self.looks_ahead, self.strict_axis, self.limits = looks_ahead, strict_axis, limits or MotionLimits()
         self._made_of, self._guard = (model, mesh), threading.RLock()
         self._solver = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh)
-        self._solver_name, rungs = solver, () if mesh is not None else self._solver.realtime_rungs(model)
+        self._solver_name, levels = solver, () if mesh is not None else self._solver.realtime_levels(model)
         #: To choose from.
-        self._rungs = rungs if resolution == "realtime" and budget is not None else ()
+        self._levels = levels if resolution == "realtime" and budget is not None else ()
         self.resolution = "own mesh" if mesh is not None else resolution
-        self.force_error = {rung.resolution: rung.force_error for rung in rungs}.get(resolution)
+        self.force_error = {level.resolution: level.force_error for level in levels}.get(resolution)
         self._solver.ask_for_stiffness()
         self.density = model.experiment.specimen.density or model.material.density or DENSITY
         # Whether the solver knows of mass.
@@ -170,35 +170,35 @@ class Simulator(PathFollower, KernelOwner):
         """Compile what a step needs, or load it from the cache, choose a mesh where there is one to choose, and leave
         the state as it is. Takes seconds the first time on a computer; call it before the first step."""
         self._compile()
-        if self._rungs:
+        if self._levels:
             self._choose_mesh()
 
     def _choose_mesh(self) -> None:
         """Take the finest mesh whose ticks fit into the budget, once."""
-        rungs, self._rungs = self._rungs, ()
+        levels, self._levels = self._levels, ()
         depth = float(np.max(self.model.experiment.protocol.displacement))
         made: dict[str, Simulator] = {}
 
-        def tick_of(rung: Rung) -> float:
+        def tick_of(level: ResolutionLevel) -> float:
             try:
-                one = Simulator(self.model, resolution=rung.resolution, inertia=self.inertia, tolerance=self.tolerance,
+                one = Simulator(self.model, resolution=level.resolution, inertia=self.inertia, tolerance=self.tolerance,
                                 solver=self._solver_name, looks_ahead=self.looks_ahead)
             except ConvergenceError:  # a specimen that stands under its own weight on finer meshes only
                 return math.inf
-            made[rung.resolution] = one
+            made[level.resolution] = one
             one._compile()
             one._stiffness_lasts = NEVER  # it has time where there is some
             tick = measure_tick(one, depth, lifts=not self._bonded, budget=self.budget or math.inf)
             one.reset()
             return tick
 
-        rung = choose(rungs, _FIRST_RUNG, self.budget or math.inf, tick_of)
-        if rung.resolution not in made:
+        level = choose_level(levels, _FIRST_LEVEL, self.budget or math.inf, tick_of)
+        if level.resolution not in made:
             return
-        one = made[rung.resolution]
+        one = made[level.resolution]
         self._solver, self._clock, self._solve, self._start = one._solver, one._clock, one._solve, one._start
         self._origin = one._origin
-        self.resolution, self.force_error = rung.resolution, rung.force_error
+        self.resolution, self.force_error = level.resolution, level.force_error
         self.restore(self._start)
 
     def _compile(self) -> None:
@@ -251,7 +251,7 @@ class Simulator(PathFollower, KernelOwner):
         except LimitError:
             return self._refused(began)
         seen = tool.untwisted(pose)
-        target = solver.follow(seen)
+        target = solver.project_pose(seen)
         on_axis = target is seen or is_on_axis(pose, target, self._radius)
         if not on_axis and self.strict_axis:
             return replace(self._refused(began), is_on_axis=False)
@@ -331,7 +331,7 @@ class Simulator(PathFollower, KernelOwner):
                            solver=self._solver_name, looks_ahead=self.looks_ahead, max_solves=self._most,
                            strict_axis=self.strict_axis, limits=self.limits)
         other.resolution, other.force_error, other.budget = self.resolution, self.force_error, self.budget
-        other._rungs, other._solve, other._clock = self._rungs, self._solve, copy(self._clock)
+        other._levels, other._solve, other._clock = self._levels, self._solve, copy(self._clock)
         other._start, other._left, other._stiffness_lasts = self._start, self._left, self._stiffness_lasts
         if self.model is not model:
             other._set_material(self.model.material)

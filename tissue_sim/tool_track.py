@@ -51,7 +51,7 @@ class ToolTrack:
 
     def seen_by(self, solver: Solver, pose: Pose) -> Pose:
         """The pose that the solver gets."""
-        return solver.follow(self.untwisted(pose))
+        return solver.project_pose(self.untwisted(pose))
 
     def given(self, pose: Pose) -> Pose:
         """Inverse of `untwisted`, for a pose of the solver."""
@@ -113,7 +113,7 @@ def fraction_in_air(solver: Solver, before: Pose, pose: Pose) -> float:
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        clearance = solver.clearance(solver.follow(between(before, pose, middle)))
+        clearance = solver.clearance(solver.project_pose(between(before, pose, middle)))
         low, high = (middle, high) if clearance is not None and clearance > 0.0 else (low, middle)
     return low
 

@@ -59,7 +59,7 @@ class Snapshots:
     Attributes:
         displacements: of all freedoms at each pose, from where nobody touches it, m, shape (poses, freedoms).
         wrenches: on the tool, N and N m, shape (poses, 6).
-        doubts: see `Solver.doubts`, where the force is largest; not kept in files.
+        doubts: see `Solver.warnings`, where the force is largest; not kept in files.
     """
 
     displacements: np.ndarray
@@ -100,7 +100,7 @@ def snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Sequence[np
         displacements.append(solver.sample().displacement.ravel() - rest)
         wrenches.append(step.wrench)
         if (size := math.hypot(*step.wrench[:3])) > largest:
-            largest, doubts = size, solver.doubts()
+            largest, doubts = size, solver.warnings()
     return Snapshots(np.array(displacements), np.array(wrenches), doubts)
 
 
@@ -260,7 +260,7 @@ def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
         ``force_rms_error`` and ``force_largest_error`` over the rms force of the whole with the same material, the rms
         force of all, ``force_rms_N``, and
         ``not_converged``, the share of steps that were not, and where the whole solid has some ``warnings`` (see
-        `Solver.doubts`); and ``error_factors`` that fit, see `ReducedModel`.
+        `Solver.warnings`); and ``error_factors`` that fit, see `ReducedModel`.
     """
     from scipy.optimize import nnls
 

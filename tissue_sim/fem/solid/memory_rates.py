@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tissue_sim.fem.history import INSTANT, LOSS, Memory
+from tissue_sim.fem.history import Memory, PastColumn
 from tissue_sim.material.viscoelasticity import Prony
 
 #: A point whose energy is this near to the largest so far, of itself, is at it; below it, and beyond it, a step of the
@@ -31,7 +31,7 @@ class MemoryRates:
                  widths: np.ndarray):
         self.memory, self._past_rates, self._relaxations, self._widths = memory, past_rates, relaxations, widths
         m = widths.size
-        self._past_rates[:, INSTANT] = 0.0
+        self._past_rates[:, PastColumn.INSTANT] = 0.0
         shape = (m, *memory.stresses.shape) if memory.works else (m, 0)
         self._before, self._largest = np.zeros(shape), np.zeros(shape[:-1])
         self._internal = np.zeros((m, *memory.internal.shape))
@@ -52,7 +52,7 @@ class MemoryRates:
         decay, gain = memory.step
         for k, ((more, less), width) in enumerate(zip(self._relaxations, self._widths, strict=True)):
             if more is not None and less is not None and more != less:
-                self._past_rates[k, INSTANT], self._decays[k], self._gains[k] = (
+                self._past_rates[k, PastColumn.INSTANT], self._decays[k], self._gains[k] = (
                     (np.asarray(a) - np.asarray(b)) / width
                     for a, b in zip(more.increment(memory.dt), less.increment(memory.dt), strict=True))
             self.inherited[k] = (np.tensordot(decay, self._internal[k], 1)
@@ -66,7 +66,7 @@ class MemoryRates:
         be assembled anew."""
         memory = self.memory
         self._kept = []
-        if memory.works and memory.past[LOSS] != 0.0:
+        if memory.works and memory.past[PastColumn.LOSS] != 0.0:
             largest, more = memory.largest, memory.energies - memory.largest
             near = (largest > 0.0) & (more >= -_BELOW * largest) & (more <= _BEYOND * largest)
             if near.any():

@@ -9,9 +9,9 @@ from typing import Any, cast
 import numpy as np
 
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
-from tissue_sim.fem.solid.chords import doubts_of_chords
 from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Look
 from tissue_sim.fem.solid.contact_laws import NodeLaws
+from tissue_sim.fem.solid.faceting import faceting_warnings
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.free_part import FreePart, staying
@@ -383,9 +383,9 @@ class SolidSolver(PlacedSolver):
         """The surface at the last committed state."""
         return SolidSurface(self.mesh, self.committed_displacement, self.datum)
 
-    def doubts(self) -> list[str]:
-        """See `Solver.doubts`."""
-        return doubts_of_chords(self.contact, self.mesh, self.committed_displacement)
+    def warnings(self) -> list[str]:
+        """See `Solver.warnings`."""
+        return faceting_warnings(self.contact, self.mesh, self.committed_displacement)
 
     def report(self) -> dict[str, Any]:
         """What a recording's metadata say of the solver; see `Solver.report`."""
