@@ -155,7 +155,7 @@ class PathFollower:
             return dt
         self._lingers += dt
         solver.stand_still()
-        self._reduced.go(target.depth, dt)
+        self._reduced.commit(target.depth, dt)
         tool.pose, self._equilibrium, self.error = pose, Equilibrium.in_air(target), None
         self._answer = ToolForce(AT_REST.wrench, AT_REST.stiffness, ForceStatus.CONVERGED, pose=pose,
                                  compute_time=time.perf_counter() - began)
@@ -378,7 +378,7 @@ class PathFollower:
     def _take(self, step: Step, dt: float, inertial: bool) -> None:
         """Keep the answer of an equilibrium."""
         self._is_long = False
-        left = self._left = self._reduced.go(self._solver.pose.depth, dt)
+        left = self._left = self._reduced.commit(self._solver.pose.depth, dt)
         at = self._equilibrium = self._equilibrium.followed_by(step, self._solver.pose, left, inertial, dt)
         x, y, z, *_ = at.wrench
         force = math.sqrt(x * x + y * y + z * z)

@@ -270,7 +270,7 @@ class _Drive:
 
     def arrive(self, wrench: Screw, dt: float) -> Screw:
         """The tool has come to a sample with this wrench, dt s after the one before; returns what is left of it."""
-        share = self._reduced.go(self._solver.pose.depth, dt)
+        share = self._reduced.commit(self._solver.pose.depth, dt)
         wrench = scaled(share, wrench)
         self._train.note(self.travel, self._experiment.resistance(wrench))
         return wrench

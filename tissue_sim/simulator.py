@@ -119,7 +119,7 @@ class Simulator(PathFollower, KernelOwner):
         self._bonded = model.experiment.friction == "bonded"
         self._pulls = self._bonded or bool(model.experiment.acting_laws)
         # Whether the force depends on the path of the tool even if time does not count.
-        self._keeps_path = model.experiment.depends_on_way or model.material.remembers
+        self._keeps_path = model.experiment.is_path_dependent or model.material.remembers
         # A turn counts as the way of a point at the edge of the contact.
         self._radius = model.experiment.contact_radius
         self._largest_part = LARGEST_PART * self._radius
