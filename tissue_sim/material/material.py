@@ -182,6 +182,7 @@ class Material:
     @property
     def energy_law(self) -> Law:
         """Object of the law."""
+        return find_law(self.law)
 
     @property
     def values(self) -> np.ndarray:

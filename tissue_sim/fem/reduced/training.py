@@ -22,7 +22,7 @@ from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.strokes import stroke
 from tissue_sim.fem.reduced.symmetry import Symmetry, parities, symmetries
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
-from tissue_sim.fem.solid.elastic import elastic_answer, element_forces, held_places, lifted_amplitudes
+from tissue_sim.fem.solid.elastic import element_forces, held_places, lifted_amplitudes, linear_response
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.material import Material
@@ -132,7 +132,7 @@ def lifted_modes(solver: SolidSolver) -> np.ndarray:
     for i in range(3):
         for k in range(3):
             motions[:, i, 3 + 3 * i + k] = held[:, k]
-    return elastic_answer(solver, motions.reshape(-1, LIFTING))
+    return linear_response(solver, motions.reshape(-1, LIFTING))
 
 
 def modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> tuple[np.ndarray, np.ndarray]:

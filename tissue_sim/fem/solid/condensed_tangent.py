@@ -8,7 +8,7 @@ import numpy as np
 
 from tissue_sim.fem.condensed.model import Beside
 from tissue_sim.fem.linear.sparse import CondensedFactor, SparseSolver
-from tissue_sim.fem.solid.free_part import FreePart
+from tissue_sim.fem.solid.free_dofs import FreeDofSystem
 
 
 class CondensedTangent:
@@ -32,7 +32,7 @@ class CondensedTangent:
     drive: np.ndarray
     stiffness: np.ndarray
 
-    def __init__(self, free: FreePart, held: np.ndarray):
+    def __init__(self, free: FreeDofSystem, held: np.ndarray):
         from scipy import sparse
 
         pattern = free.free
@@ -43,7 +43,7 @@ class CondensedTangent:
         self.volume_rates, self.held = np.zeros(0), free.all[:, held]
         self.factor: CondensedFactor | None = None
 
-    def take(self, free: FreePart, interface: np.ndarray, equations: np.ndarray, volume_rates: np.ndarray,
+    def take(self, free: FreeDofSystem, interface: np.ndarray, equations: np.ndarray, volume_rates: np.ndarray,
              beside: Beside) -> None:
         """Take the numbers of now, and make a factor of them.
 

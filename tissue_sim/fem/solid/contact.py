@@ -124,7 +124,7 @@ def nearest(body: Body, points: np.ndarray, pressed_in: bool) -> Nearest:
 
 
 @dataclass(frozen=True)
-class Look:
+class ContactEvaluation:
     """What the contact is at a state; sums over all nodes.
 
     Attributes:
@@ -261,8 +261,8 @@ class ContactNodes:
             curved[own] = rotation @ found.curvature @ rotation.T
         return travel, gap, curved, shaft, turn, meridians
 
-    def look(self, displacement: np.ndarray, frame: Frame, changeable: int, slack: float, bending: float,
-             negligible: float, tolerance: float) -> Look:
+    def evaluate(self, displacement: np.ndarray, frame: Frame, changeable: int, slack: float, bending: float,
+             negligible: float, tolerance: float) -> ContactEvaluation:
         """Note forces, rates and what the constraints miss at a state.
 
         Args:
@@ -366,7 +366,7 @@ class ContactNodes:
         self._met_at[:] = np.where(keeps[:, None], self.held_at, surface)
         self.state = ContactState(held, pressed, sticks, sliding, goes, keeps, self._met != FREE, near, gap, normal,
                                   limit, mu, springs, HOLD * springs, normals, slip, ways, curved, turn)
-        return Look(float(violation), int(sliding.sum()), switched, wanting)
+        return ContactEvaluation(float(violation), int(sliding.sum()), switched, wanting)
 
     def keep_rates(self) -> None:
         """Those of now, without those of laws, are those that the matrix holds of the contact."""

@@ -182,7 +182,7 @@ def _start_rates(settling: Settling, experiment: Experiment, first: Touch, neigh
         return None  # areas for tractions would change with the height, too
     if first.place is None:
         return None
-    found = settling.repeat(neighbours)
+    found = settling.differentiate(neighbours)
     if found is None:
         return None
     ways = found.settled[0].reshape(len(neighbours), -1, 3).copy()

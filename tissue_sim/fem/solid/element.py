@@ -1,10 +1,11 @@
-"""Elements of a solid as Taichi functions: stresses to forces and stiffness, a few elements at a time.
+"""Three-dimensional mixed elements as Taichi functions: forces and stiffness of a batch of elements.
 
-One element stands in each lane of the vectors; see `tissue_sim.fem.axisymmetric.assembly`, of which this is the form in
-space: a discontinuous pressure per element enforces J - 1 = p / K in the mean, is an unknown of Newton's iteration and
-eliminated element by element (Simo, Taylor and Pister, CMAME 51 (1985) 177).
+Each lane of the vectors is one element, as in `tissue_sim.fem.axisymmetric.assembly`. A discontinuous pressure in each
+element enforces J - 1 = p / K in the mean; it is an unknown of Newton's method and eliminated element by element (Simo,
+Taylor and Pister, CMAME 51 (1985) 177).
 """
 
+from enum import IntEnum
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -17,23 +18,38 @@ from tissue_sim.fem.taichi.scratch import scratch
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
-#: Places in `settings` of kernels: bulk modulus, Pa; whether the tangent is wanted; whether the tissue remembers;
-#: whether forces and stiffness are added to what other elements have left.
-KAPPA, TANGENT, REMEMBERS, ADDS = range(4)
-#: Most nodes, points and pressure modes of an element.
-_NODES, _POINTS, _MODES = 27, 27, 4
-#: Where things of the batch that is worked on stand in the scratch field: motion and forces of nodes, pressure
-#: amplitudes, gaps, rates of the volume, and at each point the tangent; of one node stress rates at one point, and
-#: stiffness with all others.
+
+class SettingColumn(IntEnum):
+    """Columns of the settings of a kernel."""
+
+    #: Bulk modulus, Pa.
+    KAPPA = 0
+    #: Whether the tangent is computed.
+    TANGENT = 1
+    #: Whether the material has a history.
+    REMEMBERS = 2
+    #: Whether forces and stiffness are added to those of other elements.
+    ADDS = 3
+
+
+#: Largest number of nodes of an element.
+_NODES = 27
+#: Largest number of quadrature points of an element.
+_POINTS = 27
+#: Largest number of pressure modes of an element.
+_MODES = 4
+#: Sections of the scratch field for one batch, with their sizes: displacements and forces of the nodes, pressure
+#: amplitudes, residuals of the pressure equations, derivatives of the volume, tangents at the points; for one node the
+#: derivatives of the stress at one point, and the stiffness with all other nodes.
 _sizes = (("U", 3 * _NODES), ("FORCE", 3 * _NODES), ("PRESSURE", _MODES), ("GAP", _MODES), ("V", 3 * _MODES * _NODES),
           ("A", 45 * _POINTS), ("RATE", 27), ("PAIRS", 9 * _NODES))
 _AT = {name: sum(size for _, size in _sizes[:i]) for i, (name, _) in enumerate(_sizes)}
-#: Where others go on in the scratch field.
+#: First entry of the scratch field that is free for other functions.
 SCRATCH = sum(size for _, size in _sizes)
 
 
 class ElementFunctions(NamedTuple):
-    """Taichi functions of a batch: `integrate` gives its forces, `stiffen` its stiffness after that."""
+    """Taichi functions of a batch: `integrate` computes its forces, `stiffen` then its stiffness."""
 
     integrate: Any
     stiffen: Any
@@ -41,7 +57,7 @@ class ElementFunctions(NamedTuple):
 
 @cache
 def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctions:
-    """The functions of an element and an energy."""
+    """Return the functions of an element type and an energy."""
     ti = initialise()
     element = SOLID_ELEMENTS[element_name]
     nodes, modes, points = element.nodes, element.pressure_modes, element.quadrature[1].size

@@ -18,7 +18,7 @@ from tissue_sim.fem.linear.sparse import SparseSolver
 from tissue_sim.fem.solid.contact import ContactNodes
 from tissue_sim.fem.solid.contact_law_rates import LawRates
 from tissue_sim.fem.solid.frame import Frame
-from tissue_sim.fem.solid.free_part import FreePart
+from tissue_sim.fem.solid.free_dofs import FreeDofSystem
 from tissue_sim.fem.solid.memory_rates import MemoryRates
 from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solver import Neighbours
@@ -48,7 +48,7 @@ class SolidParts:
     moved: np.ndarray
     tissue: Tissue
     contact: ContactNodes
-    matrix: FreePart
+    matrix: FreeDofSystem
     first: Frame
     assemble: Callable[[], None]
 

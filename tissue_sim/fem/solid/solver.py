@@ -9,12 +9,12 @@ from typing import Any, cast
 import numpy as np
 
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
-from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Look
+from tissue_sim.fem.solid.contact import ALL, Body, ContactEvaluation, ContactNodes
 from tissue_sim.fem.solid.contact_laws import NodeLaws
 from tissue_sim.fem.solid.faceting import faceting_warnings
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.fem.solid.frame import Frame
-from tissue_sim.fem.solid.free_part import FreePart, staying
+from tissue_sim.fem.solid.free_dofs import FreeDofSystem, fixed_freedoms
 from tissue_sim.fem.solid.mass import Mass
 from tissue_sim.fem.solid.placement import PlacedSolver
 from tissue_sim.fem.solid.sensitivity import SolidParts, SolidSensitivity, StartRates
@@ -22,7 +22,7 @@ from tissue_sim.fem.solid.state import Sample, SavedState
 from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solid.tangent import Tangent
 from tissue_sim.fem.solid.tissue import Tissue
-from tissue_sim.fem.solid.tool_wrench import Grip, rows
+from tissue_sim.fem.solid.tool_wrench import ToolConstraint, rows
 from tissue_sim.fem.solver import Neighbours, OwnStiffness, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
@@ -83,7 +83,7 @@ class SolidSolver(PlacedSolver):
         if settled is not None:
             self.x[:], self.batches.pressures[:] = settled.x, settled.batches.pressures
         self._start = self._pose = start
-        freedoms, stays = np.arange(self.x.size).reshape(-1, 3), staying(mesh, fixed, pins)
+        freedoms, stays = np.arange(self.x.size).reshape(-1, 3), fixed_freedoms(mesh, fixed, pins)
         self._bonded, moved = np.asarray(bonded, dtype=np.intp), np.zeros_like(stays)
         moved[self._bonded] = True
         self._free = np.flatnonzero(~(stays | moved))
@@ -95,7 +95,7 @@ class SolidSolver(PlacedSolver):
         if lift is not None:
             self.contact.places[self.contact.moves, 2] -= lift[self.contact.nodes[self.contact.moves]]
         self.contact.bring_down(start, datum, self.x.reshape(-1, 3), None if settled is None else settled.contact)
-        self._matrix = FreePart(self.batches.matrix, self._free, freedoms[self.contact.nodes])
+        self._matrix = FreeDofSystem(self.batches.matrix, self._free, freedoms[self.contact.nodes])
         self._sparse = SparseSolver()
         self._tangent = Tangent(self.tissue, self.contact, self._matrix, self._sparse, self._free)
         self._largest_force, self._asked, self._modulus, self._least = 0.0, False, 0.0, 0.0
@@ -188,9 +188,9 @@ class SolidSolver(PlacedSolver):
             displacement = x.reshape(-1, 3)[contact.nodes]
             # At first what just touches counts as pressed: the tool is about to move, or a law pulls.
             slack = 1e-9 if pending or (contact.laws.strength > 0.0 and iterations == 0) else 0.0
-            look = contact.look(displacement, here if pending else frame, changeable, slack, bending,
+            evaluation = contact.evaluate(displacement, here if pending else frame, changeable, slack, bending,
                                 _FRICTION_FLOOR * floor, self._tolerance)
-            wanting, waits = max(look.wanting, waits), 0
+            wanting, waits = max(evaluation.wanting, waits), 0
             residual = batches.residual[:-1].copy()
             np.add.at(residual.reshape(-1, 3), contact.nodes, contact.acting)
             unbalanced = float(np.linalg.norm(residual[self._free]))
@@ -201,7 +201,7 @@ class SolidSolver(PlacedSolver):
                 status = StepStatus.INVERTED
             elif not np.isfinite(ratio):
                 status = StepStatus.DIVERGED
-            elif not pending and ratio <= tolerance and look.violation <= self._tolerance and not wanting:
+            elif not pending and ratio <= tolerance and evaluation.violation <= self._tolerance and not wanting:
                 if contact.release():
                     changeable, first_ratio, tangent.stale = ALL, None, False
                     continue
@@ -209,7 +209,7 @@ class SolidSolver(PlacedSolver):
                     self._assemble()
                 if self._derivatives is not None:
                     # They are those of this step, whose bonds are the earlier ones.
-                    contact.look(displacement, frame, 0, 0.0, 1.0, _FRICTION_FLOOR * floor, self._tolerance)
+                    contact.evaluate(displacement, frame, 0, 0.0, 1.0, _FRICTION_FLOOR * floor, self._tolerance)
                     self._derivatives.advance(frame)
                     if self._asked:
                         self._assemble()
@@ -217,18 +217,19 @@ class SolidSolver(PlacedSolver):
                 status = StepStatus.CONVERGED
                 if self._asked:
                     # The stiffness is that with the new bonds.
-                    look = contact.look(displacement, frame, 0, 0.0, 1.0, _FRICTION_FLOOR * floor, self._tolerance)
+                    evaluation = contact.evaluate(displacement, frame, 0, 0.0, 1.0, _FRICTION_FLOOR * floor,
+                                                  self._tolerance)
             elif iterations >= max_iterations:
                 status = StepStatus.SLOW
             elif first_ratio is not None and iterations > 3 and ratio > 1e3 * max(first_ratio, 1.0):
                 status = StepStatus.DIVERGED
             if status is not None and not (status is StepStatus.CONVERGED and self._asked):
-                return self._answer(status, iterations, ratio, look, frame)
-            if tangent.stale and status is None and not tangent.serves(ratio, tolerance, look.switched > 0):
-                tangent.stale, changeable, waits = False, 0, look.wanting
+                return self._answer(status, iterations, ratio, evaluation, frame)
+            if tangent.stale and status is None and not tangent.serves(ratio, tolerance, evaluation.switched > 0):
+                tangent.stale, changeable, waits = False, 0, evaluation.wanting
                 continue
             if status is not None or not tangent.stale:
-                tangent.factorise(symmetric=not look.slipping)
+                tangent.factorise(symmetric=not evaluation.slipping)
             factor = tangent.factor
             if factor is None or not factor.definite:
                 if bending > 0.0 and status is None:
@@ -236,9 +237,9 @@ class SolidSolver(PlacedSolver):
                     continue
                 if status is None:
                     status = StepStatus.INDEFINITE
-                return self._answer(status, iterations, ratio, look, frame)
+                return self._answer(status, iterations, ratio, evaluation, frame)
             if status is not None:
-                return self._answer(status, iterations, ratio, look, frame, factor)
+                return self._answer(status, iterations, ratio, evaluation, frame, factor)
             if iterations == 1:
                 first_ratio = ratio
             apart = -np.where(contact.moves[:, None] & pending, tool_way, 0.0)
@@ -274,18 +275,18 @@ class SolidSolver(PlacedSolver):
         if self._mass is not None:
             self._mass.resist(self.x, self.batches.residual[:-1], self._matrix.all if tangent else None)
 
-    def _grip(self, frame: Frame) -> Grip:
-        return Grip(frame, self._moved, self._places_of(self._bonded),
+    def _tool_constraint(self, frame: Frame) -> ToolConstraint:
+        return ToolConstraint(frame, self._moved, self._places_of(self._bonded),
                     self.batches.residual[:-1][self._moved].reshape(-1, 3), self.contact, self._places())
 
-    def _answer(self, status: StepStatus, iterations: int, ratio: float, look: Look, frame: Frame,
+    def _answer(self, status: StepStatus, iterations: int, ratio: float, evaluation: ContactEvaluation, frame: Frame,
                 factor: Factor | None = None) -> Step:
         """The step, with its stiffness where there is a factor of the last matrix."""
-        stiffness, grip = None, self._grip(frame)
+        stiffness, constraint = None, self._tool_constraint(frame)
         if factor is not None:
-            stiffness, self._along = grip.stiffness(self._matrix.all, factor, self._free)
-        return Step(status, iterations, ratio, cast("Screw", tuple(grip.wrench().tolist())),
-                    None if stiffness is None else rows(stiffness), look.violation, look.slipping)
+            stiffness, self._along = constraint.stiffness(self._matrix.all, factor, self._free)
+        return Step(status, iterations, ratio, cast("Screw", tuple(constraint.wrench().tolist())),
+                    None if stiffness is None else rows(stiffness), evaluation.violation, evaluation.slipping)
 
     def _own_stiffness(self, frame: Frame) -> Matrix | None:
         """That of the tissue without its mass, just after an inertial step; None where it would not stand so."""
@@ -296,7 +297,7 @@ class SolidSolver(PlacedSolver):
         factor = self._tangent.factorise(symmetric=not self.contact.state.slides.any())
         if factor is None or not factor.definite:
             return None
-        return rows(self._grip(frame).stiffness(self._matrix.all, factor, self._free)[0])
+        return rows(self._tool_constraint(frame).stiffness(self._matrix.all, factor, self._free)[0])
 
     def follow_motion(self, density: float) -> bool:
         """Let the tissue have a mass (kg/m3) from now on, in all its regions alike; it has one."""
