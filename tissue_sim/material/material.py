@@ -11,7 +11,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.frozen_mapping import read_only
-from tissue_sim.laws import Law
+from tissue_sim.laws import Law, find_law
 from tissue_sim.material.effect import ReducedEffect, TissueEffect
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.poroelasticity import Poroelasticity
