@@ -28,8 +28,8 @@ PATIENCE, MEMORY = 20.0, 3_000_000_000
 SLOW, SHARE = ("import", "campaign", "protocol"), 0.3
 
 #: How the bounds, and the door behind them, say what they have stopped.
-WORDS = {"stopped": ("takes more computing", "asks for more memory", "ends the process"),
-         "faults": ("or its reader has a fault", "look for odd names, numbers and nesting")}
+WORDS = {"stopped": ("exceeds the CPU time", "exceeds the memory", "ends the process"),
+         "faults": ("or its reader has an error", "look for odd names, numbers and nesting")}
 
 
 @dataclass

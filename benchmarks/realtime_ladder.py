@@ -21,7 +21,7 @@ import numpy as np
 from measure import about, option_parser, show, table
 
 import tissue_sim as ts
-from tissue_sim.fem.axisymmetric.resolutions import realtime_rungs
+from tissue_sim.fem.axisymmetric.resolutions import realtime_levels
 from tissue_sim.realtime_ladder import measure_tick
 
 SPECIMEN = ts.Specimen(0.040, 0.070)
@@ -52,24 +52,24 @@ def _force(model: ts.Model, resolution: str) -> np.ndarray:
 
 
 def measure(kind: str, name: str, overrides: dict, repeats: int) -> list[dict]:
-    """A row for each rung."""
+    """A row for each level."""
     deepest = DEEPEST[kind]
     protocol = ts.Protocol.ramp(deepest, round(deepest / SAMPLE) + 1)
     model = ts.Model(ts.Experiment(SPECIMEN, protocol, **overrides), MATERIAL)
     seen = protocol.displacement >= SHALLOWEST
     exact = _force(model, "accurate")
     rows = []
-    for rung in realtime_rungs(model.experiment):
-        force = _force(model, rung.resolution)
+    for level in realtime_levels(model.experiment):
+        force = _force(model, level.resolution)
         reached = seen[: force.size]
-        simulator = ts.Simulator(model, resolution=rung.resolution, inertia="on")
+        simulator = ts.Simulator(model, resolution=level.resolution, inertia="on")
         simulator.warm_up()
         ticks = []
         for _ in range(repeats):
             ticks.append(measure_tick(simulator, deepest, lifts=model.experiment.friction != "bonded"))
             simulator.reset()
-        rows.append({"kind": kind, "test": name, "resolution": rung.resolution,
-                     "elements": len(simulator.mesh.connectivity), "stated": rung.force_error,
+        rows.append({"kind": kind, "test": name, "resolution": level.resolution,
+                     "elements": len(simulator.mesh.connectivity), "stated": level.force_error,
                      "error": float(np.abs(force[reached] / exact[: force.size][reached] - 1.0).max()),
                      "reached_mm": 1e3 * float(protocol.displacement[force.size - 1]),
                      "tick_s": statistics.median(ticks)})

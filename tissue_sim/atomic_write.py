@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Atomic writing of files."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from tissue_sim.errors import InputError
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:
-    """Write `data` to `path` in one step; a reader sees the old file or the new one, never a part.
+    """Write a file atomically: a reader sees the old content or the new one, never a part.
 
-    The parent folder is created where it is missing.
+    The parent folder is created if it is missing.
 
     Raises:
-        InputError: the file cannot be written (a folder of that name, no permission, disk full); the old file stays.
+        InputError: the file cannot be written (a folder has the name, no permission, disk full); the old file stays.
     """
     path = Path(path)
-    # Same folder: a rename is atomic only within one file system.
+    # The temporary file is in the same folder, because a rename is atomic only within one file system.
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -29,14 +29,14 @@ def write_bytes(path: str | Path, data: bytes) -> None:
             temporary.unlink(missing_ok=True)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot be written ({reason}); choose another place or free this one", file=path) from error
+        raise InputError(f"cannot be written ({reason}); choose another path or free this one", file=path) from error
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write `text` as UTF-8 with the line ends it has; otherwise as `write_bytes`."""
+    """Write a text as UTF-8, with its line ends, atomically; errors as in `write_bytes`."""
     try:
         data = text.encode("utf-8")
     except UnicodeEncodeError as error:
-        raise InputError(f"half of a surrogate pair ({text[error.start]!r}) cannot be written, expected whole "
-                         "characters; look for it in names of files", file=path) from None
+        raise InputError(f"must consist of whole characters; got half of a surrogate pair ({text[error.start]!r}). "
+                         "Check the names of files", file=path) from None
     write_bytes(path, data)

@@ -1,7 +1,7 @@
-"""Where files of strangers are understood: in a process of its own, whose time and memory are bounded.
+"""Sandboxed parsing of untrusted files: in a separate process with limits of time and memory.
 
-Readers call libraries in C and Rust, and may come from anybody's package; a file that is damaged, or made to do harm,
-may let any of them compute for ever, ask for all memory, or end the process. Here that is one sentence.
+Readers use libraries in C and Rust and may come from other packages. A damaged or malicious file may make them run
+without end, allocate all memory, or crash the process. Here the result is an `InputError`.
 """
 
 from __future__ import annotations
@@ -26,42 +26,52 @@ from tissue_sim.packing import pack, run_packed
 
 try:
     import resource
-except ImportError:  # Windows: only the time is bounded, by the wall clock
+except ImportError:  # Windows: only the wall time is limited
     resource = None  # type: ignore[assignment]
 
-#: CPU time, s, and memory, bytes, for a small file; and more of both for each byte of a large one.
-SECONDS, SECONDS_PER_BYTE = 2.0, 2e-6
-MEMORY, MEMORY_PER_BYTE = 250_000_000, 40
-#: The wall clock may show so much more, s: the computer has other work.
-_WALL, _WALL_PER_SECOND = 60.0, 10.0
-#: A process that holds so much more than at first is replaced, bytes: numpy, scipy and the readers take up to 150 MB.
+#: CPU time for a small file, s.
+SECONDS = 2.0
+#: Additional CPU time for each byte of a file, s.
+SECONDS_PER_BYTE = 2e-6
+#: Memory for a small file, bytes.
+MEMORY = 250_000_000
+#: Additional memory for each byte of a file, bytes.
+MEMORY_PER_BYTE = 40
+#: Constant part of the limit of wall time, s; other programs may use the processor.
+_WALL = 60.0
+#: Additional wall time for each second of CPU time, s.
+_WALL_PER_SECOND = 10.0
+#: Growth of its memory after which the process is replaced, bytes; numpy, scipy and the readers take up to 150 MB.
 _GROWN = 300_000_000
 _CODE = "from tissue_sim.bounded import serve; serve()"
+#: Length prefix of a message.
 _LENGTH = struct.Struct("<Q")
-#: Whether this is such a process.
+#: Whether this process is the sandbox.
 _inside = False
 
 
 def bounded(function: Callable[..., Any], *arguments: Any, file: str | Path, size: int | None = None) -> Any:
-    """What `function` makes of a file, computed in the process for it.
+    """Call a reader of a file in the sandbox and return its result.
 
-    It gets 2 s of CPU time and 250 MB, and 2 s and 40 MB more for each megabyte; by the wall clock a generous multiple.
+    The limits are 2 s of CPU time and 250 MB of memory, and 2 s and 40 MB more for each megabyte of input; the limit of
+    wall time is a multiple of the CPU time.
 
     Args:
-        function: with all its arguments, and what it returns, of things that can be pickled.
-        file: what is read, for messages.
-        size: of the input, bytes; None: that of the file, which must not be an archive that unpacks to far more.
+        function: reader; its arguments and its result must be picklable.
+        arguments: arguments of the reader.
+        file: file that is read, for messages.
+        size: size of the input, bytes; None: that of the file, whose unpacked size is checked if it is an archive.
 
     Raises:
-        InputError: of the function; any other exception, too much time or memory, or a crash, in a sentence.
+        InputError: an error of the reader, any other exception, a limit that is exceeded, or a crash.
     """
     if _inside:
         return function(*arguments)
     try:
         task = pack(_run, (function, arguments, str(Path.cwd()), str(file), size))
     except Exception as error:
-        raise InputError(f"the reader cannot be handed to the process in which files are read ({error}); define it in "
-                         "a module, and give it plain options", file=file) from error
+            raise InputError(f"the reader cannot be sent to the process in which files are read ({error}); define it "
+                             "in a module, and pass plain options", file=file) from error
     seconds = SECONDS + SECONDS_PER_BYTE * (size if size is not None else _size(file))
     return _PROCESS.answer(task, _WALL + _WALL_PER_SECOND * seconds, file)
 
@@ -75,7 +85,7 @@ def _size(file: str | Path) -> int:
 
 @contextlib.contextmanager
 def uncounted() -> Iterator[None]:
-    """What happens inside does not count as CPU time of a reader: the import of a large library."""
+    """Context whose CPU time does not count for a reader, such as the import of a large library."""
     left = signal.setitimer(signal.ITIMER_PROF, 0.0)[0] if _inside and resource is not None else 0.0
     try:
         yield
@@ -85,13 +95,14 @@ def uncounted() -> Iterator[None]:
 
 
 class _Process:
-    """The process, which starts with the first task, and anew after one that ended it."""
+    """Sandbox process: starts with the first task, and again after a task that ended it."""
 
     def __init__(self) -> None:
         self._lock, self._owner = threading.Lock(), 0
         self._child: subprocess.Popen[bytes] | None = None
 
     def answer(self, task: bytes, seconds: float, file: str | Path) -> Any:
+        """Execute a task within a limit of wall time, s."""
         with self._lock:
             if self._child is None or self._owner != os.getpid():
                 self._child, self._owner = self._start(), os.getpid()
@@ -109,7 +120,7 @@ class _Process:
             if answer is None:
                 code = child.wait()
                 self.close()
-                raise InputError(_why(code), file=file)
+                raise InputError(_crash_reason(code), file=file)
             done, value, grown = pickle.loads(answer)
             if grown:
                 self.close()
@@ -119,7 +130,7 @@ class _Process:
 
     @staticmethod
     def _talk(child: subprocess.Popen[bytes], task: bytes) -> bytes | None:
-        """The answer; None: the process has ended."""
+        """Send a task and return the answer; None if the process has ended."""
         assert child.stdin is not None and child.stdout is not None
         try:
             child.stdin.write(_LENGTH.pack(len(task)) + task)
@@ -132,10 +143,10 @@ class _Process:
 
     @staticmethod
     def _start() -> subprocess.Popen[bytes]:
-        # What this process finds is found there; the folder of work is on no path: a stranger's xlrd.py may lie in it.
+        # The same import path, without the working folder, in which an untrusted file may be named like a module.
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
                        "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-        # Ctrl-C is its parent's.
+        # Ctrl-C is handled by the parent.
         apart: dict[str, Any] = {"start_new_session": True}
         if sys.platform == "win32":
             apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
@@ -143,7 +154,7 @@ class _Process:
                                 stderr=subprocess.DEVNULL, env=environment, **apart)
 
     def close(self, kill: bool = False) -> None:
-        """End the process; it also ends with this one."""
+        """End the process."""
         child, self._child = self._child, None
         if child is None or self._owner != os.getpid():
             return
@@ -159,29 +170,31 @@ _PROCESS = _Process()
 atexit.register(_PROCESS.close)
 
 
-def _why(code: int) -> str:
+def _crash_reason(code: int) -> str:
+    """Problem of a process that ended with an exit code."""
     if resource is not None and code == -signal.SIGPROF:
-        return ("takes more computing than a file of its size may (2 s, and 2 s for each megabyte); it is damaged, or "
-                "made to do harm")
-    return "ends the process that reads it, or keeps it waiting; it is damaged, or made to do harm"
+        return ("exceeds the CPU time for a file of its size (2 s, and 2 s for each megabyte); it is damaged or "
+                "malicious")
+    return "ends the process that reads it, or exceeds the time limit; it is damaged or malicious"
 
 
 def serve() -> None:
-    """What the process does: tasks in, answers out, until nobody asks."""
+    """Main loop of the sandbox: read tasks and write answers until the input ends."""
     global _inside
     _inside = True
     tasks, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    # What a library prints goes nowhere.
+    # Output of libraries to stdout is discarded, because stdout carries the answers.
     os.dup2(2, 1)
     sys.stdin = io.StringIO()
     first = _memory()
     while len(head := tasks.read(_LENGTH.size)) == _LENGTH.size:
-        answer = _carry_out(tasks.read(*_LENGTH.unpack(head)), first)
+        answer = _execute(tasks.read(*_LENGTH.unpack(head)), first)
         answers.write(_LENGTH.pack(len(answer)) + answer)
         answers.flush()
 
 
-def _carry_out(task: bytes, first: int) -> bytes:
+def _execute(task: bytes, first: int) -> bytes:
+    """Execute a task; returns the pickled tuple (success, result or error, whether memory has grown too much)."""
     value: Any
     try:
         done, value = True, run_packed(task)
@@ -193,7 +206,7 @@ def _carry_out(task: bytes, first: int) -> bytes:
 
 
 def _run(function: Callable[..., Any], arguments: tuple, folder: str, file: str, size: int | None) -> Any:
-    """`function` within its bounds."""
+    """Call a function within the limits of CPU time and memory."""
     os.chdir(folder)
     try:
         with _bounds(_size(file) if size is None else size):
@@ -203,27 +216,28 @@ def _run(function: Callable[..., Any], arguments: tuple, folder: str, file: str,
     except InputError as error:
         raise error.located(file=file) from None
     except MemoryError:
-        raise InputError("asks for more memory than a file of its size may (250 MB, and 40 MB for each megabyte); it "
-                         "is damaged, or made to do harm", file=file) from None
+        raise InputError("exceeds the memory for a file of its size (250 MB, and 40 MB for each megabyte); it is "
+                         "damaged or malicious", file=file) from None
     except RecursionError:
-        raise InputError("is nested too deep; it is damaged, or made to do harm", file=file) from None
+        raise InputError("is nested too deep; it is damaged or malicious", file=file) from None
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # some libraries derive theirs from it
-        reason = str(error) or "no reason is given"
-        raise InputError(f"cannot be read ({type(error).__name__}: {reason}); it is damaged, or its reader has a "
-                         "fault", file=file) from error
+    except BaseException as error:  # exceptions of some libraries do not derive from Exception
+        reason = str(error) or "no reason stated"
+        raise InputError(f"cannot be read ({type(error).__name__}: {reason}); it is damaged, or its reader has an "
+                         "error", file=file) from error
 
 
 @contextlib.contextmanager
 def _bounds(size: int) -> Iterator[None]:
+    """Context with limits of CPU time and memory for an input of `size` bytes."""
     if resource is None:
         yield
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     if used := _memory():
         resource.setrlimit(resource.RLIMIT_DATA, (used + MEMORY + MEMORY_PER_BYTE * size, hard))
-    # The kernel ends the process, whatever it is in.
+    # The timer's signal ends the process also within a library.
     signal.setitimer(signal.ITIMER_PROF, SECONDS + SECONDS_PER_BYTE * size)
     try:
         yield
@@ -233,7 +247,7 @@ def _bounds(size: int) -> Iterator[None]:
 
 
 def _memory() -> int:
-    """Bytes of data of this process, as Linux bounds them; 0: not known."""
+    """Data memory of this process in bytes, as Linux limits it; 0 if unknown."""
     try:
         for line in Path("/proc/self/status").read_text(encoding="ascii", errors="replace").splitlines():
             if line.startswith("VmData:"):

@@ -1,4 +1,4 @@
-"""What processes that this program starts have in common: Ctrl-C is their parent's, and they end when it does."""
+"""Child processes: Ctrl-C is handled by the parent, and children end when the parent ends."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from collections.abc import Callable, Iterator
 
 @contextlib.contextmanager
 def start_without_ctrl_c() -> Iterator[None]:
-    """A process that starts inside takes no part in Ctrl-C."""
+    """Context in which started processes ignore Ctrl-C."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    # Blocked, not ignored: a Ctrl-C in this moment reaches this process afterwards.
+    # Blocked, not ignored: a Ctrl-C at this moment reaches this process afterwards.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -27,8 +27,10 @@ def start_without_ctrl_c() -> Iterator[None]:
 
 @contextlib.contextmanager
 def start_with_one_thread() -> Iterator[None]:
-    """Linear algebra in a process that starts inside takes one thread, unless the user says otherwise: a loop at a
-    real-time priority would wait for helpers that have none."""
+    """Context in which started processes use one thread for linear algebra, unless the user sets another number.
+
+    A loop at a real-time priority would otherwise wait for helper threads without that priority.
+    """
     name = "OPENBLAS_NUM_THREADS"
     if name in os.environ:
         yield
@@ -41,18 +43,21 @@ def start_with_one_thread() -> Iterator[None]:
 
 
 def follow_parent(grace: float = 0.0, clean_up: Callable[[], None] | None = None) -> None:
-    """Called in the new process: leave Ctrl-C to the parent, and end when that is gone.
+    """Ignore Ctrl-C and end this process when its parent ends; to be called in a child process.
 
     Args:
-        grace: how long this process has then to end by itself, s.
+        grace: time that the process has to end by itself after its parent, s.
         clean_up: called before the process is ended.
+
+    Raises:
+        RuntimeError: the process was not started by multiprocessing.
     """
     parent = multiprocessing.parent_process()
     if parent is None:
         raise RuntimeError("this process has no parent; call follow_parent in a process that multiprocessing started")
 
     def wait() -> None:
-        # A parent that is killed cannot end its children; this waits without taking a turn of the interpreter.
+        # A parent that is killed cannot end its children. join() waits without using the interpreter.
         parent.join()
         time.sleep(grace)
         if clean_up is not None:

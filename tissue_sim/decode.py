@@ -1,4 +1,4 @@
-"""JSON to msgspec structs and back, with every problem named by its dotted field path."""
+"""Conversion between JSON and msgspec structs; errors name the dotted path of the field."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ from tissue_sim.bounded import bounded
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.files import LARGEST_JSON, LARGEST_TOML, read_text
 
+#: Type in msgspec's messages -> words for users.
 _WORDS = {"float": "a number", "int": "a whole number", "str": "text", "bool": "true or false", "null": "null",
           "object": "an object {...}", "array": "a list [...]"}
 
 
 def read_json(path: str | Path, expected: str) -> Any:
-    """The JSON value in a file.
+    """Read the JSON value of a file.
 
     Args:
         path: the file.
-        expected: what the file should have been, for the message.
+        expected: description of the expected file, for the message.
 
     Raises:
         InputError: no such file, not text, damaged JSON (line and column), or a key that appears twice.
@@ -39,18 +40,18 @@ def read_json(path: str | Path, expected: str) -> Any:
     except InputError as error:
         raise error.located(file=path) from None
     except json.JSONDecodeError as error:
-        raise InputError(f"damaged JSON at column {error.colno} ({error.msg}), expected {expected}; mend or restore it",
-                         file=path, line=error.lineno) from None
+        raise InputError(f"damaged JSON at column {error.colno} ({error.msg}), expected {expected}; repair or restore "
+                         "it", file=path, line=error.lineno) from None
     except ValueError as error:
-        raise InputError(f"damaged JSON ({error}), expected {expected}; mend or restore it", file=path) from None
+        raise InputError(f"damaged JSON ({error}), expected {expected}; repair or restore it", file=path) from None
 
 
 def parse_json(text: str) -> Any:
-    """The value of a JSON text.
+    """Parse a JSON text.
 
     Raises:
-        InputError: a key that appears twice, half of a surrogate pair, or nested too deep.
-        ValueError: no JSON, or a whole number that is too long.
+        InputError: a key that appears twice, half of a surrogate pair, or too many nested levels.
+        ValueError: not JSON, or an integer that is too long.
     """
     try:
         value = json.loads(text, object_pairs_hook=_without_duplicates)
@@ -58,18 +59,18 @@ def parse_json(text: str) -> Any:
             _require_whole_characters(value, "")
         return value
     except RecursionError:
-        raise InputError("damaged JSON (nested too deep); mend or restore it") from None
+        raise InputError("damaged JSON (nested too deep); repair or restore it") from None
 
 
 def read_toml(path: str | Path, expected: str) -> dict[str, Any]:
-    """The TOML in a file; arguments as `read_json`.
+    """Read a TOML file; arguments as in `read_json`.
 
     Raises:
-        InputError: as `tissue_sim.files.read_text`, or not TOML (line).
+        InputError: see `tissue_sim.files.read_text`; or not TOML (line).
     """
     path = Path(path)
     text = read_text(path, expected, LARGEST_TOML)
-    # Where keys have thousands of parts Python's reader takes hours.
+    # In a bounded process, because Python's parser takes hours for keys with thousands of parts.
     return bounded(_parse_toml, text, file=path, size=len(text))
 
 
@@ -86,16 +87,16 @@ def _parse_toml(text: str) -> dict[str, Any]:
 
 
 def decode(value: Any, kind: Any, field: str = "", words: Mapping[str, str] | None = None) -> Any:
-    """`value` (of JSON types) as a struct of type `kind`.
+    """Convert a value of JSON types to a struct.
 
     Args:
-        value: decoded JSON; a struct of that type is taken as it is.
+        value: decoded JSON; a struct of the type is returned unchanged.
         kind: a `msgspec.Struct` type, or an optional one.
         field: dotted path of `value`, for the message.
-        words: names of JSON's types where the file is of another kind.
+        words: names of JSON's types, if the file has another format.
 
     Raises:
-        InputError: unknown key or choice (names the nearest), missing key, wrong type; with the dotted field path.
+        InputError: unknown key or choice (the message names the nearest), missing key, wrong type; with the path.
     """
     try:
         return msgspec.convert(value, kind)
@@ -120,15 +121,15 @@ def decode(value: Any, kind: Any, field: str = "", words: Mapping[str, str] | No
 
 
 def require_schema(data: Any, kind: str, newest: int) -> None:
-    """Refuse decoded JSON whose ``schema`` is not that of a kind of file, ``tissue_sim/KIND/VERSION``.
+    """Require the ``schema`` of a kind of file, ``tissue_sim/KIND/VERSION``, in decoded JSON.
 
     Args:
         data: decoded JSON.
         kind: ``"rig"``.
-        newest: version that is known here.
+        newest: newest supported version.
 
     Raises:
-        InputError: no object, no schema or another one, or a newer version.
+        InputError: not an object, no schema, another schema, or a newer version.
     """
     if not isinstance(data, dict):
         raise InputError('expected an object { "schema": ... }, found something else')
@@ -143,10 +144,10 @@ def require_schema(data: Any, kind: str, newest: int) -> None:
 
 
 def as_json_types(value: Any) -> Any:
-    """Maps, lists, text and numbers of Python for structs, read-only maps, tuples, numpy numbers and paths.
+    """Convert structs, read-only maps, tuples, numpy numbers and paths to types that JSON supports.
 
     Raises:
-        TypeError: a value that JSON has no form for.
+        TypeError: a value without an equivalent in JSON.
     """
     if isinstance(value, msgspec.Struct):
         return as_json_types(msgspec.to_builtins(value))
@@ -160,11 +161,11 @@ def as_json_types(value: Any) -> Any:
         return str(value)
     if value is None or isinstance(value, bool | int | float | str):
         return value
-    raise TypeError(f"{type(value).__name__} has no JSON form")
+    raise TypeError(f"{type(value).__name__} has no equivalent in JSON")
 
 
 def require_writable(value: Any, field: str = "") -> None:
-    """Refuse what no UTF-8 JSON file can hold, anywhere in decoded JSON: NaN, infinity, half a surrogate pair.
+    """Require that decoded JSON can be written as UTF-8: no NaN, infinity or half of a surrogate pair anywhere.
 
     Raises:
         InputError: with the dotted path of the value.
@@ -175,7 +176,7 @@ def require_writable(value: Any, field: str = "") -> None:
 
 def _require_finite(value: Any, field: str) -> None:
     if isinstance(value, float) and not math.isfinite(value):
-        raise InputError(f"{value} is not a finite number; give one, or leave the key out", field=field)
+        raise InputError(f"{value} is not a finite number; give a finite one, or leave the key out", field=field)
     if isinstance(value, Mapping):
         for key, item in value.items():
             _require_finite(item, f"{field}.{key}".lstrip("."))
@@ -186,7 +187,7 @@ def _require_finite(value: Any, field: str) -> None:
 
 def _require_whole_characters(value: Any, field: str) -> None:
     if isinstance(value, str) and any("\ud800" <= character <= "\udfff" for character in value):
-        raise InputError(f"{value!r} holds half of a surrogate pair, expected whole characters", field=field)
+        raise InputError(f"{value!r} contains half of a surrogate pair, expected whole characters", field=field)
     if isinstance(value, Mapping):
         for key, item in value.items():
             _require_whole_characters(key, field)
@@ -206,12 +207,12 @@ def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _keys_at(kind: Any, place: str) -> list[str]:
-    """Keys of the struct at a dotted place such as ``provenance.recordings[0]``."""
+    """Keys of the struct at a dotted path such as ``provenance.recordings[0]``."""
     return [field.encode_name for field in _struct(_type_at(kind, place)).fields]
 
 
 def _choices_at(kind: Any, place: str) -> list[str]:
-    """What the text at a dotted place may be."""
+    """Valid values of the text at a dotted path."""
     info = _type_at(kind, place)
     options = info.types if isinstance(info, UnionType) else (info,)
     return [str(choice) for option in options if isinstance(option, LiteralType) for choice in option.values]
@@ -225,7 +226,7 @@ def _type_at(kind: Any, place: str) -> Any:
 
 
 def _struct(info: Any) -> StructType:
-    """The struct inside options, lists and maps."""
+    """Struct type inside of options, lists and maps."""
     while not isinstance(info, StructType):
         if isinstance(info, UnionType):
             info = next(option for option in info.types if not isinstance(option, NoneType))

@@ -1,4 +1,4 @@
-"""How the force of a whole test changes with what the model is made of."""
+"""Derivatives of the force of a whole test with respect to parameters of the model."""
 
 from __future__ import annotations
 
@@ -18,20 +18,23 @@ from tissue_sim.parameters import Parameter, find_parameters, parameters, value,
 from tissue_sim.recording.recording import Recording
 from tissue_sim.simulation import simulate
 
-#: Width of the differences, relative: of formulas inside the exact method, and of whole simulations.
-FORMULA_WIDTH, SIMULATION_WIDTH = 1e-6, 1e-3
+#: Relative width of differences of formulas within the exact method.
+FORMULA_WIDTH = 1e-6
+#: Relative width of differences of whole simulations.
+SIMULATION_WIDTH = 1e-3
 @dataclass(frozen=True, eq=False)
 class Sensitivities:
     """A simulated recording and its derivatives.
 
     Attributes:
-        recording: what `simulate` gives with a perfect sensor.
+        recording: result of `simulate` with a perfect sensor.
         names: paths of parameters, see `tissue_sim.parameters`; ``material.`` may be left out.
         values: dF/dtheta, N per SI unit of the parameter, shape (samples, parameters).
-        exact: by implicit differentiation (True) or by a central difference of simulations, shape (parameters,).
-        kinks: samples on whose way points of the surface came into contact, left it, or changed between sticking and
-            slipping, shape (samples,): near there the force has a kink in the parameters, and a derivative holds to one
-            side only.
+        exact: whether the derivative is an implicit one (True) or a central difference of simulations, shape
+            (parameters,).
+        kinks: whether points of the surface came into contact, left it, or changed between sticking and slipping since
+            the sample before, shape (samples,). There the force has a kink as a function of the parameters, and the
+            derivative is one-sided.
     """
 
     recording: Recording
@@ -44,25 +47,27 @@ class Sensitivities:
 def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolution: str = "fast",
                   mesh: Any = None, solver: str = "axisymmetric", topology: Model | None = None,
                   one_sided: bool = False) -> Sensitivities:
-    """Simulate a test with its derivatives.
+    """Simulate a test and compute the derivatives of its force.
 
-    Those with the material are exact: the equations of every converged step are differentiated, history, slip and
-    anchors included; bulk modulus as the material states it, so that `bulk.bulk_ratio` is held while the law changes
-    where the bulk response is a ratio, and `bulk.K_Pa` where it is a modulus. Where the rig gives way, the tool leans
-    or slips in part, an effect was added to the material, the solver has none (the axisymmetric one of a specimen that
-    weighs, and with adhesion or another law of contact), or the parameter is one of the experiment, the rig or the
-    mesh, it is a central difference of two simulations `SIMULATION_WIDTH` apart, one-sided at the end of its range.
-    Geometry moves the nodes of one mesh, so that such a difference has no jumps of remeshing.
+    Derivatives with respect to parameters of the material are exact: the equations of every converged step are
+    differentiated implicitly, with history, slip and stick anchors. The bulk response is held as the material states
+    it: `bulk.bulk_ratio` if it is a ratio, `bulk.K_Pa` if it is a modulus.
+
+    Derivatives are central differences of two simulations at the relative distance `SIMULATION_WIDTH`, one-sided at the
+    end of a range, in these cases: parameters of experiment, rig or mesh; a compliant rig; a tilted tool or partial
+    slip; additional effects of the material; a solver without derivatives (the axisymmetric solver with self-weight,
+    adhesion or another contact law). Changes of geometry move the nodes of one mesh, so that the differences contain
+    no jumps by remeshing.
 
     Args:
-        model: experiment, material, rig; forces are those on the tool, before the sensor of the rig reads them.
+        model: experiment, material, rig; forces are those on the tool, before the sensor reads them.
         names: parameters; None: all of the material.
-        resolution, mesh, solver, topology: as `simulate`; of a solver that has no derivatives all are differences.
-        one_sided: differences are to the simulation that there is anyhow, which takes one less for each.
+        resolution, mesh, solver, topology: as in `simulate`; with a solver without derivatives all are differences.
+        one_sided: use one-sided differences to the simulation of the model, which saves one simulation for each.
 
     Raises:
-        ConvergenceError: as `simulate`; of differences also where a neighbouring simulation fails.
-        InputError: unknown parameter, or what `simulate` refuses.
+        ConvergenceError: see `simulate`; for differences also if a simulation with a changed parameter fails.
+        InputError: an unknown parameter, or see `simulate`.
 
     Source: implicit differentiation at the converged step, as in Michaleris, Tortorelli and Vidal, Int. J. Numer.
     Methods Eng. 37 (1994) 2471.
@@ -83,7 +88,7 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     if watch.exact:
         values[:, exact] = watch.rates
     if not np.isfinite(values).all():
-        raise ConvergenceError("the tangent of a converged step is singular, so the force has no derivative there",
+        raise ConvergenceError("the tangent of a converged step is singular, so that the force has no derivative there",
                                recording=recording, depth=float(recording.displacement[-1]))
     for k in np.flatnonzero(~exact):
         values[:, k] = _difference(model, asked[k], recording.force, options, one_sided=one_sided)
@@ -91,7 +96,7 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
 
 
 class _Watch:
-    """Follows a solver through a test."""
+    """Observer of a simulation that collects derivatives."""
 
     def __init__(self, pairs: list, approach: Approach | None):
         self._pairs, self._approach = pairs, approach
@@ -101,13 +106,15 @@ class _Watch:
         self.exact = False
 
     def begin(self, solver: Solver) -> None:
+        """Request derivatives before the first step."""
         derivatives = solver.differentiate(self._pairs)
         along_z = self._approach is None
         self.exact = along_z or isinstance(derivatives, SpatialDerivatives) if derivatives else False
-        # Without parameters it still tells where the force has kinks.
+        # Derivatives without parameters still report the kinks of the force.
         self._derivatives = derivatives if self.exact or not self._pairs else solver.differentiate([])
 
     def sample(self, solver: Solver, factor: float) -> None:
+        """Store the derivatives of a sample."""
         derivatives = self._derivatives
         force = np.zeros(0) if derivatives is None else derivatives.force
         if self._approach is not None and isinstance(derivatives, SpatialDerivatives):
@@ -123,22 +130,22 @@ def _exact(model: Model, parameter: Parameter) -> bool:
     added = [effect for effect in model.material.effects.values() if not isinstance(effect, ReducedEffect)]
     if issubclass(parameter.part, TissueEffect) or added or parameter.declaration.shapes_mesh:
         return False
-    # Pores of no share are a term that appears.
-    share = f"{parameter.path.rpartition('.')[0]}.phi"
-    return not (issubclass(parameter.part, Poroelasticity) and value(model, share) == 0.0)
+    # With phi = 0 the drainage term is absent, and would appear with a change of phi.
+    phi = f"{parameter.path.rpartition('.')[0]}.phi"
+    return not (issubclass(parameter.part, Poroelasticity) and value(model, phi) == 0.0)
 
 
 def _pair(model: Model, parameter: Parameter):
-    """The material with a little more and a little less of a parameter, and the difference."""
+    """Material with a parameter increased, material with it decreased, and the difference of the parameter."""
     half = 0.5 * FORMULA_WIDTH * (abs(parameter.value) or 1.0)
     return _neighbours(lambda new: with_values(model, {parameter.path: new}).material, parameter.value, half)
 
 
 def _neighbours(change: Callable, value: float, half: float):
-    """What a little more and a little less of a parameter make, and the difference; one-sided at the end of its range.
+    """Results for an increased and a decreased value, and the difference; one-sided at the end of the range.
 
     Raises:
-        InputError: neither side is allowed.
+        InputError: both values are invalid.
     """
     made = []
     for new in (value + half, value - half):
@@ -151,11 +158,12 @@ def _neighbours(change: Callable, value: float, half: float):
 
 
 def _difference(model: Model, parameter: Parameter, force: np.ndarray, options: dict, *, one_sided: bool) -> np.ndarray:
-    """Central difference of two simulations on one mesh, whose nodes move with the geometry; one-sided, against the
-    force of the model itself, N, where that is asked for or only one side is allowed.
+    """Central difference of two simulations on one mesh, whose nodes move with the geometry, N per unit, shape (n,).
+
+    The difference is one-sided, with the force of the model itself, N, if requested or if only one side is valid.
 
     Raises:
-        InputError: neither side is allowed.
+        InputError: both values are invalid.
     """
     length = model.experiment.tool.radius or model.experiment.specimen.margin()
     size, value = abs(parameter.value) or (length if parameter.declaration.unit == "m" else 1.0), parameter.value

@@ -63,11 +63,11 @@ def warn_of_light_tool(least_mass: float) -> None:
 
 
 class MotionCheck:
-    """Whether the steps resolve the motion of the tool in time.
+    """Detector of motions of the tool that the time steps do not resolve.
 
-    Backward differences resolve the acceleration of a motion only if it takes several steps to turn. A tool that is
-    coupled explicitly and too light turns in every step (see above), which is an artefact of the coupling. With
-    ``inertia="auto"`` the mass of the tissue does not count for such a motion.
+    Backward differences resolve the acceleration of a motion only if it takes several steps to reverse. A tool that is
+    coupled explicitly and too light reverses in every step (see above), which is an artefact of the coupling. With
+    ``inertia="auto"`` the mass of the tissue is ignored for such a motion.
     """
 
     #: The tool oscillates if its motion reverses in this many successive steps.
@@ -85,7 +85,7 @@ class MotionCheck:
         Args:
             x, y, z: translation of the tool in this step, m.
             dt: s.
-            is_fast: whether the speed counts.
+            is_fast: whether the motion is fast enough to count as a reversal.
         """
         self.quiet += dt
         turns = is_fast and x * self._x + y * self._y + z * self._z < 0.0

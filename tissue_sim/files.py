@@ -1,4 +1,4 @@
-"""The content of an input file, or one sentence that says why there is none; and where files are kept."""
+"""Reading of input files with limits and plain errors, and the folder of cached files."""
 
 from __future__ import annotations
 
@@ -14,37 +14,41 @@ from pathlib import Path
 
 from tissue_sim.errors import InputError
 
-#: Spreadsheets and many AFM files are zip archives.
+#: First bytes of a zip archive; spreadsheets and many AFM files are archives.
 ZIP_MAGIC = b"PK\x03\x04"
 #: Byte order marks, the longer first.
 _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf-32"),
           (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
-#: What no text holds: control characters but for tab, line ends, form feed and the end-of-file sign of DOS.
+#: Control characters that no text contains; tab, line ends, form feed and the end-of-file sign of DOS are allowed.
 _CONTROL = [chr(code) for code in range(32) if code not in (9, 10, 11, 12, 13, 26)]
 
 
-#: Largest file of a recording; of JSON; of TOML: bytes.
-LARGEST, LARGEST_JSON, LARGEST_TOML = 300_000_000, 8_000_000, 1_000_000
-#: Files of a pattern.
+#: Largest file of a recording, bytes.
+LARGEST = 300_000_000
+#: Largest JSON file, bytes.
+LARGEST_JSON = 8_000_000
+#: Largest TOML file, bytes.
+LARGEST_TOML = 1_000_000
+#: Largest number of files that a pattern may match.
 _MOST_FILES = 10_000
-#: What an archive may hold, unpacked, bytes.
+#: Largest unpacked size of an archive, bytes.
 _LARGEST_UNPACKED = 200_000_000
 
 
 def open_file(path: str | Path, expected: str, largest: int = LARGEST) -> io.BufferedReader:
-    """A file of somebody's, opened for reading: the one door by which their bytes come in.
+    """Open an input file for reading. All input files are opened here.
 
     Args:
         path: the file.
-        expected: what the file should have been, for the message: ``"a recording (CSV)"``.
-        largest: bytes that it may have.
+        expected: description of the expected file, for the message: ``"a recording (CSV)"``.
+        largest: largest size, bytes.
 
     Raises:
         InputError: no such file, a folder, pipe or device, not readable, or too large.
     """
     path = Path(path)
     try:
-        # A pipe without a writer would be waited for, a device read for ever.
+        # O_NONBLOCK: open() must not wait for the writer of a pipe.
         file = os.fdopen(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)), "rb")
     except FileNotFoundError:
         raise InputError(f"no such file, expected {expected}; check the name and the folder", file=path) from None
@@ -62,7 +66,7 @@ def open_file(path: str | Path, expected: str, largest: int = LARGEST) -> io.Buf
         raise _folder(path, expected)
     if not stat.S_ISREG(found.st_mode):
         raise InputError(f"is a pipe, socket or device, expected {expected} in a file; save it as one", file=path)
-    raise InputError(f"has {found.st_size / 1e6:.3g} MB, expected {expected} of at most {largest / 1e6:g} MB; give a "
+    raise InputError(f"has {found.st_size / 1e6:.3g} MB, expected {expected} of at most {largest / 1e6:g} MB; use a "
                      "part of it", file=path)
 
 
@@ -78,20 +82,20 @@ def _folder(path: Path, expected: str) -> InputError:
 
 
 def read_bytes(path: str | Path, expected: str, largest: int = LARGEST) -> bytes:
-    """The bytes of a file; arguments and errors as `open_file`."""
+    """Read the bytes of a file; arguments and errors as in `open_file`."""
     with open_file(path, expected, largest) as file:
         try:
-            # Not more at once than it says: room is made for all that is asked for.
+            # At most one byte more than the stated size, because memory is reserved for the requested number.
             data = file.read(os.fstat(file.fileno()).st_size + 1)
-            if len(data) > largest or file.read(1):  # files of the system say that they have no bytes
+            if len(data) > largest or file.read(1):  # files of the operating system may state a size of 0
                 raise InputError(f"grows while it is read, expected {expected}", file=path)
-        except OSError as error:  # some files of the system, or a disk that fails
+        except OSError as error:  # some files of the operating system, or a disk failure
             raise InputError(f"cannot be read ({error.strerror or error}), expected {expected}", file=path) from error
     return data or b""
 
 
 def first_bytes(path: str | Path, count: int) -> bytes:
-    """How a file begins; nothing where it cannot be read."""
+    """Return the first bytes of a file; empty if the file cannot be read."""
     try:
         with open_file(path, "") as file:
             return file.read(count)
@@ -100,7 +104,7 @@ def first_bytes(path: str | Path, count: int) -> bytes:
 
 
 def exists(path: Path) -> bool:
-    """Whether there is such a file or folder; a name that no file can have is none."""
+    """Whether a file or folder exists; False for an invalid name."""
     try:
         return path.exists()
     except OSError:
@@ -108,26 +112,27 @@ def exists(path: Path) -> bool:
 
 
 def find_files(folder: Path, pattern: str) -> list[Path]:
-    """Files of a folder that a pattern such as ``run_*.csv`` matches, sorted.
+    """Return the files of a folder that match a pattern such as ``run_*.csv``, sorted.
 
     Raises:
-        InputError: no pattern, or one that matches more than `_MOST_FILES`.
+        InputError: an invalid pattern, or one that matches more than `_MOST_FILES`.
     """
     try:
         found = list(itertools.islice((each for each in folder.glob(pattern) if not each.is_dir()), _MOST_FILES + 1))
     except (OSError, ValueError, NotImplementedError, IndexError) as error:
-        raise InputError(f"{pattern!r} is no pattern of files ({error}); give one such as 'run_*.csv'") from None
+        raise InputError(f"{pattern!r} is not a valid pattern ({error}); use one such as 'run_*.csv'") from None
     if len(found) > _MOST_FILES:
-        raise InputError(f"{pattern!r} matches more than {_MOST_FILES} files; give a narrower one")
+        raise InputError(f"{pattern!r} matches more than {_MOST_FILES} files; use a narrower pattern")
     return sorted(found)
 
 
 def require_small_archive(path: str | Path) -> None:
-    """Refuse an archive that holds more than a computer should unpack for a stranger; it is unpacked to count, because
-    what it says of itself may be anything.
+    """Require that an archive does not exceed a size when unpacked.
+
+    The archive is unpacked to count its bytes, because the sizes that it states may be wrong.
 
     Raises:
-        InputError: such an archive; or as `open_file`.
+        InputError: the archive is too large; or see `open_file`.
     """
     size = 0
     with open_file(path, "a file") as file:
@@ -136,7 +141,7 @@ def require_small_archive(path: str | Path) -> None:
         try:
             with zipfile.ZipFile(file) as archive:
                 for member in archive.infolist():
-                    # Never fewer bytes than it says, which some readers believe.
+                    # Some readers read no more than the stated size; the true size may be larger.
                     member.file_size = 2**62
                     with contextlib.suppress(zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError,
                                              RuntimeError), archive.open(member) as content:
@@ -144,17 +149,17 @@ def require_small_archive(path: str | Path) -> None:
                             size += len(piece)
                             if size > _LARGEST_UNPACKED:
                                 raise InputError(f"unpacks to more than {_LARGEST_UNPACKED / 1e6:g} MB, expected "
-                                                 "recordings; give a part of it", file=path)
+                                                 "recordings; use a part of it", file=path)
         except (zipfile.BadZipFile, OSError, NotImplementedError, ValueError) as error:
             if isinstance(error, InputError):
                 raise
 
 
 def read_text(path: str | Path, expected: str, largest: int = LARGEST) -> str:
-    """The UTF-8 text of a file, without its byte order mark; arguments as `open_file`.
+    """Read the UTF-8 text of a file, without its byte order mark; arguments as in `open_file`.
 
     Raises:
-        InputError: as `open_file`; or empty, binary, or not UTF-8.
+        InputError: see `open_file`; or the file is empty, binary, or not UTF-8.
     """
     path, data = Path(path), read_bytes(path, expected, largest)
     if data.startswith(ZIP_MAGIC):
@@ -174,16 +179,16 @@ def read_text(path: str | Path, expected: str, largest: int = LARGEST) -> str:
 
 
 def decode_text(data: bytes, path: str | Path, expected: str) -> tuple[str, str]:
-    """The text in the bytes of a file, as any program of a laboratory may have written it.
+    """Decode the text of a file in one of the encodings that laboratory programs use.
 
-    By its byte order mark; else UTF-16 where every other byte is NUL; else UTF-8; else the western code page of
-    Windows, cp1252, and latin-1 where it has bytes that cp1252 lacks.
+    The encoding is that of the byte order mark; else UTF-16 if every other byte is NUL; else UTF-8; else cp1252
+    (Windows western), and latin-1 if the file has bytes that cp1252 lacks.
 
     Returns:
-        The text, and the name of its encoding in Python.
+        The text, and Python's name of its encoding.
 
     Raises:
-        InputError: empty or binary.
+        InputError: an empty or binary file.
     """
     encoding = next((name for mark, name in _MARKS if data.startswith(mark)), None)
     if encoding is None and b"\0" in data[:4096]:
@@ -199,8 +204,8 @@ def decode_text(data: bytes, path: str | Path, expected: str) -> tuple[str, str]
         except UnicodeDecodeError:
             continue
     else:
-        raise InputError(f"has the byte order mark of {encoding} and is none, expected {expected}; save it as UTF-8 "
-                         "text", file=path)
+        raise InputError(f"has the byte order mark of {encoding} but another encoding, expected {expected}; save it as "
+                         "UTF-8 text", file=path)
     if any(character in text for character in _CONTROL):
         raise InputError(f"is a binary file (it has control characters), expected {expected}", file=path)
     if not text.strip():
@@ -209,8 +214,7 @@ def decode_text(data: bytes, path: str | Path, expected: str) -> tuple[str, str]
 
 
 def cache_folder() -> Path:
-    """Where compiled kernels and derived formulas are kept: `TISSUE_SIM_CACHE`, else a folder in the user's cache
-    directory."""
+    """Folder of compiled kernels and derived formulas: `TISSUE_SIM_CACHE`, or a folder in the user's cache."""
     if "TISSUE_SIM_CACHE" in os.environ:
         return Path(os.environ["TISSUE_SIM_CACHE"])
     if os.name == "nt":

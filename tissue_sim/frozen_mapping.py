@@ -1,4 +1,4 @@
-"""Read-only mappings that another process can be sent: frozen data holds them, and pickle does not know them."""
+"""Read-only mappings for frozen dataclasses, with support for pickle, which `MappingProxyType` lacks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 
 def read_only(mapping: Mapping) -> MappingProxyType:
-    """A view of a copy that nobody can change."""
+    """Return a read-only copy of a mapping."""
     return MappingProxyType(dict(mapping))
 
 

@@ -13,7 +13,7 @@ _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
 class CopyError(InputError, TypeError):
-    """An object that owns compiled kernels was to be copied or pickled."""
+    """An object that owns compiled kernels cannot be copied or pickled."""
 
 
 class BusyError(InputError, RuntimeError):
@@ -21,13 +21,13 @@ class BusyError(InputError, RuntimeError):
 
 
 class KernelOwner:
-    """An object whose compiled kernels work on its arrays in place.
+    """Base of objects whose compiled kernels work on their arrays in place.
 
-    A copy of the Python object would share these arrays, or kernels would go on working on the arrays of the original.
-    `copy`, `deepcopy` and `pickle` are therefore refused.
+    A copy would share these arrays, or its kernels would still work on the arrays of the original. `copy`, `deepcopy`
+    and `pickle` therefore raise `CopyError`.
     """
 
-    #: What to do instead, in the message.
+    #: Remedy in the message.
     copy_remedy = "Copy the Simulator that owns it with clone(), or keep its state with save() and restore()."
 
     def __reduce_ex__(self, protocol: object) -> NoReturn:
@@ -36,7 +36,7 @@ class KernelOwner:
 
 
 def exclusive(method: _Method) -> _Method:
-    """Refuse a call while another thread is inside a method of the same object, which has a reentrant lock `_guard`.
+    """Decorate a method that one thread at a time may execute; the object has a reentrant lock `_guard`.
 
     Raises:
         BusyError: simultaneous calls of two threads.
@@ -53,7 +53,7 @@ def exclusive(method: _Method) -> _Method:
 
 
 def busy(owner: object) -> BusyError:
-    """The error of a simultaneous call."""
+    """Make the error of a simultaneous call."""
     name = type(owner).__name__
     return BusyError(f"{name} was called from two threads at the same time ({threading.current_thread().name} came "
                      f"second). Give each thread a clone(), or let one thread call it.")

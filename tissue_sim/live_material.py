@@ -1,4 +1,4 @@
-"""What a simulation that is felt takes for a material, and what may change while it runs."""
+"""Checks of experiments and materials for real-time simulation."""
 
 from __future__ import annotations
 
@@ -7,37 +7,48 @@ from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.material.material import Material
 from tissue_sim.parameters import parameters
 
-#: Moduli, Pa, that are stepped: softer than any gel, stiffer than any tissue.
-SOFTEST, STIFFEST = 1e-2, 1e9
+#: Smallest shear modulus of a real-time simulation, Pa; softer than any gel.
+SOFTEST = 1e-2
+#: Largest modulus, Pa; stiffer than any tissue.
+STIFFEST = 1e9
 
 
 def require_live(experiment: Experiment) -> None:
-    """Refuse what is a correction of whole recordings.
+    """Check that an experiment has no reduced effects that correct whole recordings.
 
     Raises:
-        InputError: a tool that leans, or slips in part.
+        InputError: a tilted tool, or partial slip.
     """
     if experiment.tilt:
-        raise InputError("a tilted tool is a correction of whole recordings and has no place in real time; leave "
-                         "the tilt out", field="tilt")
+        raise InputError("must be 0 in real time: the effect of a tilt is a correction of whole recordings. Leave the "
+                         "tilt out", field="tilt")
     if experiment.slip:
-        raise InputError("a face that slips in part is a correction of whole recordings and has no place in real "
-                         "time; leave the slip out, or use a coefficient of friction", field="slip")
+        raise InputError("must be 0 in real time: partial slip is a correction of whole recordings. Leave the slip "
+                         "out, or use a coefficient of friction", field="slip")
 
 
 def require_tissue(material: Material) -> None:
-    """Raises InputError: no tissue is so stiff, or so soft."""
+    """Check that the moduli of a material are in the range of tissues and gels.
+
+    Raises:
+        InputError: a modulus above `STIFFEST`, or a shear modulus below `SOFTEST`.
+    """
     for each in parameters(material).values():
         if each.declaration.unit == "Pa" and not abs(each.value) <= STIFFEST:
-            raise InputError(f"{each.value:g} Pa is stiffer than any tissue; give {STIFFEST:g} Pa or less",
+            raise InputError(f"must be at most {STIFFEST:g} Pa; got {each.value:g} Pa.",
                              field=each.path)
     if not SOFTEST <= material.mu0 <= STIFFEST:
-        raise InputError(f"a shear modulus of {material.mu0:g} Pa is none of tissue; give parameters that make it "
-                         f"{SOFTEST:g} to {STIFFEST:g} Pa", field="parameters")
+        raise InputError(f"must give a shear modulus of {SOFTEST:g} to {STIFFEST:g} Pa; got {material.mu0:g} Pa.",
+                         field="parameters")
 
 
 def require_same_layers(before: Material, after: Material) -> None:
-    """Raises InputError: the mesh would have to change."""
+    """Check that two materials have layers of the same thickness, on which the mesh depends.
+
+    Raises:
+        InputError: other layers.
+    """
     thick = [[layer.thickness for layer in material.layers] for material in (before, after)]
     if thick[0] != thick[1]:
-        raise InputError("the thickness of a layer is part of the mesh; build another simulator", field="layers")
+        raise InputError("must keep the thickness of the layers, which is part of the mesh; make another simulator",
+                         field="layers")

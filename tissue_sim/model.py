@@ -1,4 +1,4 @@
-"""A model: everything that a recording depends on."""
+"""Model: experiment, material and rig."""
 
 from __future__ import annotations
 
@@ -6,18 +6,26 @@ from dataclasses import dataclass, field
 
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.material.material import Material
+from tissue_sim.public_names import OldName
 from tissue_sim.rig.rig import Rig
 
 
 @dataclass(frozen=True)
 class Model:
-    """Everything that a recording depends on."""
+    """Experiment, material and rig: together they determine a recording.
 
+    Attributes:
+        experiment: specimen, tool, interfaces and protocol.
+        material: material of the tissue.
+        rig: load frame and sensor.
+    """
+
+    depends_on_way = OldName("is_path_dependent")
     experiment: Experiment
     material: Material
     rig: Rig = field(default_factory=Rig)
 
     @property
-    def depends_on_way(self) -> bool:
-        """Whether the force depends on how the tool came to where it is, and not on its place alone."""
-        return self.material.remembers or self.experiment.depends_on_way
+    def is_path_dependent(self) -> bool:
+        """Whether the force depends on the path of the tool, not only on its present pose."""
+        return self.material.remembers or self.experiment.is_path_dependent

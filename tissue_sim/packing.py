@@ -1,8 +1,8 @@
-"""A task on its way to another process, with everything that this program has registered.
+"""Transfer of a task to another process, together with all additions to registries.
 
-A worker that could not find a law, a tool or a kind of test that a plugin has added would refuse the task. Classes of
-installed packages travel by name. Those of other modules, a script or a plugin file of the user's, travel as they are,
-because a worker on another machine cannot import them.
+A worker needs the laws, tools or kinds of test that plug-ins have registered. Classes of installed packages are sent by
+name. Classes of other modules (a script or a plug-in file) are sent by value, because a worker on another machine
+cannot import them.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from tissue_sim.registry import modules_of_additions, register_all, registered
 
 
 def pack(function: Callable[..., Any], arguments: tuple) -> bytes:
-    """A task that `run_packed` runs elsewhere."""
+    """Serialise a task for `run_packed` in another process."""
     things = registered()
-    travelling = [module for name, module in modules_of_additions().items() if not _is_installed(name)]
-    for module in travelling:
+    by_value = [module for name, module in modules_of_additions().items() if not _is_installed(name)]
+    for module in by_value:
         cloudpickle.register_pickle_by_value(module)
     try:
-        # In two parts, so that what is registered is known when the arguments are made of it.
+        # In two parts: the worker registers the additions before it unpickles the arguments, which may need them.
         return cloudpickle.dumps((cloudpickle.dumps(things) if things else b"", cloudpickle.dumps((function,
                                                                                                    arguments))))
     finally:
-        for module in travelling:
+        for module in by_value:
             cloudpickle.unregister_pickle_by_value(module)
 
 
 def run_packed(task: bytes) -> Any:
-    """The result of a task, in the worker."""
+    """Execute a task of `pack` in the worker and return its result."""
     things, call = cloudpickle.loads(task)
     if things:
         register_all(cloudpickle.loads(things))
@@ -43,12 +43,12 @@ def run_packed(task: bytes) -> Any:
 
 
 def _is_installed(module: str) -> bool:
-    """Whether every worker can import it."""
+    """Whether every worker can import the module."""
     package = module.partition(".")[0]
     return package in sys.stdlib_module_names or package in _packages()
 
 
 @cache
 def _packages() -> frozenset[str]:
-    # This program counts also where it runs from its sources.
+    # The packages of this program are importable also if they run from their sources.
     return frozenset(packages_distributions()) | {"tissue_sim", "calibration", "haptics", "scenes"}

@@ -1,9 +1,9 @@
-"""The parameters of a model: every number that it depends on, by a path, in SI.
+"""Parameters of a model: declarations at dataclass fields, and access by path, in SI.
 
-A frozen dataclass declares at its field what the field is, with `parameter`. Files, campaigns, sensitivities,
-covariances, sliders, flags and reports take symbol, unit, bounds, absent value and file key from there, and reach the
-values by path: ``material.viscoelastic.terms[0].g``, ``experiment.tool.radius``, ``rig.compliance``. A path may start
-at any part: ``viscoelastic.terms[0].g`` is one of a `Material`.
+A frozen dataclass declares a parameter at its field with `parameter`. Files, campaigns, sensitivities, covariances,
+sliders, flags and reports take symbol, unit, bounds, absent value and file key from the declaration, and access values
+by path: ``material.viscoelastic.terms[0].g``, ``experiment.tool.radius``, ``rig.compliance``. A path may start at any
+part: ``viscoelastic.terms[0].g`` is a path of a `Material`.
 """
 
 from __future__ import annotations
@@ -18,25 +18,26 @@ from typing import Any, Protocol, TypeGuard, TypeVar, runtime_checkable
 
 from tissue_sim.errors import InputError, nearest
 
+#: Key of the declaration in the metadata of a field.
 _KEY = "tissue_sim.parameter"
-#: Names of parts are those that others gave them, such as ``part:1`` of a mesh.
+#: Name or index in a path; names may be those of a file, such as ``part:1`` of a mesh.
 _TOKEN = re.compile(r"([^.\[\]]+)|\[(0|[1-9]\d{0,5})\]")
 Part = TypeVar("Part")
 
 
 @dataclass(frozen=True)
 class Declaration:
-    """What a parameter is.
+    """Declaration of a parameter.
 
     Attributes:
-        symbol: as reports write it, such as ``g``.
-        unit: in SI, ``"1"`` for a ratio.
-        bounds: lowest and highest value that a fit may try, SI.
-        absent: value at which the parameter does nothing; None where it always acts.
-        key: in files, with the file's unit in its name: ``tau_s``, ``radius_mm``.
+        symbol: symbol in reports, such as ``g``.
+        unit: SI unit, ``"1"`` for a ratio.
+        bounds: lowest and highest value in a fit, SI.
+        absent: value without effect; None if the parameter always has an effect.
+        key: key in files, with the file's unit: ``tau_s``, ``radius_mm``.
         factor: SI units in one unit of the file.
-        shapes_mesh: whether the mesh depends on it.
-        words: what else may stand there and is a number, such as ``frictionless`` for 0.
+        shapes_mesh: whether the mesh depends on the parameter.
+        words: words that stand for a number, such as ``frictionless`` for 0.
     """
 
     symbol: str
@@ -51,13 +52,13 @@ class Declaration:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of one model.
+    """Parameter of one model.
 
     Attributes:
-        path: from the part that was asked.
-        declaration: what it is.
+        path: path from the part that was searched.
+        declaration: declaration of the parameter.
         value: SI.
-        part: class of the part that it belongs to.
+        part: class of the part that has the parameter.
     """
 
     path: str
@@ -67,71 +68,71 @@ class Parameter:
 
     @property
     def symbol(self) -> str:
-        """Of its declaration, with a number where there are several of its kind: ``g1``."""
+        """Symbol, with a number if there are several parameters of the kind: ``g1``."""
         return symbol_at(self.path, self.declaration)
 
     @property
     def file_path(self) -> str:
-        """The path as files write it, its last part with the unit: ``viscoelastic.terms[0].tau_s``."""
+        """Path in files, whose last part contains the unit: ``viscoelastic.terms[0].tau_s``."""
         place, dot, _ = self.path.rpartition(".")
         return place + dot + self.declaration.key
 
 
 def symbol_at(path: str, declaration: Declaration) -> str:
-    """Symbol of what is declared at a path, with a number where there are several of its kind: ``g1``."""
+    """Symbol of a declaration at a path, with a number if there are several of the kind: ``g1``."""
     return declaration.symbol + "".join(str(token + 1) for token in tokens(path) if isinstance(token, int))
 
 
 @runtime_checkable
 class HasParameters(Protocol):
-    """A part whose parameters are no plain fields, such as those of a law, by name."""
+    """Part with parameters that are not fields, such as those of a law."""
 
     def own_parameters(self) -> Mapping[str, tuple[Declaration, float]]:
-        """Name -> what it is and its value, of those that are no declared fields."""
+        """Declaration and value, by name, of the parameters that are not fields."""
 
     def with_own_parameters(self: Part, values: Mapping[str, float], **changes: Any) -> Part:
-        """The part with some of them, and some fields, changed."""
+        """Return the part with changed parameters and fields."""
 
 
 def parameter(symbol: str, unit: str, *, key: str, factor: float = 1.0, bounds: tuple[float, float] = (-inf, inf),
               absent: float | None = None, shapes_mesh: bool = False, words: Mapping[str, float] | None = None,
               default: Any = MISSING) -> Any:
-    """A dataclass field that is a parameter; see `Declaration`."""
+    """Make a dataclass field that is a parameter; see `Declaration`."""
     what = Declaration(symbol, unit, bounds, absent, key, factor, shapes_mesh, words or {})
     return field(default=default, metadata={_KEY: what})
 
 
 def declaration(entry: Field) -> Declaration | None:
-    """What a dataclass field declares; None where it is no parameter."""
+    """Declaration of a dataclass field; None if it is not a parameter."""
     return entry.metadata.get(_KEY)
 
 
 def declared(kind: type) -> dict[str, Declaration]:
-    """Field -> what it declares, of a dataclass, in order."""
+    """Declarations of a dataclass by field, in order."""
     return {entry.name: what for entry in fields(kind) if (what := declaration(entry)) is not None}
 
 
 def declaring(base: type) -> Callable[[Any], bool]:
-    """Whether a thing is a dataclass that derives from `base` and declares parameters: a check for registries."""
+    """Return a check for registries: whether an object is a dataclass that derives from `base` and has parameters."""
     return lambda kind: (isinstance(kind, type) and issubclass(kind, base) and is_dataclass(kind)
                          and bool(declared(kind)))
 
 
 def parameters(part: Any) -> dict[str, Parameter]:
-    """Path -> parameter, of everything in a part: a `Model`, a `Material`, an `Experiment`, a `Rig`."""
+    """Return all parameters of a part (`Model`, `Material`, `Experiment`, `Rig`, ...) by path."""
     return {each.path: each for each in _walk(part, "")}
 
 
 def parameter_values(part: Any) -> dict[str, float]:
-    """Path -> value, SI, of everything in a part."""
+    """Return the values of all parameters of a part by path, SI."""
     return {each.path: each.value for each in _walk(part, "")}
 
 
 def value(part: Any, path: str) -> float:
-    """The value of one parameter, SI.
+    """Return the value of one parameter, SI.
 
     Raises:
-        InputError: no such parameter; names the nearest.
+        InputError: an unknown path; the message names the nearest.
     """
     known = parameters(part)
     if path not in known:
@@ -140,10 +141,10 @@ def value(part: Any, path: str) -> float:
 
 
 def find_parameters(model: Any, names: Iterable[str]) -> list[Parameter]:
-    """Parameters of a model by their paths; ``material.`` may be left out.
+    """Return parameters of a model by their paths; ``material.`` may be left out.
 
     Raises:
-        InputError: no such parameter; names the nearest.
+        InputError: an unknown path; the message names the nearest.
     """
     known = parameters(model)
     return [_find(model, name, known) for name in names]
@@ -155,20 +156,20 @@ def _find(model: Any, name: str, known: Mapping[str, Parameter]) -> Parameter:
             return known[path]
         word = _at(model, path)
         if isinstance(word, str):
-            raise InputError(f"is {word!r} and not a number that could change", field=name)
+            raise InputError(f"must be a number to be changed; got {word!r}.", field=name)
     raise InputError(f"unknown parameter{nearest(name, [path.removeprefix('material.') for path in known])}",
                      field=name)
 
 
 def with_values(part: Part, values: Mapping[str, float]) -> Part:
-    """The part with parameters changed, all of them at once.
+    """Return the part with several parameters changed at once.
 
     Args:
-        part: a model or a part of one.
+        part: a model or a part of a model.
         values: path -> value, SI.
 
     Raises:
-        InputError: no such parameter (names the nearest), or what the parts refuse.
+        InputError: an unknown path (the message names the nearest), or an invalid value.
     """
     tree: dict = {}
     for path, number in values.items():
@@ -183,27 +184,27 @@ def with_values(part: Part, values: Mapping[str, float]) -> Part:
 
 
 def tokens(path: str) -> list[str | int]:
-    """``terms[0].g`` -> ``["terms", 0, "g"]``."""
+    """Split a path: ``terms[0].g`` -> ``["terms", 0, "g"]``."""
     return [name if name else int(index) for name, index in _TOKEN.findall(path)]
 
 
 def to_keys(part: Any) -> dict[str, float]:
-    """Key of files -> value in its unit, 15 digits, of the numbers that a part declares and has."""
+    """Return the declared numbers of a part by their keys in files, in the units of the keys with 15 digits."""
     return {what.key: float(f"{number / what.factor:.15g}") for name, what in declared(type(part)).items()
             if (number := getattr(part, name)) is not None}
 
 
 def from_keys(kind: type[Part], content: Mapping[str, float], field: str, **others: Any) -> Part:
-    """A part from the keys of a file.
+    """Make a part from the keys of a file.
 
     Args:
-        kind: its class.
-        content: key -> value in its unit.
-        field: where they stand, for messages.
-        others: what it takes beside them.
+        kind: class of the part.
+        content: key -> value in the unit of the key.
+        field: field of the file, for messages.
+        others: other arguments of the class.
 
     Raises:
-        InputError: an unknown key (names the nearest), a missing one, or a value that the part refuses; with the field.
+        InputError: an unknown key (the message names the nearest), a missing key, or an invalid value; with the field.
     """
     names = {what.key: (name, what.factor) for name, what in declared(kind).items()}
     for key in content:
@@ -222,7 +223,7 @@ def from_keys(kind: type[Part], content: Mapping[str, float], field: str, **othe
 
 
 def _at(part: Any, path: str) -> Any:
-    """What stands at a path, the part itself at the empty one; None where nothing does."""
+    """Object at a path, the part itself at the empty path; None if there is none."""
     for token in tokens(path):
         if isinstance(token, int):
             part = part[token] if isinstance(part, tuple) and token < len(part) else None
@@ -232,14 +233,14 @@ def _at(part: Any, path: str) -> Any:
 
 
 def _has(part: Any, name: str | int) -> bool:
-    """Whether a part has a parameter of that name itself."""
+    """Whether the part itself, not one below it, has a parameter of the name."""
     if not is_dataclass(part):
         return False
     return any(each.path == name for each in _parameters_of(part, ""))
 
 
 def _walk(part: Any, place: str) -> Iterator[Parameter]:
-    """Every parameter at and below a part."""
+    """Yield every parameter of a part and of the parts below it."""
     yield from _parameters_of(part, place)
     for entry in fields(part):
         content = getattr(part, entry.name)
@@ -256,7 +257,7 @@ def _walk(part: Any, place: str) -> Iterator[Parameter]:
 
 
 def _parameters_of(part: Any, place: str) -> Iterator[Parameter]:
-    """The parameters of a part itself."""
+    """Yield the parameters of a part itself."""
     if _states_its_own(part):
         for name, (what, number) in part.own_parameters().items():
             yield Parameter(place + name, what, number, type(part))
@@ -275,7 +276,7 @@ def _states_its_own(part: Any) -> TypeGuard[HasParameters]:
 
 @cache
 def _of_a_kind_that_does(kind: type) -> bool:
-    """Python looks through all classes of a protocol for this."""
+    """Whether a class implements `HasParameters`; cached, because `issubclass` with a protocol is slow."""
     return issubclass(kind, HasParameters)
 
 

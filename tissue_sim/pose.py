@@ -1,4 +1,4 @@
-"""Where the tool is, in three dimensions; and the rigid motion from one pose to another."""
+"""Poses of the tool in three dimensions, and rigid motions between them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 from tissue_sim.errors import InputError
 
+#: x, y, z.
 Vector = tuple[float, float, float]
+#: w, x, y, z.
 Quaternion = tuple[float, float, float, float]
 #: Translation (or force) along x, y, z, then rotation (or torque) about them.
 Screw = tuple[float, float, float, float, float, float]
@@ -18,13 +20,14 @@ LENGTH_TOLERANCE = 1e-3
 _ROUNDING = 1e-12
 #: Orientation of an upright tool.
 NO_ROTATION: Quaternion = (1.0, 0.0, 0.0, 0.0)
-#: Below this sine of half an angle two orientations are turned linearly into each other.
+#: Sine of half an angle below which orientations are interpolated linearly.
 _SMALL = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where the tool is, in the frame of the scene: origin at the centre of the undeformed top, z out of the tissue.
+    """Position and orientation of the tool in the frame of the scene: origin at the centre of the undeformed top, z out
+    of the tissue.
 
     Attributes:
         position: of the tool's deepest point, x, y, z, m.
@@ -68,17 +71,17 @@ class Pose:
 
     @classmethod
     def at_depth(cls, depth: float) -> Pose:
-        """On the axis of the scene, upright, pushed in by `depth`, m."""
+        """Make the pose of an upright tool on the axis of the scene at a depth, m."""
         return cls((0.0, 0.0, -depth))
 
     @property
     def depth(self) -> float:
-        """How far the tool is pushed in, m."""
+        """Displacement into the tissue along -z, m."""
         return -self.position[2]
 
     @property
     def rotation(self) -> tuple[Vector, Vector, Vector]:
-        """Rows of the matrix that takes directions of the tool's frame to the scene's."""
+        """Rotation matrix, row by row, from the frame of the tool to that of the scene."""
         w, x, y, z = self.orientation
         return ((1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
                 (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
@@ -86,15 +89,15 @@ class Pose:
 
     @property
     def is_finite(self) -> bool:
-        """Whether all of its numbers are."""
+        """Whether all numbers are finite."""
         return math.isfinite(sum(self.position) + sum(self.orientation))
 
 
 def _numbers(values: object, count: int, field: str, names: str) -> tuple[float, ...]:
-    """A sequence of numbers, such as a list or an array, as a tuple of floats.
+    """Convert a sequence of numbers to a tuple of floats.
 
     Raises:
-        InputError: something else.
+        InputError: another type, or another number of entries.
     """
     if isinstance(values, str | bytes):
         raise _not_numbers(values, count, field, names)
@@ -112,7 +115,7 @@ def _not_numbers(values: object, count: int, field: str, names: str) -> InputErr
 
 
 def _length_text(length: float) -> str:
-    """A length with four significant digits of its difference from 1."""
+    """Text of a length with four significant digits of its difference from 1."""
     if not 0.5 < length < 2.0:
         return f"{length:.4g}"
     decimals = 3 - math.floor(math.log10(abs(length - 1.0)))
@@ -120,19 +123,19 @@ def _length_text(length: float) -> str:
 
 
 def scaled(factor: float, screw: Screw) -> Screw:
-    """A screw times a number."""
+    """Multiply a screw by a number."""
     x, y, z, u, v, w = screw
     return (factor * x, factor * y, factor * z, factor * u, factor * v, factor * w)
 
 
 def added(one: Screw, other: Screw) -> Screw:
-    """The sum of two screws."""
+    """Add two screws."""
     (x, y, z, u, v, w), (a, b, c, d, e, f) = one, other
     return (x + a, y + b, z + c, u + d, v + e, w + f)
 
 
 def motion(start: Pose, end: Pose) -> Screw:
-    """From one pose to another: translation, m, and rotation vector, rad, both in the frame of the scene."""
+    """Return the motion between two poses: translation, m, and rotation vector, rad, in the frame of the scene."""
     (x0, y0, z0), (x1, y1, z1) = start.position, end.position
     if start.orientation == end.orientation:
         return (x1 - x0, y1 - y0, z1 - z0, 0.0, 0.0, 0.0)
@@ -143,11 +146,11 @@ def motion(start: Pose, end: Pose) -> Screw:
 
 
 def between(start: Pose, end: Pose, share: float) -> Pose:
-    """A pose on the way from one to another: straight, and turning about one axis at an even rate.
+    """Interpolate between two poses: linearly in position, and at constant angular velocity about one axis.
 
     Args:
-        start, end: the two.
-        share: of the way, 0 to 1; at 1 the answer is `end` itself.
+        start, end: poses.
+        share: fraction of the motion, 0 to 1; at 1 the result is `end` itself.
 
     Source: Shoemake, SIGGRAPH 1985, spherical linear interpolation.
     """
@@ -166,7 +169,7 @@ def between(start: Pose, end: Pose, share: float) -> Pose:
 
 
 def turned(pose: Pose, rotation: Vector) -> Pose:
-    """A pose turned about its position by a rotation vector, rad, in the frame of the scene."""
+    """Rotate a pose about its position by a rotation vector, rad, in the frame of the scene."""
     angle = math.sqrt(sum(part * part for part in rotation))
     if angle == 0.0:
         return pose
@@ -184,7 +187,7 @@ def twist_about_axis(orientation: Quaternion) -> Quaternion | None:
 
 
 def without_twist(pose: Pose, twist: Quaternion | None) -> Pose:
-    """A pose without a rotation about the tool's own axis; a body of revolution is then the same body."""
+    """Remove a rotation about the tool's own axis from a pose; a body of revolution does not change."""
     if twist is None:
         return pose
     w, _, _, z = twist
@@ -197,13 +200,13 @@ def with_twist(pose: Pose, twist: Quaternion | None) -> Pose:
 
 
 def raised(pose: Pose, height: float) -> Pose:
-    """A pose moved along z by a height, m."""
+    """Move a pose along z by a height, m."""
     x, y, z = pose.position
     return Pose((x, y, z + height), pose.orientation)
 
 
 def _relative(start: Quaternion, end: Quaternion) -> Quaternion:
-    """The rotation that takes one orientation to another, the shorter way round."""
+    """Rotation from one orientation to another, by at most half a turn."""
     w, x, y, z = start
     relative = _product(end, (w, -x, -y, -z))
     if relative[0] >= 0.0:

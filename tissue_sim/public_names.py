@@ -1,24 +1,27 @@
-"""Public names of a package, and modules, imported on first use, so that importing the package is instant."""
+"""Public names: lazy imports of packages and modules; old names that give a `DeprecationWarning` for one release."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from types import ModuleType
 from typing import Any
 
 
 def import_on_use(package: str) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
-    """Names, ``__getattr__`` and ``__dir__`` of a package (PEP 562).
+    """Return the public names, ``__getattr__`` and ``__dir__`` of a package that imports each name on first use.
 
     Args:
-        package: its ``__name__``. In its folder lies ``__init__.pyi``, which type checkers read, with a line
-            ``from MODULE import NAME as NAME`` for each public name.
+        package: ``__name__`` of the package. The folder of the package contains ``__init__.pyi``, which type checkers
+            read, with one line ``from MODULE import NAME as NAME`` for each public name.
+
+    Source: PEP 562.
     """
     homes = {}
     spec: Any = sys.modules[package].__spec__
-    # As the package itself is read, from a folder or an archive.
+    # The loader of the package reads the stub, so that packages in a zip archive work too.
     for line in spec.loader.get_data(f"{spec.origin}i").decode("utf-8").splitlines():
         match line.split():
             case "from", module, "import", name, "as", _:
@@ -31,14 +34,72 @@ def import_on_use(package: str) -> tuple[list[str], Callable[[str], Any], Callab
         setattr(sys.modules[package], name, value)
         return value
 
-    def names() -> list[str]:
+    def list_names() -> list[str]:
         return sorted({*vars(sys.modules[package]), *homes})
 
-    return sorted(homes), get, names
+    return sorted(homes), get, list_names
 
 
-class ModuleOnUse(ModuleType):
-    """A module that is imported when one of its names is asked for; its ``__name__`` is that of the module."""
+class LazyModule(ModuleType):
+    """Module that is imported when one of its attributes is read; ``__name__`` is the name of the module."""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(import_module(self.__name__), name)
+
+
+def old_names(module: str, renamed: Mapping[str, str]) -> Callable[[str], Any]:
+    """Return a ``__getattr__`` of a module that answers old names with a `DeprecationWarning`.
+
+    Args:
+        module: ``__name__`` of the module.
+        renamed: old name -> new name, or ``"other.module:new_name"``.
+
+    Example:
+        ``__getattr__ = old_names(__name__, {"Rung": "ResolutionLevel"})``
+    """
+    def get(name: str) -> Any:
+        if name not in renamed:
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        place, _, new = renamed[name].rpartition(":")
+        warnings.warn(f"{module}.{name} is renamed to {place or module}.{new}", DeprecationWarning, stacklevel=2)
+        return getattr(import_module(place or module), new)
+
+    return get
+
+
+class OldName:
+    """Old name of a member of a class: reading it gives a `DeprecationWarning` and the member with the new name.
+
+    Args:
+        new: new name of the member.
+    """
+
+    def __init__(self, new: str):
+        self._new = new
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._label = f"{owner.__name__}.{name}"
+
+    def __get__(self, instance: Any, owner: type | None = None) -> Any:
+        warnings.warn(f"{self._label} is renamed to {self._new}", DeprecationWarning, stacklevel=2)
+        return getattr(owner if instance is None else instance, self._new)
+
+
+def adopt_old_names(subclass: type, renamed: Mapping[str, str]) -> None:
+    """Give members that a subclass defines by old names their new names, with a `DeprecationWarning`.
+
+    To be called in ``__init_subclass__`` of a base class that plug-ins derive from. A member that the subclass defines
+    by both names keeps the definition of the new name.
+
+    Args:
+        subclass: class that has just been defined.
+        renamed: old name -> new name.
+    """
+    for old, new in renamed.items():
+        if old not in vars(subclass) or isinstance(vars(subclass)[old], OldName):
+            continue
+        if new not in vars(subclass):
+            warnings.warn(f"{subclass.__name__}.{old} is renamed to {new}; define {new}", DeprecationWarning,
+                          stacklevel=3)
+            setattr(subclass, new, vars(subclass)[old])
+        delattr(subclass, old)

@@ -1,72 +1,96 @@
-"""Which mesh a computer can step in real time: the finest of a ladder whose ticks fit into a budget."""
+"""Selection of the finest mesh that this computer steps within a time budget."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
-from tissue_sim.fem.solver import Rung
+from tissue_sim.fem.solver import ResolutionLevel
 from tissue_sim.tool_force import ToolForce
 
-#: A motion that is stepped to find out: ticks (s), how many, and in which period they go in and out (s).
-TICK, _TICKS, _PERIOD = 1e-3, 300, 0.15
-#: To which share of the largest depth, and how far out of the tissue.
-_SHARE, _LIFT = 0.5, 0.05
-#: Share of the ticks that have to be in time.
-_IN_TIME = 0.99
-#: A finer mesh takes at least so many times as long.
-_DEARER = 1.5
+#: Time step of the test motion, s.
+TICK = 1e-3
+
+
+@dataclass(frozen=True)
+class TestMotion:
+    """Test motion by which the time of a tick is measured: a cosine in depth.
+
+    Attributes:
+        ticks: number of time steps of `TICK`.
+        period: of the motion, s.
+        depth_fraction: largest depth of the motion over the largest depth of the protocol, 1.
+        lift_fraction: largest height above the tissue over the largest depth of the protocol, 1.
+        in_time: fraction of the ticks that must be in time, 1.
+    """
+
+    __test__ = False  # for pytest
+
+    ticks: int = 300
+    period: float = 0.15
+    depth_fraction: float = 0.5
+    lift_fraction: float = 0.05
+    in_time: float = 0.99
+
+
+_MOTION = TestMotion()
+#: Least ratio of the time of a tick of a finer mesh to that of the next coarser mesh.
+_LEAST_COST_RATIO = 1.5
 
 
 class Stepped(Protocol):
-    """What is measured."""
+    """Object whose steps are timed, such as a `Simulator`."""
 
     def step(self, pose: float, dt: float) -> ToolForce:
-        """The force at a depth, m, dt s after the last step."""
+        """Return the force at a depth, m, dt s after the last step."""
 
 
 def measure_tick(simulator: Stepped, depth: float, *, lifts: bool, budget: float = math.inf) -> float:
-    """CPU time of this thread, s, in which 99 % of the ticks of a swift motion end.
+    """Measure the CPU time of this thread, s, within which 99 % of the ticks of a fast motion end.
 
     Args:
-        simulator: at the touch; it is left somewhere else.
-        depth: largest one, m.
-        lifts: whether the tool leaves the tissue on the way.
-        budget: s; once more ticks than the hundredth took longer, the answer is infinity: a mesh that does not fit is
-            known soon, however long its ticks.
+        simulator: simulator with its tool at the touch; its state changes.
+        depth: largest depth, m.
+        lifts: whether the tool leaves the tissue during the motion.
+        budget: s; the result is infinity as soon as more than 1 % of the ticks took longer, so that a mesh that is too
+            fine is rejected early.
     """
-    away = _LIFT * depth if lifts else 0.0
+    height = _MOTION.lift_fraction * depth if lifts else 0.0
     spent: list[float] = []
-    slow, most = 0, _TICKS - math.ceil(_IN_TIME * _TICKS)
-    for k in range(_TICKS):
-        swing = 0.5 - 0.5 * math.cos(2.0 * math.pi * k * TICK / _PERIOD)
+    slow, most = 0, _MOTION.ticks - math.ceil(_MOTION.in_time * _MOTION.ticks)
+    for k in range(_MOTION.ticks):
+        swing = 0.5 - 0.5 * math.cos(2.0 * math.pi * k * TICK / _MOTION.period)
         began = time.thread_time()
-        simulator.step((_SHARE * depth + away) * swing - away, TICK)
+        simulator.step((_MOTION.depth_fraction * depth + height) * swing - height, TICK)
         spent.append(time.thread_time() - began)
         slow += spent[-1] > budget
         if slow > most:
             return math.inf
-    return sorted(spent)[math.ceil(_IN_TIME * _TICKS) - 1]
+    return sorted(spent)[math.ceil(_MOTION.in_time * _MOTION.ticks) - 1]
 
 
-def choose(rungs: Sequence[Rung], start: int, budget: float, tick_of: Callable[[Rung], float]) -> Rung:
-    """The finest of the rungs, the finest first, whose tick (s) fits into the budget (s); the coarsest where none does.
+def choose_level(levels: Sequence[ResolutionLevel], start: int, budget: float,
+                 tick_of: Callable[[ResolutionLevel], float]) -> ResolutionLevel:
+    """Return the finest level whose tick fits into the budget; the coarsest if none fits.
 
     Args:
-        start: number of the rung that is measured first.
-        tick_of: measures one.
+        levels: the finest first.
+        start: index of the level that is measured first.
+        budget: wall time of a tick, s.
+        tick_of: measures the time of a tick on a level, s.
     """
-    tick, at = tick_of(rungs[start]), start
+    tick, index = tick_of(levels[start]), start
     if tick > budget:
-        while tick > budget and at + 1 < len(rungs):
-            at += 1
-            tick = tick_of(rungs[at])
-        return rungs[at]
-    while at > 0 and _DEARER * tick <= budget:
-        tick = tick_of(rungs[at - 1])
+        while tick > budget and index + 1 < len(levels):
+            index += 1
+            tick = tick_of(levels[index])
+        return levels[index]
+    while index > 0 and _LEAST_COST_RATIO * tick <= budget:
+        tick = tick_of(levels[index - 1])
         if tick > budget:
             break
-        at -= 1
-    return rungs[at]
+        index -= 1
+    return levels[index]

@@ -1,8 +1,8 @@
-"""Things by name: those of the house, those of installed packages, and those that a program registers.
+"""Registries: built-in objects, those of installed packages, and those that a program registers, by name.
 
-What can be added (a law, a tool's shape, a kind of test, a format, a device, ...) stands in a `Registry`, and everybody
-who takes a name looks it up there. A package adds one through an entry point of the registry's group, a program with
-`Registry.register`; nothing else has to know of it.
+Everything that can be added (a law, the shape of a tool, a kind of test, a format, a device, ...) has a `Registry`, in
+which all code looks up its names. A package adds an object through an entry point of the registry's group, a program
+with `Registry.register`.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from typing import Any, Generic, TypeVar
 from tissue_sim.errors import InputError, nearest
 
 T = TypeVar("T")
-#: Group -> registry, of all that were made in this process.
+#: Group -> registry, for all registries of this process.
 _ALL: dict[str, Registry] = {}
-#: Group -> (name, thing) that another process has registered there, until this one makes that registry.
+#: Group -> (name, object) from another process, until the registry of the group is made in this process.
 _WAITING: dict[str, list[tuple[str, Any]]] = {}
 
 
 class Registry(Mapping[str, T], Generic[T]):
-    """Name -> thing.
+    """Mapping from names to objects.
 
     Args:
-        what: a thing is, in messages: ``"law"``.
-        group: of the entry points that add some, such as ``"tissue_sim.laws"``.
-        built_in: name -> the thing, or where it is, ``"package.module:attribute"``, which is imported on first use.
-        accepts: whether a thing that somebody adds is one.
-        expected: what to give where it is none, in messages.
-        named_by: attribute of a thing that is its name.
+        what: kind of object, for messages: ``"law"``.
+        group: group of the entry points that add objects, such as ``"tissue_sim.laws"``.
+        built_in: name -> object, or its import path ``"package.module:attribute"``, which is imported on first use.
+        accepts: whether an added object is valid.
+        expected: description of a valid object, for messages.
+        named_by: attribute of an object that is its name.
     """
 
     def __init__(self, what: str, group: str, built_in: Mapping[str, T | str], *,
@@ -51,9 +51,9 @@ class Registry(Mapping[str, T], Generic[T]):
         found: dict[str, EntryPoint] = {}
         for entry in entry_points(group=self.group):
             if entry.name in self._built_in or entry.name in found:
-                other = "what is built in" if entry.name in self._built_in else f"that of {found[entry.name].value}"
-                raise InputError(f"the {self.what} {entry.name!r} of {entry.value} has the name of {other}; one of the "
-                                 "packages has to go or take another name", field=self.group)
+                other = "a built-in one" if entry.name in self._built_in else f"that of {found[entry.name].value}"
+                raise InputError(f"the {self.what} {entry.name!r} of {entry.value} has the name of {other}; remove or "
+                                 "rename one of them", field=self.group)
             found[entry.name] = entry
         return found
 
@@ -69,7 +69,7 @@ class Registry(Mapping[str, T], Generic[T]):
 
     def _checked(self, name: str, thing: T) -> T:
         if not self._accepts(thing):
-            raise InputError(f"{name!r} is no {self.what}; give {self._expected}", field=self.group)
+            raise InputError(f"{name!r} is not a valid {self.what}; give {self._expected}", field=self.group)
         return thing
 
     def __iter__(self) -> Iterator[str]:
@@ -82,28 +82,28 @@ class Registry(Mapping[str, T], Generic[T]):
         return name in self._things or name in self._installed
 
     def find(self, name: str, field: str | None = None) -> T:
-        """The thing of that name.
+        """Return the object with a name.
 
         Args:
-            name: of it.
-            field: where the name stands, for the message.
+            name: name of the object.
+            field: field that contains the name, for the message.
 
         Raises:
-            InputError: there is none; names the nearest.
+            InputError: no object has the name; the message names the nearest.
         """
         if name not in self:
             raise InputError(f"unknown {self.what} {name!r}{nearest(str(name), self)}", field=field)
         return self[name]
 
     def register(self, thing: T, name: str | None = None) -> T:
-        """Add a thing in this process, and in the processes that it starts for its work; returns it.
+        """Add an object in this process and in the worker processes that it starts, and return the object.
 
         Args:
-            thing: to add.
+            thing: object to add.
             name: None: its attribute `named_by`.
 
         Raises:
-            InputError: a name that is taken by another thing, or no such thing.
+            InputError: another object has the name, or the object is not valid.
         """
         name = getattr(thing, self._named_by, None) if name is None else name
         if not isinstance(name, str) or not name:
@@ -118,10 +118,10 @@ class Registry(Mapping[str, T], Generic[T]):
         return thing
 
     def unregister(self, name: str) -> None:
-        """Take out what `register` has added.
+        """Remove an object that `register` has added.
 
         Raises:
-            InputError: it was not registered.
+            InputError: no object of this name was registered.
         """
         if name not in self._added:
             raise InputError(f"no {self.what} {name!r} was registered in this process", field=self.group)
@@ -129,13 +129,15 @@ class Registry(Mapping[str, T], Generic[T]):
 
 
 def registered() -> list[tuple[str, str, Any]]:
-    """(group, name, thing) of all that was registered in this process; for `register_all` in another."""
+    """Return (group, name, object) of all objects registered in this process, for `register_all` in another one."""
     return [(group, name, thing) for group, registry in _ALL.items() for name, thing in registry._added.items()]
 
 
 def modules_of_additions() -> dict[str, ModuleType]:
-    """Name -> module of every thing in use here that is not built in: what was registered, and what installed packages
-    add as far as it was looked up. What a program computes depends on their source too."""
+    """Return the modules, by name, of all objects that are not built in: registered ones, and loaded ones of packages.
+
+    Results of a program depend on the source of these modules.
+    """
     things = [thing for registry in _ALL.values() for name, thing in registry._things.items()
               if name not in registry._built_in]
     names = {getattr(thing, "__module__", None) for thing in things}
@@ -143,8 +145,7 @@ def modules_of_additions() -> dict[str, ModuleType]:
 
 
 def register_all(things: Iterable[tuple[str, str, Any]]) -> None:
-    """Register what another process has, at once or when the registry is made here; what is there under its name
-    already stays."""
+    """Register objects of another process, at once or when their registry is made; existing names are kept."""
     for group, name, thing in things:
         if group not in _ALL:
             _WAITING.setdefault(group, []).append((name, thing))

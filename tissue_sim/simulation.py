@@ -1,11 +1,11 @@
-"""Offline simulation of a whole test: model in, recording out."""
+"""Offline simulation of a whole test: from a model to a recording."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -21,33 +21,58 @@ from tissue_sim.recording.recording import Recording
 from tissue_sim.slip import slipped
 from tissue_sim.tilt import tilted
 
-#: A step is cut until it is this small a part of the way between two samples; from the first part on that fails without
-#: an extrapolation, the tissue is also let creep there.
-_SMALLEST_CUT, _CREEPS = 2.0**-10, 2.0**-3
-#: Linear solves that a step may take, and one that creeps.
-_MOST_SOLVES, _MOST_OF_CREEP = 40, 24
-#: Unbalanced over balanced forces of an equilibrium that another one is compared with.
-_ROUGH = 1e-3
-#: Linear solves of such a test over those of the other, and how many it may take in any case.
-_MOST_TO_COMPARE, _ALWAYS_TO_COMPARE = 4, 400
-#: The tool of a compliant rig is where it should be to this part of the travel; to the next one it is almost there.
-_PLACED, _NEARLY, _MANY_TRIALS, _MOST_TRIALS = 1e-7, 1e-3, 8, 20
-#: What shows whether a force errs as a warning says.
+
+@dataclass(frozen=True)
+class SimulationSettings:
+    """Settings of the steps of a whole test.
+
+    Attributes:
+        smallest_cut: smallest step, over the distance between two samples, 1.
+        damped_from: step, over the distance between two samples, from which on a failed step without extrapolation is
+            repeated with artificial viscous damping (`Solver.creep`), 1.
+        max_solves: largest number of linear solves of a step.
+        max_damped_solves: the same for a damped step.
+        rough_tolerance: relative residual of the second solution for the error estimate, 1.
+        most_to_compare: largest ratio of the linear solves of the second solution to those of the first, 1.
+        always_to_compare: number of linear solves that the second solution may use in any case.
+        position_tolerance: of the tool of a compliant rig, over its displacement, 1.
+        near_tolerance: distance, over the displacement, from which on later trials continue from the last one, 1.
+        many_trials: number of trials after which this is done.
+        most_trials: largest number of trials.
+    """
+
+    smallest_cut: float = 2.0**-10
+    damped_from: float = 2.0**-3
+    max_solves: int = 40
+    max_damped_solves: int = 24
+    rough_tolerance: float = 1e-3
+    most_to_compare: int = 4
+    always_to_compare: int = 400
+    position_tolerance: float = 1e-7
+    near_tolerance: float = 1e-3
+    many_trials: int = 8
+    most_trials: int = 20
+
+
+_SETTINGS = SimulationSettings()
+#: Remedy in the warning of a large error.
 _REMEDY = 'more samples show it'
+#: Resolution -> remedy.
 _REMEDIES = {"fast": 'the resolution "accurate" or more samples show it'}
+#: Step of a tool in the air.
 _NOTHING = Step.axial(StepStatus.CONVERGED, 0, 0.0, 0.0)
-#: Channels of a wrench that has more than a force along z.
+#: Channels of a wrench with other components than a force along z.
 _WRENCH = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 
 
 class Watch(Protocol):
-    """Who follows a solver through a test."""
+    """Observer of a solver during a test."""
 
     def begin(self, solver: Solver) -> None:
-        """Before the first step."""
+        """Called before the first step."""
 
     def sample(self, solver: Solver, factor: float) -> None:
-        """After each sample; the test's force is `factor` times the solver's."""
+        """Called after each sample; the force of the test is `factor` times that of the solver."""
 
 
 def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields: bool = False,
@@ -56,46 +81,46 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
              estimate_error: bool = True) -> Recording:
     """Simulate a whole test quasi-statically.
 
-    The protocol is the motion that the rig's stage reports; where the load train gives way the tool's true place is
-    found together with its force. Of faces that slip in part the bonded and the frictionless test are simulated, each
-    behind a load train of its own; fields are those of the bonded one. Between two samples the law's stress changes
-    linearly in time.
+    The protocol is the motion that the rig's stage reports; with a compliant load train the displacement of the tool is
+    found together with its force. For faces that slip in part the bonded and the frictionless test are simulated, each
+    with its own load train; fields are those of the bonded one. Between two samples the stress of the law is linear in
+    time.
 
-    How far the force errs is estimated from a second test on another mesh with every second sample, where the solver
-    knows a mesh to compare with; more than `force_error.WORTH_A_WARNING` of the largest force is a warning. On
-    ``"fast"`` that doubles the time, on ``"accurate"`` it adds about a fifth.
+    The error of the force is estimated from a second solution on another mesh with every second sample, if the solver
+    has such a mesh; more than `force_error.WORTH_A_WARNING` of the largest force gives a warning. The estimate doubles
+    the time with ``"fast"`` and adds about a fifth with ``"accurate"``.
 
     Args:
         model: experiment, material, rig.
-        resolution: ``"fast"`` or ``"accurate"``, or another name that the solver knows.
-        mesh: a mesh of your own instead.
+        resolution: ``"fast"``, ``"accurate"``, or another name of the solver.
+        mesh: mesh to use instead.
         fields: keep the converged fields of every sample in ``recording.fields``.
-        progress: called with (samples done, samples in all); the first call comes before the kernels are compiled.
-        watch: told of the solver.
+        progress: called with (samples done, all samples), first before the kernels are compiled.
+        watch: observer of the solver.
         solver: name in `tissue_sim.fem.solver.SOLVERS`.
-        topology: a model of another geometry: its mesh (or the one that is given, as one of it) is taken, with the
-            nodes moved, so that a change of geometry does not change the elements.
-        estimate_error: of the force; not on a mesh of your own, and not for who simulates again and again.
+        topology: model of another geometry whose mesh (or `mesh`, which belongs to it) is used with moved nodes, so
+            that a change of geometry does not change the elements.
+        estimate_error: whether the error of the force is estimated; never on a given mesh.
 
     Returns:
-        Recording at the times of the protocol, with its labels, as the model's rig reports it. Its displacement counts
-        along the tool's way, and its force is the share against that way, as a load cell on the tool's stage feels it;
-        where the wrench on the tool is more than a force along z, there are also the channels Fx to Tz in the frame of
-        the scene. ``metadata["solver"]`` holds status, message, warnings, force_error (estimated, over the largest
-        force; None: not known), newton_iterations (linear solves), cuts, residual (the largest), dissipated_J (by a
-        drag, where the tissue was let creep to its next equilibrium), wall_s, element, mesh and resolution;
-        with contact also penetration_mm (the largest violation of a contact condition) and penetration_tolerance_mm;
-        with friction slipping_points (the most at once); of a specimen that weighs also self_weight {density_kg_m3,
-        gravity_m_s2, height_is, sag_mm, moulded_height_mm}.
+        Recording at the times of the protocol, with its labels, as the rig reports it. The displacement is that along
+        the tool's direction of motion, and the force is the component opposite to this direction, as measured by a load
+        cell on the tool's stage. If the wrench has other components than a force along z, the channels Fx to Tz contain
+        it in the frame of the scene. ``metadata["solver"]`` contains status, message, warnings, force_error (estimated,
+        over the largest force; None if unknown), newton_iterations (linear solves), cuts, residual (the largest),
+        dissipated_J (by artificial damping), wall_s, element, mesh and resolution; with contact also penetration_mm
+        (the largest violation of a contact condition) and penetration_tolerance_mm; with friction slipping_points (the
+        largest number); for a specimen under its weight self_weight {density_kg_m3, gravity_m_s2, height_is, sag_mm,
+        moulded_height_mm}.
 
     Raises:
-        ConvergenceError: a step did not converge however small; its `recording` keeps the converged part.
-        InputError: unknown solver or resolution, or a bulk response or layers that do not fit.
-        MissingBackendError: Taichi is not there.
+        ConvergenceError: the smallest step did not converge; `recording` contains the converged part.
+        InputError: an unknown solver or resolution, or a bulk response or layers that the solver does not support.
+        MissingBackendError: Taichi is not installed.
     """
     started = time.perf_counter()
     protocol, rig = model.experiment.protocol, model.rig
-    rig.readings(protocol.time)  # refused now or never
+    rig.readings(protocol.time)  # raises its errors before the simulation
     if share := model.experiment.slip:
         held, free = (
             simulate(replace(model, experiment=experiment, rig=rig.motion_only), resolution=resolution, mesh=mesh,
@@ -133,15 +158,16 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     if progress:
         progress(0, protocol.displacement.size)
     drive, largest = _Drive(tissue, model), 0.0
-    for sample, (place, dt, steps) in enumerate(drive.along(np.arange(protocol.time.size))):
+    for sample, (position, dt, steps) in enumerate(drive.along(np.arange(protocol.time.size))):
         for step in steps:
             report["newton_iterations"] += step.iterations
             report["cuts"] += step.status is not StepStatus.CONVERGED
             report["dissipated_J"] += step.dissipated
         if step.status is not StepStatus.CONVERGED:
             depth = tissue.pose.depth
-            message = (f"stopped at {depth * 1e3:.4g} mm on the way to {place * 1e3:.4g} mm (sample "
-                       f"{sample + 1}), the step cut to {_SMALLEST_CUT:.1g} of its length: {step.status.message}")
+            message = (f"stopped at {depth * 1e3:.4g} mm on the way to {position * 1e3:.4g} mm (sample "
+                       f"{sample + 1}), the step cut to {_SETTINGS.smallest_cut:.1g} of its length: "
+                       f"{step.status.message}")
             stability = check_stability(model.material.energy_law, model.material.values)
             if step.status is StepStatus.INDEFINITE or not stability.stable:
                 message += f"; the law alone is {stability}"
@@ -150,7 +176,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
         _note_largest(report, step)
         wrenches.append(drive.arrive(step.wrench, dt))
         if (size := math.hypot(*wrenches[-1][:3])) >= largest:
-            largest, report["warnings"] = size, list(tissue.doubts())
+            largest, report["warnings"] = size, list(tissue.warnings())
         travels.append(drive.travel)
         if watch:
             watch.sample(tissue, drive.share)
@@ -158,10 +184,11 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
             samples.append(tissue.sample())
         if progress:
             progress(sample + 1, protocol.displacement.size)
-    report["wall_s"] = time.perf_counter() - started  # of the test alone
+    report["wall_s"] = time.perf_counter() - started  # without the error estimate
     if estimate_error and mesh is None:
         found = _compare(tissue, model, np.array([model.experiment.resistance(one) for one in wrenches]), solver,
-                         resolution, topology, max(_ALWAYS_TO_COMPARE, _MOST_TO_COMPARE * report["newton_iterations"]))
+                         resolution, topology, max(_SETTINGS.always_to_compare,
+                                                   _SETTINGS.most_to_compare * report["newton_iterations"]))
         if found is not None:
             report["force_error"] = found.share
             if found.share > WORTH_A_WARNING:
@@ -173,22 +200,34 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
 
 def _compare(tissue: Solver, model: Model, force: np.ndarray, solver: str, resolution: str, topology: Model | None,
              most_solves: int) -> ForceError | None:
-    """By how much a force (N, of each sample) errs, from the same test in other steps on another mesh; where that is
-    worth a warning, from one with steps half as long there too. None where the solver knows no other mesh, or
-    the tool does not get through to a sample there."""
-    comparison, protocol = tissue.comparison(resolution), model.experiment.protocol
-    if comparison is None:
+    """Estimate the error of a force from a second solution on another mesh with other steps.
+
+    If the error is worth a warning, a third solution with half the steps on the other mesh is used as well.
+
+    Args:
+        tissue: solver of the first solution.
+        model: model of the test.
+        force: force of the first solution at each sample, N, shape (n,).
+        solver, resolution, topology: as in `simulate`.
+        most_solves: largest number of linear solves of the second solution.
+
+    Returns:
+        None if the solver has no other mesh, or if the second solution does not reach a sample.
+    """
+    estimate, protocol = tissue.error_estimate(resolution), model.experiment.protocol
+    if estimate is None:
         return None
 
-    def forces(places: np.ndarray) -> np.ndarray:
+    def forces(samples: np.ndarray) -> np.ndarray:
+        """Forces of the second solution at fractional sample numbers, N, as far as it converges."""
         other, solves = [], 0
-        along = replace(model, experiment=replace(model.experiment, protocol=protocol.at(places)))
+        along = replace(model, experiment=replace(model.experiment, protocol=protocol.at(samples)))
         try:
-            drive = _Drive(SOLVERS.find(solver, "solver")(along, resolution=comparison.resolution, topology=topology),
-                           along, tolerance=_ROUGH)
+            drive = _Drive(SOLVERS.find(solver, "solver")(along, resolution=estimate.resolution, topology=topology),
+                           along, tolerance=_SETTINGS.rough_tolerance)
         except ConvergenceError:
             return np.zeros(0)
-        for _, dt, steps in drive.along(np.arange(places.size)):
+        for _, dt, steps in drive.along(np.arange(samples.size)):
             for step in steps:
                 solves += step.iterations
             if step.status is not StepStatus.CONVERGED or solves > most_solves:
@@ -196,65 +235,67 @@ def _compare(tissue: Solver, model: Model, force: np.ndarray, solver: str, resol
             other.append(model.experiment.resistance(drive.arrive(step.wrench, dt)))
         return np.array(other)
 
-    places = other_steps(protocol.displacement)
-    other = forces(places)
-    common = np.flatnonzero(places[:other.size] % 1.0 == 0.0)
-    found = force_error(force, places[common].astype(int), other[common], comparison.share)
+    samples = other_steps(protocol.displacement)
+    other = forces(samples)
+    common = np.flatnonzero(samples[:other.size] % 1.0 == 0.0)
+    found = force_error(force, samples[common].astype(int), other[common], estimate.fraction)
     if found is None or found.share <= WORTH_A_WARNING:
         return found
-    # A step in which contact begins anew may err by many times more than one half as long. An error that is in
-    # proportion to the length, and that of the mesh, are no more than twice what steps half as long differ by.
+    # A step in which contact begins again may err by many times more than a step half as long. Errors in proportion to
+    # the step length, and the error of the mesh, are at most twice the difference to steps half as long.
     other = forces(0.5 * np.arange(2 * protocol.time.size - 1))[::2]
-    again = force_error(force, np.arange(force.size), other, 2.0 * comparison.share, shorter=True)
+    again = force_error(force, np.arange(force.size), other, 2.0 * estimate.fraction, shorter=True)
     return again if again is not None and other.size == force.size and again.share < found.share else found
 
 
 def _note_largest(report: dict, step: Step) -> None:
-    """What a report says of the largest of all samples."""
+    """Update the maxima over the samples in a report."""
     for name, value in (("residual", step.residual), ("penetration_mm", step.violation * 1e3),
                         ("slipping_points", step.slipping)):
         if name in report:
             report[name] = max(report[name], value)
 
 
-def _from_the_touch(places: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, int]:
-    """Time on the way to each place of the tool, s, and the first sample at which it touches the specimen.
+def _times_from_touch(positions: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return the time of the motion to each position of the tool, s, and the index of the first sample in contact.
 
-    The way to that one counts from the touch on.
+    For that sample only the time after the touch counts.
     """
-    waits, touching = np.diff(time, prepend=time[0]), np.flatnonzero(places >= 0.0)
-    first = int(touching[0]) if touching.size else places.size
-    if 0 < first < places.size:
-        waits[first] *= places[first] / (places[first] - places[first - 1])
+    waits, touching = np.diff(time, prepend=time[0]), np.flatnonzero(positions >= 0.0)
+    first = int(touching[0]) if touching.size else positions.size
+    if 0 < first < positions.size:
+        waits[first] *= positions[first] / (positions[first] - positions[first - 1])
     return waits, first
 
 
 class _LoadTrain:
-    """A load train that gives way, compliance in m/N: the tool is at d with d + compliance F(d) = place."""
+    """Load train of a compliance in m/N: the tool is at d with d + compliance F(d) = position."""
 
     def __init__(self, compliance: float):
         self.compliance = compliance
         self._known: list[tuple[float, float]] = []
 
     def note(self, depth: float, force: float) -> None:
-        """Where the tool stood at a sample, and its force."""
+        """Register depth and force of a sample."""
         self._known = [*self._known[-1:], (depth, force)]
 
-    def expect(self, place: float) -> tuple[float, float]:
-        """Where it will stand, and how fast d + compliance F grows there, from the last two samples."""
+    def expect(self, position: float) -> tuple[float, float]:
+        """Predict the depth of the next sample, and the slope of d + compliance F there, from the last two samples."""
         (d0, f0), (d1, f1) = self._known if len(self._known) == 2 else ((0.0, 0.0), (0.0, 0.0))
         growth = 1.0 + self.compliance * max(0.0, (f1 - f0) / (d1 - d0)) if d1 != d0 else 1.0
-        return d1 + (place - d1 - self.compliance * f1) / growth, growth
+        return d1 + (position - d1 - self.compliance * f1) / growth, growth
 
 
 class _Drive:
-    """Takes the tool along the experiment's motion: through a load train that may give way, in steps that converge.
+    """Motion of the tool along the experiment's path, through a load train, in steps that converge.
 
     Args:
-        options: of each step of the solver, such as its tolerance.
+        solver: solver of the model.
+        model: experiment, material and rig.
+        options: options of each step of the solver, such as its tolerance.
 
     Attributes:
-        travel: of the tool along its motion at the last sample, m.
+        travel: displacement of the tool along its direction of motion at the last sample, m.
     """
 
     def __init__(self, solver: Solver, model: Model, **options: Any):
@@ -265,47 +306,47 @@ class _Drive:
 
     @property
     def share(self) -> float:
-        """What effects in reduced form leave of a force on the tool where it has come to."""
+        """Factor of effects in reduced form on the force at the present depth."""
         return self._reduced.share(self._solver.pose.depth)
 
     def arrive(self, wrench: Screw, dt: float) -> Screw:
-        """The tool has come to a sample with this wrench, dt s after the one before; returns what is left of it."""
-        share = self._reduced.go(self._solver.pose.depth, dt)
+        """Register a converged sample, dt s after the last one; returns its wrench with effects in reduced form."""
+        share = self._reduced.commit(self._solver.pose.depth, dt)
         wrench = scaled(share, wrench)
         self._train.note(self.travel, self._experiment.resistance(wrench))
         return wrench
 
     def along(self, samples: np.ndarray) -> Iterator[tuple[float, float, Iterable[Step]]]:
-        """For each of these samples of the protocol: place, m, time since the one before, s, and the steps to it."""
+        """Yield position, m, time since the last sample, s, and the steps, for samples of the protocol."""
         protocol = self._experiment.protocol
-        places = self._model.rig.tool_motion(protocol.displacement)[samples]
-        waits, first = _from_the_touch(places, protocol.time[samples])
-        for number, (place, dt) in enumerate(zip(places.tolist(), waits.tolist(), strict=True)):
+        positions = self._model.rig.tool_motion(protocol.displacement)[samples]
+        waits, first = _times_from_touch(positions, protocol.time[samples])
+        for number, (position, dt) in enumerate(zip(positions.tolist(), waits.tolist(), strict=True)):
             if number < first:
-                # The tool is in the air, and the specimen waits for it.
-                self.travel = min(place, 0.0)
-            yield place, dt, self.to(place, dt) if number >= first else [_NOTHING]
+                # The tool is in the air: nothing is solved.
+                self.travel = min(position, 0.0)
+            yield position, dt, self.to(position, dt) if number >= first else [_NOTHING]
 
-    def to(self, place: float, dt: float) -> Iterator[Step]:
-        """Steps to one sample; yields each, the last one is that of the sample.
+    def to(self, position: float, dt: float) -> Iterator[Step]:
+        """Yield the steps to one sample; the last one is that of the sample.
 
         Args:
-            place: where the tool would be with a rigid load train, m.
-            dt: time since the sample before, s.
+            position: displacement of the tool with a rigid load train, m.
+            dt: time since the last sample, s.
         """
         solver, train = self._solver, self._train
         if not train.compliance:
-            self.travel = place
-            yield from _approach(solver, self._pose(place), dt, **self._options)
+            self.travel = position
+            yield from _approach(solver, self._pose(position), dt, **self._options)
             return
         saved = solver.save()
-        depth, growth = train.expect(place)
+        depth, growth = train.expect(position)
         before = None
-        for trial in range(_MOST_TRIALS):
-            # Where steps are cut friction remembers another way each time, and the secant finds no place: from almost
-            # there the tool goes on from where it is.
-            near = trial >= _MANY_TRIALS and before is not None and (
-                abs(before[1]) <= _NEARLY * max(abs(place), abs(depth), 1e-6))
+        for trial in range(_SETTINGS.most_trials):
+            # With cut steps friction takes another path in each trial, and the secant method does not converge: when
+            # the position is almost reached, the tool continues from there.
+            near = trial >= _SETTINGS.many_trials and before is not None and (
+                abs(before[1]) <= _SETTINGS.near_tolerance * max(abs(position), abs(depth), 1e-6))
             if trial and not near:
                 solver.restore(saved)
             self.travel = depth
@@ -314,23 +355,27 @@ class _Drive:
             if step.status is not StepStatus.CONVERGED:
                 return
             share = self._reduced.share(solver.pose.depth, dt)
-            excess = depth + train.compliance * share * self._experiment.resistance(step.wrench) - place
-            if abs(excess) <= _PLACED * max(abs(place), abs(depth), 1e-6):
+            excess = depth + train.compliance * share * self._experiment.resistance(step.wrench) - position
+            if abs(excess) <= _SETTINGS.position_tolerance * max(abs(position), abs(depth), 1e-6):
                 return
-            # The secant; where tissue softens as it goes the load train still gives way by at least its own travel.
+            # Secant method. The slope is at least 1, the contribution of d itself, also if the tissue softens.
             if before is not None and depth != before[0]:
                 growth = max((excess - before[1]) / (depth - before[0]), 1.0)
             before, depth = (depth, excess), depth - excess / growth
         yield replace(step, status=StepStatus.SLOW, iterations=0)
 
     def _pose(self, travel: float) -> Pose:
-        return self._solver.follow(self._experiment.tool_pose(travel))
+        return self._solver.project_pose(self._experiment.tool_pose(travel))
 
 
 def _approach(solver: Solver, target: Pose, dt: float = 0.0, **options: Any) -> Iterator[Step]:
-    """Steps to a pose along a rigid motion, halved where they fail and doubled where they succeed; yields each `Step`.
+    """Yield steps to a pose along a rigid motion; a step is halved after a failure and doubled after a success.
 
-    Time passes evenly along the way, `dt` (s) in all. `options`: of each of the solver's steps.
+    Args:
+        solver: solver to step.
+        target: pose at the end.
+        dt: time of the whole motion, s, at constant speed.
+        options: options of each step.
     """
     start = solver.pose
     most = min(2, solver.highest_order)
@@ -338,19 +383,19 @@ def _approach(solver: Solver, target: Pose, dt: float = 0.0, **options: Any) -> 
     while True:
         share = min(length, 1.0 - done)
         last = done + share >= 1.0 - 1e-9
-        # Extrapolation leads astray where contact changes; the linear solution for the tool's way does not.
+        # Extrapolation is inaccurate across a change of contact; the linear solution for the tool's motion is not.
         goal = target if last else between(start, target, done + share)
-        step = solver.step(goal, share * dt, max_iterations=_MOST_SOLVES, predictor_order=order, **options)
+        step = solver.step(goal, share * dt, max_iterations=_SETTINGS.max_solves, predictor_order=order, **options)
         yield step
-        if step.status is not StepStatus.CONVERGED and not order and length <= _CREEPS:
-            for step in solver.creep(goal, share * dt, max_iterations=_MOST_OF_CREEP, **options):
+        if step.status is not StepStatus.CONVERGED and not order and length <= _SETTINGS.damped_from:
+            for step in solver.creep(goal, share * dt, max_iterations=_SETTINGS.max_damped_solves, **options):
                 yield step
         if step.status is StepStatus.CONVERGED:
             if last:
                 return
             done, length, order = done + share, length * 2.0, most
         else:
-            # The same step without extrapolation first.
+            # First the same step without extrapolation.
             length, order = (length, 0) if order else (length / 2.0, most)
-            if length < _SMALLEST_CUT:
+            if length < _SETTINGS.smallest_cut:
                 return

@@ -1,4 +1,4 @@
-"""What a simulator knows beside its solver, between two steps."""
+"""State of a simulator between two steps, without that of its solver."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from tissue_sim.pose import Pose, Screw, scaled
 from tissue_sim.tool_force import Matrix, ToolForce, axial_stiffness, axial_wrench, scaled_matrix
 from tissue_sim.tool_track import ToolTrack
 
-#: Age of a stiffness that was not found yet.
+#: Age of a stiffness that has not been computed yet.
 NEVER = 1 << 30
 
 
 @dataclass(frozen=True, slots=True)
 class Equilibrium:
-    """What the last equilibrium answers, and where.
+    """Result of the last equilibrium, and the pose of the tool.
 
     Attributes:
-        stiffness: the tissue's own.
-        stiffness_age: how many inertial equilibria ago that was found.
-        step_stiffness: within the step, where the mass was taken into account.
+        stiffness: static stiffness of the tissue.
+        stiffness_age: number of inertial equilibria since that stiffness was computed.
+        step_stiffness: stiffness within an inertial step; None after a static one.
         stiffness_time: time between the equilibrium whose stiffness it is and this one, s.
     """
 
@@ -41,15 +41,21 @@ class Equilibrium:
     stiffness_time: float = 0.0
 
     def followed_by(self, step: Step, pose: Pose, share: float, inertial: bool, dt: float = 0.0) -> Equilibrium:
-        """The next one, at a pose, of whose forces effects on the whole force leave a share; after an inertial step
-        without the tissue's own stiffness with that of this one.
+        """Return the next equilibrium, after a converged step.
+
+        Args:
+            step: result of the solver.
+            pose: pose of the tool.
+            share: factor of effects in reduced form on the force.
+            inertial: whether the step was inertial. If it has no static stiffness, that of this equilibrium is kept.
+            dt: length of the step, s.
 
         Raises:
-            TypeError: the solver breaks its contract.
+            TypeError: the solver returned no stiffness.
         """
         own, within, wrench = step.stiffness_matrix, step.step_stiffness_matrix, step.wrench
         if own is None and within is None:
-            raise TypeError("the solver was asked for stiffness, and its step has none; see Solver.ask_for_stiffness")
+            raise TypeError("step() must return a stiffness after ask_for_stiffness(); see Solver.ask_for_stiffness")
         if share != 1.0:
             wrench = scaled(share, wrench)
             own = None if own is None else scaled_matrix(share, own)
@@ -61,21 +67,22 @@ class Equilibrium:
 
     @classmethod
     def in_air(cls, pose: Pose) -> Equilibrium:
-        """Of a tool at a pose that touches nothing."""
+        """Return the equilibrium of a tool at a pose without contact."""
         return cls(pose, AT_REST.wrench, AT_REST.stiffness, False, NEVER)
 
 
-#: Of a tool that touches nothing.
+#: Equilibrium without contact.
 AT_REST = Equilibrium(Pose.at_depth(0.0), axial_wrench(0.0), axial_stiffness(0.0), False, NEVER)
 
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """An iteration for the equilibrium at a pose, a time step (s) later, that the next step or part goes on with.
+    """Unfinished Newton iteration for the equilibrium at a pose, dt seconds later, which the next step continues.
 
     Attributes:
-        order: highest one of the extrapolation with which it began.
-        limit: how many linear solves there may be; spent: so far.
+        order: order of the extrapolation with which the iteration began.
+        limit: largest number of linear solves.
+        spent: number of linear solves so far.
     """
 
     pose: Pose
@@ -87,7 +94,7 @@ class Attempt:
 
 @dataclass(slots=True)
 class Creep:
-    """The tissue on its way to an equilibrium at a pose, a time step (s) later, and its last step there."""
+    """Unfinished damped path (`Solver.creep`) to an equilibrium at a pose, dt seconds later, and its last step."""
 
     pose: Pose
     dt: float
@@ -96,11 +103,11 @@ class Creep:
     _allowed: int = field(init=False, default=1)
 
     def may_take(self) -> int:
-        """Linear solves until the next step is yielded, or what there is of it."""
+        """Number of linear solves until the next yield."""
         return self._allowed
 
     def go_on(self, allowed: int) -> Step | None:
-        """The next step, or as much of it as so many linear solves bring; None: it was the last one."""
+        """Continue with a number of linear solves; returns the next step, or None after the last one."""
         self._allowed = allowed
         step = next(self.steps, None)
         self.last = step or self.last
@@ -125,13 +132,13 @@ class StateOrigin:
 
     @classmethod
     def of(cls, solver: str, mesh: str, model: Model) -> StateOrigin:
-        """Of a model in a solver whose mesh has this digest."""
+        """Make the origin of the states of a model in a solver whose mesh has a digest."""
         experiment = {each.name: getattr(model.experiment, each.name) for each in fields(model.experiment)
                       if each.name != "protocol"}
         return cls(solver, mesh, repr(experiment), structure(model.material))
 
     def require(self, other: StateOrigin) -> None:
-        """Refuse the state of another origin.
+        """Require an equal origin.
 
         Raises:
             InputError: another solver, mesh, experiment or structure of the material.
@@ -144,7 +151,7 @@ class StateOrigin:
 
 
 def structure(value: Any) -> str:
-    """Text of a material without the values of its numbers, its name and its bulk response."""
+    """Text of a material without its numbers, name and bulk response, to compare structures."""
     if is_dataclass(value):
         inner = [f"{each.name}={structure(getattr(value, each.name))}" for each in fields(value)
                  if each.name not in ("name", "bulk", "parameters", "density", "source")]

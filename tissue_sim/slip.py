@@ -1,4 +1,4 @@
-"""A bonded face that slips in part, as a reduced form: between the bonded and the frictionless test."""
+"""Partial slip of a bonded face, as an interpolation between the bonded and the frictionless test."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ from tissue_sim.recording.recording import Recording
 
 
 def slipped(held: Recording, free: Recording, share: float) -> Recording:
-    """The recording of faces of which a share slips.
+    """Combine the recordings of bonded and frictionless faces to that of faces that slip in part.
 
-    Every part of the face answers as if the whole were held like it: F = (1 - share) F_bonded + share F_frictionless.
+    F = (1 - share) F_bonded + share F_frictionless: each part of the face carries the force that the whole face would
+    carry with the same interface.
 
     Args:
-        held, free: of bonded and of frictionless faces, at the same samples. share: 0 to 1.
+        held: recording with bonded faces.
+        free: recording with frictionless faces, at the same samples.
+        share: fraction of the faces that slips, 0 to 1.
     """
     one, other = (each.metadata.get("solver", {}) for each in (held, free))
     errors = [report.get("force_error") for report in (one, other)]

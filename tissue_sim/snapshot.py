@@ -1,4 +1,4 @@
-"""The whole tissue at one moment, for programs that draw more than its surface."""
+"""Snapshot of the tissue at one equilibrium, for programs that draw its fields or surface."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.fem.solver import Fields, SharedFields, Solver
 from tissue_sim.pose import Pose
+from tissue_sim.public_names import OldName
 from tissue_sim.tool_force import Tissue
 
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """The triangles of a surface.
+    """Triangulated surface.
 
     Attributes:
         vertices: in the frame of the scene, m, shape (vertices, 3).
-        triangles: vertex numbers, shape (triangles, 3); they stay as they are.
+        triangles: indices of vertices, shape (triangles, 3); they do not change with the deformation.
     """
 
     vertices: np.ndarray
@@ -30,14 +31,16 @@ class Skin:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """An equilibrium.
+    """Tissue and tool at one equilibrium.
 
     Attributes:
-        pose: of the tool.
-        datum: height at which the tool first touches, m: 0 but for a specimen that sags under its own weight.
-        fields: of this one sample; None of a tissue that has none.
-        skin: the surface, of a tissue in space whose fields cannot be drawn.
+        pose: pose of the tool.
+        datum: height of the tool at its first touch, m; not 0 if the specimen sags under its weight.
+        fields: fields of this sample; None if the solver has none.
+        skin: surface of a three-dimensional tissue whose fields cannot be drawn.
     """
+
+    place = OldName("node_positions")
 
     pose: Pose
     datum: float
@@ -51,30 +54,30 @@ class Snapshot:
 
     @property
     def in_space(self) -> bool:
-        """Whether the tissue has no axis, so that the tool may go aside."""
+        """Whether the tissue is three-dimensional, so that the tool may move sideways."""
         return self.skin is not None or (self.fields is not None and _mesh_in_space(self.fields))
 
     @property
-    def place(self) -> np.ndarray:
-        """Where the nodes are, the height last, m, in the frame of the scene, shape (nodes, 2) or (nodes, 3).
+    def node_positions(self) -> np.ndarray:
+        """Deformed positions of the nodes in the frame of the scene, height last, m, shape (nodes, 2) or (nodes, 3).
 
         Raises:
-            InputError: a tissue that has no fields.
+            InputError: the solver has no fields.
         """
         if self.fields is None:
-            raise InputError("this solver has no fields, so nobody knows where its nodes are; draw its surface")
-        place = self.fields.mesh.nodes + self.fields.displacement()
-        place[:, -1] -= self.datum
-        return place
+            raise InputError("this solver has no fields and therefore no node positions; draw its surface")
+        positions = self.fields.mesh.nodes + self.fields.displacement()
+        positions[:, -1] -= self.datum
+        return positions
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """What is another one in another snapshot of this tissue, beside pose and datum; empty where nothing is."""
+        """Arrays that differ between snapshots of one tissue, besides pose and datum; empty without shared fields."""
         if self.skin is not None:
             return (self.skin.vertices,)
         return self.fields.arrays() if _are_shared(self.fields) else ()
 
     def at(self, pose: Pose, datum: float, arrays: Sequence[np.ndarray]) -> Snapshot:
-        """Another snapshot of this tissue, with its `arrays`."""
+        """Make another snapshot of this tissue from its `arrays`."""
         fields, skin = self.fields, self.skin
         if skin is not None:
             skin = replace(skin, vertices=arrays[0])
@@ -83,17 +86,17 @@ class Snapshot:
         return Snapshot(pose, datum, fields, skin)
 
     def of_the_material(self) -> dict[str, Any]:
-        """What another material of the same make changes beside the arrays."""
+        """Return the data, besides the arrays, that change with the parameters of the material."""
         return self.fields.of_the_material() if _are_shared(self.fields) else {}
 
     def with_material(self, changed: Mapping[str, Any]) -> Snapshot:
-        """This snapshot with what `of_the_material` of another material gave."""
+        """Return this snapshot with the data of `of_the_material` of another material."""
         fields = self.fields
         return replace(self, fields=fields.with_material(changed)) if _are_shared(fields) else self
 
 
 def _are_shared(fields: Any) -> TypeGuard[SharedFields]:
-    # Asking the protocol each time costs more than all else that is done with a snapshot.
+    # isinstance with a protocol takes longer than all other work on a snapshot.
     kind: Any = type(fields)
     return _is_shared(kind)
 
@@ -105,14 +108,14 @@ def _is_shared(kind: Any) -> bool:
 
 @runtime_checkable
 class ShownTissue(Tissue, Protocol):
-    """A tissue that others may look at between its steps: a `Simulator`, or what stands in for one."""
+    """Tissue that can be displayed between its steps: a `Simulator` or an equivalent."""
 
     def snapshot(self) -> Snapshot:
-        """The whole tissue at the last equilibrium, with its fields."""
+        """Return a snapshot of the last equilibrium."""
 
 
 def snapshot(solver: Solver) -> Snapshot:
-    """The last committed state of a solver."""
+    """Make a snapshot of the last committed state of a solver."""
     surface, skin = solver.surface(), None
     fields = solver.fields([solver.sample()])
     if surface.outline is None and not (_are_shared(fields) and _mesh_in_space(fields)):
@@ -122,6 +125,6 @@ def snapshot(solver: Solver) -> Snapshot:
 
 
 def _mesh_in_space(fields: Fields) -> bool:
-    """Whether fields belong to elements in space, with the sides that are their surface; see `SolidMesh`."""
+    """Whether fields belong to three-dimensional elements with faces as their surface; see `SolidMesh`."""
     mesh = fields.mesh
     return hasattr(mesh, "faces") and mesh.nodes.shape[1] == 3

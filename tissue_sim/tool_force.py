@@ -1,4 +1,4 @@
-"""What a real-time step answers: the wrench on the tool, and how far it can be believed."""
+"""Result of a real-time step: wrench and stiffness on the tool, and their status."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from typing import Protocol
 
 from tissue_sim.pose import Pose, Screw, Vector, scaled
 
-#: Six by six, row by row.
+#: 6 x 6 matrix, row by row.
 Matrix = tuple[Screw, Screw, Screw, Screw, Screw, Screw]
 _NONE: Screw = (0.0,) * 6
 _AT_THE_TOUCH = Pose((0.0, 0.0, 0.0))
 
 
 def axial_wrench(force: float) -> Screw:
-    """The wrench of a force along z, N."""
+    """Make the wrench of a force along z, N."""
     return (0.0, 0.0, force, 0.0, 0.0, 0.0)
 
 
 def axial_stiffness(stiffness: float) -> Matrix:
-    """The stiffness matrix of what resists along z only, N/m."""
+    """Make the stiffness matrix of a body that resists along z only, N/m."""
     return (_NONE, _NONE, (0.0, 0.0, stiffness, 0.0, 0.0, 0.0), _NONE, _NONE, _NONE)
 
 
 def carried_on(wrench: Screw, stiffness: Matrix, way: Screw) -> Screw:
-    """The wrench a little further on the way, m and rad, as the stiffness says."""
+    """Extrapolate a wrench linearly: wrench - stiffness times a motion, m and rad, of the tool."""
     x, y, z, u, v, w = way
     a, b, c, d, e, f = [part - (row[0] * x + row[1] * y + row[2] * z + row[3] * u + row[4] * v + row[5] * w)
                         for part, row in zip(wrench, stiffness, strict=True)]
@@ -62,23 +62,23 @@ def is_known_well(wrench: Screw, error: float | None, floor: float = ERROR_FLOOR
 
 
 def shortened(wrench: Screw, largest: float) -> Screw:
-    """A wrench whose force is at most `largest`, N; force and torque are scaled alike."""
+    """Limit the force of a wrench to `largest`, N; force and torque are scaled by the same factor."""
     force = math.hypot(*wrench[:3])
     return wrench if force <= largest else scaled(largest / force, wrench)
 
 
 def force_of_increment(stiffness: Matrix, length: float) -> float:
-    """Largest change of the force along an axis within an increment of the tool's motion, N.
+    """Largest change of the force along an axis for an increment of the tool's motion, N.
 
     Args:
-        stiffness: as of a `ToolForce`.
-        length: of the increment, m.
+        stiffness: see `ToolForce`.
+        length: length of the increment, m.
     """
     return length * max(abs(stiffness[axis][axis]) for axis in (0, 1, 2))
 
 
 def scaled_matrix(share: float, matrix: Matrix) -> Matrix:
-    """A share of each entry."""
+    """Multiply a matrix by a number."""
     a, b, c, d, e, f = (scaled(share, row) for row in matrix)
     return (a, b, c, d, e, f)
 
@@ -96,7 +96,8 @@ class ForceStatus(IntEnum):
       or `tissue_sim.wave_error.WaveScale.floor`, the tool is slower than shear waves, and no wave was lost.
 
     It says nothing of the age of the stiffness (`ToolForce.stiffness_age`). An error that is not known is None, not 0.
-    A tissue answers with the first four; the others belong to what is between a tissue and a hand
+    The status does not depend on the age of the stiffness (`ToolForce.stiffness_age`). An unknown error is None, not 0.
+    A tissue returns the first four statuses; the others are set between tissue and hand
     (`haptics.safety.force_release`, `haptics.server`).
     """
 
@@ -110,67 +111,67 @@ class ForceStatus(IntEnum):
 
     @property
     def message(self) -> str:
-        """What it means, and what to do."""
+        """Meaning and remedy."""
         return {
             ForceStatus.CONVERGED: "in equilibrium at this pose",
-            ForceStatus.LATE: "the time or the solutions that a step may take ended before equilibrium: the last "
-                              "equilibrium's force and stiffness, carried on to this pose; the next step goes on from "
-                              "there; or the force is in equilibrium and its estimated error is too large",
-            ForceStatus.STOPPED: "no equilibrium was found on the way to this pose: the last one's force and "
-                                 "stiffness, carried on to this pose; move the tool back, or reset",
-            ForceStatus.REFUSED: "the pose or the time step is no number, or beyond what the scene can hold: the last "
-                                 "force; nothing was changed",
-            ForceStatus.FADING: "no equilibrium for too long: force and stiffness go to zero; move the tool back, or "
-                                "reset",
-            ForceStatus.RETURNING: "in equilibrium at this pose: force and stiffness come back along a ramp",
-            ForceStatus.FAILED: "the step failed, and the tissue was built anew: no force; the log of the server says "
-                                "why",
+            ForceStatus.LATE: "the time or the linear solutions of the step ended before equilibrium: force and "
+                              "stiffness of the last equilibrium, extrapolated to this pose; the next step continues "
+                              "from there; or the force is in equilibrium and its estimated error is too large",
+            ForceStatus.STOPPED: "no equilibrium was found on the path to this pose: force and stiffness of the last "
+                                 "equilibrium, extrapolated to this pose; move the tool back, or reset",
+            ForceStatus.REFUSED: "the pose or the time step is not finite, or outside of the limits of the scene: the "
+                                 "last force; nothing was changed",
+            ForceStatus.FADING: "no equilibrium for too long: force and stiffness decrease to zero; move the tool "
+                                "back, or reset",
+            ForceStatus.RETURNING: "in equilibrium at this pose: force and stiffness increase along a ramp",
+            ForceStatus.FAILED: "the step failed, and the tissue was made again: no force; see the log of the server",
         }[self]
 
 
 @dataclass(frozen=True, slots=True)
 class NextForce:
-    """What a tissue with mass would answer to the next step, if that is as long as this one: wrench - stiffness m after
-    a way m of the tool.
+    """Predicted force of the next step of a tissue with mass: wrench - stiffness m after a motion m of the tool.
+
+    The next step is assumed to be as long as this one.
 
     Attributes:
-        wrench: of a step in which the tool stays where it is, N and N m: the tissue, which moves, runs against it.
-        stiffness_matrix: how it grows as the tool moves within that step, as in `ToolForce`.
+        wrench: for a tool at rest, N and N m; it contains the impact of the moving tissue.
+        stiffness_matrix: minus its derivative with respect to a motion of the tool in that step; see `ToolForce`.
     """
 
     wrench: Screw
     stiffness_matrix: Matrix
 
     def scaled(self, share: float) -> NextForce:
-        """A share of it."""
+        """Multiply wrench and stiffness by a number."""
         return NextForce(scaled(share, self.wrench), scaled_matrix(share, self.stiffness_matrix))
 
 
 @dataclass(frozen=True, slots=True)
 class ToolForce:
-    """The answer to one step.
+    """Result of one step.
 
     Attributes:
         wrench: force, then torque about the tool's deepest point, on the tool, in the frame of the scene, N and N m.
-        stiffness_matrix: the tissue's own, what a hand feels: minus the derivative of the wrench with (position,
-            rotation vector), 6 x 6, N/m, N, N m, without the mass of the tissue. A tissue that resists has positive
-            entries on the diagonal. Of inertial steps it can be that of an earlier one, where the budget left no time.
-        status: how far to believe them.
-        iterations: linear solves of this step.
-        residual: unbalanced over balanced forces of the last equilibrium that was looked for.
+        stiffness_matrix: static stiffness of the tissue: minus the derivative of the wrench with respect to (position,
+            rotation vector), 6 x 6, N/m, N, N m, without the mass of the tissue. The diagonal is positive for a tissue
+            that resists. In inertial steps it may belong to an earlier step, if no time was left for it.
+        status: reliability of force and stiffness.
+        iterations: number of linear solves of this step.
+        residual: relative residual of the last Newton iteration, 1.
         compute_time: wall time of the step, s.
-        inertial: whether the mass of the tissue was taken into account.
-        age: time since the last equilibrium, s; 0 where this one is.
-        pose: of the tool at that last equilibrium.
-        ahead: what the next step would answer, for who chooses the next pose by the force, as a virtual coupling does;
-            None: this wrench with the stiffness within a step.
-        step_stiffness_matrix: the same as the tool moves at once, within this step: it holds m/dt2 of the tissue that
-            goes along. None: no other than the tissue's own.
+        inertial: whether the mass of the tissue acted.
+        age: time since the last equilibrium, s; 0 if this is one.
+        pose: pose of the tool at the last equilibrium.
+        ahead: prediction for the next step, for programs that choose the next pose by the force, such as a virtual
+            coupling; None: use this wrench with the stiffness within the step.
+        step_stiffness_matrix: the same derivative for a motion within this step; it contains the inertia m/dt2 of
+            tissue that moves with the tool. None: no other than `stiffness_matrix`.
         stiffness_age: time since `stiffness_matrix` was evaluated, s; 0 if it belongs to this equilibrium.
         force_error: estimated error of the force, N; None if the error is unknown.
         error_age: time since `force_error` was estimated, s.
         is_on_axis: whether the tool is on the axis of an axisymmetric scene and parallel to it, as the force assumes;
-            True in scenes that take the whole pose.
+            True in three-dimensional scenes.
         least_tool_mass: smallest mass, kg, of a tool that an explicit coupling (pose in, force out) keeps stable at
             this step length; 0 if any mass is stable.
     """
@@ -195,29 +196,29 @@ class ToolForce:
     @classmethod
     def axial(cls, force: float, stiffness: float, status: ForceStatus, iterations: int = 0, residual: float = 0.0,
               compute_time: float = 0.0, inertial: bool = False, age: float = 0.0, depth: float = 0.0) -> ToolForce:
-        """Of a scene that knows the motion along z only: force, N, stiffness, N/m, and depth, m, of the last
+        """Make the result of a scene of axial motion only: force, N, stiffness, N/m, and depth, m, of the last
         equilibrium."""
         return cls(axial_wrench(force), axial_stiffness(stiffness), status, iterations, residual, compute_time,
                    inertial, age, Pose.at_depth(depth))
 
     @property
     def force(self) -> float:
-        """On the tool along z, N, positive when the tissue pushes back."""
+        """Force on the tool along z, N, positive if the tissue pushes the tool out."""
         return self.wrench[2]
 
     @property
     def stiffness(self) -> float:
-        """How the tissue's force along z grows with depth, N/m."""
+        """Derivative of the static force along z with respect to depth, N/m."""
         return self.stiffness_matrix[2][2]
 
     @property
     def within_step(self) -> Matrix:
-        """The stiffness as the tool moves at once, with the mass of the tissue where that was taken into account."""
+        """Stiffness for a motion within this step, with the mass of the tissue if it acted."""
         return self.stiffness_matrix if self.step_stiffness_matrix is None else self.step_stiffness_matrix
 
     @property
     def step_stiffness(self) -> float:
-        """How the force along z grows with depth within this step, N/m."""
+        """Derivative of the force along z with respect to depth within this step, N/m."""
         return self.within_step[2][2]
 
     @property
@@ -236,7 +237,7 @@ class ToolForce:
         return self.wrench[3:]
 
     def scaled(self, share: float, status: ForceStatus) -> ToolForce:
-        """A share of force, torque and every stiffness, and what that makes of the status."""
+        """Multiply force, torque and every stiffness by a number, and set a status."""
         ahead, within = self.ahead, self.step_stiffness_matrix
         return replace(
             self, wrench=scaled(share, self.wrench), stiffness_matrix=scaled_matrix(share, self.stiffness_matrix),
@@ -245,7 +246,7 @@ class ToolForce:
 
     @property
     def is_finite(self) -> bool:
-        """Whether wrench and stiffness are numbers."""
+        """Whether wrench and stiffness are finite."""
         total = sum(self.wrench)
         rows: tuple[Screw, ...] = self.stiffness_matrix
         if self.step_stiffness_matrix is not None:
@@ -297,18 +298,18 @@ class TouchState:
         return dt if before is None or before <= 0.0 else dt * height / (height - before)
 
     def copy(self) -> TouchState:
-        """An independent copy, for saved states."""
+        """Return an independent copy, for saved states."""
         return TouchState(self.has_touched, self.height)
 
 
 class Tissue(Protocol):
-    """The tissue that a loop or a server steps: a `Simulator`, a `MultiRateTissue`, or one of a plug-in.
+    """Contract of the tissue that a loop or a server steps: a `Simulator`, a `MultiRateTissue`, or one of a plug-in.
 
-    Contract of `step`: until the tool touches for the first time after a reset, every force is zero and the pose in the
-    air has no influence on later forces (`TouchState`). Three members are optional:
+    Before the first touch after a reset, every force must be zero, and poses in the air must have no influence on later
+    forces (`TouchState`). Three members are optional:
 
     - ``has_touched``: bool, whether the tool has touched since the last reset; read it with `has_touched`.
-    - ``reset()``: back to the undeformed tissue that has not been touched.
+    - ``reset()``: return to the undeformed tissue that has not been touched.
     - ``prepare()``: a loop calls it between two ticks, after the force has been sent.
     """
 
@@ -322,10 +323,10 @@ def has_touched(tissue: Tissue) -> bool:
 
 
 def depth_of(pose: float | Pose) -> float:
-    """Depth of a pose, or the depth that was given, m."""
+    """Depth of a pose; a number is returned as it is, m."""
     return pose.depth if isinstance(pose, Pose) else float(pose)
 
 
 def pose_of(pose: float | Pose) -> Pose:
-    """The pose, or that at the depth, m, which was given."""
+    """Pose of a number, which is a depth in m; a pose is returned as it is."""
     return pose if isinstance(pose, Pose) else Pose.at_depth(float(pose))

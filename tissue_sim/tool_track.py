@@ -17,17 +17,17 @@ AXIS_ANGLE = 2e-3
 
 
 class ToolTrack:
-    """Where the tool is between two steps, and whether it has touched.
+    """Pose of the tool between two steps, and whether it has touched.
 
-    The rotation about its own axis that a body of revolution has at the touch has no influence. It is removed from the
-    poses of solvers that say so (`FreeTool.ignores_twist`).
+    For a body of revolution the rotation about its own axis at the touch has no influence. It is removed from the poses
+    of solvers with `FreeTool.ignores_twist`.
 
     Attributes:
-        touch: whether it has touched; see `TouchState`.
-        pose: last accepted pose, as it was given; None before the first step.
+        touch: whether the tool has touched; see `TouchState`.
+        pose: last accepted pose, as passed to the simulator; None before the first step.
         twist: rotation about its axis at the last touch, which is removed from the poses of the solver; None: none.
-        is_refused: whether the tool entered the tissue at a pose at which the solver cannot let it begin, and has not
-            left the tissue since.
+        is_refused: whether the tool entered the tissue at a pose at which the solver cannot place it, and has not left
+            the tissue since.
     """
 
     __slots__ = ("is_refused", "pose", "touch", "twist")
@@ -39,36 +39,36 @@ class ToolTrack:
         self.is_refused = False
 
     def copy(self) -> ToolTrack:
-        """An independent copy, for saved states."""
+        """Return an independent copy, for saved states."""
         other = ToolTrack()
         other.touch, other.twist, other.pose = self.touch.copy(), self.twist, self.pose
         other.is_refused = self.is_refused
         return other
 
     def untwisted(self, pose: Pose) -> Pose:
-        """A pose without the rotation about the tool's own axis at the last touch."""
+        """Return a pose without the rotation about the tool's own axis at the last touch."""
         return pose if self.twist is None else without_twist(pose, self.twist)
 
     def seen_by(self, solver: Solver, pose: Pose) -> Pose:
-        """The pose that the solver gets."""
-        return solver.follow(self.untwisted(pose))
+        """Return the pose for the solver."""
+        return solver.project_pose(self.untwisted(pose))
 
     def given(self, pose: Pose) -> Pose:
-        """Inverse of `untwisted`, for a pose of the solver."""
+        """Convert a pose of the solver to a pose as passed to the simulator; the inverse of `untwisted`."""
         return pose if self.twist is None else with_twist(pose, self.twist)
 
     def first_contact(self, solver: Solver, pose: Pose, dt: float) -> tuple[float | None, bool]:
-        """Register a step before the first touch, and let the solver begin where the tool touches.
+        """Register a step before the first touch, and place the tool where it touches.
 
         Args:
-            solver: on tissue that has not been touched.
-            pose: end of the step, as it was given.
-            dt: s.
+            solver: solver whose tissue has not been touched.
+            pose: pose at the end of the step, as passed to the simulator.
+            dt: length of the step, s.
 
         Returns:
-            Time of the step in contact, s, or None while the tool is in the air; and whether the solver can let the
-            tool begin there. If it cannot, the tool counts as not having touched, and cannot begin until it has left
-            the tissue: the tissue that it moves inside belongs to the place where it entered.
+            Time of the step in contact, s, or None while the tool is in the air; and whether the solver can place the
+            tool there. If it cannot, the tool has not touched, and cannot be placed until it has left the tissue,
+            because tissue around it would belong to the position where it entered.
         """
         before = self.touch.height
         height = solver.height_above(pose)
@@ -91,15 +91,15 @@ class ToolTrack:
         return spent, False
 
     def contact_again(self, solver: Solver, pose: Pose) -> tuple[float, bool]:
-        """Take a tool that has lifted off, in the air, to where it touches on its straight path to a pose.
+        """Move a tool that has lifted off to the pose where it touches again on its straight path to a pose.
 
         Args:
-            solver: on tissue that the tool has left.
-            pose: end of the step, as it was given.
+            solver: solver whose tissue the tool has left.
+            pose: pose at the end of the step, as passed to the simulator.
 
         Returns:
             Fraction of the step until the touch; and whether the touch begins as a first touch. If it does not, the
-            tissue relaxes or swings until then.
+            tissue relaxes or oscillates until then.
         """
         assert self.pose is not None
         until = fraction_in_air(solver, self.pose, pose)
@@ -109,22 +109,22 @@ class ToolTrack:
 
 
 def fraction_in_air(solver: Solver, before: Pose, pose: Pose) -> float:
-    """Fraction of a straight path in which a tool in the air does not touch the tissue as it stands."""
+    """Fraction of a straight path on which a tool in the air does not touch the tissue in its present shape."""
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        clearance = solver.clearance(solver.follow(between(before, pose, middle)))
+        clearance = solver.clearance(solver.project_pose(between(before, pose, middle)))
         low, high = (middle, high) if clearance is not None and clearance > 0.0 else (low, middle)
     return low
 
 
 def is_on_axis(pose: Pose, seen: Pose, radius: float) -> bool:
-    """Whether a pose agrees with the one on the axis that an axisymmetric solver takes instead of it.
+    """Whether a pose agrees with its projection on the axis, which an axisymmetric solver uses instead.
 
     Args:
-        pose: as it was given.
-        seen: by the solver.
-        radius: of the contact, m.
+        pose: pose as passed to the simulator.
+        seen: pose for the solver.
+        radius: radius of the contact, m.
     """
     (x, y, _), (u, v, _) = pose.position, seen.position
     if abs(x - u) + abs(y - v) > 0.0 and math.hypot(x - u, y - v) > AXIS_OFFSET * radius:

@@ -1,4 +1,4 @@
-"""Units at the rim: names as they stand in headers and keys, factors to SI."""
+"""Units in files: names in headers and keys, and factors to SI."""
 
 from __future__ import annotations
 
@@ -7,12 +7,17 @@ import re
 
 from tissue_sim.errors import InputError, nearest
 
-#: Standard gravity, m/s2, of forces in grams; the pound, kg, and the inch, m (BIPM, SI brochure; NIST SP 811).
-_G, _LB, _IN = 9.80665, 0.45359237, 0.0254
+#: Standard gravity, m/s2, for forces in grams (BIPM, SI brochure).
+_G = 9.80665
+#: Pound, kg (NIST SP 811).
+_LB = 0.45359237
+#: Inch, m.
+_IN = 0.0254
+#: Quantity -> unit -> factor to SI.
 _FACTORS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": _IN, "mil": 1e-3 * _IN},
-    # In the column of a force, grams are those that a balance shows.
+    # In a column of forces, grams are the reading of a balance.
     "force": {"N": 1.0, "kN": 1e3, "mN": 1e-3, "uN": 1e-6, "nN": 1e-9, "pN": 1e-12, "cN": 1e-2, "dyn": 1e-5,
               "g": 1e-3 * _G, "gf": 1e-3 * _G, "mg": 1e-6 * _G, "kg": _G, "kgf": _G, "lb": _LB * _G, "lbf": _LB * _G,
               "ozf": _LB * _G / 16},
@@ -21,14 +26,15 @@ _FACTORS: dict[str, dict[str, float]] = {
                "bar": 1e5, "psi": _LB * _G / _IN**2, "ksi": 1e3 * _LB * _G / _IN**2, "g/mm2": 1e3 * _G,
                "kgf/cm2": 1e4 * _G},
     "ratio": {"-": 1.0, "1": 1.0, "%": 1e-2, "mm/mm": 1.0, "m/m": 1.0, "in/in": 1.0},
-    # What a converter gives: only whoever knows the sensor can say how much of what that is.
+    # Outputs of a converter; the factor to the measured quantity depends on the sensor.
     "signal": {"V": 1.0, "mV": 1.0, "mV/V": 1.0, "counts": 1.0},
 }
-# unit -> (quantity, factor to SI, offset added after the factor)
+#: Unit -> (quantity, factor to SI, offset added after the factor).
 UNITS: dict[str, tuple[str, float, float]] = {
     **{unit: (quantity, factor, 0.0) for quantity, units in _FACTORS.items() for unit, factor in units.items()},
     "degC": ("temperature", 1.0, 273.15), "K": ("temperature", 1.0, 0.0),
 }
+#: Other spelling -> name in `UNITS`.
 _SPELLINGS = {"µm": "um", "μm": "um", "µN": "uN", "μN": "uN", "°C": "degC", "sec": "s", "N.mm": "Nmm", "N·mm": "Nmm",
               "N·m": "Nm", "N.m": "Nm", "µN.m": "uNm", "µNm": "uNm",
               "N/mm²": "N/mm^2", "N/cm²": "N/cm2", "N/m²": "N/m2", "kgf/cm²": "kgf/cm2",
@@ -45,17 +51,17 @@ _LOOSE = (re.compile(r"^(?P<name>.*\S)\s*,\s*(?P<unit>\S+)$"), re.compile(r"^(?P
 #: SI unit -> unit in which people are shown a value, and that many of them in one SI unit; any other as it is.
 _SHOWN = {"Pa": ("kPa", 1e-3), "1/Pa": ("1/MPa", 1e6), "m": ("mm", 1e3), "m2/s": ("mm²/s", 1e6), "m/N": ("mm/N", 1e3),
           "rad": ("deg", 180.0 / math.pi), "1": ("", 1.0)}
-#: Characters of a header that is looked through for a unit: the time for it grows faster than they do.
+#: Longest header that is searched for a unit, characters; the time of the search grows faster than the length.
 _LONGEST_HEADER = 300
 _HEADER = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]\s*$")
 
 
 def to_si(unit: str, quantity: str | None = None) -> tuple[float, float]:
-    """Factor and offset that take a value in `unit` to SI.
+    """Return factor and offset that convert a value in a unit to SI.
 
     Args:
         unit: such as ``mm``, ``kPa``, ``degC``.
-        quantity: ``length``, ``force``, ...: when given, a unit of another quantity is refused.
+        quantity: ``length``, ``force``, ...; None: any.
 
     Raises:
         InputError: unknown unit, or a unit of another quantity.
@@ -65,8 +71,8 @@ def to_si(unit: str, quantity: str | None = None) -> tuple[float, float]:
         raise InputError(f"unknown unit {unit!r}{nearest(unit, UNITS)}")
     found, factor, offset = UNITS[unit]
     if quantity is not None and found != quantity:
-        wanted = ", ".join(name for name, entry in UNITS.items() if entry[0] == quantity)
-        raise InputError(f"unit {unit!r} is a {found}, expected a {quantity} ({wanted})")
+        possible = ", ".join(name for name, entry in UNITS.items() if entry[0] == quantity)
+        raise InputError(f"unit {unit!r} is a {found}, expected a {quantity} ({possible})")
     return factor, offset
 
 
@@ -86,12 +92,12 @@ def quantity_of(unit: str | None) -> str | None:
 
 
 def shown(unit: str) -> tuple[str, float]:
-    """The unit in which people are shown values of an SI unit, and the factor that takes them there."""
+    """Return the unit in which values of an SI unit are displayed, and the factor from SI to it."""
     return _SHOWN.get(unit, (unit, 1.0))
 
 
 def split_header(header: str) -> tuple[str, str | None]:
-    """``'Load (N)'`` -> ``('Load', 'N')``; ``'Stretch'`` -> ``('Stretch', None)``."""
+    """Split a header: ``'Load (N)'`` -> ``('Load', 'N')``; ``'Stretch'`` -> ``('Stretch', None)``."""
     match = _HEADER.match(header.strip()) if len(header) <= _LONGEST_HEADER else None
     if not match:
         return header.strip(), None

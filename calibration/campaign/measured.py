@@ -97,7 +97,7 @@ class MeasuredCurve:
 
 def remembers(test: Test, material: Material) -> bool:
     """Whether force depends on the way of the tool and not on its place alone, so that unloading is fitted too."""
-    return material.remembers or (test.experiment is not None and test.experiment.depends_on_way)
+    return material.remembers or (test.experiment is not None and test.experiment.is_path_dependent)
 
 
 def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:

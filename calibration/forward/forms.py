@@ -61,7 +61,7 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSetting
     depth = min(deepest + max(_MARGIN * contact, _LEAST_MARGIN * deepest), 0.999 * test.experiment.thickness)
     speed = float(np.median([curve.speed or STUDY_SPEED for curve in curves]))
     tool = test.experiment.tool
-    smooth = tool.is_plate or (tool.sharp_edge and not test.experiment.depends_on_way)
+    smooth = tool.is_plate or (tool.sharp_edge and not test.experiment.is_path_dependent)
     way = Loading.to(float(depth), max(speed, 1e-9), smooth=smooth, strain=float(depth / height))
     return SimulatedTest(test.name, test.experiment, test.rig, (way,), (0,) * len(curves), curves, layered, mesh=mesh,
                          solver=test.solver)

@@ -175,7 +175,7 @@ class PlacedCourse:
 def needs_way(model: Model) -> bool:
     """Whether the force has to be simulated along the way of the tool."""
     reduced = model.material.reduced_effects(plate=model.experiment.tool.is_plate)
-    return model.depends_on_way or bool(reduced and (model.rig.compliance or model.experiment.tilt))
+    return model.is_path_dependent or bool(reduced and (model.rig.compliance or model.experiment.tilt))
 
 
 def leaves(experiment: Experiment) -> bool:

@@ -224,7 +224,7 @@ class SimulatedTest:
         for way in self.motions if loading is None else (loading,):
             fast, *_ = self._simulated(space, values, solves, way, "fast", rigid=rigid)
             accurate = self._accurate(space, values, solves, way, rigid=rigid)
-            if isinstance(way, Loading) and not self.experiment.depends_on_way:
+            if isinstance(way, Loading) and not self.experiment.is_path_dependent:
                 self._find_mesh_error(space, values, solves, way, accurate, rigid=rigid)
             if self.mesh_error is not None:
                 accurate = accurate * self.mesh_error.factor(way.protocol.displacement)

@@ -320,7 +320,7 @@ class MultiRateTissue(KernelOwner):
             self.error = judged = math.inf
         good = (step.converged and self._settled and self._link.alive and age <= self.oldest
                 and not stepper.leaves(here) and is_known_well(wrench, judged))
-        self._left = self._reduced.go(pose.depth, dt)
+        self._left = self._reduced.commit(pose.depth, dt)
         if self._left != 1.0:
             wrench, stiffness = scaled(self._left, wrench), scaled_matrix(self._left, stiffness)
         is_known = math.isfinite(self.error)

@@ -21,8 +21,8 @@ from tissue_sim.fem.solid.fields import SolidFields
 class Body(Protocol):
     """Interface of tissue that the page can draw, from an axisymmetric or a 3D mesh.
 
-    In all methods, `positions` are the deformed positions of the nodes as `Snapshot.place` gives them, and `wedge` is
-    the wedge that is removed from the picture. Lengths are in m.
+    In all methods, `positions` are the deformed positions of the nodes as `Snapshot.node_positions` gives them, and
+    `wedge` is the wedge that is removed from the picture. Lengths are in m.
     """
 
     def values(self, fields: Any, name: str, positions: np.ndarray,

@@ -399,7 +399,7 @@ def test_what_a_solid_cannot_be_made_of_is_said_of_its_test(folder, coarse, caps
 
 
 def test_a_needle_beyond_a_shell_is_refused(folder):
-    with pytest.raises(ts.InputError, match="there is no tissue 60 mm off the axis") as caught:
+    with pytest.raises(ts.InputError, match="the specimen has no tissue 60 mm off the axis") as caught:
         load(folder, SHELL, "needle_indentation", NEEDLE + "\noffset_mm = 60.0")
     assert caught.value.field == "test[0].offset_mm"
 

@@ -84,7 +84,7 @@ def test_its_parameters_are_those_of_the_model(film):
 
 def test_the_way_out_counts(film):
     """What has touched pulls when it comes off, so a calibration looks at returns too."""
-    assert model(film(tack=30.0)).experiment.depends_on_way and not model().experiment.depends_on_way
+    assert model(film(tack=30.0)).experiment.is_path_dependent and not model().experiment.is_path_dependent
     plate = ts.Experiment(ts.Specimen(0.03, 0.03), WAY, friction="frictionless", friction_base="frictionless")
     assert plate.homogeneous and not replace(plate, contact_laws=[film(tack=30.0)]).homogeneous
 
@@ -175,5 +175,5 @@ def test_a_law_without_a_traction_is_refused(film, registers, solver):
             return 3.0
 
     registers(CONTACT_LAWS, Broken)
-    with pytest.raises(InputError, match=r"contact_laws.broken_film: its traction is no tissue_sim.Traction"):
+    with pytest.raises(InputError, match=r"contact_laws.broken_film: traction\(\) must return a tissue_sim.Traction"):
         ts.simulate(model(Broken(tack=100.0)), solver=solver, resolution="realtime")

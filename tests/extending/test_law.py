@@ -61,7 +61,7 @@ def test_a_name_that_is_taken_is_refused(plugin, registers):
         ts.register(type(gent)())
     with pytest.raises(ts.InputError, match="'neo_hooke' is taken"):
         ts.LAWS.register(gent, "neo_hooke")
-    with pytest.raises(ts.InputError, match="is no law; give an object"):
+    with pytest.raises(ts.InputError, match="is not a valid law; give an object"):
         ts.LAWS.register(type(gent), "class")
 
 

@@ -49,7 +49,7 @@ def test_a_file_with_an_effect_that_nobody_knows_is_refused(plugin, tmp_path):
     EFFECTS.register(kind)
     ts.write_material_file(ts.MaterialFile.of(material(kind(LOST, TIME))), path)
     EFFECTS.unregister("seepage")
-    with pytest.raises(ts.InputError, match=r"effects\.seepage: no effect of the tissue is called so"):
+    with pytest.raises(ts.InputError, match=r"effects\.seepage: must be the name of a registered effect"):
         ts.load_material(path)
 
 

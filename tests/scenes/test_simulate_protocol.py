@@ -83,7 +83,7 @@ class TestProtocol:
                                                "'hold'? For example 'ramp 10mm"),
         (["--protocol", "ramp 10mm", "--depth-mm", "5"], "--depth-mm: cannot be combined with --protocol"),
         (["--protocol", "ramp 70mm"], "deeper than the specimen is high"),
-        (["--protocol", "hold 1s; ramp 200km"], "'km' is not a unit of length here; use mm, um, m"),
+        (["--protocol", "hold 1s; ramp 200km"], "'km' is not a unit of length; use mm, um, m"),
     ])
     def test_faults(self, words, expected, simulate):
         code, out, err = simulate(LUBRICATED, *words)

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import tissue_sim as ts
-from tissue_sim.closed_form.column import SMALLEST_STRETCH, Column
+from tissue_sim.closed_form.column import Column, ColumnSettings
 
 STUDY = ts.Specimen(0.04, 0.07, density=1040.0, gravity=9.81)
 POLYNOMIAL = ts.find_law("reduced_polynomial_2")
@@ -155,4 +155,4 @@ def test_wild_parameters_end_in_nan_or_in_a_stiff_column(values):
 def test_the_whole_height_cannot_be_pressed_out():
     stress = Column(STUDY).nominal_stress(POLYNOMIAL, np.array([0.01, 0.068, 0.07]), PHANTOM)
     assert np.isnan(stress[1:]).all()
-    assert SMALLEST_STRETCH < Column(STUDY).base_stretch(POLYNOMIAL, np.array(0.05), PHANTOM) < 0.3
+    assert ColumnSettings().smallest_stretch < Column(STUDY).base_stretch(POLYNOMIAL, np.array(0.05), PHANTOM) < 0.3

@@ -132,14 +132,15 @@ def test_version_1_loads_and_becomes_the_present_one(tmp_path, case):
 TERM = {"g": 0.3, "tau_s": 2.0}
 #: Keys and value that are put into the file of `LOSSY`, the path of the refusal, words in it.
 REFUSED = {
-    "no terms": (("viscoelastic", {"terms": []}), "viscoelastic.terms", "0 terms; give 1 to 4"),
-    "five terms": (("viscoelastic", {"terms": [{"g": 0.1, "tau_s": 1.0}] * 5}), "viscoelastic.terms", "5 terms"),
+    "no terms": (("viscoelastic", {"terms": []}), "viscoelastic.terms", "must have 1 to 4 terms; got 0"),
+    "five terms": (("viscoelastic", {"terms": [{"g": 0.1, "tau_s": 1.0}] * 5}), "viscoelastic.terms",
+                   "must have 1 to 4 terms; got 5"),
     "everything relaxes": (("viscoelastic", {"terms": [{"g": 0.5, "tau_s": 1.0}] * 2}), "viscoelastic.terms",
-                           "must stay below 1"),
+                           "the sum of all g must be below 1"),
     "negative g": (("viscoelastic", {"terms": [{"g": -0.1, "tau_s": 1.0}]}), "viscoelastic.terms[0].g",
-                   "not between 0 and 1"),
+                   "between 0 and 1; got -0.1"),
     "no time": (("viscoelastic", {"terms": [TERM, {"g": 0.1, "tau_s": 0.0}]}), "viscoelastic.terms[1].tau_s",
-                "0 s is not a positive time"),
+                "must be a positive relaxation time; got 0 s"),
     "tau without its unit": (("viscoelastic", {"terms": [{"g": 0.1, "tau": 1.0}]}), "viscoelastic.terms[0].tau",
                              "did you mean 'tau_s'"),
     "other moduli": (("viscoelastic", {"terms": [TERM], "moduli": "longterm"}), "viscoelastic.moduli",
@@ -147,23 +148,25 @@ REFUSED = {
     "other form": (("viscoelastic", {"terms": [TERM], "form": "cauchy_deviator"}), "viscoelastic.form",
                    "isochoric_second_piola"),
     "error of nothing": (("viscoelastic", {"terms": [{**TERM, "standard_errors": {"tau": 1.0}}]}),
-                         "viscoelastic.terms[0].standard_errors.tau", "names no parameter beside it; known: g, tau_s"),
+                         "viscoelastic.terms[0].standard_errors.tau", "must be the key of a parameter: g, tau_s"),
     "negative error of tau": (("viscoelastic", {"terms": [{**TERM, "standard_errors": {"tau_s": -1.0}}]}),
-                              "viscoelastic.terms[0].standard_errors.tau_s", "negative"),
+                              "viscoelastic.terms[0].standard_errors.tau_s",
+                              "must be a standard deviation of 0 or more; got -1"),
     "softening without loss": (("softening", {}), "softening.loss", "is missing"),
-    "lost all": (("softening", {"loss": 1.0}), "softening.loss", "outside 0 to 1"),
-    "softening without scale": (("softening", {"loss": 0.5, "share": 0.0}), "softening.modulus_Pa", "both 0"),
+    "lost all": (("softening", {"loss": 1.0}), "softening.loss", "from 0 to below 1; got 1"),
+    "softening without scale": (("softening", {"loss": 0.5, "share": 0.0}), "softening.modulus_Pa",
+                                "must not both be 0"),
     "layer of nothing": (("layers", [{"thickness_mm": 0.0, "modulus_ratio": 2.0}]), "layers[0].thickness_mm",
-                         "not a positive thickness"),
+                         "must be positive and finite; got 0 m"),
     "negative layer": (("layers", [{"thickness_mm": 1.0, "modulus_ratio": -2.0}]), "layers[0].modulus_ratio",
-                       "not a positive ratio"),
+                       "must be a positive finite ratio of moduli"),
     "no diffusion": (("poroelasticity", {"phi": 0.2, "diffusivity_mm2_per_s": 0.0}),
-                     "poroelasticity.diffusivity_mm2_per_s", "not a positive diffusivity"),
+                     "poroelasticity.diffusivity_mm2_per_s", "must be positive and finite"),
     "all drains": (("poroelasticity", {"phi": 1.0, "diffusivity_mm2_per_s": 1.0}), "poroelasticity.phi",
-                   "outside 0 to 1"),
+                   "from 0 to below 1; got 1"),
     "puncture in the air": (("puncture", {"depth_mm": -1.0, "drop": 0.2}), "puncture.depth_mm",
-                            "not a positive depth"),
-    "all punctured": (("puncture", {"depth_mm": 1.0, "drop": 1.0}), "puncture.drop", "outside 0 to 1"),
+                            "must be positive and finite"),
+    "all punctured": (("puncture", {"depth_mm": 1.0, "drop": 1.0}), "puncture.drop", "from 0 to below 1; got 1"),
     "covariance of what is not there": (
         ("covariance", {"order": ["C10", "C20", "C30", "puncture.dropp"], "matrix": np.eye(4).tolist()}),
         "covariance.order", "no parameter 'puncture.dropp'; did you mean 'puncture.drop'"),
@@ -185,7 +188,7 @@ def test_refused_by_its_path(case):
 def test_five_relaxing_terms_are_too_many():
     four = Prony(tuple(PronyTerm(0.1, 10.0**i) for i in range(4)))
     assert dataclasses.replace(YEOH, viscoelastic=four).relaxation(1e-2) == four
-    with pytest.raises(ts.InputError, match="drainage takes one of the 4 relaxing terms"):
+    with pytest.raises(ts.InputError, match="drainage is one of the at most 4 relaxing terms"):
         dataclasses.replace(LOSSY, viscoelastic=four)
 
 

@@ -73,16 +73,17 @@ C10 = REGION["parameters"]["C10"]
     ({"a": {**REGION, "parameters": {"C10": {"value": 1.0}}}}, "regions.a.parameters.C10.unit", "give a unit"),
     ({"a": {**REGION, "parameters": {"C10": {**C10, "unit": "mm"}}}}, "regions.a.parameters.C10.unit",
      "expected a stress"),
-    ({"a": {**REGION, "parameters": {"C10": {**C10, "value": -1.0}}}}, "regions.a.parameters", "must be positive"),
+    ({"a": {**REGION, "parameters": {"C10": {**C10, "value": -1.0}}}}, "regions.a.parameters",
+     "must give a positive shear modulus"),
     ({"a": {**REGION, "parameters": {"C10": C10, "C20": C10}}}, "regions.a.parameters.C20", "no parameter"),
     ({"a": {**REGION, "bulk": {}}}, "regions.a.bulk", "exactly one"),
-    ({"a": {**REGION, "bulk": {"K_Pa": -1.0}}}, "regions.a.bulk.K_Pa", "not a positive number"),
+    ({"a": {**REGION, "bulk": {"K_Pa": -1.0}}}, "regions.a.bulk.K_Pa", "must be positive and finite"),
     ({"a": {**REGION, "layers": []}}, "regions.a.layers", "unknown key"),
     ({"a": {**REGION, "softning": {}}}, "regions.a.softning", "did you mean 'softening'"),
-    ({"a": {**REGION, "viscoelastic": {"terms": []}}}, "regions.a.viscoelastic.terms", "0 terms"),
+    ({"a": {**REGION, "viscoelastic": {"terms": []}}}, "regions.a.viscoelastic.terms", "1 to 4 terms; got 0"),
     ({"a": REGION, "b": {"law": "neo_hooke"}}, "regions.b.parameters", "is missing"),
-    ({"v1.2": REGION}, "regions", "without dots and brackets"),
-    ({"": REGION}, "regions", "cannot be the name of a region"),
+    ({"v1.2": REGION}, "regions", "must not be empty or contain dots or brackets"),
+    ({"": REGION}, "regions", "must not be empty"),
 ])
 def test_refused_with_the_path_of_the_field(data, regions, field, message):
     with pytest.raises(ts.InputError, match=message) as caught:

@@ -65,7 +65,8 @@ def test_a_path_may_start_at_any_part():
     assert {value(part, path) for part, path in starts} == {8e-3}
     assert [each.path for each in find_parameters(MODEL, ["layers[0].ratio"])] == ["material.layers[0].ratio"]
     for name, words in (("experiment.tool.raduis", "did you mean 'experiment.tool.radius'"),
-                        ("experiment.friction_base", "'bonded' and not a number"), ("C10", "unknown parameter")):
+                        ("experiment.friction_base", "must be a number to be changed; got 'bonded'"),
+                        ("C10", "unknown parameter")):
         with pytest.raises(ts.InputError, match=words):
             find_parameters(MODEL, [name])
     with pytest.raises(ts.InputError, match=r"did you mean 'rig\.latency'"):

@@ -9,12 +9,12 @@ import tissue_sim as ts
 from scenes.commands.shared import tissue_flags
 from scenes.doctor import realtime_mesh
 from tissue_sim import realtime_ladder, simulator
-from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, realtime_rungs
-from tissue_sim.fem.solver import Rung
+from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, realtime_levels
+from tissue_sim.fem.solver import ResolutionLevel
 
 SPECIMEN = ts.Specimen(0.040, 0.070)
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
-RUNGS = tuple(Rung(name, 0.01) for name in "abcd")
+LEVELS = tuple(ResolutionLevel(name, 0.01) for name in "abcd")
 TESTS = {"plates": {}, "needle": {"tool": ts.Tool("flat", 8e-3)},
          "needle with friction": {"tool": ts.Tool("flat", 8e-3, 0.25e-3), "friction": 0.7},
          "ball": {"tool": ts.Tool("sphere", 8e-3), "friction": 0.3}}
@@ -31,11 +31,11 @@ def model(name: str, depth: float = 10e-3, samples: int = 21) -> ts.Model:
 def test_finest_that_fits(ticks, chosen, measured):
     seen = []
 
-    def tick_of(rung):
-        seen.append(rung.resolution)
-        return ticks["abcd".index(rung.resolution)]
+    def tick_of(level):
+        seen.append(level.resolution)
+        return ticks["abcd".index(level.resolution)]
 
-    assert realtime_ladder.choose(RUNGS, 1, 1.0, tick_of).resolution == chosen
+    assert realtime_ladder.choose_level(LEVELS, 1, 1.0, tick_of).resolution == chosen
     assert "".join(seen) == measured
 
 
@@ -67,7 +67,7 @@ def test_a_mesh_that_does_not_fit_is_known_soon():
 
 
 def led_to(monkeypatch, name: str, ticks, **how) -> ts.Simulator:
-    """A simulator with a budget of 1 s, on a computer that takes so long (s) for the ticks of each rung."""
+    """A simulator with a budget of 1 s, on a computer that takes so long (s) for the ticks of each level."""
     times = iter(ticks)
     monkeypatch.setattr(simulator, "measure_tick", lambda *arguments, **options: next(times))
     return ts.Simulator(model(name), **{"budget": 1.0, "inertia": "off"} | how)
@@ -77,8 +77,8 @@ def test_chosen_at_warm_up_and_kept(monkeypatch):
     sim = led_to(monkeypatch, "needle", (2.0, 0.5))
     assert sim.resolution == "realtime"
     sim.warm_up()
-    rung = {rung.resolution: rung for rung in realtime_rungs(sim.model.experiment)}[sim.resolution]
-    assert rung.resolution == "realtime_35" and sim.force_error == rung.force_error
+    level = {level.resolution: level for level in realtime_levels(sim.model.experiment)}[sim.resolution]
+    assert level.resolution == "realtime_35" and sim.force_error == level.force_error
     assert len(sim.mesh.connectivity) == 35
     answer, mesh = sim.step(2e-3, 1e-3), sim.mesh
     fixed = ts.Simulator(model("needle"), resolution="realtime_35", inertia="off")
@@ -91,7 +91,7 @@ def test_chosen_at_warm_up_and_kept(monkeypatch):
 
 
 @pytest.mark.parametrize("how", [{"budget": None}, {"resolution": "realtime_20"}, {"resolution": "fast"}],
-                         ids=["no budget", "a rung", "another mesh"])
+                         ids=["no budget", "a level", "another mesh"])
 def test_who_does_not_ask_gets_no_other_mesh(monkeypatch, how):
     sim = led_to(monkeypatch, "plates", (), **how)
     elements = len(sim.mesh.connectivity)
@@ -115,7 +115,7 @@ def test_a_mesh_on_which_nothing_stands_is_left_out(monkeypatch):
 
 def test_everybody_calls_them_the_same():
     names = [name for name, one in RESOLUTIONS.items() if one.force_errors]
-    assert [rung.resolution for rung in realtime_rungs(model("plates").experiment)] == names
+    assert [level.resolution for level in realtime_levels(model("plates").experiment)] == names
     assert list(tissue_flags._REALTIME_LEVELS) == names and names[-1] == realtime_mesh.COARSEST
 
 
@@ -124,9 +124,9 @@ def test_forces_err_by_no_more_than_they_say(name):
     """Against the accurate mesh in the same steps; to 6 mm, which keeps this short."""
     test = model(name, 6e-3, 13)
     exact = ts.simulate(test, resolution="accurate").force[4:]
-    for rung in realtime_rungs(test.experiment):
-        force = ts.simulate(test, resolution=rung.resolution).force[4:]
-        assert np.abs(force / exact - 1.0).max() <= rung.force_error, rung
+    for level in realtime_levels(test.experiment):
+        force = ts.simulate(test, resolution=level.resolution).force[4:]
+        assert np.abs(force / exact - 1.0).max() <= level.force_error, level
 
 
 def test_under_a_free_edge_there_is_no_other_equilibrium_on_the_way_back():
@@ -140,7 +140,7 @@ def test_under_a_free_edge_there_is_no_other_equilibrium_on_the_way_back():
         sim = ts.Simulator(ts.Model(test, tissue), resolution=resolution, inertia="off")
         return np.array([sim.step(depth, 1e-3).force for depth in way])
 
-    exact, rungs = forces("fast"), realtime_rungs(test)
-    assert "realtime_20" not in [rung.resolution for rung in rungs] and len(rungs) == 3
-    for rung in rungs:
-        assert np.abs(forces(rung.resolution) - exact).max() <= rung.force_error * exact.max(), rung
+    exact, levels = forces("fast"), realtime_levels(test)
+    assert "realtime_20" not in [level.resolution for level in levels] and len(levels) == 3
+    for level in levels:
+        assert np.abs(forces(level.resolution) - exact).max() <= level.force_error * exact.max(), level

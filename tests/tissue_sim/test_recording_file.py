@@ -240,7 +240,7 @@ def test_header_of_a_written_file(tmp_path):
     ({}, {}, "r.txt", "ends in .csv"),
     ({}, {"scores": [1.0, float("nan")]}, "r.csv", r"metadata\.scores\[1\]: nan is not a finite number"),
     ({}, {"device": "\ud800"}, "r.csv", r"metadata\.device: .* surrogate"),
-    ({}, {"object": object()}, "r.csv", "no JSON form"),
+    ({}, {"object": object()}, "r.csv", "no equivalent in JSON"),
     ({"segment": ["a\nb"] * 5}, {}, "r.csv", "line breaks"),
     ({"segment": [" a"] * 5}, {}, "r.csv", "blanks"),
     ({}, {}, "folder.csv", "cannot be written"),

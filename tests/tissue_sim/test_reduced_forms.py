@@ -165,7 +165,7 @@ class TestSlip:
         assert not rates.exact.any() and rates.values[8, 1] > 0
 
     @pytest.mark.parametrize(("changes", "field", "words"), [
-        ({"slip": 0.1, "friction": "frictionless"}, "slip", "a part of a bonded face slips"),
+        ({"slip": 0.1, "friction": "frictionless"}, "slip", "requires friction 'bonded'; got 'frictionless'"),
         ({"slip": 1.5}, "slip", "no share"),
         ({"slip": 0.1, "tool": NEEDLE}, "tool.edge_radius", "sharp edge")])
     def test_what_does_not_fit_is_refused(self, changes, field, words):
@@ -199,5 +199,5 @@ class TestStiffnessScale:
         assert ts.load_material(tmp_path / "m.material.json").effects["stiffness_scale"].ratio == 1.2
 
     def test_no_ratio(self):
-        with pytest.raises(ts.InputError, match="not a positive ratio"):
+        with pytest.raises(ts.InputError, match="must be positive and finite"):
             ts.EFFECTS["stiffness_scale"](0.0)

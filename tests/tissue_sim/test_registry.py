@@ -66,4 +66,4 @@ def test_installed_packages_add_theirs(tmp_path):
     """)
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, encoding="utf-8", check=True,
                           env={**__import__("os").environ, "PYTHONPATH": f"{tmp_path}:{':'.join(sys.path)}"})
-    assert "'second' of their_module:thing has the name of what is built in" in done.stdout
+    assert "'second' of their_module:thing has the name of a built-in one" in done.stdout

@@ -158,7 +158,7 @@ def test_what_takes_none_says_so():
         LINEARISATIONS.find("solid")(tested, resolution="realtime")
     with pytest.raises(ts.InputError, match="reduced solid takes no adhesion"):
         require_reducible(tested)
-    with pytest.raises(ts.InputError, match=r"contact_laws.film: its traction is no tissue_sim.Traction"):
+    with pytest.raises(ts.InputError, match=r"contact_laws.film: traction\(\) must return a tissue_sim.Traction"):
         class Odd(Film):
             def traction(self, gap, pressure, slip, face):
                 return 0.0 if np.ndim(gap) else Traction()

@@ -216,8 +216,8 @@ def _printing(path):
 
 
 @pytest.mark.parametrize(("reader", "words"), [
-    (_for_ever, "takes more computing"), (_all_memory, "asks for more memory"), (_a_crash, "ends the process"),
-    (_an_exit, "cannot be read"), (_a_fault, "its reader has a fault"), (_too_deep, "nested too deep")])
+    (_for_ever, "exceeds the CPU time"), (_all_memory, "exceeds the memory"), (_a_crash, "ends the process"),
+    (_an_exit, "cannot be read"), (_a_fault, "its reader has an error"), (_too_deep, "nested too deep")])
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere only the time is bounded, by the wall clock")
 def test_a_reader_of_a_plugin(tmp_path, reader, words):
     path = tmp_path / "run.csv"
@@ -256,7 +256,7 @@ def test_a_process_that_keeps_memory_is_replaced(tmp_path):
 
 def test_what_cannot_travel_is_refused(tmp_path):
     lock = __import__("threading").Lock()
-    assert "cannot be handed to the process" in refused(lambda path: bounded(lock.acquire, file=path), tmp_path / "a")
+    assert "cannot be sent to the process" in refused(lambda path: bounded(lock.acquire, file=path), tmp_path / "a")
 
 
 def test_a_module_beside_the_file_is_not_imported(tmp_path, monkeypatch):

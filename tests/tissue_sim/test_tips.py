@@ -139,7 +139,7 @@ class TestProfileFile:
         ("0,0\n8,2\n6,4\n", 3, "outwards and upwards"),
         ("0,0\n4,1\n4,1\n", 3, "outwards and upwards"),
         ("0,0\n0,3\n4,5\n", 2, "outwards and upwards"),
-        ("0,0\n2,3\n8,4\n", 2, "hollow here; only convex tools")])
+        ("0,0\n2,3\n8,4\n", 2, "must be convex; it is hollow here")])
     def test_refused(self, tmp_path, text, line, words):
         path = tmp_path / "tool.csv"
         path.write_text(text, encoding="utf-8")

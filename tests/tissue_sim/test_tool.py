@@ -117,8 +117,8 @@ def test_contact_radius(tool, at, radius):
     ({"shape": "cone", "radius": 8e-3, "half_angle": 1.0, "tip_radius": 8e-3}, "less than the radius"),
     ({"shape": "cone", "radius": 8e-3}, "a cone tool needs a half angle"),
     ({"shape": "cone", "radius": 8e-3, "half_angle": np.pi / 2}, "below 90 degrees"),
-    ({"shape": "cone", "radius": 8e-3, "half_angle": -0.5}, "0.6 degrees or more"),
-    ({"shape": "cone", "radius": 8e-3, "half_angle": np.nan}, "0.6 degrees or more and below 90"),
+    ({"shape": "cone", "radius": 8e-3, "half_angle": -0.5}, "at least 0.6 degrees"),
+    ({"shape": "cone", "radius": 8e-3, "half_angle": np.nan}, "at least 0.6 degrees and below 90"),
     ({"shape": "profile"}, "needs the file of its profile")])
 def test_refused(arguments, words):
     with pytest.raises(ts.InputError, match=words):
@@ -161,7 +161,7 @@ def test_one_key_means_one_size():
 
     ts.TOOLS.register(Other)
     try:
-        with pytest.raises(ts.InputError, match="mean different sizes by edge_radius_mm"):
+        with pytest.raises(ts.InputError, match="use the key edge_radius_mm for different sizes"):
             tool_sizes()
     finally:
         ts.TOOLS.unregister("other")

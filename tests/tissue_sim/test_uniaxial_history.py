@@ -90,7 +90,7 @@ def test_drainage_is_a_term_of_the_test():
     time, stretch = np.linspace(0, 10, 21), np.linspace(1, 0.8, 21)
     np.testing.assert_allclose(nominal_stress_history(material, time, stretch, contact_radius=0.008),
                                nominal_stress_history(RELAXING, time, stretch), rtol=1e-12)
-    with pytest.raises(ts.InputError, match="needs the test's contact radius"):
+    with pytest.raises(ts.InputError, match="must be given, in m, for a material that drains"):
         nominal_stress_history(material, time, stretch)
 
 

@@ -1,1 +1,1 @@
-"""Tests whose force is a formula: homogeneous ones, columns that weigh, histories."""
+"""Closed forms: homogeneous tests, columns under their own weight, and homogeneous tests with history."""

@@ -1,8 +1,8 @@
-"""A column under its own weight between frictionless plates: lubricated compression of a specimen that weighs.
+"""Lubricated compression of an incompressible column under its own weight, between frictionless plates.
 
-The material is incompressible. A slice at the undeformed depth s below the top carries the plate's pressure p and what
-is above it, P(stretch) = -(p + w s) with the specific weight w, per undeformed area. The column's height is the
-integral of the stretches; the displacement of the plate counts from the height at which the column has settled.
+A slice at the undeformed depth s below the top carries the pressure p of the plate and the weight above it:
+P(stretch) = -(p + w s), per undeformed area, with the specific weight w. The height of the column is the integral of
+the stretches; the displacement of the plate is measured from the height of the column under its weight alone.
 """
 
 from __future__ import annotations
@@ -17,26 +17,45 @@ from tissue_sim.errors import InputError
 from tissue_sim.laws import Law
 from tissue_sim.specimen import Specimen
 
-#: Slices of the Gauss-Legendre rule between top and base, and states on the curve of pressure against displacement.
-#: Measured force errors: 3e-9 for the study's specimen to strain 0.14, 5e-7 for its laws to 0.5; 1e-5 for Ogden with
-#: exponent 50. The slices' share in them is below 1e-10.
-SLICES, STATES = 8, 129
-#: Smallest stretch of a slice, and points of the table in which it is looked up.
-SMALLEST_STRETCH, TABLE_POINTS = 0.01, 241
-#: Newton's method: steps at most, and the relative change after which the next one is below rounding.
-STEPS, TOLERANCE = 50, 1e-9
 
-_PLACES, _SHARES = np.polynomial.legendre.leggauss(SLICES)
-_PLACES, _SHARES = 0.5 * (1.0 + _PLACES), 0.5 * _SHARES
+@dataclass(frozen=True)
+class ColumnSettings:
+    """Settings of the discretisation.
+
+    Measured errors of the force: 3e-9 for the study's specimen to strain 0.14, 5e-7 for its laws to strain 0.5, 1e-5
+    for Ogden's law with exponent 50; the contribution of the slices is below 1e-10.
+
+    Attributes:
+        slices: number of points of the Gauss-Legendre rule between top and base.
+        states: number of states on the curve of pressure against displacement.
+        smallest_stretch: smallest stretch of a slice, 1.
+        table_points: points of the table of pressure against stretch from which Newton's method starts.
+        max_iterations: limit of Newton's method.
+        tolerance: relative change, 1, after which the next iteration is below the rounding error.
+    """
+
+    slices: int = 8
+    states: int = 129
+    smallest_stretch: float = 0.01
+    table_points: int = 241
+    max_iterations: int = 50
+    tolerance: float = 1e-9
+
+
+_SETTINGS = ColumnSettings()
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(_SETTINGS.slices)
+_NODES = 0.5 * (1.0 + _NODES)
+_WEIGHTS = 0.5 * _WEIGHTS
 
 
 @dataclass(frozen=True)
 class Settled:
-    """The column without the plate.
+    """Column in equilibrium under its own weight, without the plate.
 
     Attributes:
-        moulded_height, height: m, undeformed and settled.
-        base_stretch: of the slice on the base.
+        moulded_height: undeformed height, m.
+        height: height under the weight, m.
+        base_stretch: stretch of the slice on the base, 1.
     """
 
     moulded_height: float
@@ -45,20 +64,21 @@ class Settled:
 
     @property
     def sag(self) -> float:
-        """By how much it is lower than it was moulded, m."""
+        """Loss of height by the weight, m."""
         return self.moulded_height - self.height
 
 
 @dataclass(frozen=True)
 class Column:
-    """Lubricated compression with self-weight: what `Law.nominal_stress` and its derivatives are without.
+    """Lubricated compression with self-weight; without weight the results are those of `Law.nominal_stress`.
 
-    Its methods take a law, displacements of the plate (m, any shape) and the law's parameters (mapping or array). Where
-    no stable equilibrium is found they return NaN: the law's pressure does not rise with compression as far as the
-    base needs, or the base would be below `SMALLEST_STRETCH`. At negative displacements the plate feels nothing.
+    The methods take a law, displacements of the plate (m, any shape) and the parameters of the law (mapping or array).
+    The results are NaN if no stable equilibrium is found: the pressure of the law does not increase with compression up
+    to that at the base, or the stretch at the base is below `ColumnSettings.smallest_stretch`. At negative
+    displacements the force is 0.
 
     Attributes:
-        specimen: its height, what that height is, and its specific weight; without weight this is the plain law.
+        specimen: height, meaning of the height, and specific weight.
 
     Source: equilibrium of a bar in its reference configuration, dP/dZ = w (Holzapfel, Nonlinear Solid Mechanics, 2000,
     section 4.3).
@@ -67,36 +87,36 @@ class Column:
     specimen: Specimen
 
     def settle(self, law: Law, values) -> Settled:
-        """The state in which the test begins.
+        """Compute the state at the start of the test.
 
         Raises:
-            InputError: the law does not carry the column's own weight.
+            InputError: no stable equilibrium under the weight exists.
         """
         curve = self._curve(law, values, 0.0)
         if not curve.states:
             weight = self.specimen.specific_weight * self.specimen.height
-            raise InputError(f"{law.name} with these parameters does not carry the specimen's own weight, {weight:.4g} "
-                             "Pa at its base; check density, height and parameters for their units",
+            raise InputError(f"{law.name} with these parameters does not carry the specimen's weight, {weight:.4g} Pa "
+                             "at its base; check the units of density, height and parameters",
                              field="specimen.density")
         return Settled(curve.moulded_height, float(curve.height[0]), float(curve.base_stretch[0]))
 
     def nominal_stress(self, law: Law, displacement, values) -> np.ndarray:
-        """Minus the plate's force over the undeformed cross-section, Pa; shape of `displacement`."""
+        """Minus the force of the plate over the undeformed cross-section, Pa, shape of `displacement`."""
         return self._along(law, displacement, values, lambda curve: curve.stress)
 
     def nominal_stress_slope(self, law: Law, displacement, values) -> np.ndarray:
-        """d(nominal stress)/d(displacement), Pa/m; shape of `displacement`."""
+        """d(nominal stress)/d(displacement), Pa/m, shape of `displacement`."""
         return self._along(law, displacement, values, lambda curve: curve.stress.derivative())
 
     def nominal_stress_derivatives(self, law: Law, displacement, values) -> np.ndarray:
-        """d(nominal stress)/d(parameter) at the same displacement; shape (*displacement.shape, m).
+        """d(nominal stress)/d(parameter) at constant displacement, shape (*displacement.shape, m).
 
-        The sag, and the moulded height of a specimen that was measured as placed, move with the parameters.
+        The sag depends on the parameters, and so does the undeformed height if the settled height is given.
         """
         return self._along(law, displacement, values, lambda curve: curve.stress_derivatives, len(law.parameters))
 
     def base_stretch(self, law: Law, displacement, values) -> np.ndarray:
-        """Stretch of the slice on the base, the lowest of all; shape of `displacement`."""
+        """Stretch of the slice on the base, the smallest of all, shape of `displacement`."""
         return self._along(law, np.maximum(displacement, 0.0), values,
                            lambda curve: CubicSpline(curve.displacement, curve.base_stretch))
 
@@ -116,34 +136,36 @@ class Column:
 
 
 class _Curve:
-    """States of the column from rest to at least `depth` (m), or to where its law carries no more.
+    """States of the column from rest to at least `depth`, m, or to the end of the stable branch.
 
     Attributes:
-        states: their number n; 0 where the column does not even settle.
-        pressure: of the plate, Pa. displacement, height: m. base_stretch. All of shape (n,).
+        states: number n of states; 0 if the column has no equilibrium under its weight.
+        pressure: of the plate, Pa, shape (n,).
+        displacement, height: m, shape (n,).
+        base_stretch: 1, shape (n,).
     """
 
     def __init__(self, specimen: Specimen, law: Law, values: tuple[float, ...], depth: float):
         self.specimen, self.law, self.values = specimen, law, np.array(values)
-        # Wild parameters overflow; what is not finite ends the curve.
+        # Extreme parameters overflow; the curve ends at the first value that is not finite.
         with np.errstate(all="ignore"):
             branch = _Branch(law, self.values)
             self.moulded_height, settled = self._settle(branch)
-            # The top carries less than the mean of the slices, so it ends above the mean stretch; a little farther, so
-            # that rounding does not leave the last displacement out.
+            # The top carries less than the mean of the slices, so that its stretch exceeds the mean stretch. The factor
+            # 1.001 keeps the last displacement inside of the curve despite rounding.
             end = (settled - 1.001 * max(depth, 0.01 * specimen.height)) / self.moulded_height
-            top = np.linspace(0.0, np.log(np.fmax(end, SMALLEST_STRETCH)), STATES)
+            top = np.linspace(0.0, np.log(np.fmax(end, _SETTINGS.smallest_stretch)), _SETTINGS.states)
             self.pressure = -law.nominal_stress(np.exp(top), self.values)
             self.pressure[0] = 0.0
             base = branch.log_stretch(self.pressure + specimen.specific_weight * self.moulded_height)
-            self.stretches, shares, softness = _slices(law, self.values, top, base)
+            self.stretches, weights, softness = _slices(law, self.values, top, base)
             self.base_stretch = np.exp(base)
-            self.height = self.moulded_height * np.sum(shares * self.stretches, axis=1)
+            self.height = self.moulded_height * np.sum(weights * self.stretches, axis=1)
             self.displacement = self.height[0] - self.height
-            going_on = np.isfinite(self.displacement)
-            going_on[1:] &= (np.diff(self.displacement) > 0) & (np.diff(self.pressure) > 0)
-        count = _leading(going_on)
-        # d(displacement)/d(pressure on it) of each slice, m/Pa.
+            is_stable = np.isfinite(self.displacement)
+            is_stable[1:] &= (np.diff(self.displacement) > 0) & (np.diff(self.pressure) > 0)
+        count = _count_leading(is_stable)
+        # d(displacement)/d(pressure) of each slice, m/Pa.
         self.softness = self.moulded_height * softness
         # Cubic splines need four points.
         self.states = count if count >= 4 else 0
@@ -152,97 +174,104 @@ class _Curve:
 
     @property
     def end(self) -> float:
-        """Largest displacement, m; minus infinity where the column does not settle."""
+        """Largest displacement, m; minus infinity if the column has no equilibrium under its weight."""
         return float(self.displacement[-1]) if self.states else -np.inf
 
     def _settle(self, branch: _Branch) -> tuple[float, float]:
-        """Moulded and settled height, m; NaN where there is none."""
+        """Undeformed height and height under the weight, m; NaN if no equilibrium is found."""
         given = height = self.specimen.height
-        # The settled height is a concave function of the moulded one: Newton's method from below does not overshoot.
-        for _ in range(STEPS):
+        # The settled height is a concave function of the undeformed one: Newton's method from below does not overshoot.
+        for _ in range(_SETTINGS.max_iterations):
             base = branch.log_stretch(np.array([self.specimen.specific_weight * height]))
-            stretches, shares, _ = _slices(self.law, self.values, np.zeros(1), base)
-            settled = height * float(np.sum(shares * stretches))
+            stretches, weights, _ = _slices(self.law, self.values, np.zeros(1), base)
+            settled = height * float(np.sum(weights * stretches))
             if self.specimen.height_is == "moulded":
                 return height, settled
             step = (given - settled) / float(np.exp(base[0]))
-            if not abs(step) > TOLERANCE * height:
+            if not abs(step) > _SETTINGS.tolerance * height:
                 return height + step, given
             height += step
         return np.nan, np.nan
 
     @cached_property
     def stress(self) -> CubicHermiteSpline:
-        """Nominal stress as a function of the displacement, with the exact slope at each state."""
+        """Nominal stress against displacement, with the exact slope at each state."""
         return CubicHermiteSpline(self.displacement, 0.0 - self.pressure, -1.0 / self.softness.sum(axis=1))
 
     @cached_property
     def stress_derivatives(self) -> CubicSpline:
-        """Its derivatives with respect to the parameters, by implicit differentiation of the height; (n, m)."""
-        # Height lost at the same pressure and moulded height.
+        """Derivatives of the nominal stress with respect to the parameters, by implicit differentiation; (n, m)."""
+        # Loss of height at constant pressure and undeformed height.
         lost = np.sum(self.softness[:, :, None] * self.law.nominal_stress_derivatives(self.stretches, self.values),
                       axis=1)
         if self.specimen.height_is == "moulded":
             moved = lost[0]
         else:
-            # The settled height is the measured one, so the moulded height moves: a slice more at the base.
+            # The settled height is given, so that the undeformed height depends on the parameters.
             moved = np.outer(self.base_stretch, lost[0] / self.base_stretch[0])
         return CubicSpline(self.displacement, (lost - moved) / self.softness.sum(axis=1)[:, None])
 
 
-#: The fit asks for stress, derivatives and slope at the same parameters in turn.
+#: Cached because a fit evaluates stress, derivatives and slope at the same parameters in turn.
 _curve = lru_cache(maxsize=8)(_Curve)
 
 
 class _Branch:
-    """The law in compression, inverted as far as its pressure rises from rest."""
+    """Compressive branch of a law, inverted as far as its pressure increases from rest."""
 
     def __init__(self, law: Law, values: np.ndarray):
         self.law, self.values = law, values
-        places = np.linspace(0.0, np.log(SMALLEST_STRETCH), TABLE_POINTS)
-        pressure = -law.nominal_stress(np.exp(places), values)
+        points = np.linspace(0.0, np.log(_SETTINGS.smallest_stretch), _SETTINGS.table_points)
+        pressure = -law.nominal_stress(np.exp(points), values)
         pressure[0] = 0.0
-        rising = np.isfinite(pressure) & (law.nominal_stress_slope(np.exp(places), values) > 0)
+        rising = np.isfinite(pressure) & (law.nominal_stress_slope(np.exp(points), values) > 0)
         rising[1:] &= np.diff(pressure) > 0
-        count = _leading(rising)
-        self.places, self.pressure = places[:count], pressure[:count]
+        count = _count_leading(rising)
+        self.points, self.pressure = points[:count], pressure[:count]
 
     def log_stretch(self, pressure: np.ndarray) -> np.ndarray:
-        """Logarithm of the stretch under pressures, Pa per undeformed area; NaN where none carries it; shape (n,)."""
+        """Logarithm of the stretch at pressures, Pa per undeformed area, shape (n,); NaN beyond the branch."""
         result = np.full(pressure.shape, np.nan)
         if self.pressure.size < 2:
             return result
         inside = (pressure >= 0) & (pressure <= self.pressure[-1])
         target = pressure[inside]
-        # Newton's method that stays in its cell of the table.
+        # Newton's method, limited to one cell of the table.
         cell = np.clip(np.searchsorted(self.pressure, target), 1, self.pressure.size - 1)
-        x = np.interp(target, self.pressure, self.places)
+        x = np.interp(target, self.pressure, self.points)
         change = np.full(x.shape, np.inf)
-        for _ in range(STEPS):
-            if (np.abs(change) <= TOLERANCE).all():
+        for _ in range(_SETTINGS.max_iterations):
+            if (np.abs(change) <= _SETTINGS.tolerance).all():
                 break
             stretch = np.exp(x)
             gap = self.law.nominal_stress(stretch, self.values) + target
             slope = stretch * self.law.nominal_stress_slope(stretch, self.values)
-            moved = np.clip(x - gap / slope, self.places[cell], self.places[cell - 1])
+            moved = np.clip(x - gap / slope, self.points[cell], self.points[cell - 1])
             x, change = moved, moved - x
-        result[inside] = np.where(np.abs(change) <= TOLERANCE, x, np.nan)
+        result[inside] = np.where(np.abs(change) <= _SETTINGS.tolerance, x, np.nan)
         return result
 
 
 def _slices(law: Law, values: np.ndarray, top: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Stretches of the slices, their shares of the undeformed height, and these over P' in 1/Pa; shape (n, slices).
+    """Quadrature over the slices.
 
-    `top` and `base` are logarithms x of stretches, shape (n,). The rule is laid over x, not over the depth s: with
-    dP = -w ds a dx stands for a depth proportional to stretch P' dx, which is smooth, and no slice in between has to
-    be solved for.
+    Args:
+        law, values: law and its parameters.
+        top, base: logarithms of the stretch at top and base, shape (n,).
+
+    Returns:
+        Stretches of the slices; weights, as fractions of the undeformed height; weights over P', 1/Pa; each of shape
+        (n, slices).
+
+    The rule is applied in x = log(stretch): with dP = -w ds an interval dx is a depth proportional to stretch P' dx,
+    which is a smooth function, so that no stretch at a given depth has to be computed.
     """
-    stretches = np.exp(top[:, None] + (base - top)[:, None] * _PLACES)
-    weights, slopes = _SHARES * stretches, law.nominal_stress_slope(stretches, values)
+    stretches = np.exp(top[:, None] + (base - top)[:, None] * _NODES)
+    weights, slopes = _WEIGHTS * stretches, law.nominal_stress_slope(stretches, values)
     softness = weights / np.sum(weights * slopes, axis=1, keepdims=True)
     return stretches, softness * slopes, softness
 
 
-def _leading(flags: np.ndarray) -> int:
-    """How many are true before the first that is not."""
+def _count_leading(flags: np.ndarray) -> int:
+    """Number of true values before the first false one."""
     return flags.size if flags.all() else int(np.argmin(flags))

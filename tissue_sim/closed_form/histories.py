@@ -1,10 +1,9 @@
-"""Closed-form response of homogeneous tests whose material remembers: viscoelasticity, drainage, softening.
+"""Closed-form response of homogeneous tests with history: viscoelasticity, drainage and softening.
 
-The specimen is incompressible and deforms homogeneously, as in lubricated compression, tension and simple shear. Its
-elastic stress follows from the law's own closed form; the hereditary integral then acts on two components of the
-isochoric second Piola-Kirchhoff stress S. With S softened first and relaxed afterwards, the nominal stress is linear
-in them: P = stretch S11 - S22 / stretch^2 in uniaxial loading (the lateral faces are free) and P12 = S12 + gamma S22 in
-simple shear.
+The specimen is incompressible and deforms homogeneously, as in lubricated compression, tension and simple shear. The
+elastic stress is the closed form of the law. The hereditary integral acts on two components of the isochoric second
+Piola-Kirchhoff stress S, which is first softened and then relaxed. The nominal stress is linear in these components:
+P = stretch S11 - S22 / stretch^2 in uniaxial loading with free lateral faces; P12 = S12 + gamma S22 in simple shear.
 """
 
 from __future__ import annotations
@@ -21,28 +20,27 @@ from tissue_sim.material.material import Material
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Prony, internal_stress
 
-#: Largest change of log(stretch), or of the shear strain, within which S is taken as linear in time; longer steps are
-#: divided. The force error falls with its square: 3e-6 of the largest force at this size in a
-#: ramp, hold and return to strain 0.14 with tau 2 s.
+#: Largest change of log(stretch), or of the shear strain, in a step within which S is linear in time; longer steps are
+#: divided. The error of the force is proportional to its square: 3e-6 of the largest force in a ramp, hold and return
+#: to strain 0.14 with tau 2 s.
 LARGEST_STEP = 0.002
-#: What is undeformed.
+#: Mode -> abscissa of the undeformed specimen.
 _REST = {"uniaxial": 1.0, "simple_shear": 0.0}
 
 
 @dataclass(frozen=True, eq=False)
 class HomogeneousHistory:
-    """A homogeneous test: how the specimen was deformed, from rest. Between the points the deformation goes straight.
+    """Deformation of a homogeneous test against time, from rest, linear between its points.
 
     Attributes:
         mode: ``"uniaxial"`` or ``"simple_shear"``.
-        time: s, shape (n,), never backwards; two points at the same time are a sudden step, and so is a first point
+        time: s, shape (n,), not decreasing; two points at the same time are a sudden step, and so is a first point
             that is not at rest.
         strain: stretch, or shear strain gamma, shape (n,).
-        largest_step: longer steps are divided; log(stretch) or shear strain.
+        largest_step: largest change of log(stretch) or shear strain in a step; longer steps are divided.
 
     Raises:
-        InputError: another mode, shapes that differ, values that are not finite, time that runs backwards, a stretch
-            that is not above 0.
+        InputError: another mode, different shapes, values that are not finite, decreasing time, a stretch of 0 or less.
     """
 
     mode: str
@@ -52,8 +50,8 @@ class HomogeneousHistory:
 
     def __post_init__(self):
         if self.mode not in _REST:
-            raise InputError(f"a material that remembers has a closed form of {' and '.join(_REST)}, not of "
-                             f"{self.mode}; leave its history out, or give another test", field="kind")
+            raise InputError(f"closed forms with history exist for {' and '.join(_REST)}; got {self.mode}. Leave the "
+                             "history of the material out, or use another test", field="kind")
         quantity = "stretch" if self.mode == "uniaxial" else "shear strain"
         time, strain = (np.array(values, dtype=float) for values in (self.time, self.strain))
         object.__setattr__(self, "time", time)
@@ -63,37 +61,37 @@ class HomogeneousHistory:
                              field="time")
         for name, values in (("time", time), (quantity, strain)):
             if not np.isfinite(values).all():
-                raise InputError("holds a value that is not finite", field=name)
+                raise InputError("must be finite.", field=name)
         if (np.diff(time) < 0).any():
-            raise InputError("runs backwards; sort the samples", field="time")
+            raise InputError("must not decrease; sort the samples", field="time")
         if self.mode == "uniaxial" and (strain <= 0).any():
-            raise InputError(f"{strain.min():g} is not a stretch; stretches are above 0 (1 is undeformed)",
+            raise InputError(f"must be above 0 (1 is undeformed); got {strain.min():g}.",
                              field="stretch")
 
     @cached_property
     def _points(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Times from the point before and strains of the divided history, and where the samples are among them."""
+        """Time steps and strains of the divided history, and indices of the samples in it."""
         strain = np.concatenate([[_REST[self.mode]], self.strain])
         time = np.concatenate([self.time[:1], self.time])
         size = np.abs(np.diff(np.log(strain) if self.mode == "uniaxial" else strain))
         parts = np.maximum(np.ceil(size / self.largest_step), 1).astype(int)
         last = np.cumsum(parts)
-        place = np.arange(1, last[-1] + 1) - np.repeat(last - parts, parts)
-        share = place / np.repeat(parts, parts)
-        fine = np.repeat(strain[:-1], parts) + share * np.repeat(np.diff(strain), parts)
+        number = np.arange(1, last[-1] + 1) - np.repeat(last - parts, parts)
+        fraction = number / np.repeat(parts, parts)
+        fine = np.repeat(strain[:-1], parts) + fraction * np.repeat(np.diff(strain), parts)
         fine[last - 1] = self.strain
         return np.repeat(np.diff(time) / parts, parts), fine, last - 1
 
     @cached_property
     def _weights(self) -> np.ndarray:
-        """d(nominal stress)/d(the two components of S) at every point of the divided history, shape (points, 2)."""
+        """d(nominal stress)/d(two components of S) at every point of the divided history, shape (points, 2)."""
         strain = self._points[1]
         if self.mode == "uniaxial":
             return np.stack([strain, -1.0 / strain**2], axis=-1)
         return np.stack([np.ones_like(strain), strain], axis=-1)
 
     def _elastic(self, law: Law, values, factor: float, softening: Softening | None) -> np.ndarray:
-        """The two components of S without relaxation, Pa, shape (points, 2)."""
+        """Two components of the elastic S, softened and not relaxed, Pa, shape (points, 2)."""
         strain = self._points[1]
         if self.mode == "uniaxial":
             side = strain**-0.5
@@ -117,8 +115,8 @@ class HomogeneousHistory:
 
         Args:
             law, values: strain energy and its parameters.
-            prony: relaxation; its `moduli` are not looked at, `factor` is.
-            softening: on first load.
+            prony: relaxation; its `moduli` are ignored, `factor` is used instead.
+            softening: Mullins effect.
             factor: instantaneous moduli over those of `values`.
         """
         tau = np.zeros(0) if prony is None else prony.tau
@@ -127,7 +125,7 @@ class HomogeneousHistory:
 
     def parts(self, law: Law, values, tau: np.ndarray, softening: Softening | None = None,
               factor: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-        """What the nominal stress is made of: P = (1 - sum g) elastic + sum g_i relaxing_i.
+        """Elastic and relaxing parts of the nominal stress, P = (1 - sum g_i) elastic + sum g_i relaxing_i.
 
         Args:
             law, values, softening, factor: as in `nominal_stress`.
@@ -143,17 +141,17 @@ class HomogeneousHistory:
 
 
 def nominal_stress_history(material: Material, time, stretch, contact_radius: float | None = None) -> np.ndarray:
-    """Nominal stress of a uniaxial test, lubricated compression or tension, Pa, negative in compression; shape (n,).
+    """Nominal stress of a uniaxial test (lubricated compression or tension), Pa, negative in compression, shape (n,).
 
     Args:
-        material: its law, Prony series, drainage and softening; it is taken as incompressible, whatever its bulk.
-        time: s, shape (n,), never backwards; the specimen was at rest before the first point.
-        stretch: shape (n,), 1 undeformed; straight lines in between.
-        contact_radius: m, for the time of drainage; the specimen's radius.
+        material: law, Prony series, drainage and softening; the material is treated as incompressible.
+        time: s, shape (n,), not decreasing; the specimen is at rest before the first point.
+        stretch: shape (n,), 1 undeformed, linear between the points.
+        contact_radius: radius of the specimen, m, for the time of drainage.
 
     Raises:
-        InputError: as `HomogeneousHistory`; a material with layers or an effect at the points, or one that drains and
-            no contact radius.
+        InputError: see `HomogeneousHistory`; a material with layers, regions or effects at the points; a material that
+            drains, without a contact radius.
 
     Source: Holzapfel, Nonlinear Solid Mechanics, 2000, sections 6.5 and 6.10.
     """
@@ -161,7 +159,7 @@ def nominal_stress_history(material: Material, time, stretch, contact_radius: fl
 
 
 def shear_stress_history(material: Material, time, shear, contact_radius: float | None = None) -> np.ndarray:
-    """Nominal shear stress P12 of simple shear, Pa; arguments and errors as `nominal_stress_history`.
+    """Nominal shear stress P12 of simple shear, Pa, shape (n,); arguments and errors as in `nominal_stress_history`.
 
     P12 is the force along the sheared face over its undeformed area; it does not depend on the pressure.
     """
@@ -169,7 +167,7 @@ def shear_stress_history(material: Material, time, shear, contact_radius: float 
 
 
 def stress_history(mode: str, material: Material, time, strain, contact_radius: float | None) -> np.ndarray:
-    """Nominal stress of a mode of `HomogeneousHistory`; arguments and errors as `nominal_stress_history`."""
+    """Nominal stress of a mode of `HomogeneousHistory`; arguments and errors as in `nominal_stress_history`."""
     history = HomogeneousHistory(mode, time, strain)
     if material.regions:
         raise InputError("a specimen with regions does not deform homogeneously; use the finite elements",
@@ -177,7 +175,7 @@ def stress_history(mode: str, material: Material, time, strain, contact_radius: 
     if material.layers:
         raise InputError("a layered specimen does not deform homogeneously; use the finite elements", field="layers")
     if added := [name for name, effect in material.effects.items() if isinstance(effect, PointEffect)]:
-        raise InputError("closed forms know nothing of effects that were added at the points; use the finite elements",
+        raise InputError("closed forms do not include effects at the points; use the finite elements",
                          field=f"effects.{added[0]}")
     prony = material.relaxation(contact_radius)
     return history.nominal_stress(material.energy_law, material.values, prony, material.softening,

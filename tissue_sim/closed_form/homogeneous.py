@@ -1,4 +1,4 @@
-"""Tests in which every point deforms alike: nominal stress of the incompressible material in closed form."""
+"""Homogeneous deformations: nominal stress of an incompressible material in closed form."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ClosedForm:
-    """What a kind of test knows of its stress.
+    """Closed form of the stress in a kind of test.
 
     Attributes:
-        law_mode: of `Law.nominal_stress`.
-        mode: of `tissue_sim.laws.Stability.limits`, the deformation along which a law may lose its stability.
-        rest: abscissa of the undeformed specimen: 1 of a stretch, 0 of a shear strain, which may go to either side.
-        label: of the abscissa, for tables and axes.
-        lateral: the principal stretch farthest from a stretch l is l^-lateral.
+        law_mode: mode of `Law.nominal_stress`.
+        mode: mode of `tissue_sim.laws.Stability.limits` along which a law may lose its stability.
+        rest: abscissa of the undeformed specimen: 1 for a stretch, 0 for a shear strain of either sign.
+        label: label of the abscissa, for tables and axes.
+        lateral: exponent: the principal stretch farthest from a stretch l is l^-lateral.
     """
 
     law_mode: str
@@ -44,19 +44,25 @@ class ClosedForm:
         return law.nominal_stress_derivatives(abscissa, values, self.law_mode)
 
     def history(self, material: Material, time: np.ndarray, abscissa: np.ndarray, contact_radius: float) -> np.ndarray:
-        """Nominal stress with what a material remembers, Pa, shape (n,).
+        """Nominal stress with relaxation, drainage and softening, Pa, shape (n,).
+
+        Args:
+            material: the material.
+            time: s, shape (n,).
+            abscissa: stretch or shear strain, shape (n,).
+            contact_radius: m, for the time of drainage.
 
         Raises:
-            InputError: no closed form of such a material.
+            InputError: the material has no closed form.
         """
         from tissue_sim.closed_form.histories import stress_history
 
         return stress_history(self.law_mode, material, time, abscissa, contact_radius)
 
     def extremes(self, low: float, high: float) -> tuple[float, float]:
-        """Extreme principal stretches between two abscissas, rest included."""
+        """Smallest and largest principal stretch between two abscissas, the rest state included."""
         if self.rest == 0.0:
-            # A planar deformation and a rotation, with the principal stretches l - 1/l = gamma.
+            # A planar deformation and a rotation; principal stretches l and 1/l with l - 1/l = gamma.
             shear = max(abs(low), abs(high))
             largest = shear / 2 + math.sqrt(1 + shear**2 / 4)
             return 1 / largest, largest
@@ -64,8 +70,9 @@ class ClosedForm:
         return min(every), max(every)
 
 
-#: Lubricated compression and tension; equations 4 to 7 of the study.
+#: Lubricated compression and uniaxial tension; equations 4 to 7 of the reference study.
 UNIAXIAL = ClosedForm("uniaxial", "uniaxial")
+#: Simple shear.
 SIMPLE_SHEAR = ClosedForm("simple_shear", "planar", rest=0.0, label="shear strain [-]")
-#: Tension of a sheet whose width is held.
+#: Tension of a sheet at constant width.
 PLANAR = ClosedForm("planar", "planar", lateral=1.0)

@@ -1,1 +1,1 @@
-"""An experiment: specimen, tool, interfaces, protocol."""
+"""Experiments: specimen, tool, interfaces, protocol and contact laws."""

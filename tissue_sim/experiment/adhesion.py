@@ -1,4 +1,4 @@
-"""Adhesion: a pull that falls as the surfaces part."""
+"""Adhesion: attraction that decreases linearly as the surfaces separate."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from tissue_sim.parameters import parameter
 
 @dataclass(frozen=True)
 class Adhesion(ContactLaw):
-    """Pull between the tool and tissue that has touched it.
+    """Attraction between the tool and tissue that has touched the tool.
+
+    The traction is p = force / face (1 - gap / length) for 0 <= gap <= length, a linear cohesive law.
 
     Attributes:
-        force: N, of the whole face at once, spread evenly over it.
-        length: m, over which the pull falls to zero as the surfaces part.
+        force: pull-off force of the whole face at zero gap, N, spread evenly over the face.
+        length: gap at which the traction reaches zero, m.
     """
 
     name = "adhesion"
@@ -28,7 +30,7 @@ class Adhesion(ContactLaw):
 
     def __post_init__(self):
         if not (np.isfinite(self.force) and self.force >= 0):
-            raise InputError(f"{self.force:g} N is not a pull-off force; give 0 or more", field="adhesion.force")
+            raise InputError(f"must be 0 or more; got {self.force:g} N.", field="adhesion.force")
         require_length(self.length, "adhesion.length")
 
     @property
@@ -40,6 +42,6 @@ class Adhesion(ContactLaw):
         return self.length
 
     def traction(self, gap, pressure, slip, face):
-        # Its falling with the gap stays out of the tangent: beyond the pull-off the iteration then runs away to where
-        # the surfaces have parted.
+        # The slope with respect to the gap is not part of the tangent: it is negative, and after the pull-off Newton's
+        # method would diverge until the surfaces have separated.
         return Traction(self.force / face * (1.0 - np.maximum(gap, 0.0) / self.length))

@@ -1,4 +1,4 @@
-"""How the tool comes to the specimen: where on its top, and at what angle."""
+"""Approach of the tool: offset from the axis of the specimen, and angle."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from tissue_sim.pose import Pose, Screw, Vector
 
 @dataclass(frozen=True)
 class Approach:
-    """The straight way of a tool that is off the axis of the specimen, or leans.
+    """Straight path of a tool that is off the axis of the specimen, or tilted.
 
     Attributes:
-        offset: how far from the axis, along x, the tool's deepest point is when it is upright, m.
-        angle: between the tool's axis and that of the specimen, rad; the tool goes towards +x as it goes in. It turns
-            about its deepest point.
+        offset: distance from the axis, along x, of the deepest point of the upright tool, m.
+        angle: between the axes of tool and specimen, rad; a positive angle moves the tool towards +x as it goes in. The
+            tool is rotated about its deepest point.
 
     Raises:
         InputError: a number that is not finite, or an angle of more than 80 degrees.
@@ -30,13 +30,13 @@ class Approach:
 
     def __post_init__(self):
         if not math.isfinite(self.offset):
-            raise InputError(f"{self.offset} m is no place on the specimen", field="approach.offset")
+            raise InputError(f"must be finite; got {self.offset} m.", field="approach.offset")
         if not abs(self.angle) <= 1.4:
-            raise InputError(f"{math.degrees(self.angle):g} degrees is no way into the specimen; give at most 80",
+            raise InputError(f"must be at most 80 degrees; got {math.degrees(self.angle):g} degrees.",
                              field="approach.angle")
 
     def pose(self, displacement: float) -> Pose:
-        """Where the tool is after this way, m, from where it first touches."""
+        """Pose of the tool at a displacement from its first touch, m."""
         sine, cosine = math.sin(self.angle), math.cos(self.angle)
         half = 0.5 * self.angle
         return Pose((self.offset + sine * displacement, 0.0, -cosine * displacement),
@@ -44,9 +44,9 @@ class Approach:
 
     @property
     def against(self) -> Vector:
-        """Unit vector against the tool's way, in the frame of the scene."""
+        """Unit vector opposite to the tool's direction of motion, in the frame of the scene."""
         return -math.sin(self.angle), 0.0, math.cos(self.angle)
 
     def resistance(self, wrench: Screw) -> float:
-        """Share of a force on the tool against its way, N."""
+        """Component of a force on the tool opposite to its direction of motion, N."""
         return sum(one * other for one, other in zip(self.against, wrench, strict=False))

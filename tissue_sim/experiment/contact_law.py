@@ -1,9 +1,8 @@
-"""Laws of the contact between tool and tissue that can be added: a file each, by name.
+"""Additional contact laws between tool and tissue, such as adhesion: contract, and registry by name.
 
-A law is a frozen dataclass that derives from `ContactLaw` and declares its numbers with
-`tissue_sim.parameters.parameter`. `CONTACT_LAWS` knows the classes by name; an `Experiment` carries the laws
-themselves. That surfaces do not go through each other, and Coulomb's friction, are not laws of this kind: they are
-constraints.
+A law is a frozen dataclass that derives from `ContactLaw` and declares its parameters with
+`tissue_sim.parameters.parameter`. `CONTACT_LAWS` contains the classes by name; an `Experiment` contains the laws.
+Impenetrability and Coulomb friction are constraints of the solvers and not laws of this kind.
 """
 
 from __future__ import annotations
@@ -17,14 +16,15 @@ from tissue_sim.registry import Registry
 
 
 class Traction(NamedTuple):
-    """What a law answers at a point of the tissue.
+    """Traction of a law at a point of the tissue.
 
     Attributes:
-        pull: draws the tissue to the tool, Pa.
-        drag: resists the slip, along two directions in the surface, Pa: a positive one acts against a positive slip.
-        pull_rate: of the pull with the gap, Pa/m; drag_rates: of the drag with the slip, 2 x 2 and symmetric, Pa/m.
-            They only help Newton's iteration: 0 where it does without, as where a pull falls so fast that the tissue
-            jumps.
+        pull: normal traction that attracts the tissue to the tool, Pa.
+        drag: tangential traction against the slip, along two directions of the surface, Pa; positive against a
+            positive slip.
+        pull_rate: derivative of the pull with respect to the gap, Pa/m.
+        drag_rates: derivative of the drag with respect to the slip, 2 x 2 and symmetric, Pa/m. Both derivatives only
+            enter Newton's tangent; 0 is allowed, for instance where the pull decreases so fast that the tissue jumps.
     """
 
     pull: Any = 0.0
@@ -34,11 +34,11 @@ class Traction(NamedTuple):
 
 
 class ContactLaw(ABC):
-    """A traction between the tool and tissue that has touched it, beside contact and friction.
+    """Traction between the tool and tissue that has touched it, in addition to contact and friction.
 
     Attributes:
         name: key in files.
-        title: for people.
+        title: name in reports.
     """
 
     name: ClassVar[str]
@@ -46,52 +46,53 @@ class ContactLaw(ABC):
 
     @property
     def acts(self) -> bool:
-        """Whether it does anything with these parameters."""
+        """Whether the law has an effect with its parameters."""
         return True
 
     @property
     @abstractmethod
     def reach(self) -> float:
-        """Gap from which on it does nothing, m; tissue that is further away has to touch the tool anew."""
+        """Gap from which on the law has no effect, m; tissue farther away must touch the tool again."""
 
     @abstractmethod
     def traction(self, gap: Any, pressure: Any, slip: tuple[Any, Any], face: Any) -> Traction:
-        """The traction at a point that has touched the tool.
+        """Compute the traction at a point that has touched the tool.
 
-        Like `tissue_sim.material.effect.PointEffect.response` it is taken over by the kernels: plain Python and numpy's
-        elementary functions, without a branch on a number.
+        The formula is compiled into kernels, like `tissue_sim.material.effect.PointEffect.response`: plain Python and
+        numpy's elementary functions, without a branch on a number.
 
         Args:
-            gap: between the surfaces, m; below 0 they overlap by what the contact's tolerance allows.
-            pressure: of the contact, Pa, 0 where the surfaces are apart.
-            slip: of the tissue along the tool from where it touched, m, in two directions of the surface, of which an
-                axisymmetric solid uses the first; with friction, from where it last stuck.
+            gap: distance between the surfaces, m; below 0 they overlap within the tolerance of the contact.
+            pressure: contact pressure, Pa, 0 where the surfaces are apart.
+            slip: displacement of the tissue along the tool since it touched, or with friction since it last stuck, m,
+                in two directions of the surface; an axisymmetric solid uses the first.
             face: area of the tool's face at the largest depth, m2.
         """
 
 
 def traction_of(law: ContactLaw, gap: Any, pressure: Any, slip: tuple[Any, Any], face: Any) -> Traction:
-    """What a law answers; arguments as of `ContactLaw.traction`.
+    """Compute the traction of a law; arguments as in `ContactLaw.traction`.
 
     Raises:
-        InputError: no traction.
+        InputError: the law does not return a `Traction`.
     """
     found = law.traction(gap, pressure, slip, face)
     if not isinstance(found, Traction):
-        raise InputError("its traction is no tissue_sim.Traction; return one", field=f"contact_laws.{law.name}")
+        raise InputError(f"traction() must return a tissue_sim.Traction; got {type(found).__name__}.",
+                         field=f"contact_laws.{law.name}")
     return found
 
 
 def strength(laws: tuple[ContactLaw, ...], face: float) -> float:
-    """Pull of all laws where the surfaces touch without pressure, Pa; `face` is its area, m2.
+    """Sum of the pulls of all laws at zero gap, pressure and slip, Pa; `face` is the area of the tool's face, m2.
 
     Raises:
-        InputError: a law that answers no traction.
+        InputError: a law does not return a `Traction`.
     """
     return float(sum(traction_of(law, 0.0, 0.0, (0.0, 0.0), face).pull for law in laws))
 
 
-#: Name -> class.
+#: Name -> class of a contact law.
 CONTACT_LAWS: Registry[type[ContactLaw]] = Registry(
     "law of a contact", "tissue_sim.contact_laws", {"adhesion": "tissue_sim.experiment.adhesion:Adhesion"},
     accepts=declaring(ContactLaw),

@@ -1,4 +1,4 @@
-"""An experiment: specimen, tool, interfaces, protocol; and the model that a recording depends on."""
+"""Experiment: specimen, tool, interfaces, protocol, and contact laws."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.parameters import parameter
 from tissue_sim.pose import Pose, Screw
+from tissue_sim.public_names import OldName
 from tissue_sim.specimen import Specimen
 
 
@@ -28,31 +29,31 @@ def _friction(symbol: str, key: str, default: str | None) -> Any:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What is done to the specimen.
+    """Specimen, tool, interfaces and protocol of one test.
 
     Attributes:
-        specimen: geometry, and whether it weighs.
-        protocol: tool displacement against time, from where the tool touches the settled specimen.
-        tool: what is pushed in.
-        friction: interface of the tool's face; see `tissue_sim.experiment.interfaces`. A bonded needle holds what its
-            flat face touches at the start, and its rounded edge holds what it meets.
-        friction_base: interface of the base plate; ``"as_tool"``: that of a plate on top. None: between two plates the
-            interface of the tool (``"as_tool"`` where that is a coefficient of friction, so that both change together),
-            under a needle and below a curved specimen ``"bonded"``.
-        friction_wall: interface of a needle's shaft; tissue meets it during the test, so it cannot be bonded.
-        adhesion: pull of a tool that lifts off; None: none.
+        specimen: geometry, density and gravity.
+        protocol: tool displacement against time, from the first touch of the specimen in equilibrium.
+        tool: rigid tool that is moved into the specimen.
+        friction: interface of the tool's face; see `tissue_sim.experiment.interfaces`. A bonded needle holds the tissue
+            under its flat face from the start, and its rounded edge holds the tissue that it meets.
+        friction_base: interface of the base plate; ``"as_tool"``: that of the upper plate. None: ``"bonded"`` under a
+            needle and below a curved specimen; between two plates the interface of the tool, as ``"as_tool"`` if it is
+            a coefficient of friction, so that a fit changes both together.
+        friction_wall: interface of a needle's shaft; tissue meets it during the test, so that it cannot be bonded.
+        adhesion: attraction of a tool that lifts off; None: no adhesion.
         tilt: height difference across the contact, m; see `tissue_sim.tilt`.
-        slip: share of bonded faces that slips; see `tissue_sim.slip`. Under a plate it is that of both faces, as far as
-            they are bonded; under a needle that of its face alone. None where the tool's face is not bonded.
-        contact_laws: what was added beside these, by name; see `tissue_sim.experiment.contact_law`. A sequence of laws
-            is taken, too.
-        approach: where on the top the tool goes in, and at what angle; None: down the axis. Only a solid in space takes
-            another one.
+        slip: fraction of the bonded area that slips; see `tissue_sim.slip`. It applies to both bonded faces of plates,
+            and to the face of a needle. None if the tool's face is not bonded.
+        contact_laws: additional laws by name; see `tissue_sim.experiment.contact_law`. A sequence of laws is accepted.
+        approach: offset and angle of the tool; None: on the axis. Only three-dimensional solvers accept another one.
 
     Raises:
-        InputError: an interface that does not fit, a protocol that goes through the specimen, a needle as wide as it.
+        InputError: an interface that does not fit, a protocol deeper than the specimen, a needle as wide as the
+            specimen.
     """
 
+    depends_on_way = OldName("is_path_dependent")
     specimen: Specimen
     protocol: Protocol
     tool: Tool = field(default_factory=Tool)
@@ -76,23 +77,23 @@ class Experiment:
         for name in ("friction", "friction_base", "friction_wall"):
             object.__setattr__(self, name, checked_interface(getattr(self, name), name))
         if self.friction_wall == "bonded":
-            raise InputError("tissue meets the shaft during the test and cannot be bonded to it; use 'stick', "
+            raise InputError("must not be 'bonded': tissue meets the shaft during the test. Use 'stick', "
                              "'frictionless' or a coefficient of friction", field="friction_wall")
         if not (np.isfinite(self.tilt) and self.tilt >= 0):
-            raise InputError(f"{self.tilt:g} m is not a height difference; give 0 or more", field="tilt")
+            raise InputError(f"must be a height difference of 0 or more; got {self.tilt:g} m.", field="tilt")
         slip = self.slip or 0.0
         if not 0 <= slip <= 1:
-            raise InputError(f"{slip:g} is no share; give 0 to 1", field="slip")
+            raise InputError(f"must be a fraction from 0 to 1; got {slip:g}.", field="slip")
         if slip and self.friction != "bonded":
-            raise InputError("a part of a bonded face slips; use friction 'bonded', or leave the slip out",
+            raise InputError(f"requires friction 'bonded'; got {self.friction!r}. Leave the slip out",
                              field="slip")
         object.__setattr__(self, "slip", slip if self.friction == "bonded" else None)
-        place = () if self.approach is None else (self.approach.offset,)
+        position = () if self.approach is None else (self.approach.offset,)
         if (thickness := self.thickness) <= 0.0 and self.approach is not None:
-            raise InputError(f"there is no tissue {abs(self.approach.offset) * 1e3:g} mm off the axis, "
+            raise InputError(f"the specimen has no tissue {abs(self.approach.offset) * 1e3:g} mm off the axis, "
                              f"{self.specimen.in_words}", field="approach.offset")
         if self.protocol.depth >= thickness:
-            raise InputError(f"{self.protocol.depth * 1e3:g} mm is deeper than the specimen is high "
+            raise InputError(f"a depth of {self.protocol.depth * 1e3:g} mm is deeper than the specimen is high "
                              f"({thickness * 1e3:g} mm)", field="protocol")
         if (self.adhesion or self.contact_laws) and self.friction == "bonded":
             raise InputError("a bonded face never lifts off; use 'stick', 'frictionless' or a coefficient of friction "
@@ -109,7 +110,7 @@ class Experiment:
                              field="approach")
         if self.tool.is_plate or radius is None:
             return
-        if self.approach is not None and radius > self.specimen.margin(*place):
+        if self.approach is not None and radius > self.specimen.margin(*position):
             raise InputError(f"a tool of radius {radius * 1e3:g} mm that is {abs(self.approach.offset) * 1e3:g} mm off "
                              f"the axis reaches beyond the specimen, {self.specimen.in_words}", field="approach.offset")
         if radius >= (margin := self.specimen.margin()):
@@ -120,72 +121,74 @@ class Experiment:
                              "or a coefficient of friction", field="friction")
         slides = self.friction not in ("bonded", "stick")
         if slides and self.tool.sharp_edge:
-            raise InputError("tissue that slides round a sharp edge has no direction there; give the tool an edge "
-                             "radius, or friction 'stick' or 'bonded'", field="tool.edge_radius")
+            raise InputError("tissue cannot slide around a sharp edge, where the edge has no tangent; give the tool an "
+                             "edge radius, or friction 'stick' or 'bonded'", field="tool.edge_radius")
         if self.slip:
             self.with_free_faces()
 
     def _usual_base(self) -> str:
-        """Interface of the base where none is stated."""
+        """Interface of the base if none is stated."""
         if not self.tool.is_plate or not self.specimen.is_flat:
             return "bonded"
         return self.friction if isinstance(self.friction, str) else AS_TOOL
 
     def with_free_faces(self) -> Experiment:
-        """The experiment with those faces frictionless of which a share slips, and all of them doing so.
+        """Return the experiment with every face that slips in part made frictionless.
 
         Raises:
-            InputError: tissue that slides round a sharp edge.
+            InputError: tissue would slide around a sharp edge.
         """
         base = "frictionless" if self.tool.is_plate and self.base_interface == "bonded" else self.friction_base
         return replace(self, friction="frictionless", friction_base=base, slip=None)
 
     @property
     def thickness(self) -> float:
-        """How much of the specimen is under the middle of the tool, m."""
+        """Thickness of the specimen under the axis of the tool, m."""
         return self.specimen.depth_at(*(() if self.approach is None else (self.approach.offset,)))
 
     def tool_pose(self, displacement: float) -> Pose:
-        """Where the tool is when the protocol says this displacement, m."""
+        """Pose of the tool at a displacement of the protocol, m."""
         return Pose.at_depth(displacement) if self.approach is None else self.approach.pose(displacement)
 
     def resistance(self, wrench: Screw) -> float:
-        """What a load cell on the tool's stage feels of a force on the tool, N: its share against the tool's way, that
-        along z of an upright one."""
+        """Force that a load cell on the tool's stage measures, N: the component opposite to the tool's motion.
+
+        Args:
+            wrench: force and torque on the tool, N and N m. For an upright tool the result is the force along z.
+        """
         return wrench[2] if self.approach is None else self.approach.resistance(wrench)
 
     @property
     def base_interface(self) -> str | float:
-        """How the base holds the tissue."""
+        """Interface of the base, with ``"as_tool"`` replaced by that of the tool."""
         return self.friction if self.friction_base == AS_TOOL else self.friction_base
 
     @property
     def acting_laws(self) -> tuple[ContactLaw, ...]:
-        """Adhesion and what was added to it, where they do anything."""
+        """Adhesion and additional contact laws that have an effect."""
         built_in = () if self.adhesion is None else (self.adhesion,)
         return tuple(law for law in (*built_in, *self.contact_laws.values()) if law.acts)
 
     @property
     def contact_radius(self) -> float:
-        """About how wide the contact is at the largest depth, m; see `Tool.contact_radius`."""
+        """Approximate radius of the contact at the largest depth, m; see `Tool.contact_radius`."""
         depth = max(self.protocol.depth, 1e-3 * (self.tool.radius or self.specimen.height))
         return self.tool.contact_radius(depth, self.specimen.margin())
 
     @property
-    def depends_on_way(self) -> bool:
-        """Whether the force depends on the way of the tool and not on its place alone: tissue may slip against
-        friction, or a law of the contact acts on what has touched the tool."""
+    def is_path_dependent(self) -> bool:
+        """Whether the force depends on the path of the tool, because of friction, adhesion or other contact laws."""
         return self.adhesion is not None or bool(self.contact_laws) or any(isinstance(value, float) for value in (
             self.friction, self.base_interface, self.friction_wall))
 
     @property
     def homogeneous(self) -> bool:
-        """Whether a specimen of one material deforms homogeneously, so that closed forms hold."""
+        """Whether a specimen of one material deforms homogeneously, so that closed forms are valid."""
         return (self.tool.is_plate and self.friction == self.base_interface == "frictionless"
                 and self.specimen.is_prism and not self.specimen.specific_weight and not self.contact_laws)
 
 
 def _kind_of(value: object) -> str:
-    """Type of a value in a message: ``list of 2``, ``str``."""
+    """Description of a value's type for messages: ``list of 2``, ``str``."""
     name = type(value).__name__
     return f"{name} of {len(value)}" if isinstance(value, list | tuple | set | dict) else name

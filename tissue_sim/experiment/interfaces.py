@@ -1,4 +1,4 @@
-"""Interfaces: how a face holds the tissue. Nothing here needs numpy, so that help answers at once."""
+"""Interfaces between a face and the tissue. The module does not import numpy, so that ``--help`` stays fast."""
 
 from __future__ import annotations
 
@@ -6,21 +6,25 @@ from numbers import Real
 
 from tissue_sim.errors import InputError, nearest
 
-#: How a face holds the tissue: ``"bonded"`` (no motion against the face), ``"stick"`` (no slip, but it can lift off),
-#: ``"frictionless"``, or a number: Coulomb's coefficient of friction. All but the bonded one can lift off; the base
-#: keeps the specimen on itself.
+#: Named interfaces: ``"bonded"`` (no relative motion), ``"stick"`` (no slip, but lift-off is possible), and
+#: ``"frictionless"``. A number is Coulomb's coefficient of friction. All but the bonded one permit lift-off from the
+#: tool; the specimen does not lift off from the base.
 INTERFACES = ("bonded", "stick", "frictionless")
-#: A base that holds the tissue as the tool's face does, whatever that is.
+#: Interface of the base: the same as that of the tool's face.
 AS_TOOL = "as_tool"
-#: Above this a coefficient of friction is taken for a mistake.
+#: Largest accepted coefficient of friction; a larger one is probably a mistake.
 LARGEST_FRICTION = 10.0
 
 
 def checked_interface(value: str | float, name: str) -> str | float:
-    """An interface of `INTERFACES` or a coefficient of friction above 0; 0 is frictionless; of the base also `AS_TOOL`.
+    """Check an interface and return it; a coefficient of friction of 0 becomes ``"frictionless"``.
+
+    Args:
+        value: name of `INTERFACES`, `AS_TOOL` (base only), or a coefficient of friction.
+        name: field of the experiment.
 
     Raises:
-        InputError: neither, with the field.
+        InputError: another value.
     """
     if isinstance(value, str):
         if value not in INTERFACES and not (value == AS_TOOL and name == "friction_base"):

@@ -1,4 +1,4 @@
-"""The motion of the tool."""
+"""Protocol: prescribed displacement of the tool against time."""
 
 from __future__ import annotations
 
@@ -11,29 +11,32 @@ from tissue_sim.errors import InputError, require_length
 from tissue_sim.experiment.protocol_text import parse_protocol
 from tissue_sim.experiment.segments import Leg, fault, legs
 
-#: The study's, m/s.
+#: Tool speed of the reference study, m/s.
 STUDY_SPEED = 0.248e-3
+#: Largest number of samples of a protocol.
 MOST_SAMPLES = 100_000
-#: In a hold each step is this much longer than the one before; the first is no larger a share of the hold than this.
-HOLD_GROWTH, HOLD_FIRST = 1.25, 0.05
+#: Ratio of each time step of a hold to the step before, 1.
+HOLD_GROWTH = 1.25
+#: Largest first time step of a hold over its duration, 1.
+HOLD_FIRST = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Protocol:
-    """Displacement that the stage reports, against time: straight lines between its points.
+    """Displacement that the stage reports against time, linear between samples.
 
-    An ideal rig moves the tool so; of another, `Rig.tool_motion` says where the tool truly is. The motion of a measured
-    recording is ``Protocol(recording.time, recording.displacement)``.
+    With an ideal rig this is the displacement of the tool; otherwise `Rig.tool_motion` computes the displacement of the
+    tool. The motion of a measured recording is ``Protocol(recording.time, recording.displacement)``.
 
     Attributes:
         time: s, strictly increasing, shape (n,).
-        displacement: m, positive into the tissue, shape (n,). Below zero the tool is above the touch; a bonded plate
-            pulls there.
+        displacement: m, positive into the tissue, shape (n,). Negative values are above the touch, where a bonded plate
+            pulls.
         segment: name of the segment that each sample belongs to, shape (n,), or None.
         cycle: number of the load cycle of each sample, shape (n,), or None.
 
     Raises:
-        InputError: lists that do not fit each other, a value that is not finite, time that does not increase.
+        InputError: lists of different lengths, a value that is not finite, time that does not increase.
     """
 
     time: np.ndarray
@@ -45,35 +48,39 @@ class Protocol:
         for name in ("time", "displacement"):
             self._keep(name, np.array(getattr(self, name), dtype=float))
         if self.time.ndim != 1 or self.time.shape != self.displacement.shape or self.time.size == 0:
-            raise InputError(f"time {self.time.shape} and displacement {self.displacement.shape} must be two lists of "
-                             "the same length", field="protocol")
+            raise InputError(f"time and displacement must be two lists of the same length; got {self.time.shape} and "
+                             f"{self.displacement.shape}.", field="protocol")
         if not (np.isfinite(self.time).all() and np.isfinite(self.displacement).all()):
             raise InputError("time and displacement must be finite", field="protocol")
         if (np.diff(self.time) <= 0).any():
-            raise InputError("time must increase from point to point", field="protocol.time")
+            raise InputError("must increase from sample to sample.", field="protocol.time")
         for name, kind, words in (("segment", "U", "names"), ("cycle", "iu", "whole numbers")):
             if getattr(self, name) is None:
                 continue
             labels = np.array(getattr(self, name))
             if labels.shape != self.time.shape or labels.dtype.kind not in kind:
-                raise InputError(f"expected {self.time.size} {words}, one for each point", field=f"protocol.{name}")
+                raise InputError(f"expected {self.time.size} {words}, one for each sample", field=f"protocol.{name}")
             self._keep(name, labels)
 
     def _keep(self, name: str, array: np.ndarray) -> None:
         array.flags.writeable = False
         object.__setattr__(self, name, array)
 
-    def at(self, places: np.ndarray) -> Protocol:
-        """The same motion with samples at these places, numbers of its own samples, whole or between two, ascending; a
-        sample between two has the labels of the later one."""
-        samples, later = np.arange(self.time.size), np.ceil(places).astype(int)
+    def at(self, samples: np.ndarray) -> Protocol:
+        """Resample the motion.
+
+        Args:
+            samples: fractional sample numbers, ascending, shape (m,). A sample between two has the labels of the later
+                one.
+        """
+        numbers, later = np.arange(self.time.size), np.ceil(samples).astype(int)
         segment, cycle = (None if each is None else each[later] for each in (self.segment, self.cycle))
-        return Protocol(np.interp(places, samples, self.time), np.interp(places, samples, self.displacement), segment,
+        return Protocol(np.interp(samples, numbers, self.time), np.interp(samples, numbers, self.displacement), segment,
                         cycle)
 
     @classmethod
     def ramp(cls, depth: float, points: int = 21, speed: float = STUDY_SPEED) -> Protocol:
-        """A ramp to `depth` (m) at `speed` (m/s), `points` samples with rest included; the study's speed by default."""
+        """Make a ramp to `depth`, m, at `speed`, m/s, with `points` samples, the first at rest."""
         require_length(depth, "protocol.depth")
         _require_sampling(points, speed)
         displacement = np.linspace(0.0, depth, points)
@@ -81,24 +88,23 @@ class Protocol:
 
     @classmethod
     def parse(cls, text: str, points: int = 21, speed: float = STUDY_SPEED) -> Protocol:
-        """A protocol in segments, such as ``"ramp 10mm @0.248mm/s; hold 60s; unload"``.
+        """Make a protocol from text, such as ``"ramp 10mm @0.248mm/s; hold 60s; unload"``.
 
-        A segment that moves has `points` samples spread evenly over its way, the one that it starts from included. The
-        steps of a hold grow by `HOLD_GROWTH` from the last step of the motion before it (or `HOLD_FIRST` of the hold,
-        where that is less), all shortened alike so that the last one ends it. A sample where two segments meet belongs
-        to the first of them.
+        A moving segment has `points` samples at equal distances, with its start. The time steps of a hold grow by
+        `HOLD_GROWTH`, from the last time step of the motion before (at most `HOLD_FIRST` of the hold), and are scaled
+        so that the last one ends the hold. A sample where two segments meet belongs to the first of them.
 
         Args:
             text: segments; see `tissue_sim.experiment.protocol_text.parse_protocol`.
-            points: samples of each segment that moves.
-            speed: m/s, until a segment names one.
+            points: samples of each moving segment.
+            speed: m/s, for segments before the first stated speed.
 
         Raises:
-            InputError: with the place of the fault in the text and an example.
+            InputError: an error in the text, with its position and an example.
         """
         _require_sampling(points, speed)
         if points > MOST_SAMPLES:
-            raise InputError(f"{points} points are too many; give at most {MOST_SAMPLES}", field="protocol.points")
+            raise InputError(f"must be at most {MOST_SAMPLES}; got {points}.", field="protocol.points")
         time: list[float] = []
         displacement: list[float] = []
         segment: list[str] = []
@@ -109,8 +115,8 @@ class Protocol:
                 time, displacement, segment, cycle = [now], [leg.start], [leg.segment.kind], [leg.cycle]
             samples, since = _sample(leg, now, points, step)
             if len(time) + since.size > MOST_SAMPLES:
-                raise fault(leg.segment.place, f"the protocol has more than {MOST_SAMPLES} samples by here; shorten it "
-                                               "or take fewer points")
+                raise fault(leg.segment.position, f"the protocol has more than {MOST_SAMPLES} samples at this segment; "
+                                                  "shorten it or use fewer points")
             if leg.speed:
                 step = float(since[-1] / since.size)
             time += (now + since).tolist()
@@ -127,21 +133,25 @@ class Protocol:
 
     @property
     def labels(self) -> dict[str, np.ndarray]:
-        """``segment`` and ``cycle`` where they are known, as a `Recording` takes them."""
+        """``segment`` and ``cycle``, if known, as labels of a `Recording`."""
         return {name: values for name in ("segment", "cycle") if (values := getattr(self, name)) is not None}
 
 
 def _sample(leg: Leg, now: float, points: int, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement (m) and time since `now` (s) of the samples of a leg, its start left out.
+    """Sample a leg; its start is left out.
 
     Args:
-        now: time at which it starts, s.
-        points: samples if it moves, its start included.
-        step: time between two samples of the motion before, s.
+        leg: straight line of displacement against time.
+        now: time at the start of the leg, s.
+        points: number of samples of a moving leg, with its start.
+        step: time step of the motion before, s.
+
+    Returns:
+        Displacement, m, and time since `now`, s, shapes (n,).
     """
-    place = leg.segment.place
+    position = leg.segment.position
     if not math.isfinite(now + leg.duration):
-        raise fault(place, f"this {leg.segment.kind} would not end in a time that is a number; mend its speed")
+        raise fault(position, f"the end time of this {leg.segment.kind} is not finite; correct its speed")
     if leg.speed:
         samples = np.linspace(leg.start, leg.end, points)[1:]
         since = np.abs(samples - leg.start) / leg.speed
@@ -149,12 +159,12 @@ def _sample(leg: Leg, now: float, points: int, step: float) -> tuple[np.ndarray,
         since = _hold(leg.duration, step)
         samples = np.full(since.size, leg.end)
     if (np.diff(now + since, prepend=now) <= 0).any():
-        raise fault(place, f"this {leg.segment.kind} is so short that its samples cannot be told apart at {now:g} s")
+        raise fault(position, f"this {leg.segment.kind} is too short: its samples coincide at {now:g} s")
     return samples, since
 
 
 def _hold(duration: float, step: float) -> np.ndarray:
-    """Times of the samples of a hold, s, the last one `duration`; see `Protocol.parse`."""
+    """Times of the samples of a hold, s, the last one equal to `duration`; see `Protocol.parse`."""
     first = min(max(step / duration, 1e-9), HOLD_FIRST)
     count = math.ceil(math.log1p((HOLD_GROWTH - 1) / first) / math.log(HOLD_GROWTH))
     growth = HOLD_GROWTH ** np.arange(1, count + 1) - 1
@@ -164,4 +174,4 @@ def _hold(duration: float, step: float) -> np.ndarray:
 def _require_sampling(points: int, speed: float) -> None:
     require_length(speed, "protocol.speed")
     if points < 2:
-        raise InputError(f"{points} points cannot make a ramp; give at least 2", field="protocol.points")
+        raise InputError(f"must be at least 2; got {points}.", field="protocol.points")

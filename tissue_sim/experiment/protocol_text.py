@@ -11,38 +11,41 @@ from typing import Any
 from tissue_sim.errors import nearest
 from tissue_sim.experiment.segments import KINDS, Repeat, Segment, fault
 
+#: Unit -> factor to m.
 _LENGTHS = {"mm": "0.001", "um": "0.000001", "m": "1"}
+#: Unit -> factor to s.
 _TIMES = {"s": "1", "ms": "0.001", "min": "60", "h": "3600"}
-#: Quantity -> unit -> (multiplied by, divided by) to SI.
+#: Quantity -> unit -> (factor, divisor) to SI.
 _UNITS: dict[str, dict[str, tuple[str, str]]] = {
     "length": {unit: (factor, "1") for unit, factor in _LENGTHS.items()},
     "time": {unit: (factor, "1") for unit, factor in _TIMES.items()},
     "speed": {f"{length}/{time}": (factor, divisor) for time, divisor in _TIMES.items()
               for length, factor in _LENGTHS.items()},
 }
-_SAMPLES = {"length": "10mm", "time": "60s", "speed": "0.248mm/s"}
+#: Quantity -> example for messages.
+_EXAMPLES = {"length": "10mm", "time": "60s", "speed": "0.248mm/s"}
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _WORD = re.compile(r"[^\W\d_]+(?:/[^\W\d_]+)?")
 _BLANKS = re.compile(r"\s*")
-#: Characters of the text that a message quotes.
+#: Largest number of characters of the text that a message quotes.
 _QUOTED = 16
 
 
 def parse_protocol(text: str) -> tuple[Segment | Repeat, ...]:
-    """Read a protocol.
+    """Parse the text of a protocol.
 
-    Segments are parted by ``;``, and ``repeat N ( ... )`` does those in its brackets N times. Each is a word of
-    `KINDS`, a length (mm, um, m) or for a hold a time (s, ms, min, h), and where it moves ``@`` with a speed, such as
-    mm/s or mm/min.
+    Segments are separated by ``;``, and ``repeat N ( ... )`` repeats the segments in its brackets N times. A segment is
+    a word of `KINDS`, a length (mm, um, m; for a hold a time in s, ms, min, h), and for a motion ``@`` with a speed,
+    such as mm/s or mm/min.
 
     Raises:
-        InputError: with the place (column, and line where there are several) of the fault and an example.
+        InputError: a syntax error, with its position (column, and line if there are several) and an example.
     """
     return _Reader(text).read()
 
 
 def write_protocol(steps: Sequence[Segment | Repeat]) -> str:
-    """The text that `parse_protocol` reads back to the same steps, with every digit, in mm and s."""
+    """Write the text of a protocol, in mm and s with every digit; `parse_protocol` returns the same steps."""
     return "; ".join(f"repeat {step.times} ({write_protocol(step.segments)})" if isinstance(step, Repeat)
                      else _write(step) for step in steps)
 
@@ -57,7 +60,7 @@ def _write(segment: Segment) -> str:
 
 
 class _Reader:
-    """Reads a text from left to right; `at` is the index of what comes next."""
+    """Parser that reads a text from left to right; `at` is the index of the next character."""
 
     def __init__(self, text: str):
         self.text, self.at = text, 0
@@ -69,7 +72,7 @@ class _Reader:
         return steps
 
     def steps(self, repeated: bool = False) -> tuple[Any, ...]:
-        """Steps up to the end, or to the closing bracket, which is left to the caller."""
+        """Read steps up to the end, or up to a closing bracket, which is not consumed."""
         steps: list[Segment | Repeat] = []
         while True:
             if steps and self.ended():
@@ -81,16 +84,18 @@ class _Reader:
                 raise self.fault(self.at, "expected ';' between two segments")
 
     def step(self, repeated: bool) -> Segment | Repeat:
+        """Read a segment or a repeat; `repeated`: inside a repeat, where no other repeat is allowed."""
         self.skip_blanks()
         start = self.at
-        word = self.take(_WORD)
+        word = self.consume(_WORD)
         if word != "repeat":
             return self.segment(start, word)
         if repeated:
-            raise self.fault(start, "a repeat cannot stand inside a repeat; write one of them out")
+            raise self.fault(start, "a repeat must not be inside of another repeat; write one of them out")
         return self.repeat(start)
 
     def segment(self, start: int, word: str | None) -> Segment:
+        """Read the rest of a segment whose first word is known and begins at `start`."""
         if word is None:
             raise self.fault(start, f"expected a segment, one of {', '.join(KINDS)} or repeat")
         if word not in KINDS:
@@ -101,16 +106,18 @@ class _Reader:
         sign = self.at
         if self.took("@"):
             if word == "hold":
-                raise self.fault(sign, "a hold does not move and has no speed; take it out")
+                raise self.fault(sign, "a hold has no speed; remove it")
             speed = self.amount("speed", needed=True, zero=False, after="@")
-        return Segment(word, amount, speed, place=self.place(start))
+        return Segment(word, amount, speed, position=self.position(start))
 
     def repeat(self, start: int) -> Repeat:
+        """Read the rest of a repeat that begins at `start`."""
         self.skip_blanks()
         at = self.at
-        count = self.take(_NUMBER)
+        count = self.consume(_NUMBER)
         if count is None or not count.isdecimal() or not 1 <= float(count) <= 1e9:
-            raise self.fault(at, "expected how many times, a whole number from 1 on, as in repeat 3 (ramp 5mm; unload)")
+            raise self.fault(at, "expected the number of repetitions, an integer of at least 1, as in repeat 3 (ramp "
+                                 "5mm; unload)")
         if not self.took("("):
             raise self.fault(self.at, "expected the repeated segments in brackets, as in repeat 3 (ramp 5mm; unload)")
         segments = self.steps(repeated=True)
@@ -119,58 +126,63 @@ class _Reader:
         return Repeat(int(count), segments)
 
     def amount(self, quantity: str, *, needed: bool, zero: bool, after: str) -> float | None:
-        """A number with its unit, SI; None where there is none."""
+        """Read a number with its unit; returns the value in SI, or None if there is no number."""
         self.skip_blanks()
         start, units = self.at, _UNITS[quantity]
-        number = self.take(_NUMBER)
+        number = self.consume(_NUMBER)
         if number is None:
             if needed:
-                raise self.fault(start, f"expected a {quantity} after {after!r}, such as {_SAMPLES[quantity]}")
+                raise self.fault(start, f"expected a {quantity} after {after!r}, such as {_EXAMPLES[quantity]}")
             return None
         self.skip_blanks()
         at = self.at
-        unit = self.take(_WORD)
+        unit = self.consume(_WORD)
         if unit is None:
             comma = self.text[at:at + 1] == ","
-            problem = "a number has a decimal point, not a comma" if comma else f"{_short(number)} has no unit"
-            raise self.fault(at, f"{problem}; expected a {quantity} such as {_SAMPLES[quantity]}")
+            problem = ("the decimal mark must be a point, not a comma" if comma else f"{_short(number)} has no unit")
+            raise self.fault(at, f"{problem}; expected a {quantity} such as {_EXAMPLES[quantity]}")
         entry = units.get(unit.replace("µ", "u").replace("μ", "u"))
         if entry is None:
-            raise self.fault(at, f"{_short(unit)} is not a unit of {quantity} here; use {', '.join(list(units)[:5])}")
+            raise self.fault(at, f"{_short(unit)} is not a unit of {quantity}; use {', '.join(list(units)[:5])}")
         value = _to_si(number, *entry)
         if not (0 < value < math.inf or (zero and value == 0)):
             raise self.fault(start, f"{_short(number)} is not a finite {quantity} above zero"
-                                    + ("; a height above the touch is that of retract" if quantity == "length" else ""))
+                                    + ("; use retract for a height above the touch" if quantity == "length" else ""))
         self.skip_blanks()
         return value
 
     def ended(self) -> bool:
+        """Whether the text, or the bracket, ends here."""
         self.skip_blanks()
         return self.at == len(self.text) or self.text[self.at] == ")"
 
     def took(self, sign: str) -> bool:
+        """Consume a sign; returns whether it was there."""
         self.skip_blanks()
         found = self.text.startswith(sign, self.at)
         self.at += found
         return found
 
-    def take(self, pattern: re.Pattern) -> str | None:
+    def consume(self, pattern: re.Pattern) -> str | None:
+        """Consume and return a match of a pattern; None if there is none."""
         match = pattern.match(self.text, self.at)
         if match:
             self.at = match.end()
         return match[0] if match else None
 
     def skip_blanks(self) -> None:
-        self.take(_BLANKS)
+        self.consume(_BLANKS)
 
-    def place(self, at: int) -> str:
+    def position(self, at: int) -> str:
+        """Column, and line if there are several, of an index of the text."""
         column = f"column {at - self.text.rfind(chr(10), 0, at)}"
         return f"line {1 + self.text.count(chr(10), 0, at)}, {column}" if "\n" in self.text.strip() else column
 
     def fault(self, at: int, problem: str):
+        """Error at an index of the text."""
         rest = self.text[at:].strip()
         found = f"at {_short(rest)}" if rest else "at the end"
-        return fault(f"{self.place(at)}, {found}", problem)
+        return fault(f"{self.position(at)}, {found}", problem)
 
 
 def _short(text: str) -> str:
@@ -178,7 +190,7 @@ def _short(text: str) -> str:
 
 
 def _to_si(number: str, factor: str, divisor: str) -> float:
-    """The float nearest to the number in SI: 0.248 mm/s is 0.248e-3 m/s to the last digit."""
+    """Float nearest to the number in SI, so that 0.248 mm/s is 0.248e-3 m/s to the last digit."""
     value = float(number)
     if value == 0 or not math.isfinite(value):
         return value

@@ -1,4 +1,4 @@
-"""Segments of a tool's motion, and the straight lines (legs) that they make one after another."""
+"""Segments of a tool's motion, and the straight lines (legs) of displacement against time that they define."""
 
 from __future__ import annotations
 
@@ -8,35 +8,36 @@ from dataclasses import dataclass, field
 
 from tissue_sim.errors import InputError
 
-#: Segment -> the quantity that its number is, and whether the number must be there.
+#: Segment -> quantity of its number, and whether the number is required.
 KINDS: dict[str, tuple[str, bool]] = {
     "approach": ("length", False), "ramp": ("length", True), "hold": ("time", True), "unload": ("length", False),
     "reload": ("length", False), "retract": ("length", True),
 }
+#: Example for messages.
 EXAMPLE = "ramp 10mm @0.248mm/s; hold 60s; unload"
 
 
 @dataclass(frozen=True)
 class Segment:
-    """One stretch of the tool's motion.
+    """One segment of the tool's motion.
 
     Attributes:
         kind: a name in `KINDS`.
-        amount: m, or s of a hold. Depth at which ramp, unload and reload end; height above the touch at which approach
+        amount: m, or s for a hold: depth at which ramp, unload and reload end; height above the touch at which approach
             starts and retract ends. None: unload to the touch, reload to the largest depth so far.
-        speed: m/s; None: the one before.
-        place: where it stands in a text, for messages.
+        speed: m/s; None: that of the segment before.
+        position: position in the text, for messages.
     """
 
     kind: str
     amount: float | None = None
     speed: float | None = None
-    place: str = field(default="", compare=False)
+    position: str = field(default="", compare=False)
 
 
 @dataclass(frozen=True)
 class Repeat:
-    """Segments that are done `times` times."""
+    """Segments that are repeated `times` times."""
 
     times: int
     segments: tuple[Segment, ...]
@@ -44,14 +45,14 @@ class Repeat:
 
 @dataclass(frozen=True)
 class Leg:
-    """A straight line of displacement against time.
+    """Straight line of displacement against time.
 
     Attributes:
-        segment: what it belongs to.
-        start, end: tool displacement, m; below zero the tool is above the touch.
+        segment: segment that the leg belongs to.
+        start, end: tool displacement, m; negative above the touch.
         speed: m/s; 0 in a hold.
         duration: s.
-        cycle: from 1; the next one begins where the tool turns into the tissue again.
+        cycle: number of the load cycle, from 1; a cycle begins where the tool turns into the tissue again.
     """
 
     segment: Segment
@@ -63,11 +64,11 @@ class Leg:
 
 
 def legs(steps: Sequence[Segment | Repeat], speed: float) -> Iterator[Leg]:
-    """The legs of a protocol, one a segment, repeats written out.
+    """Return the legs of a protocol, one for each segment, with repeats expanded.
 
     Args:
-        steps: in their order.
-        speed: m/s until a segment names one.
+        steps: segments and repeats in order.
+        speed: m/s, for segments before the first stated speed.
 
     Raises:
         InputError: a segment that cannot follow the one before, such as an unload at the touch.
@@ -89,10 +90,10 @@ def legs(steps: Sequence[Segment | Repeat], speed: float) -> Iterator[Leg]:
         here, deepest = end, max(deepest, end)
 
 
-def fault(place: str, problem: str) -> InputError:
-    """The error of a protocol: where, what, and an example."""
+def fault(position: str, problem: str) -> InputError:
+    """Make the error of a protocol: position, problem, and an example."""
     example = f"{' For' if problem.endswith('?') else '; for'} example {EXAMPLE!r}"
-    return InputError(f"{place + ': ' if place else ''}{problem}{example}", field="protocol")
+    return InputError(f"{position + ': ' if position else ''}{problem}{example}", field="protocol")
 
 
 def _in_order(steps: Sequence[Segment | Repeat]) -> Iterator[Segment]:
@@ -103,13 +104,13 @@ def _in_order(steps: Sequence[Segment | Repeat]) -> Iterator[Segment]:
 
 def _start_of_approach(segment: Segment) -> float:
     if segment.amount is None:
-        raise fault(segment.place, "the first approach needs the height above the touch at which it starts, such as "
-                                   "approach 2mm")
+        raise fault(segment.position, "the first approach needs the height above the touch at which it starts, such as "
+                                      "approach 2mm")
     return segment.amount
 
 
 def _end(segment: Segment, here: float, deepest: float) -> float:
-    """Displacement at which a segment ends, m, that starts at `here`."""
+    """Displacement at the end of a segment, m; `here`: at its start, `deepest`: largest so far."""
     kind, amount = segment.kind, segment.amount
     match kind:
         case "hold":
@@ -117,24 +118,24 @@ def _end(segment: Segment, here: float, deepest: float) -> float:
         case "approach":
             if here >= 0 or (amount is not None and not math.isclose(amount, -here, rel_tol=1e-9)):
                 height = "above the touch" if amount is None else f"{_mm(amount)} above the touch"
-                raise fault(segment.place, f"an approach starts {height}, and the tool is at {_mm(here)}; retract to "
-                                           "there first")
+                raise fault(segment.position, f"an approach starts {height}, but the tool is at {_mm(here)}; retract "
+                                              "to that height first")
             return 0.0
         case "ramp" | "reload":
             if amount is None and deepest <= 0:
-                raise fault(segment.place, "there is nothing to reload yet; ramp first, or name a depth")
+                raise fault(segment.position, "a reload needs an earlier ramp or a depth; ramp first, or name a depth")
             end = deepest if amount is None else amount
             if end <= here:
-                raise fault(segment.place, f"a {kind} goes deeper, and the tool is at {_mm(here)} already; name a "
-                                           "larger depth, or unload before it")
+                raise fault(segment.position, f"a {kind} must go deeper, but the tool is at {_mm(here)} already; name "
+                                              "a larger depth, or unload before it")
             return end
         case "unload" | "retract":
             end = (-1.0 if kind == "retract" else 1.0) * (amount or 0.0)
             if end >= here:
-                raise fault(segment.place, f"{'an' if kind == 'unload' else 'a'} {kind} to {_mm(end)} goes outwards, "
-                                           f"and the tool is at {_mm(here)} already")
+                raise fault(segment.position, f"{'an' if kind == 'unload' else 'a'} {kind} must go outwards, but the "
+                                              f"tool is at {_mm(here)} already; its end is {_mm(end)}")
             return end
-    raise fault(segment.place, f"unknown segment {kind!r}")
+    raise fault(segment.position, f"unknown segment {kind!r}")
 
 
 def _mm(length: float) -> str:

@@ -1,4 +1,4 @@
-"""Materials for other programs: a file a target, by name in `EXPORTERS`."""
+"""Exports of materials to other programs: one file for each target, by name in `EXPORTERS`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Callable
 from tissue_sim.material.material import Material
 from tissue_sim.registry import Registry
 
-#: The text of a file of another program from a material, SI. Raises `InputError` where that program has no form for
-#: something that the material has.
+#: Function from a material, SI, to the text of a file of another program. It raises `InputError` if the program has no
+#: equivalent of a part of the material.
 Exporter = Callable[[Material], str]
 
 

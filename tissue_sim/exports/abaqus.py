@@ -1,7 +1,7 @@
-"""Materials as keyword blocks of Abaqus, which CalculiX reads, too.
+"""Export of materials as keyword blocks of Abaqus, which CalculiX reads as well.
 
 Source: Abaqus Analysis User's Manual, "Hyperelastic behavior of rubberlike materials" and "Time domain
-viscoelasticity"; the convention of the laws is that of the manual, so that no number is converted but K, to D1 = 2/K.
+viscoelasticity". The laws have the convention of the manual; only K is converted, to D1 = 2/K.
 """
 
 from __future__ import annotations
@@ -11,24 +11,26 @@ import re
 from tissue_sim.errors import InputError
 from tissue_sim.material.material import Material
 
-#: Numbers on a data line.
+#: Number of values on a data line.
 _PER_LINE = 8
-#: D_i, 1/Pa, of a volumetric term that is not there; CalculiX takes 0 for a number that it has to choose.
+#: D_i, 1/Pa, of an absent volumetric term; CalculiX would replace 0 by a value of its choice.
 _ABSENT = 1e20
+#: Law -> keyword of a law without order.
 _LAWS = {"neo_hooke": "NEO HOOKE", "mooney_rivlin": "MOONEY-RIVLIN"}
-#: Laws that are written as the full polynomial of (I1 - 3, I2 - 3), with as many D_i as its order.
+#: Law -> order of the full polynomial of (I1 - 3, I2 - 3) as which it is written, with D_i of that number.
 _POLYNOMIALS = {"biderman": 3}
+#: Law without its order -> keyword.
 _SERIES = {"reduced_polynomial": "REDUCED POLYNOMIAL", "ogden": "OGDEN"}
 
 
 def export(material: Material) -> str:
-    """The material as ``*MATERIAL`` with its ``*HYPERELASTIC``, ``*VISCOELASTIC`` and ``*DENSITY``, SI.
+    """Write a material as ``*MATERIAL`` with ``*HYPERELASTIC``, ``*VISCOELASTIC`` and ``*DENSITY``, SI.
 
-    Abaqus' hereditary integral acts on the Kirchhoff stress in the current configuration, ours on the second
-    Piola-Kirchhoff stress: relaxing forces agree to the first order of the strain.
+    The hereditary integral of Abaqus acts on the Kirchhoff stress in the current configuration, that of this package on
+    the second Piola-Kirchhoff stress: relaxing forces agree to first order in the strain.
 
     Raises:
-        InputError: a law, or something beside it, that Abaqus has no form for.
+        InputError: a law or another part of the material has no equivalent in Abaqus.
     """
     for what, part in (("softening on first load (its Mullins effect has an error function where ours has tanh)",
                         material.softening), ("layers in a material", material.layers),
@@ -36,7 +38,7 @@ def export(material: Material) -> str:
                        ("drainage in this form", material.poroelasticity), ("a puncture", material.puncture),
                        (f"the effect {next(iter(material.effects), '')!r}", material.effects)):
         if part:
-            raise InputError(f"Abaqus has no form for {what}; take it out of the material", field="to")
+            raise InputError(f"Abaqus has no form for {what}; remove it from the material", field="to")
     moduli = "" if material.viscoelastic is None else material.viscoelastic.moduli.upper().replace("_", " ")
     keyword, terms = _law(material.law)
     K = material.bulk_modulus
@@ -56,7 +58,7 @@ def export(material: Material) -> str:
 
 
 def _law(name: str) -> tuple[str, int]:
-    """Words of the keyword, and the number of terms."""
+    """Keyword with its order, and number of volumetric terms."""
     if name in _POLYNOMIALS:
         return f"POLYNOMIAL, N={_POLYNOMIALS[name]}", _POLYNOMIALS[name]
     series = re.fullmatch(r"(\w+?)_(\d+)", name)
@@ -64,10 +66,10 @@ def _law(name: str) -> tuple[str, int]:
         return _LAWS[name], 1
     if series and series[1] in _SERIES:
         return f"{_SERIES[series[1]]}, N={series[2]}", int(series[2])
-    raise InputError(f"Abaqus has no law like {name!r} among its keywords; write a user subroutine", field="to")
+    raise InputError(f"Abaqus has no keyword for the law {name!r}; write a user subroutine", field="to")
 
 
 def _name(material: Material) -> str:
-    """A label of Abaqus: letters, digits and underscores, a letter first, at most 80."""
+    """Label for Abaqus: letters, digits and underscores, first a letter, at most 80 characters."""
     label = re.sub(r"\W+", "_", material.name or material.law, flags=re.ASCII).strip("_").upper()[:80]
     return label if label[:1].isalpha() else f"TISSUE_{label}"[:80]

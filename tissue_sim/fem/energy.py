@@ -1,6 +1,6 @@
-"""What every solver's kernels need of a law: its derivatives as Taichi functions, and J^(-1/3).
+"""Kernel functions of a strain-energy law for all solvers: derivatives as Taichi functions, and J^(-1/3).
 
-They work on numbers, of one point, and on vectors, of as many points at once.
+The functions work on scalars (one point) and on vectors (several points at once).
 """
 
 from functools import cache
@@ -9,28 +9,40 @@ from typing import TYPE_CHECKING
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.laws.derivation import derived
-from tissue_sim.public_names import ModuleOnUse
+from tissue_sim.public_names import LazyModule
 
 if TYPE_CHECKING:
     import sympy as sp
 else:
-    sp = ModuleOnUse("sympy")
+    sp = LazyModule("sympy")
 
-#: Around J = 1 a series starts Newton's iteration for a cube root well; further away it need not converge.
+#: |J - 1| up to which a series is a good start of Newton's iteration for the cube root; beyond it may not converge.
 _NEAR = 0.3
 
 
 def taichi_function(derive, kept_as: tuple | None, source: str):
-    """A Python function that builds expressions, which `derive` gives with their arguments, out of Taichi variables
-    when a kernel is compiled. `source` is the file in which `derive` stands; see `tissue_sim.laws.derivation`."""
+    """Return a Python function that builds expressions of Taichi variables when a kernel is compiled.
+
+    Args:
+        derive: returns the arguments and the expressions (sympy).
+        kept_as: key of the function in the cache; None: not cached.
+        source: file that defines `derive`; see `tissue_sim.laws.derivation`.
+    """
     ti = initialise()
     names = {name: getattr(ti, name) for name in ("exp", "log", "sqrt", "sin", "cos", "tan", "tanh")}
     return derived(derive, kept_as=kept_as, source=source, names=names)
 
 
 def invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
-    """Python function of (I1, I2, coefficients) -> W, W1, W2, W11, W12, W22, of a law of the isochoric invariants; the
-    last three are zero without `tangents`."""
+    """Return the derivatives of a law of the isochoric invariants.
+
+    Args:
+        energy: energy of (I1, I2).
+        tangents: whether second derivatives are needed; they are 0 otherwise.
+
+    Returns:
+        Python function of (I1, I2, coefficients) -> W, W1, W2, W11, W12, W22.
+    """
     def derive():
         W, (I1, I2) = energy.energy, energy.variables
         second = [sp.diff(W, I1, 2), sp.diff(W, I1, I2), sp.diff(W, I2, 2)] if tangents else [sp.Integer(0)] * 3
@@ -40,7 +52,8 @@ def invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
 
 
 def stretch_derivatives(energy: KernelEnergy):
-    """Python function of (stretch, coefficients) -> w', w'', w, of a law that is a sum over the isochoric stretches."""
+    """Return a Python function of (stretch, coefficients) -> w', w'', w, for a law that is a sum over isochoric
+    stretches."""
     def derive():
         W, (stretch,) = energy.energy, energy.variables
         return (stretch, energy.coefficients), [sp.diff(W, stretch), sp.diff(W, stretch, 2), W]
@@ -54,7 +67,7 @@ def _kept_as(energy: KernelEnergy, *what) -> tuple | None:
 
 @cache
 def inverse_root_function():
-    """Taichi function ``inverse_root(J)``: J^(-1/3) of a vector, without a call per lane where J is near 1."""
+    """Return the Taichi function ``inverse_root(J)``: J^(-1/3) of a vector, without a call per lane for J near 1."""
     ti = initialise()
 
     @ti.func
@@ -71,27 +84,30 @@ def inverse_root_function():
 
 
 def packed(size: int) -> tuple[tuple[int, int], ...]:
-    """Row and column of every entry of a symmetric matrix of this size, its lower half row by row."""
+    """Row and column of the entries of a symmetric matrix in packed storage: lower triangle, row by row."""
     return tuple((m, n) for m in range(size) for n in range(m + 1))
 
 
 @cache
 def soften_function(size: int):
-    """Taichi function ``soften(W, largest, loss, modulus, share, P, A) -> (P, A)`` of a stress of so many components
-    and its tangent, `packed`."""
+    """Return the Taichi function ``soften(W, largest, loss, modulus, share, P, A) -> (P, A)``.
+
+    Args:
+        size: number of stress components P; A is the tangent in packed storage, see `packed`.
+    """
     ti = initialise()
-    places = packed(size)
+    entries = packed(size)
 
     @ti.func
     def soften(W, largest, loss, modulus, share, P, A):
-        """Multiply the stress by eta = 1 - loss tanh((largest - W) / (modulus + share largest)) where the point was
-        loaded higher before (Dorfmann and Ogden, IJSS 40 (2003) 2699)."""
-        width = ti.max(modulus + share * largest, 1e-300)  # nothing at rest
+        """Multiply stress and tangent by eta = 1 - loss tanh((largest - W) / (modulus + share largest)) at a point that
+        had a larger energy density before (Dorfmann and Ogden, IJSS 40 (2003) 2699)."""
+        width = ti.max(modulus + share * largest, 1e-300)  # not zero at rest
         bend = ti.tanh(ti.max(largest - W, 0.0) / width)
         eta = 1.0 - loss * bend
         slope = ti.select(largest > W, loss * (1.0 - bend * bend) / width, 0.0 * W)
-        tangent = [eta * A[n] + slope * P[ti.static(places[n][0])] * P[ti.static(places[n][1])]
-                   for n in ti.static(range(len(places)))]
+        tangent = [eta * A[n] + slope * P[ti.static(entries[n][0])] * P[ti.static(entries[n][1])]
+                   for n in ti.static(range(len(entries)))]
         return [eta * P[i] for i in ti.static(range(size))], tangent
 
     return soften

@@ -1,4 +1,4 @@
-"""What the fields of all solvers share: names, units, and how values at the points are carried on."""
+"""Names and units of field quantities, and functions of all solvers for values at quadrature points."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ from typing import Any
 
 import numpy as np
 
-#: Field -> unit. Components of Cauchy stress are those along and around the axis of the scene.
+#: Field -> unit. Components of the Cauchy stress refer to the axis of the scene.
 FIELD_UNITS = {"displacement": "m", "von_mises": "Pa", "cauchy_rr": "Pa", "cauchy_zz": "Pa", "cauchy_rz": "Pa",
                "cauchy_hoop": "Pa", "pressure": "Pa", "energy": "J/m3", "J": "1", "stretch": "1"}
-#: Share of the volume that a range of stretches leaves out at either end: an edge alone is no range.
+#: Fraction of the volume that a range of stretches leaves out at each end.
 TAIL = 0.01
 
 
 def volume_quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """Value that this share of the volume does not exceed.
+    """Return the volume-weighted quantile of values.
 
     Args:
         values: at the quadrature points, any shape.
         weights: volumes of the points, m3, of the same shape.
-        share: of the volume.
+        share: fraction of the volume where the values are at most the quantile, 0 to 1.
     """
     order = np.argsort(values, axis=None)
     below = np.cumsum(weights.ravel()[order])
@@ -27,8 +27,15 @@ def volume_quantile(values: np.ndarray, weights: np.ndarray, share: float) -> fl
 
 
 def extrapolate(mesh: Any, values: np.ndarray) -> np.ndarray:
-    """Values at the quadrature points, shape (elements, q), or one of each element, shape (elements, 1), as nodal
-    averages, shape (nodes,); 0 at nodes of no element."""
+    """Extrapolate values from the quadrature points to the nodes and average them over the elements of a node.
+
+    Args:
+        mesh: mesh with `nodes`, `connectivity` and `element`.
+        values: shape (elements, q), or (elements, 1) for one value in each element.
+
+    Returns:
+        Shape (nodes,); 0 at nodes without an element.
+    """
     nodes = mesh.connectivity.ravel()
     nodal = (np.repeat(values, mesh.connectivity.shape[1]) if values.shape[1] == 1
              else values @ mesh.element.from_quadrature.T)

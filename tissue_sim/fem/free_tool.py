@@ -1,7 +1,7 @@
 """Contract of a solver for a tool in the air: before the first touch, and after lift-off.
 
-The defaults suit every solver: the tool first touches where its deepest point reaches z = 0, and after that every
-motion is stepped.
+The defaults are valid for every solver: the tool first touches where its deepest point reaches z = 0, and after that
+every motion is stepped.
 """
 
 from __future__ import annotations
@@ -35,40 +35,44 @@ class FreeTool:
         return digest(getattr(self.mesh, "nodes", None), getattr(self.mesh, "connectivity", None))
 
     def height_above(self, pose: Pose) -> float:
-        """Distance that the tool must go down from a pose until it touches the undeformed tissue, m, or a positive
-        lower bound of the distance; zero or negative if it touches. Called before the first touch."""
+        """Distance that the tool must go down from a pose until it touches the undeformed tissue.
+
+        Called before the first touch.
+
+        Returns:
+            m, or a positive lower bound of the distance; zero or negative if the tool touches.
+        """
         return pose.position[2]
 
     def place_tool(self, pose: Pose) -> bool:
-        """Let the tool begin at the pose of its first touch, on tissue that has not been touched.
+        """Place the tool at the pose of its first touch, on tissue that has not been touched.
 
-        A solver whose mesh, contact or reference is made for one place takes the place of `pose` here, so that nothing
-        is dragged there from elsewhere.
+        A solver whose mesh, contact or reference belongs to one position of the tool moves them to `pose`, so that the
+        tool drags no tissue there.
 
         Returns:
-            False if the solver cannot let the tool begin there; nothing is changed.
+            False if the solver cannot place the tool there; nothing is changed.
         """
         return True
 
     def clearance(self, pose: Pose) -> float | None:
-        """Distance between a tool at a pose and the tissue at the last committed state, m, negative inside; or another
-        number with the same sign.
+        """Distance between a tool at a pose and the tissue at the last committed state.
 
         Returns:
-            None if the tool touches, holds or attracts tissue at the last committed state, or if the solver does not
-            know: then every motion of the tool is stepped.
+            m, negative inside; or another number with the same sign. None if the tool touches, holds or attracts
+            tissue at the last committed state, or if the solver does not know: then every motion is stepped.
         """
         return None
 
     def move_in_air(self, pose: Pose) -> None:
-        """Take the tool to a pose without a step, from and to poses whose `clearance` is positive."""
+        """Move the tool without a step, between poses whose `clearance` is positive."""
 
     def approach(self, pose: Pose) -> bool:
-        """Take a tool that has lifted off, in the air, to the pose from which it touches again.
+        """Move a tool that has lifted off, in the air, to the pose at which it touches again.
 
-        Elastic tissue that is at rest again is touched as at the first touch: the solver then goes back to the state in
-        which the tool just touches, so that the whole face sticks from the touch on. A solver whose mesh is made for
-        one place may take another place here.
+        Elastic tissue that is at rest again is touched as at the first touch: the solver returns to the state in which
+        the tool just touches, so that the whole face sticks from the touch on. A solver whose mesh belongs to one
+        position of the tool may move it here.
 
         Returns:
             Whether the touch begins as a first touch, with the tool already at the surface.
@@ -77,10 +81,10 @@ class FreeTool:
         return False
 
     def meet(self, pose: Pose) -> None:
-        """Let the tissue that a tool meets on its way down to a pose stick or rub from the touch on.
+        """Let points of the tissue that the tool meets on the way to a pose stick or rub from the touch on.
 
-        Called before the first increment of a touch that does not begin as a first one (`approach`). Otherwise the
-        tissue that touches in an increment slides without friction until its end. Tissue with mass is hit there.
+        Called before the first increment of a touch that does not begin as a first touch (`approach`); without this
+        call the tissue that touches within an increment slides without friction until its end.
         """
 
     def stand_still(self) -> None:

@@ -1,32 +1,47 @@
-"""What the tissue remembers of its past, at the quadrature points."""
+"""State variables of relaxation and softening at the quadrature points."""
 
 from __future__ import annotations
+
+from enum import IntEnum
 
 import numpy as np
 
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Prony
 
-#: Places in `Memory.past`.
-FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE = range(5)
+
+class PastColumn(IntEnum):
+    """Columns of `Memory.past`."""
+
+    #: Instantaneous stress over the stress of the law, 1.
+    FACTOR = 0
+    #: Fraction of a stress increment of this step that acts at once, 1; see `Prony.increment`.
+    INSTANT = 1
+    #: Parameters of `Softening`: loss (1), modulus (Pa) and share (1).
+    LOSS = 2
+    LOSS_MODULUS = 3
+    LOSS_SHARE = 4
 
 
 class Memory:
-    """Hereditary stresses and the largest load; the arrays that a step's kernel works on.
+    """Hereditary stresses and the largest energy density so far; arrays that the kernel of a step reads and writes.
+
+    The recursion is that of `tissue_sim.material.viscoelasticity`: the stress of the law is linear in time within a
+    step.
 
     Args:
-        points: elements, and quadrature points of each. components: of a symmetric tensor.
+        points: number of elements and number of quadrature points of an element.
+        components: number of components of a symmetric tensor.
 
     Attributes:
-        past: how stresses act in this step; places as named above.
-        inherited: isochoric second Piola stress that is left of earlier ones, Pa, shape (elements, q, components).
+        past: coefficients of the stresses in this step, see `PastColumn`, shape (5,).
+        inherited: contribution of earlier steps to the isochoric second Piola-Kirchhoff stress, Pa, shape
+            (elements, q, components).
         largest: largest isochoric energy density so far, J/m3, shape (elements, q).
-        stresses, energies: of the law, softened but not relaxed, in this step; before: those of the step before.
+        stresses, energies: stress and energy density of the law in this step, softened, not relaxed.
+        before: `stresses` of the last committed step.
         internal: Q_i of each term, Pa, shape (terms, elements, q, components).
-        step: decay and gain of each term in this step.
-
-    The recursion is that of `tissue_sim.material.viscoelasticity`: within a step the stress of the law changes linearly
-    in time.
+        step: decay and gain of each term in this step, shapes (terms,).
     """
 
     def __init__(self, points: tuple[int, int], components: int):
@@ -39,14 +54,14 @@ class Memory:
         self.set_material(None, None, 1.0)
 
     def set_material(self, relaxation: Prony | None, softening: Softening | None, factor: float) -> None:
-        """Take over what relaxes and softens; `factor` is the instantaneous stress over that of the law."""
+        """Set relaxation and softening of the material; `factor` is the instantaneous stress over that of the law."""
         self._prony: Prony | None = relaxation
         self._known: float | None = None
         terms = 0 if relaxation is None else len(relaxation.terms)
         if len(self.internal) != terms:
             self.internal = np.zeros((terms, *self.stresses.shape))
-        self.past[FACTOR] = factor
-        self.past[LOSS], self.past[LOSS_MODULUS], self.past[LOSS_SHARE] = (
+        self.past[PastColumn.FACTOR] = factor
+        self.past[PastColumn.LOSS], self.past[PastColumn.LOSS_MODULUS], self.past[PastColumn.LOSS_SHARE] = (
             (0.0, 1.0, 0.0) if softening is None else (softening.loss, softening.modulus, softening.share))
         self.works = relaxation is not None or softening is not None
         if relaxation is None:
@@ -54,14 +69,14 @@ class Memory:
         self.prepare(0.0)
 
     def prepare(self, dt: float) -> None:
-        """Before a step of `dt` (s): 0 is a sudden one, infinity one that has come to rest."""
+        """Set the length of the next step, dt in s: 0 for a sudden step, infinity for the relaxed state."""
         self.dt = dt
         if self._prony is None:
-            self.past[INSTANT] = 1.0
+            self.past[PastColumn.INSTANT] = 1.0
             return
         if dt != self._known:
             self._increment, self._known = self._prony.increment(dt), dt
-        self.past[INSTANT], decay, gain = self._increment
+        self.past[PastColumn.INSTANT], decay, gain = self._increment
         self.step = decay, gain
         np.multiply(self.before, -gain.sum(), out=self.inherited)
         for term, left in zip(self.internal, decay, strict=True):
@@ -69,7 +84,7 @@ class Memory:
             self.inherited += self._scratch
 
     def commit(self) -> None:
-        """After a step that converged."""
+        """Accept the stresses and energies of the last step, which converged."""
         if not self.works:
             return
         if self._prony is not None:
@@ -83,13 +98,13 @@ class Memory:
         np.maximum(self.largest, self.energies, out=self.largest)
 
     def total(self) -> np.ndarray:
-        """Isochoric second Piola stress of the last committed step, relaxation included, Pa, shape (elements, q,
-        components)."""
+        """Isochoric second Piola-Kirchhoff stress of the last committed step with relaxation, (1 - sum g) S + sum Q_i,
+        Pa, shape (elements, q, components)."""
         if self._prony is None:
             return self.stresses.copy()
         return (1.0 - self._prony.relaxing) * self.before + self.internal.sum(axis=0)
 
     @property
     def kept(self) -> tuple[np.ndarray, ...]:
-        """All that a committed step leaves behind; to go back there, fill them with what they were."""
+        """Arrays that define the committed state; writing saved copies into them restores the state."""
         return self.before, self.internal, self.largest, self.stresses

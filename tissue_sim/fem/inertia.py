@@ -1,10 +1,10 @@
-"""Inertia of the tissue by backward differences, for steps that move fast.
+"""Inertia of the tissue: second-order backward differences (BDF2) with variable steps.
 
-The second-order backward difference (BDF2, with variable steps) is applied to the displacement and once more to the
-velocity; the first step, and one whose length is far from that of the one before, is of first order. Contact that
-closes and opens makes it ring much less than Newmark's method: it is L-stable.
-With rest = where the tissue would go without forces, the acceleration at the end of a step is (u - rest) rate, so that
-in the equations of a step only the lumped mass times `rate` and `rest` appear.
+BDF2 is applied to the displacement u and again to the velocity. The first step, and a step whose length differs much
+from that of the step before, are of first order. The method is L-stable, so that opening and closing contact excites
+less ringing than with Newmark's method. The acceleration at the end of a step is (u - rest) rate, where `rest` is the
+displacement without forces, so that the equations of a step contain only the lumped mass times `rate` and `rest`.
+
 Source: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, section III.5.
 """
 
@@ -12,16 +12,18 @@ from __future__ import annotations
 
 import numpy as np
 
-#: Steps whose ratio to the one before lies here are of second order; the method is stable below 1 + sqrt 2.
-_RATIOS = 0.4, 2.0
+#: Smallest ratio of a step to the step before for which the step is of second order.
+_SMALLEST_RATIO = 0.4
+#: Largest ratio; variable-step BDF2 is stable for ratios below 1 + sqrt 2.
+_LARGEST_RATIO = 2.0
 
 
 class Motion:
-    """Velocity of every freedom, m/s, at the last equilibrium, and what went before.
+    """Velocity of the degrees of freedom at the last equilibrium, m/s, and the history that BDF2 needs.
 
     Args:
-        masses, rest: arrays of the step's kernel, shape (freedoms,); kept up to date.
-        mass: lumped, of each freedom of a shared node, kg, shape (freedoms,).
+        masses, rest: arrays of the step's kernel, shape (freedoms,), which this object updates.
+        mass: lumped mass of each degree of freedom, kg, shape (freedoms,); shared nodes have the sum.
     """
 
     def __init__(self, masses: np.ndarray, rest: np.ndarray, mass: np.ndarray):
@@ -30,18 +32,25 @@ class Motion:
         self.velocity = np.zeros_like(mass)
         self._earlier_place, self._earlier_velocity = np.zeros_like(mass), np.zeros_like(mass)
         self._scratch, self._acceleration = np.zeros_like(mass), np.zeros_like(mass)
-        #: Of the last inertial step, 1/s2.
+        #: `rate` of the last inertial step, 1/s2.
         self._rate = 0.0
-        #: Length of the step before, s; 0 where there is none to go on from; shape (1,).
+        #: Length of the last inertial step, s; 0 if the next step is of first order; shape (1,).
         self._before = np.zeros(1)
         self._weights = (1.0, -1.0, 0.0)
 
     def prepare(self, state: np.ndarray, dt: float) -> float:
-        """Before an inertial step of dt (s) from a state whose first entries are displacements; returns `rate`,
-        1/s2."""
+        """Compute `rest` for an inertial step.
+
+        Args:
+            state: committed state, whose first entries are the displacements, m.
+            dt: length of the step, s.
+
+        Returns:
+            `rate`, 1/s2.
+        """
         before = float(self._before[0])
         ratio = dt / before if before > 0.0 else 0.0
-        if _RATIOS[0] <= ratio <= _RATIOS[1]:
+        if _SMALLEST_RATIO <= ratio <= _LARGEST_RATIO:
             self._weights = (1.0 + 2.0 * ratio) / (1.0 + ratio), -(1.0 + ratio), ratio * ratio / (1.0 + ratio)
         else:
             self._weights = 1.0, -1.0, 0.0
@@ -55,14 +64,20 @@ class Motion:
         return (now / dt) ** 2
 
     def commit(self, before: np.ndarray, after: np.ndarray, dt: float, inertial: bool) -> None:
-        """After a step of dt (s) that converged; without inertia the velocity is that between the two
-        states, and none in the first such step."""
+        """Update velocity and history after a converged step.
+
+        Args:
+            before, after: states before and after the step, displacements first, m.
+            dt: length of the step, s.
+            inertial: whether the step was inertial. After a static step the velocity is the difference quotient of the
+                two states; it is zero after the first static step that follows an inertial one.
+        """
         velocity, scratch, size = self.velocity, self._scratch, self.velocity.size
         if not inertial:
             swung = self._before[0] > 0.0
             self._before[:] = 0.0
             if swung:
-                # It jumped to where it would rest: no motion to go on from, if the mass counts again.
+                # The displacement jumped to the static equilibrium: this jump is not a velocity.
                 velocity[:] = 0.0
             elif dt > 0.0:
                 np.subtract(after[:size], before[:size], out=velocity)
@@ -82,15 +97,20 @@ class Motion:
 
     def ahead(self, state: np.ndarray, dt: float, mass: np.ndarray, direction: np.ndarray) -> tuple[
             np.ndarray, np.ndarray]:
-        """By how much the inertial forces along a direction, N, and their stiffness, N/m, would be larger in a next
-        step of dt (s) in which nothing moves, just after an inertial step was committed; the next step must `prepare`
-        anew.
+        """Predict the change of the inertial forces in a next step without motion, after a committed inertial step.
+
+        The next step must call `prepare` again.
 
         Args:
-            state: where everything is.
-            mass: of every freedom, kg, shape (freedoms,).
-            direction: how far each goes for a metre of the tool, or as much of each of n motions of it, shape
-                (freedoms,) or (freedoms, n); the answers are of the shapes () and (), or (n,) and (n, n).
+            state: committed state, displacements first, m.
+            dt: length of the next step, s.
+            mass: mass of every degree of freedom, kg, shape (freedoms,).
+            direction: displacement of every degree of freedom per unit of tool motion, for one motion, shape
+                (freedoms,), or n motions, shape (freedoms, n).
+
+        Returns:
+            Change of the inertial force along each motion, N, shape () or (n,); change of its stiffness, N/m, shape ()
+            or (n, n).
         """
         rate = self.prepare(state, dt)
         change, weighted = self._scratch, mass * direction.T
@@ -100,14 +120,14 @@ class Motion:
         return weighted @ change, weighted @ direction * (rate - self._rate)
 
     def restart(self) -> None:
-        """Let the next step be of first order: a difference of second order across an impact has no meaning."""
+        """Make the next step of first order: second-order differences across an impact are not valid."""
         self._before[:] = 0.0
 
     def stop(self) -> None:
-        """Stand still."""
+        """Set the velocity to zero."""
         self.velocity[:], self._before[:] = 0.0, 0.0
 
     @property
     def kept(self) -> tuple[np.ndarray, ...]:
-        """All that a committed step leaves behind; to go back there, fill them with what they were."""
+        """Arrays that define the committed state; writing saved copies into them restores the state."""
         return self.velocity, self._earlier_place, self._earlier_velocity, self._before

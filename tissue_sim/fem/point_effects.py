@@ -1,4 +1,4 @@
-"""Effects of the tissue at the quadrature points: their numbers and memory, whatever the elements are."""
+"""Effects of the tissue at the quadrature points: parameters and state variables, for elements of every type."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from tissue_sim.errors import InputError, located
 from tissue_sim.fem.taichi.trace import TRIED, Formula, traced
 from tissue_sim.material.effect import PointEffect, TissueEffect
 
-#: The longest step that a formula sees, s: kernels know no infinity.
+#: Longest time step that is passed to a formula, s, because kernels have no infinity.
 LONGEST = 1e30
 
 
 class PointEffects:
-    """The arrays of all such effects of a material that a step's kernel works on.
+    """Arrays of all point effects of a material, which the kernel of a step reads and writes.
 
     Attributes:
-        formulas: of the effects, in order.
-        settings: the time step, s, then the parameters of all effects.
-        states: state variables of all effects at the last committed step, then their stress, a second Piola-Kirchhoff
-            stress (RR, RZ, ZZ, hoop), Pa, shape (elements, q, variables + 4); found: in the step now.
+        formulas: formulas of the effects, in order.
+        settings: time step, s, then the parameters of all effects.
+        states: state variables of all effects at the last committed step, then the sum of their second Piola-Kirchhoff
+            stresses (RR, RZ, ZZ, hoop), Pa; shape (elements, q, variables + 4).
+        found: the same at the end of the present step.
     """
 
     def __init__(self, points: tuple[int, int]):
@@ -32,17 +33,17 @@ class PointEffects:
         self._allocate(())
 
     def _allocate(self, rest: tuple[float, ...]) -> None:
-        # Without effects nobody looks at them.
+        # Without effects the kernel does not read the arrays.
         shape = (*self._points, len(rest) + 4) if self.formulas else (1, 1, 1)
         self.states = np.zeros(shape)
         self.states[..., : len(rest)] = rest
         self.found = self.states.copy()
 
     def set_effects(self, effects: Iterable[TissueEffect]) -> None:
-        """Take over the effects of a material; the memory is kept where they are of the same make.
+        """Set the effects of a material; state variables are kept if the formulas are the same.
 
         Raises:
-            InputError: a formula that no kernel can take over, or one that gives something else than it should.
+            InputError: a kernel cannot execute a formula, or a formula returns other shapes than required.
         """
         points = [effect for effect in effects if isinstance(effect, PointEffect)]
         formulas = tuple(Formula.of(effect) for effect in points)
@@ -54,30 +55,30 @@ class PointEffects:
         numbers = (formula.numbers(effect) for formula, effect in zip(formulas, points, strict=True))
         settings = np.array([0.0, *chain.from_iterable(numbers)])
         if settings.shape == self.settings.shape:
-            self.settings[:] = settings  # where the kernel knows it
+            self.settings[:] = settings  # in place: the kernel has a reference to the array
         else:
             self.settings = settings
 
     def prepare(self, dt: float) -> None:
-        """Before a step of `dt`, s."""
+        """Set the length of the next step, dt in s."""
         self.settings[0] = min(dt, LONGEST)
 
     def commit(self) -> None:
-        """After a step that converged."""
+        """Accept the state variables of the last step, which converged."""
         if self.formulas:
             self.states[:] = self.found
 
     @property
     def stress(self) -> np.ndarray:
-        """Of all effects together at the last committed step, Pa, shape (elements, q, 4)."""
+        """Sum of the stresses of all effects at the last committed step, Pa, shape (elements, q, 4)."""
         return self.states[..., -4:]
 
 
 def require_formula(formula: Formula[PointEffect]) -> None:
-    """Run a formula once without a kernel.
+    """Execute a formula once outside of a kernel and check the shapes of its result.
 
     Raises:
-        InputError: it does what a kernel cannot, or answers in another shape.
+        InputError: the formula uses an operation that kernels do not support, or returns other shapes.
     """
     kind, field = formula.kind, f"effects.{formula.kind.name}"
     parameters = traced([TRIED] * len(formula.parameters), lanes=False)
@@ -86,6 +87,6 @@ def require_formula(formula: Formula[PointEffect]) -> None:
         stress, tangent, found = formula.bind(parameters).response(C, state, dt)
     shape = len(stress), len(tangent), {len(row) for row in tangent}, len(found)
     if shape != (6, 6, {6}, len(kind.rest)):
-        raise InputError(f"the response of {kind.__name__} has {len(stress)} stresses, {len(tangent)} rows of tangent "
-                         f"and {len(found)} state variables; give 6, 6 rows of 6, and as many as in `rest`, "
-                         f"{len(kind.rest)}", field=field)
+        raise InputError(f"the response of {kind.__name__} must return 6 stresses, 6 rows of 6 tangent entries and "
+                         f"{len(kind.rest)} state variables, as many as `rest` has; got {len(stress)} stresses, "
+                         f"{len(tangent)} rows and {len(found)} state variables.", field=field)

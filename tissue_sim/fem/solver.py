@@ -1,7 +1,7 @@
-"""What a solver of the tissue is to the rest of the program: a specimen and a tool, stepped from pose to pose.
+"""Contract of solvers: a boundary-value problem of a specimen and a tool, solved step by step from pose to pose.
 
-`simulate`, `Simulator`, `sensitivities` and what shows the tissue speak to `Solver` only. Solvers stand by name in
-`SOLVERS`; a package adds its own with an entry point of the group ``tissue_sim.solvers``, a program with
+`simulate`, `Simulator`, `sensitivities` and the viewer use this contract only. `SOLVERS` contains the solvers by name.
+A package adds a solver by an entry point of the group ``tissue_sim.solvers``, a program by
 ``SOLVERS.register(MySolver, "my_solver")``.
 """
 
@@ -19,12 +19,21 @@ from tissue_sim.fem.free_tool import FreeTool
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, Screw
+from tissue_sim.public_names import OldName, adopt_old_names, old_names
 from tissue_sim.registry import Registry
 from tissue_sim.tool_force import Matrix, NextForce, axial_stiffness, axial_wrench
 
+#: Members of `Solver` that plug-ins may still define by their old names: old name -> new name.
+_OLD_MEMBERS = {"doubts": "warnings", "follow": "project_pose", "takes": "accepts_pose",
+                "realtime_rungs": "realtime_levels", "comparison": "error_estimate"}
+__getattr__ = old_names(__name__, {"Rung": "ResolutionLevel", "Comparison": "ErrorEstimate"})
+
 
 class StepStatus(IntEnum):
-    """How a step ended."""
+    """Result of a step.
+
+    Only CONVERGED commits a new state. See `message` for causes and remedies.
+    """
 
     CONVERGED = 1
     INVERTED = 2
@@ -35,6 +44,7 @@ class StepStatus(IntEnum):
 
     @property
     def message(self) -> str:
+        """Cause in one phrase, for messages and recordings."""
         return {
             StepStatus.CONVERGED: "converged",
             StepStatus.INVERTED: "an element turned inside out",
@@ -46,40 +56,41 @@ class StepStatus(IntEnum):
 
 
 class OwnStiffness(IntEnum):
-    """Request for the stiffness of the tissue without its mass, after an inertial step; True is `IF_LEFT`."""
+    """Request for the static stiffness of the tissue, without its mass, after an inertial step; True is `IF_LEFT`."""
 
-    #: It is not computed.
+    #: The stiffness is not computed.
     OMITTED = 0
-    #: It is computed if the step converged with fewer linear solves than it may take.
+    #: The stiffness is computed if the step converged with fewer linear solves than its limit.
     IF_LEFT = 1
-    #: It is computed if the step converged; a linear solve is reserved for it.
+    #: The stiffness is computed if the step converged; one linear solve is reserved for the stiffness.
     RESERVED = 2
 
     @staticmethod
     def is_due(request: int, has_left: bool) -> bool:
-        """Whether a step that converged computes it, given whether the step has a linear solve left."""
+        """Whether a converged step computes the stiffness, given whether a linear solve is left to the step."""
         return request == OwnStiffness.RESERVED or (bool(request) and has_left)
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One step of a solver.
+    """Result of one step of a solver.
 
     Attributes:
-        status: how it ended.
-        iterations: linear solves.
-        residual: norm of unbalanced over balanced forces at the end.
-        wrench: force, then torque about the tool's deepest point, on the tool, N and N m; only meaningful when
+        status: how the step ended.
+        iterations: number of linear solves.
+        residual: relative residual at the end, norm of the unbalanced forces over norm of the balanced forces.
+        wrench: force, then torque about the tool's deepest point, on the tool, N and N m, shape (6,); valid only if
             converged.
-        stiffness_matrix: the tissue's own, without the mass: minus the derivative of the wrench with (position,
-            rotation vector), 6 x 6, where it is asked for; else None.
-        violation: the largest of a contact condition (penetration, or slip of what must not slip), m.
-        slipping: how many points of the surface slip against friction.
-        dissipated: by the drag of a step that crept, J.
-        step_stiffness_matrix: the same within an inertial step, which its mass resists; None: no other.
-        force_error: estimate of how far the force may be off, N; None: the solver has none.
-        stiffness_age: time between the oldest state from which a part of `stiffness_matrix` was computed and this one,
-            s; 0 if all of it belongs to this state.
+        stiffness_matrix: static stiffness of the tissue, without its mass: minus the derivative of the wrench with
+            respect to (position, rotation vector), 6 x 6, N/m, N, N m; None if it was not requested.
+        violation: largest violation of a contact condition (penetration, or slip of points that must stick), m.
+        slipping: number of surface points that slip against friction.
+        dissipated: energy dissipated by the artificial viscous damping of `Solver.creep`, J.
+        step_stiffness_matrix: the same derivative within an inertial step, which includes the inertia of the tissue;
+            None: no other than `stiffness_matrix`.
+        force_error: estimated error of the force, N; None if the solver has no estimate.
+        stiffness_age: time between the oldest state from which a part of `stiffness_matrix` was computed and this
+            state, s; 0 if the whole matrix belongs to this state.
     """
 
     status: StepStatus
@@ -97,33 +108,33 @@ class Step:
     @classmethod
     def axial(cls, status: StepStatus, iterations: int, residual: float, force: float, violation: float = 0.0,
               slipping: int = 0, stiffness: float | None = None) -> Step:
-        """Of a solver that knows the motion along z only: force, N, and stiffness, N/m."""
+        """Make the result of a solver of axial motion only: force along z, N, and axial stiffness, N/m."""
         return cls(status, iterations, residual, axial_wrench(force),
                    None if stiffness is None else axial_stiffness(stiffness), violation, slipping)
 
     @property
     def force(self) -> float:
-        """On the tool along z, N, positive when the tissue pushes back."""
+        """Force on the tool along z, N, positive if the tissue pushes the tool out."""
         return self.wrench[2]
 
     @property
     def found_own_stiffness(self) -> bool:
-        """Whether this is an inertial step that was looked at without its mass, too."""
+        """Whether this is an inertial step for which the static stiffness was computed as well."""
         return self.step_stiffness_matrix is not None and self.stiffness_matrix is not None
 
     @property
     def stiffness(self) -> float:
-        """How the force along z grows with depth, N/m; 0 where nobody asked."""
+        """Derivative of the force along z with respect to depth, N/m; 0 if the stiffness was not requested."""
         return 0.0 if self.stiffness_matrix is None else self.stiffness_matrix[2][2]
 
 
 @dataclass(frozen=True, slots=True)
-class Rung:
-    """One of a ladder of resolutions for real time.
+class ResolutionLevel:
+    """One resolution of a series of meshes for real time.
 
     Attributes:
-        resolution: its name.
-        force_error: largest known error of the force, over the force.
+        resolution: name of the resolution.
+        force_error: largest known relative error of the force, 1.
     """
 
     resolution: str
@@ -131,44 +142,44 @@ class Rung:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
-    """What tells how far the force of a resolution errs.
+class ErrorEstimate:
+    """Rule that estimates the error of the force of a resolution from a second solution.
 
     Attributes:
-        resolution: another one.
-        share: of the difference between the two, this one with twice as many samples, that is the error of this one.
+        resolution: name of the resolution of the second solution.
+        fraction: error over the difference between the two solutions, where this one has twice as many samples.
     """
 
     resolution: str
-    share: float
+    fraction: float
 
 
 class Fields(Protocol):
-    """Fields of the samples of a simulation, computed when asked for."""
+    """Fields at the samples of a simulation, computed on request."""
 
     @property
     def mesh(self) -> Any:
-        """Undeformed, in the solver's own terms."""
+        """Undeformed mesh, of a type of the solver."""
 
     @property
     def material(self) -> Material:
-        """What the tissue is made of."""
+        """Material of the tissue."""
 
     @property
     def names(self) -> Collection[str]:
-        """Of the fields that are known; see `tissue_sim.fem.fields.FIELD_UNITS`."""
+        """Names of the available fields; see `tissue_sim.fem.fields.FIELD_UNITS`."""
 
     def displacement(self, sample: int = -1) -> np.ndarray:
-        """Of the nodes, m, shape (nodes, as many as a node has coordinates)."""
+        """Displacement of the nodes, m, shape (nodes, coordinates of a node)."""
 
     def at_points(self, name: str, sample: int = -1) -> np.ndarray:
-        """A field at the quadrature points, shape (elements, q)."""
+        """Field at the quadrature points, shape (elements, q)."""
 
     def at_nodes(self, name: str, sample: int = -1) -> np.ndarray:
-        """A field at the nodes, shape (nodes,)."""
+        """Field at the nodes, shape (nodes,)."""
 
     def stretch_range(self, sample: int = -1) -> tuple[float, float]:
-        """Smallest and largest principal stretch in the tissue, but for a hundredth of its volume at either end."""
+        """Smallest and largest principal stretch in the tissue; 1 % of the volume is left out at each end."""
 
 
 @runtime_checkable
@@ -176,218 +187,259 @@ class SharedFields(Fields, Protocol):
     """Fields that a loop publishes for viewers in other processes."""
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """What differs from sample to sample; all else is sent once."""
+        """Arrays that change from sample to sample; the other data are sent once."""
 
     def with_arrays(self, arrays: Sequence[np.ndarray]) -> SharedFields:
-        """The fields of another sample."""
+        """Return the fields of another sample."""
 
     def of_the_material(self) -> dict[str, Any]:
-        """What another material of the same make changes beside the arrays."""
+        """Return the data, besides the arrays, that change with the parameters of the material."""
 
     def with_material(self, changed: Mapping[str, Any]) -> SharedFields:
-        """The fields with what `of_the_material` of another material gave."""
+        """Return the fields with the data of `of_the_material` of another material."""
 
 
 class Surface(Protocol):
-    """The deformed surface of the tissue, in the frame of the scene."""
+    """Deformed surface of the tissue in the frame of the scene."""
 
     @property
     def outline(self) -> np.ndarray | None:
-        """(r, z) of an axisymmetric specimen, m, shape (n, 2); None of another one."""
+        """Outline (r, z) of an axisymmetric specimen, m, shape (n, 2); None for other specimens."""
 
     def triangles(self, segments: int = 48) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices, m, shape (v, 3), and triangles, shape (t, 3), their normals out of the tissue; `segments` around
-        the axis where there is one."""
+        """Return a triangulation of the surface.
+
+        Args:
+            segments: number of segments around the axis of an axisymmetric specimen.
+
+        Returns:
+            Vertices, m, shape (v, 3), and triangles, shape (t, 3), with normals that point out of the tissue.
+        """
 
 
 class Derivatives(Protocol):
-    """Rates of the wrench's force along z with parameters of the material, carried along with a solver's steps.
+    """Derivatives of the force along z with respect to material parameters, updated by each step of a solver.
 
     Attributes:
-        force: dF/dtheta at the last committed step, N per unit, shape (parameters,).
+        force: dF/dtheta at the last committed step, N per unit of the parameter, shape (parameters,).
     """
 
     force: np.ndarray
 
     def pop_changed(self) -> bool:
-        """Whether since the last call the contact changed, so that the force has a kink in the parameters."""
+        """Whether the contact changed since the last call, so that the force has a kink as a function of parameters."""
 
 
 @runtime_checkable
 class SpatialDerivatives(Derivatives, Protocol):
-    """Those of a solver that knows the force in space.
+    """Derivatives of a solver that computes the force vector.
 
     Attributes:
-        vector: of the force on the tool in the frame of the scene, N per unit, shape (parameters, 3).
+        vector: derivatives of the force on the tool in the frame of the scene, N per unit of the parameter, shape
+            (parameters, 3).
     """
 
     vector: np.ndarray
 
 
-#: For each parameter the material with a little more and with a little less of it, and the difference.
+#: For each parameter: material with the parameter increased, material with it decreased, and the difference.
 Neighbours = Sequence[tuple[Material, Material, float]]
 
 
 class Solver(FreeTool, ABC):
-    """A stateful solver of one boundary-value problem.
+    """Solver of one boundary-value problem; it holds the state of the tissue.
 
     Attributes:
-        mesh: undeformed, in the solver's own terms; None where it has none.
-        datum: height of the tool's deepest point where it first touches, in the frame of the mesh, m.
+        mesh: undeformed mesh, of a type of the solver; None if it has none.
+        datum: height of the tool's deepest point at its first touch, in the frame of the mesh, m.
     """
+
+    doubts = OldName("warnings")
+    follow = OldName("project_pose")
+    takes = OldName("accepts_pose")
+    realtime_rungs = OldName("realtime_levels")
+    comparison = OldName("error_estimate")
 
     mesh: Any = None
     datum: float = 0.0
-    #: Highest order of extrapolation that `step` knows.
+    #: Highest order of extrapolation that `step` implements.
     highest_order: ClassVar[int] = 2
+
+    def __init_subclass__(cls, **options: Any):
+        super().__init_subclass__(**options)
+        adopt_old_names(cls, _OLD_MEMBERS)
 
     @property
     @abstractmethod
     def pose(self) -> Pose:
-        """Of the tool at the last committed state."""
+        """Pose of the tool at the last committed state."""
 
     @property
     def unchanged(self) -> int:
-        """Equilibria since what touches, sticks or slips last changed; a predictor of higher order than that would lead
-        astray."""
+        """Number of equilibria since the set of touching, sticking or slipping points last changed.
+
+        A predictor of higher order than this number would extrapolate across the change.
+        """
         return self.highest_order
 
-    def follow(self, pose: Pose) -> Pose:
-        """What this solver takes of a pose: an axisymmetric one the depth only."""
+    def project_pose(self, pose: Pose) -> Pose:
+        """Return the part of a pose that this solver uses; an axisymmetric solver uses the depth only."""
         return pose
 
-    def takes(self, pose: Pose) -> bool:
-        """Whether the tool may be there; a step to anywhere else is `StepStatus.OUTSIDE`."""
+    def accepts_pose(self, pose: Pose) -> bool:
+        """Whether the solver can compute at a pose; a step to another pose ends with `StepStatus.OUTSIDE`."""
         return True
 
     @abstractmethod
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
              own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
-        """Move the tool to a pose and find equilibrium; commits the state only when it converges.
+        """Move the tool to a pose and solve for equilibrium; the state is committed only if the step converges.
 
         Args:
-            pose: as `follow` returns it.
-            dt: time since the step before, s; it matters where the material relaxes, and with inertia.
-            tolerance: unbalanced over balanced forces.
-            max_iterations: linear solves before giving up.
+            pose: result of `project_pose`.
+            dt: time since the last step, s; used by materials that relax, and by inertia.
+            tolerance: largest relative residual, 1.
+            max_iterations: largest number of linear solves.
             predictor_order: highest order of extrapolation from earlier steps (0: none).
-            inertial: whether the mass of the tissue counts; `follow_motion` must have been called, and dt be positive.
-            resumes: go on from where the step before, which did not converge, ended; dt counts from the last one that
-                did.
-            own_stiffness: whether an inertial step also answers the stiffness of the tissue without its mass; see
-                `OwnStiffness`.
+            inertial: whether the mass of the tissue acts; requires `follow_motion` before, and dt > 0.
+            resumes: continue Newton's iteration of the last step, which did not converge; dt counts from the last
+                converged step.
+            own_stiffness: whether an inertial step also computes the static stiffness; see `OwnStiffness`.
         """
 
     def creep(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
               allowed: Callable[[], int] | None = None) -> Generator[Step]:
-        """Steps to a pose that `step` does not reach, against a drag that is let go: where equilibrium is lost the
-        tissue snaps to another one. The last one has converged without drag; if it has not, the state is as it was.
-        Closed on the way, too. A solver that cannot creep yields none.
+        """Find the equilibrium at a pose that `step` does not reach, with artificial viscous damping.
+
+        Where an equilibrium is lost the tissue snaps through to another one. The damping is reduced to zero on the
+        way, so that the last step has converged without damping; if it has not, the state is restored, also if the
+        generator is closed early. A solver without this method yields nothing.
 
         Args:
-            pose, dt, tolerance: as of `step`.
-            max_iterations: linear solves of a step before it is given up.
-            allowed: asked how many linear solves there may be until something is yielded, at least one; a step that
-                ends so yields itself as slow and goes on. None: as many as it takes.
+            pose, dt, tolerance: as in `step`.
+            max_iterations: largest number of linear solves of one step.
+            allowed: returns the number of linear solves, at least one, that may be used until the next yield; a step
+                that uses them up is yielded as SLOW and continues afterwards. None: no limit.
+
+        Yields:
+            Each step.
         """
         return
         yield
 
     @classmethod
-    def realtime_rungs(cls, model: Model) -> Sequence[Rung]:
-        """Resolutions of a model for real time, the finest first, of which `Simulator` takes what the computer can do;
-        empty of a solver that has none to choose from."""
+    def realtime_levels(cls, model: Model) -> Sequence[ResolutionLevel]:
+        """Resolutions of a model for real time, the finest first; `Simulator` takes the finest that the computer can
+        step in time. Empty if the solver has only one."""
         return ()
 
     @classmethod
-    def comparison(cls, resolution: str) -> Comparison | None:
-        """With which resolution a test is compared to tell its error; None of a solver, or a mesh, that knows none."""
+    def error_estimate(cls, resolution: str) -> ErrorEstimate | None:
+        """Rule that estimates the error of the force of a resolution; None if the solver has none."""
         return None
 
     @abstractmethod
     def save(self) -> Any:
-        """All that a committed step leaves behind, for `restore`: a frozen dataclass."""
+        """Return the committed state for `restore`: a frozen dataclass."""
 
     @abstractmethod
     def restore(self, saved: Any) -> None:
-        """Go back to where `save` was called, in this solver or in one of the same model and mesh."""
+        """Restore a state of `save` of this solver, or of a solver of the same model and mesh."""
 
     @abstractmethod
     def set_material(self, material: Material) -> None:
         """Change parameters, bulk response or law; the state is kept.
 
         Raises:
-            InputError: a material that the solver cannot take; nothing is changed.
+            InputError: the solver does not support the material; nothing is changed.
         """
 
     @abstractmethod
     def lift_off(self) -> None:
-        """Take the tool away at once: the tissue is where it was before the touch, but remembers what it went
-        through. For a tool that is out of the tissue when no way there was found."""
+        """Remove the tool at once: the tissue returns to its state before the first touch, with its material history.
+
+        Used for a tool outside of the tissue if no path of equilibria was found.
+        """
 
     @abstractmethod
     def ask_for_stiffness(self) -> None:
-        """Let every step answer its stiffness matrix from now on."""
+        """Let every step compute its stiffness matrix from now on."""
 
     def follow_motion(self, density: float) -> bool:
-        """Let the tissue have a mass (kg/m3) from now on, for steps that are inertial; whether the solver knows of
-        mass."""
+        """Give the tissue a mass, for inertial steps.
+
+        Args:
+            density: kg/m3.
+
+        Returns:
+            Whether the solver supports inertia.
+        """
         return False
 
     def ahead(self, dt: float) -> NextForce | None:
-        """What a next step of dt (s) would answer, just after an inertial one that converged; None where the solver
-        does not know: then a virtual coupling is not stable on tissue that is heavy."""
+        """Predict the force of the next step, directly after an inertial step that converged.
+
+        Args:
+            dt: length of the next step, s.
+
+        Returns:
+            None if the solver cannot predict the force; a virtual coupling is then unstable on heavy tissue.
+        """
         return None
 
     def differentiate(self, neighbours: Neighbours) -> Derivatives | None:
-        """Carry exact derivatives along from now on, before the first step; None where the solver has none."""
+        """Compute exact derivatives from now on, to be called before the first step; None if the solver has none."""
         return None
 
     @abstractmethod
     def sample(self) -> Any:
-        """What `fields` needs of the last committed state."""
+        """Return the data of the last committed state that `fields` needs."""
 
     @abstractmethod
     def fields(self, samples: Sequence[Any]) -> Fields | None:
-        """Fields of states that `sample` gave; None of a solver that has none."""
+        """Return fields of states, given by `sample`; None if the solver has no fields."""
 
     @abstractmethod
     def surface(self) -> Surface:
-        """The surface at the last committed state."""
+        """Return the surface at the last committed state."""
 
-    def doubts(self) -> Sequence[str]:
-        """Why the force at the last committed state may be wrong, though it is an equilibrium: sentences, mostly
+    def warnings(self) -> Sequence[str]:
+        """Reasons why the force at the last committed state, though an equilibrium, may be wrong: sentences; usually
         none."""
         return ()
 
     @abstractmethod
     def report(self) -> dict[str, Any]:
-        """What a recording's metadata say of the solver: ``element``, ``mesh``; with contact ``penetration_mm`` and
-        ``penetration_tolerance_mm``, with friction ``slipping_points``, which grow with the steps; of a specimen that
-        weighs ``self_weight`` {sag_mm, moulded_height_mm}."""
+        """Return the metadata of the solver for a recording.
 
-
-class SolverMaker(Protocol):
-    """What stands in `SOLVERS`: a class or a function."""
-
-    def __call__(self, model: Model, *, resolution: str, mesh: Any = None, topology: Model | None = None) -> Solver:
-        """The solver of a model, its tool where it first touches the specimen.
-
-        Args:
-            model: experiment and material; the rig is not its business.
-            resolution: one of the solver's own names, ``"fast"``, ``"accurate"`` and ``"realtime"`` among them.
-            mesh: of the solver's own kind, instead.
-            topology: a model whose mesh is taken, or of which `mesh` is one, and moved to the geometry of this one;
-                None: this one's own.
-
-        Raises:
-            InputError: an unknown resolution, or a model that the solver cannot take.
-            ConvergenceError: the specimen does not stand under its own weight.
-            MissingBackendError: Taichi is not there.
+        Keys: ``element``, ``mesh``; with contact ``penetration_mm`` and ``penetration_tolerance_mm``; with friction
+        ``slipping_points``; for a specimen under its weight ``self_weight`` {sag_mm, moulded_height_mm}. Penetration
+        and slipping points are maxima over the steps.
         """
 
 
+class SolverMaker(Protocol):
+    """Entry of `SOLVERS`: a class or a function that makes a solver."""
+
+    def __call__(self, model: Model, *, resolution: str, mesh: Any = None, topology: Model | None = None) -> Solver:
+        """Return the solver of a model, its tool at the first touch of the specimen.
+
+        Args:
+            model: experiment and material; the rig is not used.
+            resolution: name of a resolution of the solver, among them ``"fast"``, ``"accurate"`` and ``"realtime"``.
+            mesh: mesh to use instead, of the solver's type.
+            topology: model whose mesh (or `mesh`, which belongs to it) is moved to the geometry of `model`; None: the
+                mesh of `model`.
+
+        Raises:
+            InputError: an unknown resolution, or a model that the solver does not support.
+            ConvergenceError: the specimen has no equilibrium under its own weight.
+            MissingBackendError: Taichi is not installed.
+        """
+
+
+#: Name -> class or function that makes a solver.
 SOLVERS: Registry[SolverMaker] = Registry(
     "solver", "tissue_sim.solvers", {"axisymmetric": "tissue_sim.fem.axisymmetric.discretisation:make_solver",
                                    "solid": "tissue_sim.fem.solid.discretisation:make_solver",

@@ -1,7 +1,7 @@
-"""Strain-energy laws: one formula each, everything else derived.
+"""Strain-energy laws: each states one energy formula, from which stresses, moduli and kernels are derived.
 
-Adding a law: write its class in a file beside these and add one line to `LAWS` (see CONTRIBUTING.md); a package adds
-one by an entry point of the group ``tissue_sim.laws``, a program by `register`.
+To add a law, write its class in a file of this folder and add one line to `LAWS` (see CONTRIBUTING.md). A package adds
+a law by an entry point of the group ``tissue_sim.laws``, a program by `register`.
 """
 
 from tissue_sim.laws.biderman import Biderman
@@ -24,19 +24,19 @@ LAWS: Registry[Law] = Registry("law", "tissue_sim.laws", {law.name: law for law 
 
 
 def register(law: Law) -> Law:
-    """Add a law, so that files and campaigns can name it; returns it.
+    """Register a law, so that files and campaigns can name it, and return it.
 
     Raises:
-        InputError: its name is that of another law.
+        InputError: another law has the same name.
     """
     return LAWS.register(law)
 
 
 def find_law(name: str) -> Law:
-    """The law of that name.
+    """Return the law with a name.
 
     Raises:
-        InputError: no such law; names the nearest.
+        InputError: no law has the name; the message names the nearest.
     """
     return LAWS.find(name, "law")
 

@@ -1,4 +1,4 @@
-"""Biderman: both invariants, the first to third order (Biderman 1958)."""
+"""Biderman's law: polynomial of third order in the first invariant, linear in the second (Biderman 1958)."""
 
 from tissue_sim.laws.law import InvariantLaw
 
@@ -6,7 +6,7 @@ from tissue_sim.laws.law import InvariantLaw
 class Biderman(InvariantLaw):
     """W = C10 (I1 - 3) + C01 (I2 - 3) + C20 (I1 - 3)^2 + C30 (I1 - 3)^3.
 
-    Neo-Hooke, Mooney-Rivlin, Isihara and the reduced polynomials to N = 3 are this law with some of its numbers 0.
+    Neo-Hooke, Mooney-Rivlin, Isihara and the reduced polynomials to N = 3 are special cases with some coefficients 0.
 
     Source: V. L. Biderman, Calculation of rubber parts, in: Rascheti na prochnost, Moscow (1958) 40.
     """

@@ -1,7 +1,7 @@
-"""What sympy derives from a formula, as Python functions and as text; both are kept in the cache folder.
+"""Cache of functions and texts that sympy derives from a formula.
 
-Importing sympy and deriving what one simulation needs takes longer than the simulation. Only formulas of this package
-are kept: what one from elsewhere follows from is not known here.
+Importing sympy and deriving the functions of one simulation takes longer than the simulation. Only formulas of this
+package are cached, because the sources of other formulas, on which the result depends, are not known here.
 """
 
 from __future__ import annotations
@@ -21,27 +21,31 @@ from tissue_sim.atomic_write import write_text
 from tissue_sim.errors import InputError
 from tissue_sim.files import cache_folder
 
+#: Name that sympy's lambdify gives to its functions.
 _NAME = "_lambdifygenerated"
 
 
 def derived(derive: Callable[[], tuple[Any, Any] | None], *, kept_as: tuple | None, source: str | None = None,
             names: Mapping[str, Any] | None = None) -> Callable | None:
-    """A function of expressions that sympy derives, or that it has derived before.
+    """Return a function of expressions that sympy derives, from the cache if possible.
 
     Args:
-        derive: gives the arguments and the list of expressions, or None where there is no such function.
-        kept_as: what tells this function from all others that the source files derive; None: it is not kept.
-        source: the file that derives it, where that is none of this package.
-        names: its functions (exp, log, ...); numpy's unless given.
+        derive: returns the arguments and the list of expressions, or None if the function does not exist.
+        kept_as: key of the function among all that the source files derive; None: not cached.
+        source: file that contains `derive`, if it is not in this package.
+        names: name -> function (exp, log, ...) for the expressions; None: those of numpy.
+
+    Returns:
+        The function; None if `derive` returns None.
     """
     namespace = dict(vars(np) if names is None else names)
-    path = _place(kept_as, source)
+    path = _cache_path(kept_as, source)
     if path is not None:
         try:
             exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), namespace)
             return namespace[_NAME]
         except (OSError, ValueError, SyntaxError, KeyError):
-            pass  # not there yet, or damaged
+            pass  # not cached yet, or damaged
     formula = derive()
     if formula is None:
         return None
@@ -53,8 +57,8 @@ def derived(derive: Callable[[], tuple[Any, Any] | None], *, kept_as: tuple | No
 
 
 def printed(write: Callable[[], str], *, kept_as: tuple | None) -> str:
-    """What sympy makes of a formula as text, or has made of it before; see `derived`."""
-    path = _place(kept_as)
+    """Return a text that sympy prints, from the cache if possible; `kept_as` as in `derived`."""
+    path = _cache_path(kept_as)
     if path is not None:
         with suppress(OSError, ValueError):
             if text := path.read_text(encoding="utf-8"):
@@ -64,8 +68,8 @@ def printed(write: Callable[[], str], *, kept_as: tuple | None) -> str:
     return text
 
 
-def _place(kept_as: tuple | None, source: str | None = None) -> Path | None:
-    """The file of what is kept."""
+def _cache_path(kept_as: tuple | None, source: str | None = None) -> Path | None:
+    """Path of a cached function or text; None if it is not cached."""
     if kept_as is None:
         return None
     files = (*sorted(Path(__file__).parent.glob("*.py")), *([] if source is None else [Path(source)]))
@@ -75,14 +79,14 @@ def _place(kept_as: tuple | None, source: str | None = None) -> Path | None:
 
 def _keep(path: Path | None, text: str) -> None:
     if path is not None:
-        # A folder that cannot be written to costs time alone.
+        # Without a writable cache the derivation is only repeated.
         with suppress(InputError):
             write_text(path, text)
 
 
 @cache
 def _state_of(files: tuple[Path, ...]) -> str:
-    """What the source files and the version of sympy were."""
+    """Digest of the source files and the version of sympy."""
     try:
         release = version("sympy")
     except PackageNotFoundError:

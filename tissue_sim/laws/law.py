@@ -1,8 +1,8 @@
-"""What a strain-energy law is, and everything that follows from its one formula.
+"""Strain-energy laws: base classes, and everything that is derived from the energy.
 
-A law states its energy once, as a Python expression that works on symbols. Differentiation is symbolic (sympy), so
-the closed forms, the parameter derivatives, the moduli, the stability check, the printed formula and the functions
-that the finite elements compile are all the same formula.
+A law states its energy once, as a Python expression that works on symbols. Sympy differentiates it, so that the closed
+forms, the derivatives with respect to parameters, the moduli, the stability check, the printed formula and the compiled
+functions of the finite elements all belong to the same formula.
 """
 
 from __future__ import annotations
@@ -16,25 +16,27 @@ import numpy as np
 
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.laws.derivation import derived, printed
-from tissue_sim.public_names import ModuleOnUse
+from tissue_sim.public_names import LazyModule
 
 if TYPE_CHECKING:
     import sympy as sp
 else:
-    sp = ModuleOnUse("sympy")
+    sp = LazyModule("sympy")
 
-#: Homogeneous incompressible deformations: mode -> (principal stretches of lambda, work-conjugate factor of P).
+#: Homogeneous incompressible deformations: mode -> (principal stretches as a function of the stretch, number of loaded
+#: directions, by which dW/dlambda is divided for the nominal stress).
 _MODES = {
     "uniaxial": (lambda s: (s, 1 / sp.sqrt(s), 1 / sp.sqrt(s)), 1),
     "planar": (lambda s: (s, sp.Integer(1), 1 / s), 1),
     "equibiaxial": (lambda s: (s, s, 1 / s**2), 2),
 }
+#: Names of the modes.
 MODES = tuple(_MODES)
 
 
 @dataclass(frozen=True)
 class KernelEnergy:
-    """The formula in the shape that a finite-element kernel is compiled for.
+    """Symbolic energy from which the kernels of the finite elements are compiled.
 
     Laws with the same `key` share one compiled kernel and differ in their coefficients only.
 
@@ -54,20 +56,20 @@ class KernelEnergy:
 
     @property
     def count(self) -> int:
-        """How many coefficients there are."""
+        """Number of coefficients."""
         return len(self.coefficients)
 
     @property
     def kept_as(self) -> tuple | None:
-        """What tells functions derived from it from others, see `derived`; None where this package does not know."""
+        """Key of derived functions in the cache, see `derived`; None: not cached."""
         return None
 
 
 class Law:
-    """A strain energy W in Pa of an incompressible or, with the isochoric part, nearly incompressible solid.
+    """Strain-energy density W, Pa, of an incompressible solid, or the isochoric part of a nearly incompressible one.
 
-    A subclass states `name`, `title`, `units` (parameter -> unit) and its energy; see `InvariantLaw` and `StretchLaw`.
-    Parameters travel as a mapping name -> value in SI or as an array in the order of `parameters`.
+    A subclass defines `name`, `title`, `units` (parameter -> unit) and its energy; see `InvariantLaw` and `StretchLaw`.
+    Parameters are a mapping name -> value in SI, or an array in the order of `parameters`.
     """
 
     name: str
@@ -76,40 +78,42 @@ class Law:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Names of the parameters, in order."""
+        """Names of the parameters in order."""
         return tuple(self.units)
 
     @cached_property
     def symbols(self) -> tuple[sp.Symbol, ...]:
+        """Symbols of the parameters in order."""
         return tuple(sp.Symbol(name, real=True) for name in self.parameters)
 
     def energy_of_stretches(self, l1, l2, l3, parameters) -> sp.Expr:
-        """W at three principal stretches with l1 l2 l3 = 1 (symbols or numbers)."""
+        """W at three principal stretches with l1 l2 l3 = 1; arguments are symbols or numbers."""
         raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
 
     @property
     def kept_as(self) -> tuple | None:
-        """What tells functions derived from it from others, see `derived`; None for a law from elsewhere."""
+        """Key of derived functions in the cache, see `derived`; None for a law of another package."""
         kind = type(self)
         return (kind.__name__, self.name) if kind.__module__.startswith("tissue_sim.laws.") else None
 
     def derived(self, what: str, derive):
-        """A function that `derive` gives arguments and expressions of, see `derived`."""
+        """Return the function of the arguments and expressions that `derive` returns; see `derived`."""
         return derived(derive, kept_as=None if self.kept_as is None else (*self.kept_as, what))
 
     @property
     def kernel_energy(self) -> KernelEnergy:
+        """Symbolic energy for kernels."""
         raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
 
     def kernel_coefficients(self, values) -> np.ndarray:
-        """Coefficients of `kernel_energy` at these parameters; shape (number of coefficients,)."""
+        """Coefficients of `kernel_energy` for parameters, shape (number of coefficients,)."""
         return self.as_array(values)
 
     def as_array(self, values) -> np.ndarray:
-        """Values in the order of `parameters`, SI, shape (m,).
+        """Convert parameters to an array in the order of `parameters`, SI, shape (m,).
 
         Raises:
-            InputError: a name missing or unknown, or a value that is not finite.
+            InputError: a missing or unknown name, or a value that is not finite.
         """
         if isinstance(values, Mapping):
             for name in values:
@@ -131,44 +135,46 @@ class Law:
         return array
 
     def at_limit(self, values) -> list[str]:
-        """Sentences on parameters at a limit of the law, where its formula has another form; none by default."""
+        """Sentences on parameters at a limit of the law, where the formula takes another form; none by default."""
         return []
 
     def as_mapping(self, values) -> dict[str, float]:
-        """Name -> value as given, also where `as_array` replaces a value at a limit of the formula."""
+        """Convert parameters to name -> value, without the replacements of `as_array` at a limit of the formula."""
         return {name: float(value) for name, value in zip(self.parameters, Law.as_array(self, values), strict=True)}
 
     def _evaluate(self, mode, stretch, values) -> list[np.ndarray]:
+        """Nominal stress, slope and parameter derivatives, each with the shape of `stretch`."""
         stretch = np.asarray(stretch, dtype=float)
         results = _along(self, mode)(stretch, *self.as_array(values))
         return [np.broadcast_to(np.asarray(item, dtype=float), stretch.shape) for item in results]
 
     def nominal_stress(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
-        """First Piola stress of an incompressible solid, Pa, negative in compression.
+        """First Piola-Kirchhoff stress of an incompressible solid, Pa, negative in compression.
 
         Args:
             stretch: any shape; the shear strain gamma for ``mode="simple_shear"``.
-            values: parameters.
-            mode: ``uniaxial`` (equations 4 to 7 of the study), ``planar``, ``equibiaxial`` or ``simple_shear``.
+            values: parameters, SI.
+            mode: ``uniaxial`` (equations 4 to 7 of the reference study), ``planar``, ``equibiaxial``, ``simple_shear``.
 
         Source: P = dW/dlambda along the mode (Holzapfel, Nonlinear Solid Mechanics, 2000, section 6.5).
         """
         return np.array(self._evaluate(mode, stretch, values)[0])
 
     def nominal_stress_slope(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
-        """d(nominal stress)/d(stretch), Pa."""
+        """d(nominal stress)/d(stretch), Pa, shape of `stretch`; arguments as in `nominal_stress`."""
         return np.array(self._evaluate(mode, stretch, values)[1])
 
     def nominal_stress_derivatives(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
-        """d(nominal stress)/d(parameter); shape (*stretch.shape, m)."""
+        """d(nominal stress)/d(parameter), shape (*stretch.shape, m); arguments as in `nominal_stress`."""
         return np.stack(self._evaluate(mode, stretch, values)[2:], axis=-1)
 
     def principal_response(self, stretches, values) -> tuple[np.ndarray, np.ndarray]:
-        """Energy and Kirchhoff stresses of the isochoric part at three principal stretches.
+        """Energy density and deviatoric Kirchhoff stresses tau_i = l_i dW/dl_i of the isochoric part.
 
         Args:
-            stretches: shape (..., 3), with product J > 0; the law sees stretches / J^(1/3).
-            values: parameters.
+            stretches: principal stretches, shape (..., 3), with product J > 0; the energy is that of
+                stretches / J^(1/3).
+            values: parameters, SI.
 
         Returns:
             W in J/m3, shape (...), and the deviatoric principal Kirchhoff stresses in Pa, shape (..., 3).
@@ -182,28 +188,28 @@ class Law:
         return np.broadcast_to(energy, bar.shape[:-1]).copy(), tau - tau.mean(axis=-1, keepdims=True)
 
     def mu0(self, values) -> float:
-        """Initial shear modulus, Pa: the slope of simple shear at rest."""
+        """Initial shear modulus, Pa: slope of the shear stress at rest."""
         return float(self.nominal_stress_slope(0.0, values, "simple_shear"))
 
     def E0(self, values) -> float:
-        """Initial Young's modulus of the incompressible solid, Pa: E0 = 3 mu0."""
+        """Initial Young's modulus of the incompressible solid, Pa; E0 = 3 mu0."""
         return float(self.nominal_stress_slope(1.0, values))
 
     def formula(self) -> str:
-        """The energy as one line of text."""
+        """Energy as one line of text."""
         return "W = " + self._printed("sstr").replace("**", "^")
 
     def latex(self) -> str:
-        """The energy as LaTeX, for reports."""
+        """Energy as LaTeX, for reports."""
         return "W = " + self._printed("latex")
 
     def _printed(self, by: str) -> str:
-        """The formula by a printer of sympy."""
+        """Formula from a printer function of sympy, given by its name."""
         return printed(lambda: self._in_order(getattr(sp, by)),
                        kept_as=None if self.kept_as is None else (*self.kept_as, by))
 
     def _in_order(self, write) -> str:
-        """The formula with its terms in the order of the parameters, where sympy has an order of its own."""
+        """Formula with its terms in the order of the parameters; sympy would sort them otherwise."""
         def first_parameter(term):
             return min((i for i, p in enumerate(self.symbols) if term.has(p)), default=len(self.symbols))
 
@@ -211,12 +217,13 @@ class Law:
         return " + ".join(write(term) for term in terms).replace("+ -", "- ")
 
     def formula_expression(self) -> sp.Expr:
+        """Symbolic energy that is printed."""
         raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
 
 
 @lru_cache
 def _along(law: Law, mode: str):
-    """Compiled nominal stress, its slope and its parameter derivatives along a homogeneous deformation."""
+    """Compiled nominal stress, its slope and its parameter derivatives along a mode."""
     return law.derived(mode, lambda: _stress_along(law, mode))
 
 
@@ -225,19 +232,19 @@ def _stress_along(law: Law, mode: str):
         # Principal stretches of simple shear gamma: l and 1/l with l - 1/l = gamma.
         s = sp.Symbol("gamma", real=True)
         l1 = s / 2 + sp.sqrt(1 + s**2 / 4)
-        stretches, share = (l1, 1 / l1, sp.Integer(1)), 1
+        stretches, directions = (l1, 1 / l1, sp.Integer(1)), 1
     else:
         s = sp.Symbol("lambda", positive=True)
-        path, share = _MODES[mode]
+        path, directions = _MODES[mode]
         stretches = path(s)
-    stress = sp.diff(law.energy_of_stretches(*stretches, law.symbols), s) / share
+    stress = sp.diff(law.energy_of_stretches(*stretches, law.symbols), s) / directions
     derivatives = [sp.diff(stress, variable) for variable in (s, *law.symbols)]
     return (s, *law.symbols), [stress, *derivatives]
 
 
 @lru_cache
 def _principal(law: Law):
-    """Compiled energy and its derivatives with respect to the logarithms of three stretches."""
+    """Compiled energy and its derivatives with respect to the logarithms of the three stretches."""
     return law.derived("principal", lambda: _principal_slopes(law))
 
 
@@ -249,13 +256,14 @@ def _principal_slopes(law: Law):
 
 
 class InvariantLaw(Law):
-    """A law that states `energy(I1, I2, *parameters)` of the isochoric invariants.
+    """Law of the isochoric invariants: a subclass defines `energy(I1, I2, *parameters)`.
 
-    Laws that are polynomials of (I1 - 3, I2 - 3) up to degree three share one compiled kernel; any other smooth
-    formula compiles one of its own on first use.
+    I1 = l1^2 + l2^2 + l3^2 and I2 = l1^-2 + l2^-2 + l3^-2. Polynomials of (I1 - 3, I2 - 3) up to degree three share
+    one compiled kernel; the kernel of any other smooth formula is compiled on first use.
     """
 
     def energy(self, I1, I2, *parameters):
+        """W as an expression of the invariants and the parameters."""
         raise TypeError(f"{type(self).__name__} must state energy(I1, I2, *parameters)")
 
     def energy_of_stretches(self, l1, l2, l3, parameters) -> sp.Expr:
@@ -267,7 +275,7 @@ class InvariantLaw(Law):
         return sp.sympify(self.energy(*_invariants(), *self.symbols))
 
     def _polynomial(self):
-        """Parameters, and coefficients of (I1-3)^i (I2-3)^j as expressions of them; None where that does not exist."""
+        """Symbols, and coefficients of (I1-3)^i (I2-3)^j as expressions of them; None for another formula."""
         x, y = sp.symbols("x y", real=True)
         try:
             polynomial = sp.Poly(sp.sympify(self.energy(x + 3, y + 3, *self.symbols)), x, y)
@@ -295,16 +303,17 @@ class InvariantLaw(Law):
 
 
 class StretchLaw(Law):
-    """A separable law that states `energy_of_stretch(stretch, *parameters)`; W is its sum over the three stretches."""
+    """Separable law W = w(l1) + w(l2) + w(l3): a subclass defines `energy_of_stretch(stretch, *parameters)`."""
 
     def energy_of_stretch(self, stretch, *parameters):
+        """w as an expression of one stretch and the parameters."""
         raise TypeError(f"{type(self).__name__} must state energy_of_stretch(stretch, *parameters)")
 
     def energy_of_stretches(self, l1, l2, l3, parameters) -> sp.Expr:
         return sp.Add(*(sp.sympify(self.energy_of_stretch(s, *parameters)) for s in (l1, l2, l3)))
 
     def formula_expression(self) -> sp.Expr:
-        """Energy of one stretch."""
+        """Symbolic energy w of one stretch."""
         return sp.sympify(self.energy_of_stretch(sp.Symbol("lambda", positive=True), *self.symbols))
 
     def formula(self) -> str:
@@ -321,7 +330,7 @@ class StretchLaw(Law):
                             sp.sympify(self.energy_of_stretch(stretch, *self.symbols)))
 
 
-#: (i, j) of the monomials (I1-3)^i (I2-3)^j in the shared polynomial kernel.
+#: Exponents (i, j) of the monomials (I1-3)^i (I2-3)^j in the kernel that polynomial laws share.
 POWERS = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
 
 
@@ -330,7 +339,7 @@ def _invariants() -> tuple[sp.Symbol, ...]:
 
 
 class _Polynomial(KernelEnergy):
-    """The energy that the polynomial laws share; its symbols are made on demand, since sympy is slow to import."""
+    """Energy of the kernel that polynomial laws share; the symbols are made on demand, since sympy imports slowly."""
 
     def __init__(self):
         object.__setattr__(self, "key", "polynomial")

@@ -1,4 +1,4 @@
-"""Mooney-Rivlin: both invariants, linear (Mooney 1940, Rivlin 1948)."""
+"""Mooney-Rivlin law: linear in both invariants (Mooney 1940, Rivlin 1948)."""
 
 from tissue_sim.laws.law import InvariantLaw
 

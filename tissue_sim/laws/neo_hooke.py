@@ -1,4 +1,4 @@
-"""Neo-Hooke: one modulus (Rivlin 1948)."""
+"""Neo-Hookean law: linear in the first invariant (Rivlin 1948)."""
 
 from tissue_sim.laws.law import InvariantLaw
 

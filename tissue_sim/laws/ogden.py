@@ -1,4 +1,4 @@
-"""Ogden: powers of the stretches (Ogden 1972), in the convention of the Abaqus manual."""
+"""Ogden's law: powers of the principal stretches (Ogden 1972), in the convention of the Abaqus manual."""
 
 from functools import cached_property
 
@@ -6,12 +6,14 @@ import numpy as np
 
 from tissue_sim.laws.law import KernelEnergy, StretchLaw
 
+#: Largest number of terms.
 MAX_TERMS = 3
-#: Exponents of smaller size are evaluated at this size with their sign (+ for 0). The formula divides by alpha^2; its
-#: limit for alpha -> 0 is W = mu (ln^2 l1 + ln^2 l2 + ln^2 l3), the energy of Hencky (1928). The stress at this size
-#: differs from the limit by a share of at most 5e-5 |ln l|, and loses 4 of 16 digits to the difference of powers.
+#: Smallest absolute value of an exponent, 1; smaller ones are replaced by this value with their sign (+ for 0), because
+#: the formula divides by alpha^2. The limit for alpha -> 0 is W = mu (ln^2 l1 + ln^2 l2 + ln^2 l3), the energy of
+#: Hencky (1928). The relative difference of the stress from this limit is at most 5e-5 |ln l|; the difference of powers
+#: loses 4 of 16 digits.
 SMALLEST_EXPONENT = 1e-4
-#: Exponents of smaller size are reported as 0.
+#: Exponents of smaller absolute value are reported as 0.
 LIMIT_EXPONENT = 1e-2
 
 
@@ -30,7 +32,7 @@ class Ogden(StretchLaw):
         return sum(2 * mu / alpha**2 * (stretch**alpha - 1) for mu, alpha in pairs)
 
     def as_array(self, values) -> np.ndarray:
-        """As `Law.as_array`; exponents below `SMALLEST_EXPONENT` in size are replaced by it, see there."""
+        """Return the values as `Law.as_array`; exponents smaller than `SMALLEST_EXPONENT` are replaced by it."""
         array = np.array(super().as_array(values))
         exponents = array[1::2]
         small = np.abs(exponents) < SMALLEST_EXPONENT
@@ -38,14 +40,14 @@ class Ogden(StretchLaw):
         return array
 
     def at_limit(self, values) -> list[str]:
-        """As `Law.at_limit`: exponents that are 0 within `LIMIT_EXPONENT`."""
+        """Sentences on exponents that are 0 within `LIMIT_EXPONENT`; see `Law.at_limit`."""
         exponents = super().as_array(values)[1::2]
         return [f"alpha{i} is at its limit 0, where the term is mu{i} (ln^2 l1 + ln^2 l2 + ln^2 l3)"
                 for i, alpha in enumerate(exponents, start=1) if abs(alpha) < LIMIT_EXPONENT]
 
     @cached_property
     def kernel_energy(self) -> KernelEnergy:
-        """All orders run in the kernel of the highest one, with absent terms mu = 0."""
+        """Energy of the highest order; all orders use its kernel, with mu = 0 in absent terms."""
         own = super().kernel_energy if self.terms == MAX_TERMS else Ogden(MAX_TERMS).kernel_energy
         return KernelEnergy("ogden", own.family, own.variables, own.coefficients, own.energy)
 

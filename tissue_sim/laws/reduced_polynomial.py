@@ -1,4 +1,4 @@
-"""Reduced polynomial of the first invariant; N = 3 is Yeoh's law (Yeoh 1993)."""
+"""Reduced polynomial in the first invariant; N = 3 is Yeoh's law (Yeoh 1993)."""
 
 from tissue_sim.laws.law import InvariantLaw
 

@@ -1,4 +1,4 @@
-"""Drucker stability of an incompressible law over a stretch range."""
+"""Drucker stability of an incompressible law over a range of stretches."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ import numpy as np
 
 from tissue_sim.laws.law import MODES, Law
 
+#: Default range, stretch.
 STRETCH_RANGE = (0.3, 3.0)
 
 
 @dataclass(frozen=True)
 class Stability:
-    """Where a law stops being stable.
+    """Range of stretches in which a law is stable.
 
     Attributes:
-        limits: mode -> (lowest, highest) stable stretch, starting from 1 in either direction; a limit equal to that
-            of `stretch_range` means that no loss was found.
-        stretch_range: the range that was looked at.
+        limits: mode -> (lowest, highest) stable stretch, connected to stretch 1; a limit equal to that of
+            `stretch_range` means that the law is stable up to the end of the range.
+        stretch_range: range that was checked.
     """
 
     limits: dict[str, tuple[float, float]]
@@ -27,7 +28,7 @@ class Stability:
 
     @property
     def stable(self) -> bool:
-        """Stable in every mode over the whole range."""
+        """Whether the law is stable in every mode over the whole range."""
         return all(limit == self.stretch_range for limit in self.limits.values())
 
     @property
@@ -44,7 +45,7 @@ class Stability:
         return self.describe()
 
     def describe(self) -> str:
-        """One line for reports."""
+        """Describe the result in one line for reports."""
         low, high = self.stretch_range
         if self.stable:
             return f"stable for stretches {low:g} to {high:g} in uniaxial, planar and equibiaxial loading"
@@ -59,7 +60,7 @@ class Stability:
 
 @lru_cache
 def _hessian(law: Law):
-    """Compiled d2W/(de_i de_j) of the three logarithmic strains, taken as independent: 11, 22, 33, 12, 13, 23."""
+    """Compiled Hessian d2W/(de_i de_j) in the logarithmic strains as independent variables: 11, 22, 33, 12, 13, 23."""
     return law.derived("hessian", lambda: _second_derivatives(law))
 
 
@@ -74,14 +75,14 @@ def _second_derivatives(law: Law):
 
 
 def _is_stable(law: Law, values: np.ndarray, strains: np.ndarray) -> np.ndarray:
-    """Whether d(tau) : d(e) > 0 for every volume-preserving d(e), at logarithmic strains of shape (n, 3)."""
+    """Whether d(tau) : d(e) > 0 for every volume-preserving d(e), at logarithmic strains, shape (n, 3); shape (n,)."""
     with np.errstate(all="ignore"):
         entries = _hessian(law)(*strains.T, *values)
         h = np.empty((3, 3, len(strains)))
         for (i, k), entry in zip(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)), entries, strict=True):
             h[i, k] = h[k, i] = entry
-        # The 2 x 2 matrix that is left when strain k follows from the other two. Its determinant is the same for
-        # every k; the one with the smallest off-diagonal loses fewest digits to cancellation.
+        # The 2 x 2 matrix after elimination of strain k. Its determinant is the same for every k; the matrix with the
+        # smallest off-diagonal entry loses the fewest digits by cancellation.
         pairs = []
         for i, j, k in ((0, 1, 2), (0, 2, 1), (1, 2, 0)):
             a = h[i, i] - 2 * h[i, k] + h[k, k]
@@ -91,25 +92,26 @@ def _is_stable(law: Law, values: np.ndarray, strains: np.ndarray) -> np.ndarray:
         a, b, c = np.moveaxis(np.array(pairs), 1, 0)
         best = np.abs(b).argmin(axis=0), np.arange(len(strains))
         a, b, c = a[best], b[best], c[best]
-        # Beyond the range of floating point nothing can be told, and nothing is.
+        # An overflow is no evidence of instability.
         return ~np.isfinite(a * c) | ((a + c > 0) & (a * c - b * b > 0))
 
 
 def check_stability(law: Law, values, stretch_range: tuple[float, float] = STRETCH_RANGE,
                     points: int = 400) -> Stability:
-    """Drucker's criterion: the work of every additional strain is positive, d(tau) : d(e) > 0.
+    """Check Drucker's criterion: positive work of every additional strain, d(tau) : d(e) > 0.
 
-    Kirchhoff stress against logarithmic strain: for an incompressible solid the 2 x 2 matrix of d(tau)/d(e) is the
-    Hessian of W in two of the logarithmic strains, the third following from them; it must be positive definite. It is
-    followed from stretch 1 outwards in tension and compression of each mode and the first loss is bisected.
+    With the Kirchhoff stress tau and the logarithmic strain e, the 2 x 2 matrix d(tau)/d(e) of an incompressible solid
+    is the Hessian of W in two of the logarithmic strains; the third is minus their sum. The matrix must be positive
+    definite. It is checked from stretch 1 outwards in tension and compression of each mode, and the first loss is
+    located by bisection.
 
     Source: Abaqus Analysis User's Guide, "Hyperelastic behavior of rubberlike materials", Drucker stability.
 
     Args:
         law: the law.
-        values: its parameters.
-        stretch_range: (lowest, highest) stretch to look at.
-        points: samples in each direction.
+        values: parameters, SI.
+        stretch_range: (lowest, highest) stretch to check.
+        points: number of samples in each direction.
     """
     array = law.as_array(values)
     directions = {"uniaxial": (1.0, -0.5, -0.5), "planar": (1.0, 0.0, -1.0), "equibiaxial": (1.0, 1.0, -2.0)}

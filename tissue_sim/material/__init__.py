@@ -1,1 +1,1 @@
-"""A material: law, parameters, bulk response, and what time, loading and depth do to it."""
+"""Materials: law, parameters, bulk response, and effects of time, loading history and depth."""

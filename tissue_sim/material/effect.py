@@ -1,7 +1,8 @@
-"""Effects of the tissue that can be added: a file each, by name in material files, campaigns and reports.
+"""Effects of time, loading history and depth on the tissue: base classes, and registry by name.
 
-An effect is a frozen dataclass that derives from one of the classes here and declares its numbers with
-`tissue_sim.parameters.parameter`. `EFFECTS` knows the classes by name; a `Material` carries the effects themselves.
+An effect is a frozen dataclass that derives from one of the classes here and declares its parameters with
+`tissue_sim.parameters.parameter`. `EFFECTS` contains the classes by name; a `Material` contains the effects. The names
+are used in material files, campaigns and reports.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ from tissue_sim.registry import Registry
 
 
 class TissueEffect(ABC):
-    """What time, loading or place do to a tissue.
+    """Effect of time, loading history or position on a tissue.
 
     Attributes:
         name: key in material files.
-        title: for people.
-        ages: whether the force depends on time because of it.
-        remembers: whether it depends on how the tool came to where it is.
+        title: name in reports.
+        ages: whether the effect makes the force depend on time.
+        remembers: whether the effect makes the force depend on the path of the tool.
     """
 
     name: ClassVar[str]
@@ -37,12 +38,12 @@ class TissueEffect(ABC):
 
 @dataclass(frozen=True, slots=True)
 class ToolHistory:
-    """Where the tool has been.
+    """Depths that the tool has reached.
 
     Attributes:
-        depth: now, m.
-        deepest: so far, this place included, m.
-        time: in the tissue, s.
+        depth: present depth, m.
+        deepest: largest depth so far, the present one included, m.
+        time: time since the start, s.
     """
 
     depth: float
@@ -51,34 +52,41 @@ class ToolHistory:
 
 
 class ReducedEffect(TissueEffect):
-    """An effect in reduced form: it scales the force of the tool, and leaves the fields as they are.
+    """Effect in reduced form: a factor on the force of the tool; displacements and stresses are not changed.
 
     Attributes:
-        under_plates: whether it acts under plates, too, and not under needles only.
+        under_plates: whether the effect acts under plates as well as under needles.
     """
 
     under_plates: ClassVar[bool] = True
 
     @abstractmethod
     def share(self, history: ToolHistory) -> float:
-        """Force of the tool over what it would be without the effect; 1 where the parameters are absent."""
+        """Ratio of the tool's force with the effect to the force without it; 1 if the parameters are absent."""
 
     def shares(self, depth: np.ndarray, deepest: np.ndarray, time: np.ndarray) -> np.ndarray:
-        """`share` at many places, those of a `ToolHistory`, all of one shape; an effect may have it faster."""
-        places = zip(depth.ravel().tolist(), deepest.ravel().tolist(), time.ravel().tolist(), strict=True)
-        return np.array([self.share(ToolHistory(*place)) for place in places]).reshape(depth.shape)
+        """Evaluate `share` for arrays of histories of one shape; a subclass may override this with a faster version.
+
+        Args:
+            depth, deepest, time: fields of `ToolHistory`.
+
+        Returns:
+            Ratios, with the shape of the arguments.
+        """
+        histories = zip(depth.ravel().tolist(), deepest.ravel().tolist(), time.ravel().tolist(), strict=True)
+        return np.array([self.share(ToolHistory(*one)) for one in histories]).reshape(depth.shape)
 
 
 class PointEffect(TissueEffect):
-    """An effect with a stress of its own at every point of the tissue, and a memory there.
+    """Effect with an additional stress and state variables at every point of the tissue.
 
-    The same formula serves elements of every kind, so it is written in three dimensions, in plain Python and numpy's
-    elementary functions (exp, log, sqrt, tanh, sin, cos, tan, abs, maximum, minimum, where): the kernels take it over
-    operation by operation when they are compiled. It may loop, index and call as it likes, but must not branch on a
-    number; fields that are no declared parameters are constants of the formula.
+    One formula serves elements of every type: three-dimensional tensors, plain Python and numpy's elementary functions
+    (exp, log, sqrt, tanh, sin, cos, tan, abs, maximum, minimum, where). The kernels record its operations when they are
+    compiled, so that it may use loops, indices and calls, but no branch on a number. Fields that are not declared
+    parameters are constants of the formula.
 
     Attributes:
-        rest: state variables of tissue that nothing has happened to; as many as there are.
+        rest: initial values of the state variables; their number is the number of state variables.
     """
 
     rest: ClassVar[tuple[float, ...]] = ()
@@ -86,31 +94,31 @@ class PointEffect(TissueEffect):
 
     @abstractmethod
     def response(self, C: list, state: list, dt: Any) -> tuple[list, list[list], list]:
-        """Stress at the end of a step.
+        """Compute stress, tangent and state variables at the end of a step.
 
-        Symmetric tensors are lists of six, 11, 22, 33, 12, 13, 23; in an axisymmetric solid 1 is the radius, 2 the
-        axis and 3 the circumference.
+        Symmetric tensors are lists of six components 11, 22, 33, 12, 13, 23. In an axisymmetric solid 1 is the radial,
+        2 the axial and 3 the circumferential direction.
 
         Args:
             C: right Cauchy-Green tensor at the end of the step.
-            state: state variables at its start.
-            dt: its length, s; 0: sudden.
+            state: state variables at the start of the step.
+            dt: length of the step, s; 0 for a sudden step.
 
         Returns:
-            The second Piola-Kirchhoff stress, Pa, which is added to that of the law, in layers times their ratio; its
-            tangent, six rows of six, dS with the Green strain whose shears are doubled (S_12 with 2 E_12), Pa, which
-            must be symmetric; and the state variables at the end of the step.
+            Second Piola-Kirchhoff stress, Pa, which is added to that of the law and multiplied by the modulus ratio in
+            layers; its tangent dS/dE, six rows of six, Pa, symmetric, with doubled shears in E (S_12 with 2 E_12); and
+            the state variables at the end of the step.
         """
 
 
 class ReducedForce:
-    """What effects in reduced form leave of the force on a tool, along its way.
+    """Factor of all effects in reduced form on the force of a tool, and the tool's history.
 
     Args:
-        effects: those that act.
+        effects: effects that act.
 
     Attributes:
-        history: of the tool at the last place that was final.
+        history: history of the tool up to the last committed position.
     """
 
     def __init__(self, effects: Sequence[ReducedEffect]):
@@ -118,12 +126,12 @@ class ReducedForce:
         self.history = ToolHistory(-inf, -inf)
 
     def share(self, depth: float, dt: float = 0.0) -> float:
-        """Of the force (or its derivative) at a depth, m, that is tried dt s later."""
+        """Factor on the force, or its derivative, at a trial depth, m, reached in dt s."""
         here = self._at(depth, dt)
         return prod((effect.share(here) for effect in self._effects), start=1.0)
 
-    def go(self, depth: float, dt: float = 0.0) -> float:
-        """The same at a depth that is final."""
+    def commit(self, depth: float, dt: float = 0.0) -> float:
+        """Accept a depth, m, reached in dt s; returns the factor there."""
         share, self.history = self.share(depth, dt), self._at(depth, dt)
         return share
 
@@ -131,7 +139,7 @@ class ReducedForce:
         return ToolHistory(depth, max(self.history.deepest, depth), self.history.time + dt)
 
 
-#: Name -> class.
+#: Name -> class of an effect.
 EFFECTS: Registry[type[TissueEffect]] = Registry(
     "effect of the tissue", "tissue_sim.effects",
     {"stiffness_scale": "tissue_sim.material.stiffness_scale:StiffnessScale"}, accepts=declaring(TissueEffect),

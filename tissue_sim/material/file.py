@@ -1,4 +1,4 @@
-"""Material files: ``NAME.material.json``, the hand-over from calibration to simulator."""
+"""Material files, ``NAME.material.json``: output of a calibration and input of the simulator."""
 
 from __future__ import annotations
 
@@ -39,18 +39,19 @@ from tissue_sim.material.schema import (
 from tissue_sim.parameters import Parameter, parameters, tokens
 from tissue_sim.version import __version__
 
-#: Version 1 had a law and a bulk response only; such files are read as they are.
+#: Version of the format; files of version 1 (law and bulk response only) are valid files of version 2.
 VERSION = 2
+#: Value of the key ``schema``.
 SCHEMA = f"tissue_sim/material/{VERSION}"
-#: Keys of what a material has beside these.
+#: Keys of the parts of a material besides law, parameters and bulk response.
 EFFECTS = ("viscoelastic", "softening", "layers", "poroelasticity", "puncture", "effects", "regions")
 
 
 class MaterialFile(Entry, frozen=True, kw_only=True):
-    """A material with its uncertainty and its history.
+    """Material with uncertainty, population statistics and provenance.
 
-    Files may state stresses in Pa, kPa or MPa; the parameters of the law in a `MaterialFile` that was read, or made by
-    `of`, are in SI. The other parts keep the units that their keys name.
+    Files may state stresses in Pa, kPa or MPa. In a `MaterialFile` that was read, or made by `of`, the parameters of
+    the law are in SI; other parts keep the units that their keys name.
     """
 
     schema: str
@@ -77,20 +78,20 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
            others: Sequence[str] = (), population: Mapping[str, Any] | None = None,
            valid_range: ValidRange | Mapping[str, Any] | None = None,
            provenance: Provenance | Mapping[str, Any] | None = None) -> MaterialFile:
-        """The file of a material, with its stability looked at.
+        """Make the file of a material and compute its range of stability.
 
         Args:
             material: the material.
-            standard_errors: path -> standard error, SI, as in `tissue_sim.parameters`: ``C10``,
-                ``viscoelastic.terms[0].tau``; from the covariance where that is given and this is not.
-            covariance: shape (m, m), of the law's parameters in its order, SI.
-            others: paths of the parameters that the covariance holds after those of the law; it is then larger.
-            population: what `PopulationEntry` holds, in SI and by path.
+            standard_errors: path -> standard error, SI, with paths as in `tissue_sim.parameters`: ``C10``,
+                ``viscoelastic.terms[0].tau``. None: from the covariance.
+            covariance: covariance of the law's parameters in their order, then of `others`, SI, shape (m, m).
+            others: paths of the parameters that follow those of the law in the covariance.
+            population: fields of `PopulationEntry`, in SI and by path.
             valid_range: for example ``{"stretch": [0.8, 1.0]}``.
-            provenance: software, version and date are filled in where they are missing.
+            provenance: fields of `Provenance`; software, version and date are added if they are missing.
 
         Raises:
-            InputError: a value that the schema refuses, by its dotted field path.
+            InputError: an invalid value, with its dotted path.
         """
         law, known = material.energy_law, _with_errors(material)
         errors = {name: float(error) for name, error in (standard_errors or {}).items()}
@@ -123,13 +124,13 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
 
     @property
     def material(self) -> Material:
-        """The material, for `tissue_sim.Model`."""
+        """Material for `tissue_sim.Model`."""
         return Material(self.law, values_of(self.parameters), self.bulk.part, self.density_kg_m3, self.name,
                         **parts_of(self._effects))
 
     @property
     def standard_errors(self) -> dict[str, float]:
-        """Path, as in `tissue_sim.parameters`, -> standard error, SI, of those that are known; of a file in SI."""
+        """Known standard errors, SI, by path as in `tissue_sim.parameters`; for a file in SI."""
         stated, content = {}, msgspec.to_builtins(self)
         for path, each in _with_errors(self.material).items():
             *place, key = tokens(each.file_path)
@@ -142,7 +143,7 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
 
     @property
     def covariance_SI(self) -> tuple[tuple[str, ...], np.ndarray] | None:
-        """Paths and their covariance, SI, shape (m, m); None where the file has none."""
+        """Paths of parameters and their covariance, SI, shape (m, m); None if the file has none."""
         if self.covariance is None:
             return None
         known = {each.file_path: each for each in _with_errors(self.material).values()}
@@ -156,7 +157,7 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
 
 
 def load_material(path: str | Path) -> Material:
-    """The material in a file; errors as `read_material_file`."""
+    """Read the material of a file; errors as in `read_material_file`."""
     return read_material_file(path).material
 
 
@@ -174,21 +175,21 @@ def read_material_file(path: str | Path) -> MaterialFile:
 
 
 def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
-    """Check and write in one step, indented for people, every digit kept.
+    """Check a material file and write it atomically, indented and with every digit.
 
     Raises:
-        InputError: a value that the reader would refuse, or a place that cannot be written; nothing is written then.
+        InputError: an invalid value, or a path that cannot be written; nothing is written then.
     """
     with located(file=path):
         data = msgspec.to_builtins(checked(material_file))
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
-    # Lists of numbers on one line: a line end inside brackets is never part of a JSON text.
+    # Lists of numbers on one line: a line break inside brackets is never part of a JSON string.
     text = re.sub(r"\[\n([^\[\]{}\"]*)\n\s*\]", lambda match: f"[{' '.join(match[1].split())}]", text)
     write_text(path, text + "\n")
 
 
 def decode_material_file(data: Any) -> MaterialFile:
-    """A `MaterialFile` from decoded JSON; see `read_material_file`."""
+    """Make a `MaterialFile` from decoded JSON; see `read_material_file`."""
     require_schema(data, "material", VERSION)
     _decode_one_by_one(data, "parameters", ParameterEntry)
     regions = data.get("regions")
@@ -202,7 +203,7 @@ def decode_material_file(data: Any) -> MaterialFile:
 
 
 def _decode_one_by_one(data: dict[str, Any], key: str, kind: type[Entry]) -> None:
-    """Refuse what is wrong in a map by its name there: msgspec names no keys of maps in its messages."""
+    """Decode the values of a map one by one, because msgspec's messages do not name the keys of maps."""
     entries = data.get(key)
     if isinstance(entries, dict):
         for name, entry in entries.items():
@@ -210,10 +211,10 @@ def _decode_one_by_one(data: dict[str, Any], key: str, kind: type[Entry]) -> Non
 
 
 def checked(file: MaterialFile) -> MaterialFile:
-    """The same file in SI, with everything checked that types do not say.
+    """Return a file in SI, after all checks that its types do not express.
 
     Raises:
-        InputError: with the dotted path of the field.
+        InputError: an invalid value, with the dotted path of the field.
     """
     content = msgspec.to_builtins(file)
     require_schema(content, "material", VERSION)
@@ -233,13 +234,13 @@ def checked(file: MaterialFile) -> MaterialFile:
             raise InputError(f"{file.provenance.date!r} is not an ISO 8601 date such as 2026-01-31T12:00:00+00:00",
                              field="provenance.date") from None
     file = msgspec.structs.replace(file, schema=SCHEMA, parameters=parameters, regions=regions or None)
-    _ = file.material  # refuses missing parameters, a shear modulus <= 0, a bulk or density <= 0
+    _ = file.material  # checks missing parameters, shear modulus, bulk response and density
     if file.covariance is not None:
         order = file.covariance.order
         _check_order(order, law, [each.file_path for each in _with_errors(file.material).values()])
         scale = np.array([factors.get(name, 1.0) for name in order])
         if (lengths := [len(row) for row in file.covariance.matrix]) != [len(order)] * len(order):
-            raise InputError(f"has rows of length {lengths}, expected {len(order)} rows of {len(order)}",
+            raise InputError(f"must have {len(order)} rows of {len(order)} numbers; got rows of {lengths}.",
                              field="covariance.matrix")
         matrix = np.outer(scale, scale) * np.array(file.covariance.matrix, dtype=float)
         check_covariance(matrix, len(order))
@@ -247,20 +248,20 @@ def checked(file: MaterialFile) -> MaterialFile:
     if file.population is not None:
         known = {each.file_path: factors.get(each.file_path, 1.0) for each in _with_errors(file.material).values()}
         file = msgspec.structs.replace(file, population=checked_population(file.population, known))
-    require_writable(msgspec.to_builtins(file))  # a number near 1e308 MPa does not fit in Pa
+    require_writable(msgspec.to_builtins(file))  # a number near 1e308 MPa overflows in Pa
     return file
 
 
 def _with_errors(material: Material) -> dict[str, Parameter]:
-    """Path -> parameter, of those whose uncertainty a file can state: all but the bulk response."""
+    """Parameters whose uncertainty a file can state, by path: all but the bulk response."""
     return {path: each for path, each in parameters(material).items() if each.part is not Bulk}
 
 
 def _check_order(order: Sequence[str], law: Law, known: Sequence[str]) -> None:
     m = len(law.parameters)
     if tuple(order[:m]) != law.parameters or len(set(order)) != len(order):
-        raise InputError(f"is {', '.join(order)}; expected the parameters of {law.name} in its order, "
-                         f"{', '.join(law.parameters)}, then others, each once", field="covariance.order")
+        raise InputError(f"must be the parameters of {law.name} in its order, {', '.join(law.parameters)}, then "
+                         f"others, each once; got {', '.join(order)}.", field="covariance.order")
     for name in order[m:]:
         if name not in known:
             raise InputError(f"this material has no parameter {name!r}{nearest(name, known)}", field="covariance.order")
@@ -277,6 +278,6 @@ def _check_ranges(file: MaterialFile) -> None:
         ranges["stability.stretch_range"] = file.stability.stretch_range
     for field, (low, high) in ranges.items():
         if low > high:
-            raise InputError(f"{low:g} to {high:g} runs backwards, expected [lowest, highest]", field=field)
+            raise InputError(f"must be [lowest, highest]; got {low:g} to {high:g}.", field=field)
         if "stretch" in field and low <= 0:
-            raise InputError(f"{low:g} is not a stretch; stretches are above 0 (1 is undeformed)", field=field)
+            raise InputError(f"must be above 0 (1 is undeformed); got {low:g}.", field=field)

@@ -1,4 +1,4 @@
-"""A law with its numbers and a bulk response, as they stand in a material file: of the material, and of each region."""
+"""Entries of material files for law, parameters and bulk response, of a material or a region."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from tissue_sim.units import UNITS, to_si
 
 
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """How every part of the file is read: unknown keys are errors, absent ones are not written."""
+    """Base of all entries of a file: unknown keys are errors, and default values are not written."""
 
 
 class ParameterEntry(Entry, frozen=True, kw_only=True):
-    """A parameter; value and standard error share the unit."""
+    """Parameter of a law; value and standard error have the same unit."""
 
     value: float
     unit: str
@@ -26,7 +26,7 @@ class ParameterEntry(Entry, frozen=True, kw_only=True):
 
 
 class BulkEntry(Entry, frozen=True, kw_only=True):
-    """Exactly one of the four; see `tissue_sim.Bulk`."""
+    """Bulk response: exactly one of the four keys; see `tissue_sim.Bulk`."""
 
     K_Pa: float | None = None
     D1_per_Pa: float | None = None
@@ -38,7 +38,7 @@ class BulkEntry(Entry, frozen=True, kw_only=True):
         """The bulk response.
 
         Raises:
-            InputError: none of the four, or several.
+            InputError: none, or several, of the four keys are given.
         """
         stated = {kind: value for kind, value in msgspec.structs.asdict(self).items() if value is not None}
         if len(stated) != 1 or self.incompressible is False:
@@ -49,7 +49,7 @@ class BulkEntry(Entry, frozen=True, kw_only=True):
 
 
 def law_entries(material: Material, errors: Mapping[str, float]) -> dict[str, Any]:
-    """Key of the file -> entry of law, parameters and bulk response; `errors`: path -> standard error, SI."""
+    """Make the entries of law, parameters and bulk response by their keys; `errors`: path -> standard error, SI."""
     law, bulk = material.energy_law, material.bulk
     stated: dict[str, Any] = {bulk.kind: True if bulk.value is None else float(bulk.value)}
     return {"law": law.name, "bulk": BulkEntry(**stated),
@@ -59,10 +59,17 @@ def law_entries(material: Material, errors: Mapping[str, float]) -> dict[str, An
 
 def parameters_in_SI(law: str, parameters: Mapping[str, ParameterEntry]) -> tuple[
         dict[str, ParameterEntry], dict[str, float]]:
-    """The parameters of a law in SI, and the factors of their units.
+    """Convert the parameters of a law to SI.
+
+    Args:
+        law: name of the law.
+        parameters: entries of a file by name.
+
+    Returns:
+        Entries in SI, and the factor of each unit.
 
     Raises:
-        InputError: no parameter of the law, a unit that is none of it, or a negative standard error.
+        InputError: an unknown parameter, a unit of another quantity, or a negative standard error.
     """
     found = find_law(law)
     factors, in_SI = {}, {}
@@ -74,7 +81,7 @@ def parameters_in_SI(law: str, parameters: Mapping[str, ParameterEntry]) -> tupl
             factor, _ = to_si(entry.unit, UNITS[found.units[name]][0])
         error = entry.standard_error
         if error is not None and error < 0:
-            raise InputError(f"{error:g} is negative; give a standard deviation",
+            raise InputError(f"must be a standard deviation of 0 or more; got {error:g}.",
                              field=f"parameters.{name}.standard_error")
         factors[name] = factor
         in_SI[name] = ParameterEntry(value=factor * entry.value, unit=found.units[name],
@@ -83,5 +90,5 @@ def parameters_in_SI(law: str, parameters: Mapping[str, ParameterEntry]) -> tupl
 
 
 def values_of(parameters: Mapping[str, ParameterEntry]) -> dict[str, float]:
-    """Name -> value of parameters that are in SI."""
+    """Return the values of parameters in SI by name."""
     return {name: entry.value for name, entry in parameters.items()}

@@ -1,4 +1,4 @@
-"""A layer of another stiffness, such as skin."""
+"""Layer of another stiffness, such as skin."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from tissue_sim.parameters import parameter
 
 @dataclass(frozen=True)
 class Layer:
-    """A layer of the specimen, counted from its top face down; what is below the last one is the material itself.
+    """Layer of the specimen, counted from its top face downwards; the material itself is below the last layer.
 
     Attributes:
-        thickness: m, measured as the specimen's height is: undeformed, or as placed.
-        ratio: every modulus of the material, bulk included, times this; 1 is absent.
+        thickness: m, in the same state as the specimen's height: undeformed, or settled under its weight.
+        ratio: factor on every modulus of the material, bulk included; 1 is absent.
     """
 
     thickness: float = parameter("h", "m", key="thickness_mm", factor=1e-3, bounds=(1e-6, 1.0), shapes_mesh=True)
@@ -24,6 +24,6 @@ class Layer:
 
     def __post_init__(self):
         if not 0 < self.thickness < np.inf:
-            raise InputError(f"{self.thickness:g} m is not a positive thickness", field="thickness")
+            raise InputError(f"must be positive and finite; got {self.thickness:g} m.", field="thickness")
         if not 0 < self.ratio < np.inf:
-            raise InputError(f"{self.ratio:g} is not a positive ratio of moduli", field="ratio")
+            raise InputError(f"must be a positive finite ratio of moduli; got {self.ratio:g}.", field="ratio")

@@ -1,4 +1,4 @@
-"""A material: law, parameters, bulk response, and what time and loading history do to it."""
+"""Material: law, parameters, bulk response, and effects of time and loading history."""
 
 from __future__ import annotations
 
@@ -20,24 +20,27 @@ from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import MOST_TERMS, Prony
 from tissue_sim.parameters import Declaration
 
-#: K / mu0 inside which the finite elements are checked; 2.17 is a Poisson's ratio of 0.3.
+#: Range of K / mu0 for which the finite elements are verified, 1; 2.17 is a Poisson's ratio of 0.3.
 BULK_RATIOS = (2.0, 1e6)
-#: What the number of a bulk response is.
+#: Kind of bulk response -> declaration of its number.
 _BULK = {
     "K_Pa": Declaration("K", "Pa", (1.0, 1e12), key="K_Pa"),
     "D1_per_Pa": Declaration("D1", "1/Pa", (2e-12, 2.0), key="D1_per_Pa"),
     "bulk_ratio": Declaration("K/mu", "1", BULK_RATIOS, key="bulk_ratio"),
 }
-#: Exponents and other numbers of a law that have no unit may run so far in a fit.
+#: Largest absolute value, in a fit, of an exponent or another parameter of a law without unit.
 EXPONENT_BOUND = 50.0
 
 
 def incompressible_ratio(radius: float, height: float) -> float:
-    """K / mu0 that the finite elements use for a cylinder of a material stated as incompressible.
+    """K / mu0 that the finite elements use for a cylinder of a material that is stated as incompressible.
 
-    Compressibility costs force in proportion to (radius / height)^2 mu0 / K. With this ratio bonded compression loses
-    1e-5 at radius 40 and height 70 mm; flat specimens get the highest ratio that is checked, and lose 5e-5 at five
-    times as wide as high, 3e-4 at ten times.
+    Compressibility reduces the force in proportion to (radius / height)^2 mu0 / K. With this ratio bonded compression
+    loses 1e-5 of its force at radius 40 and height 70 mm. Flat specimens get the highest verified ratio; the loss is
+    5e-5 if they are five times as wide as high, 3e-4 if ten times.
+
+    Args:
+        radius, height: m.
     """
     return min(BULK_RATIOS[1], 1e5 * max(1.0, 3.0 * (radius / height) ** 2))
 
@@ -48,7 +51,7 @@ class Bulk:
 
     Attributes:
         kind: ``"K_Pa"``, ``"D1_per_Pa"`` (K = 2/D1), ``"bulk_ratio"`` (K/mu0) or ``"incompressible"``.
-        value: the number that goes with it; None for incompressible.
+        value: number in the unit of its kind; None for incompressible.
     """
 
     kind: str = "incompressible"
@@ -60,20 +63,21 @@ class Bulk:
                              field="bulk")
         if self.kind == "incompressible":
             if self.value is not None:
-                raise InputError("an incompressible material takes no bulk value", field="bulk.incompressible")
+                raise InputError(f"must not be given for an incompressible material; got {self.value}.",
+                                 field="bulk.incompressible")
         elif self.value is None or not np.isfinite(self.value) or self.value <= 0:
-            raise InputError(f"{self.value} is not a positive number", field=f"bulk.{self.kind}")
+            raise InputError(f"must be positive and finite; got {self.value}.", field=f"bulk.{self.kind}")
 
     def own_parameters(self) -> dict[str, tuple[Declaration, float]]:
-        """The number of this response by its kind; see `tissue_sim.parameters`."""
+        """Number of this response by its kind; see `tissue_sim.parameters`."""
         return {} if self.value is None else {self.kind: (_BULK[self.kind], float(self.value))}
 
     def with_own_parameters(self, values: Mapping[str, float]) -> Bulk:
-        """With another number."""
+        """Return the response with another number."""
         return Bulk(self.kind, values[self.kind])
 
     def modulus(self, mu0: float) -> float:
-        """Bulk modulus in Pa for a material of initial shear modulus mu0; infinite for incompressible."""
+        """Bulk modulus K, Pa, for an initial shear modulus mu0, Pa; infinite if incompressible."""
         if self.value is None:
             return np.inf
         match self.kind:
@@ -87,27 +91,26 @@ class Bulk:
 
 @dataclass(frozen=True)
 class Material:
-    """A strain-energy law with its parameters, its bulk response, and what is lost with time and loading.
+    """Strain-energy law with its parameters, bulk response, and effects of time, loading and depth.
 
     Attributes:
         law: name in `tissue_sim.laws.LAWS`.
         parameters: name -> value, SI (Pa, or 1 for exponents); read-only after construction.
-        bulk: volumetric response; it does not relax and does not soften.
-        density: kg/m3, or None where nobody said.
-        name: for people.
-        viscoelastic: Prony series of the isochoric stress, which also says whether `parameters` are instantaneous or
+        bulk: volumetric response; it neither relaxes nor softens.
+        density: kg/m3; None if unknown.
+        name: name in reports.
+        viscoelastic: Prony series of the isochoric stress; its `moduli` state whether `parameters` are instantaneous or
             long-term.
-        softening: on first load.
-        layers: from the top face down.
-        regions: name of a region of the specimen's mesh -> what is there instead; only a solid in space has any.
-        poroelasticity: drainage, with a time of each test's own.
-        puncture: under a needle.
-        effects: what was added beside these, by name; see `tissue_sim.material.effect`. A sequence of effects is
-            taken, too.
+        softening: Mullins effect.
+        layers: layers from the top face downwards.
+        regions: name of a region of the specimen's mesh -> material of that region; three-dimensional solvers only.
+        poroelasticity: drainage, whose relaxation time depends on the contact radius of a test.
+        puncture: drop of the force of a needle.
+        effects: additional effects by name; see `tissue_sim.material.effect`. A sequence of effects is accepted.
 
     Raises:
-        InputError: unknown law or parameter, parameters whose shear modulus at rest is not positive, or relaxing terms
-            and drainage that together are too many or leave nothing.
+        InputError: unknown law or parameter, parameters whose initial shear modulus is not positive, too many relaxing
+            terms (drainage included), or relaxing fractions whose sum is 1 or more.
     """
 
     law: str
@@ -127,66 +130,68 @@ class Material:
         object.__setattr__(self, "regions", read_only(dict(self.regions)))
         for name, own in self.regions.items():
             if not name or set(name) & set(".[]"):
-                raise InputError(f"{name!r} cannot be the name of a region: it is part of the paths of its parameters; "
-                                 "give it one without dots and brackets, in the mesh, too", field="regions")
+                raise InputError(f"the name of a region must not be empty or contain dots or brackets, which separate "
+                                 f"the paths of parameters; got {name!r}. Rename the region in the mesh as well",
+                                 field="regions")
             if own.layers or own.regions or own.effects or own.puncture is not None:
-                raise InputError("a region has no layers, regions, effects or puncture of its own; leave them out",
+                raise InputError("a region has no layers, regions, effects or puncture; leave them out",
                                  field=f"regions.{name}")
         object.__setattr__(self, "effects", read_only(_by_name(self.effects)))
         object.__setattr__(self, "parameters", read_only(self.energy_law.as_mapping(self.parameters)))
         object.__setattr__(self, "layers", tuple(self.layers))
         if not self.mu0 > 0:
-            raise InputError(f"these parameters give a shear modulus of {self.mu0:g} Pa at rest; it must be positive",
+            raise InputError(f"must give a positive shear modulus at rest; got {self.mu0:g} Pa.",
                              field="parameters")
         if self.density is not None and not (np.isfinite(self.density) and self.density > 0):
-            raise InputError(f"{self.density} is not a positive density", field="density_kg_m3")
+            raise InputError(f"must be positive and finite; got {self.density}.", field="density_kg_m3")
         if self._drained > 0:
             if self.viscoelastic is not None and len(self.viscoelastic.terms) == MOST_TERMS:
-                raise InputError(f"drainage takes one of the {MOST_TERMS} relaxing terms that a material may have; "
-                                 f"give {MOST_TERMS - 1} viscoelastic ones at most", field="poroelasticity")
+                raise InputError(f"drainage is one of the at most {MOST_TERMS} relaxing terms of a material; give at "
+                                 f"most {MOST_TERMS - 1} viscoelastic terms", field="poroelasticity")
             if not self.mu_long_term > 0:
-                raise InputError("phi and the g of all viscoelastic terms add up to 1 or more; they must stay below 1, "
-                                 "or nothing carries a constant load", field="poroelasticity.phi")
+                raise InputError("the sum of phi and the g of all viscoelastic terms must be below 1, or no stress "
+                                 "remains under constant strain", field="poroelasticity.phi")
 
     def own_parameters(self) -> dict[str, tuple[Declaration, float]]:
-        """Those of the law, by name; see `tissue_sim.parameters`."""
+        """Declarations and values of the law's parameters by name; see `tissue_sim.parameters`."""
         return {name: (law_declaration(self.energy_law, name), value) for name, value in self.parameters.items()}
 
     def with_own_parameters(self, values: Mapping[str, float], **changes: Any) -> Material:
-        """With other parameters of the law, and other fields."""
+        """Return the material with other parameters of the law, and other fields."""
         return replace(self, parameters={**self.parameters, **values}, **changes)
 
     @property
     def ages(self) -> bool:
-        """Whether its force depends on time."""
+        """Whether the force depends on time."""
         return (self.viscoelastic is not None or self.poroelasticity is not None
                 or any(effect.ages for effect in self.effects.values())
                 or any(own.ages for own in self.regions.values()))
 
     @property
     def remembers(self) -> bool:
-        """Whether its force depends on how the tool came to where it is."""
+        """Whether the force depends on the path of the tool."""
         return (self.ages or self.softening is not None
                 or any(effect.remembers for effect in self.effects.values())
                 or any(own.remembers for own in self.regions.values()))
 
     def reduced_effects(self, *, plate: bool) -> tuple[ReducedEffect, ...]:
-        """The effects in reduced form that act under a plate, or else under a needle."""
+        """Effects in reduced form that act under a plate, or under a needle if `plate` is False."""
         return tuple(part for part in (self.puncture, *self.effects.values())
                      if isinstance(part, ReducedEffect) and (part.under_plates or not plate))
 
     @property
     def energy_law(self) -> Law:
+        """Object of the law."""
         return find_law(self.law)
 
     @property
     def values(self) -> np.ndarray:
-        """Parameters in the order of the law, shape (m,)."""
+        """Parameters in the order of the law, SI, shape (m,)."""
         return self.energy_law.as_array(self.parameters)
 
     @property
     def instantaneous_factor(self) -> float:
-        """Instantaneous stress over that of the law with `parameters`; 1 unless these are long-term."""
+        """Instantaneous stress over the stress of the law; 1 unless `parameters` are long-term."""
         return 1.0 if self.viscoelastic is None else self.viscoelastic.instantaneous_factor
 
     @cached_property
@@ -196,7 +201,7 @@ class Material:
 
     @property
     def mu_long_term(self) -> float:
-        """Initial shear modulus in very slow loading, Pa: all terms relaxed, pores drained."""
+        """Initial shear modulus in very slow loading, Pa: all terms relaxed, pores drained; mu0 (1 - sum g - phi)."""
         relaxing = 0.0 if self.viscoelastic is None else self.viscoelastic.relaxing
         return self.mu0 * (1.0 - relaxing - self._drained)
 
@@ -212,17 +217,20 @@ class Material:
 
     @property
     def bulk_modulus(self) -> float:
-        """Bulk modulus K, Pa; infinite for an incompressible material. `bulk_ratio` is that to `mu0`."""
+        """Bulk modulus K, Pa; infinite for an incompressible material."""
         return self.bulk.modulus(self.mu0)
 
     def relaxation(self, contact_radius: float | None) -> Prony | None:
-        """All that relaxes in a test with this contact radius (m): viscoelastic terms, then drainage.
+        """Prony series of all relaxing terms in a test: viscoelastic terms, then drainage.
+
+        Args:
+            contact_radius: contact radius of the test, m.
 
         Returns:
-            A series of instantaneous moduli, or None where nothing relaxes.
+            A series of instantaneous moduli; None if nothing relaxes.
 
         Raises:
-            InputError: drainage and no radius, or one that is not positive and finite.
+            InputError: the material drains, and the radius is None, not positive or not finite.
         """
         terms = () if self.viscoelastic is None else self.viscoelastic.terms
         if self.poroelasticity is not None and self.poroelasticity.phi > 0:
@@ -239,30 +247,30 @@ class Material:
 
 
 def bulk_declaration(kind: str) -> Declaration | None:
-    """What the number of a kind of bulk response is; None where there is no such kind."""
+    """Declaration of the number of a kind of bulk response; None for an unknown kind."""
     return _BULK.get(kind)
 
 
 def law_declaration(law: Law, name: str) -> Declaration:
-    """What a parameter of a law is."""
+    """Declaration of a parameter of a law."""
     unit = law.units[name]
     reach = EXPONENT_BOUND if unit == "1" else np.inf
     return Declaration(name, unit, (-reach, reach), key=name)
 
 
 def _by_name(effects: Mapping[str, TissueEffect] | Iterable[TissueEffect]) -> dict[str, TissueEffect]:
-    """Effects by their names.
+    """Return effects by their names.
 
     Raises:
-        InputError: two of one name, or something that is no effect.
+        InputError: two effects of one name, or an object that is not a `TissueEffect`.
     """
     given = list(effects.values() if isinstance(effects, Mapping) else effects)
     by_name: dict[str, TissueEffect] = {}
     for effect in given:
         if not isinstance(effect, TissueEffect):
-            raise InputError(f"{type(effect).__name__} is no effect of a tissue; derive it from "
-                             "tissue_sim.TissueEffect", field="effects")
+            raise InputError(f"must be effects derived from tissue_sim.TissueEffect; got {type(effect).__name__}.",
+                             field="effects")
         if effect.name in by_name:
-            raise InputError(f"{effect.name!r} stands there twice; a material has an effect once", field="effects")
+            raise InputError(f"must contain each effect once; got {effect.name!r} twice.", field="effects")
         by_name[effect.name] = effect
     return by_name

@@ -1,4 +1,4 @@
-"""The parts that a material may have beside its law, by their place in it; and the material that numbers make."""
+"""Parts of a material besides its law: declarations by path, and materials made from numbers by path."""
 
 from __future__ import annotations
 
@@ -18,29 +18,31 @@ from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Prony, PronyTerm
 from tissue_sim.parameters import Declaration, declared, parameters, tokens, with_values
 
-#: Place -> class of the part, of what a material may have once, and of what it may have several of.
+#: Path -> class of the parts that a material has at most once.
 SINGLE: dict[str, type] = {"softening": Softening, "poroelasticity": Poroelasticity, "puncture": Puncture}
+#: Path -> class of the parts that a material may have several of.
 SEVERAL: dict[str, type] = {"viscoelastic.terms": PronyTerm, "layers": Layer}
-#: A parameter of the law of a region: its name, and that of the parameter.
+#: Path of a parameter of a region's law: name of the region, name of the parameter.
 _OF_REGION = re.compile(r"regions\.([^.\[\]]+)\.([^.\[\]]+)")
+#: Path of one of several parts: path of the list, index.
 _NUMBERED = re.compile(r"(.*)\[(?:0|[1-9]\d*)\]")
-#: Paths that messages name where one is not known.
+#: Paths among which messages name the nearest to an unknown path.
 _EXAMPLES = (*(f"{place}[0].{name}" for place, kind in SEVERAL.items() for name in declared(kind)),
              *(f"{place}.{name}" for place, kind in SINGLE.items() for name in declared(kind)), "bulk.bulk_ratio")
 
 
 def find_declaration(path: str) -> tuple[str, Declaration]:
-    """What a parameter of a material beside those of its law is, whether a material has it or not.
+    """Find the declaration of a parameter that a material may have, by its path; parameters of the law excepted.
 
     Args:
-        path: of the attribute, or as files write it: ``viscoelastic.terms[0].tau`` or ``...tau_s``; of a region a
+        path: path of the attribute, or as in files: ``viscoelastic.terms[0].tau`` or ``...tau_s``; for a region a
             parameter of its law, ``regions.tumour.C10``.
 
     Returns:
-        The path of the attribute, and what is declared there.
+        The path of the attribute, and the declaration.
 
     Raises:
-        InputError: no material has such a parameter; names the nearest.
+        InputError: no material has such a parameter; the message names the nearest.
     """
     if (of_region := _OF_REGION.fullmatch(path)) is not None:
         return path, _of_some_law(of_region[2], path)
@@ -55,24 +57,25 @@ def find_declaration(path: str) -> tuple[str, Declaration]:
 
 
 def region_of(path: str) -> str | None:
-    """The name of the region whose parameter a path names; None where it names another one."""
+    """Name of the region whose parameter a path names; None for other paths."""
     found = _OF_REGION.fullmatch(path)
     return None if found is None else found[1]
 
 
 def make_material(law: str, parameters: Mapping[str, float], others: Mapping[str, float], bulk: Bulk | None = None,
                   **options: Any) -> Material:
-    """The material of these numbers.
+    """Make a material from numbers.
 
     Args:
-        law: name of the law. parameters: of it.
-        others: path -> value, SI, of everything else; all of a part together make it. The parameters of a region say
-            which law it is of; its bulk response is the material's.
-        bulk: where no path states the bulk response; None: incompressible.
-        options: as of `Material`: density, name.
+        law: name of the law.
+        parameters: parameters of the law, SI.
+        others: path -> value, SI, of all other parameters; a part needs all of its numbers. The law of a region is the
+            one with exactly the given parameters; its bulk response is that of the material.
+        bulk: bulk response, if no path states it; None: incompressible.
+        options: other fields of `Material`: density, name.
 
     Raises:
-        InputError: a part that lacks a number or refuses one, with its path.
+        InputError: a part lacks a number, or a number is invalid; with its path.
     """
     response = bulk or Bulk()
     terms: dict[str, dict[int, dict[str, float]]] = {place: {} for place in SEVERAL}
@@ -104,13 +107,14 @@ def make_material(law: str, parameters: Mapping[str, float], others: Mapping[str
 
 
 def with_parts(material: Material, values: Mapping[str, float]) -> Material:
-    """The material with numbers changed, and with the parts that they name and it does not have.
+    """Return a material with changed numbers, and with new parts if the paths name parts that the material lacks.
 
     Args:
-        material: any. values: path -> value, SI; all numbers of a part that is to be made.
+        material: material to change.
+        values: path -> value, SI; a new part needs all of its numbers.
 
     Raises:
-        InputError: a path that no material has, a part that lacks a number or refuses one.
+        InputError: no material has the path, a part lacks a number, or a number is invalid.
     """
     known = parameters(material)
     new = {path: value for path, value in values.items() if path not in known}
@@ -120,13 +124,13 @@ def with_parts(material: Material, values: Mapping[str, float]) -> Material:
     several: dict[str, tuple] = {"viscoelastic.terms": getattr(material.viscoelastic, "terms", ()),
                                  "layers": material.layers}
 
-    def counted_on(path: str) -> str:
+    def renumbered(path: str) -> str:
         place, _, last = find_declaration(path)[0].rpartition(".")
         if (numbered := _NUMBERED.fullmatch(place)) is None:
             return path
         return f"{numbered[1]}[{int(place[len(numbered[1]) + 1:-1]) - len(several[numbered[1]])}].{last}"
 
-    made = make_material("neo_hooke", {"C10": 1.0}, {counted_on(path): value for path, value in new.items()},
+    made = make_material("neo_hooke", {"C10": 1.0}, {renumbered(path): value for path, value in new.items()},
                          material.bulk)
     changes: dict[str, Any] = {name: part for name in SINGLE if (part := getattr(made, name)) is not None}
     if made.viscoelastic is not None:
@@ -148,7 +152,7 @@ def _kind_at(place: str) -> type | None:
 
 
 def _of_some_law(name: str, path: str) -> Declaration:
-    """What a parameter is that a law has."""
+    """Declaration of a parameter that at least one law has."""
     for law in LAWS.values():
         if name in law.parameters:
             return law_declaration(law, name)
@@ -157,7 +161,7 @@ def _of_some_law(name: str, path: str) -> Declaration:
 
 
 def _region(name: str, numbers: Mapping[str, float], bulk: Bulk) -> Material:
-    """Of the law that has just these parameters."""
+    """Make the material of a region; its law is the one that has exactly these parameters."""
     law = next((name for name, law in LAWS.items() if set(law.parameters) == set(numbers)), None)
     if law is None:
         raise InputError(f"no law has the parameters {', '.join(numbers)} and no others; give all of one law",
@@ -171,7 +175,7 @@ def _region(name: str, numbers: Mapping[str, float], bulk: Bulk) -> Material:
 def _in_order(terms: Mapping[str, Mapping[int, Mapping[str, float]]], place: str) -> Iterator[Any]:
     numbered = terms[place]
     if sorted(numbered) != list(range(len(numbered))):
-        raise InputError(f"its parts are numbered from 0 without gaps, as {place}[0], {place}[1]", field=place)
+        raise InputError(f"must be numbered from 0 without gaps, as {place}[0], {place}[1].", field=place)
     return (_part(SEVERAL[place], f"{place}[{index}]", numbered[index]) for index in range(len(numbered)))
 
 

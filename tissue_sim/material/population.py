@@ -1,4 +1,4 @@
-"""What a material file says of the specimens that the material stands for."""
+"""Statistics of the measured specimens in a material file."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _LISTS = ("mean", "spread", "mean_interval95", "spread_interval95")
 
 
 class PopulationEntry(Entry, frozen=True, kw_only=True):
-    """The specimens that the material stands for: its parameters in `order` are their mean.
+    """Statistics of the specimens whose mean is the material, for its parameters in `order`.
 
-    In the units of the file, one entry for each parameter: `mean`, `spread` (standard deviation between specimens),
-    their 95 % intervals, `between_specimens` (covariance), and the values of each of the measured `specimens` that went
-    in; `left_out` says why others did not.
+    One number for each parameter, in the units of the file: `mean`, `spread` (standard deviation between specimens),
+    their 95 % intervals, the covariance `between_specimens`, and the values of each measured specimen in `specimens`.
+    `left_out` contains the reason for each specimen that was not used.
     """
 
     order: tuple[str, ...]
@@ -33,7 +33,7 @@ class PopulationEntry(Entry, frozen=True, kw_only=True):
     spread_interval95: tuple[Range, ...] | None = None
 
     def scaled(self, order: Sequence[str], factors: Sequence[float]) -> PopulationEntry:
-        """The same under other names of the parameters and in other units."""
+        """Return the entry with other names of the parameters, and multiplied by the factors of other units."""
         sizes = np.asarray(factors)
         lists = {key: None if getattr(self, key) is None else (np.transpose(getattr(self, key)) * sizes).T.tolist()
                  for key in _LISTS}
@@ -46,13 +46,14 @@ class PopulationEntry(Entry, frozen=True, kw_only=True):
 
 
 def population_entry(stated: Mapping[str, Any], known: Mapping[str, Parameter]) -> PopulationEntry:
-    """The entry of a population.
+    """Make the entry of a population.
 
     Args:
-        stated: what `PopulationEntry` holds, in SI, with the parameters by path. known: path -> parameter.
+        stated: fields of `PopulationEntry`, in SI, with the parameters by path.
+        known: path -> parameter of the material.
 
     Raises:
-        InputError: a parameter that the material does not have, or another shape; with the field.
+        InputError: a parameter that the material does not have, or a wrong shape; with the field.
     """
     entry = decode(as_json_types(stated), PopulationEntry, "population")
     _check(entry, known)
@@ -61,10 +62,14 @@ def population_entry(stated: Mapping[str, Any], known: Mapping[str, Parameter]) 
 
 
 def checked_population(entry: PopulationEntry, known: Mapping[str, float]) -> PopulationEntry:
-    """The entry in SI as far as a file states units, with everything checked that types do not say.
+    """Check an entry and convert it to SI as far as a file states units.
 
     Args:
+        entry: entry of a file.
         known: name of a parameter in the file -> factor of its unit.
+
+    Raises:
+        InputError: an unknown parameter, a wrong shape, or a matrix that is not a covariance.
     """
     _check(entry, known)
     return entry.scaled(entry.order, [known[name] for name in entry.order])
@@ -79,9 +84,11 @@ def _check(entry: PopulationEntry, known: Mapping[str, Any]) -> None:
     for key, values in (*rows.items(), *((f"between_specimens[{i}]", row)
                                          for i, row in enumerate(entry.between_specimens))):
         if len(values) != len(entry.order):
-            raise InputError(f"{len(values)} entries for the {len(entry.order)} parameters in order",
+            raise InputError(f"must have {len(entry.order)} entries, one for each parameter in order; got "
+                             f"{len(values)}.",
                              field=f"population.{key}")
     for name in entry.left_out:
         if name in entry.specimens:
-            raise InputError("is among the specimens too; keep it in one of them", field=f"population.left_out.{name}")
+            raise InputError("must not be among the specimens too; remove one of them.",
+                             field=f"population.left_out.{name}")
     check_covariance(np.array(entry.between_specimens), len(entry.order), "population.between_specimens")

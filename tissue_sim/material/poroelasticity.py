@@ -1,4 +1,4 @@
-"""Drainage of pore fluid in the form of one relaxing term."""
+"""Drainage of pore fluid as one relaxing term."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ from tissue_sim.parameters import parameter
 
 @dataclass(frozen=True)
 class Poroelasticity:
-    """Drainage of pore fluid as a reduced form: one relaxing term whose time grows with the contact size.
+    """Drainage of pore fluid in reduced form: one relaxing term whose time grows with the size of the contact.
 
-    Fluid leaves the loaded region by diffusion, so the time is tau = a^2 / D with the contact radius a of each test:
-    the radius of the specimen under a plate, of a flat tool where it indents, and about that of the contact at the
-    largest depth under a pointed one. Displacement and pressure fields are not
-    solved for.
+    Fluid leaves the loaded region by diffusion, with the time tau = a^2 / D and the contact radius a of each test: the
+    radius of the specimen under a plate, the radius of a flat tool, and approximately the radius of the contact at the
+    largest depth of a pointed tool. The pressure of the fluid is not computed.
 
     Attributes:
-        phi: share of the instantaneous stiffness that drainage takes away; 0 is absent.
+        phi: fraction of the instantaneous stiffness that is lost by drainage; 0 is absent.
         diffusivity: D, m^2/s.
 
     Source: scaling of Hu, Zhao, Vlassak and Suo, Appl. Phys. Lett. 96 (2010) 121904.
@@ -32,19 +31,18 @@ class Poroelasticity:
 
     def __post_init__(self):
         if not 0 <= self.phi < 1:
-            raise InputError(f"{self.phi:g} is outside 0 to 1 (1 excluded); give the share of the stiffness that "
-                             "drainage takes away", field="phi")
+            raise InputError(f"must be a fraction of the stiffness from 0 to below 1; got {self.phi:g}.", field="phi")
         if not 0 < self.diffusivity < np.inf:
-            raise InputError(f"{self.diffusivity:g} m^2/s is not a positive diffusivity", field="diffusivity")
+            raise InputError(f"must be positive and finite; got {self.diffusivity:g} m^2/s.", field="diffusivity")
 
     def term(self, contact_radius: float | None) -> PronyTerm:
-        """The relaxing term of a test with this contact radius, m; phi is above 0.
+        """Return the relaxing term of a test with a contact radius, m; phi must be above 0.
 
         Raises:
-            InputError: no radius, or one that is not positive and finite.
+            InputError: the radius is None, not positive or not finite.
         """
         if contact_radius is None:
-            raise InputError("a material that drains needs the test's contact radius in m", field="contact_radius")
+            raise InputError("must be given, in m, for a material that drains.", field="contact_radius")
         if not 0 < contact_radius < np.inf:
-            raise InputError(f"{contact_radius:g} m is not a positive contact radius", field="contact_radius")
+            raise InputError(f"must be positive and finite; got {contact_radius:g} m.", field="contact_radius")
         return PronyTerm(self.phi, contact_radius**2 / self.diffusivity)

@@ -1,4 +1,4 @@
-"""Puncture under a needle as a stated drop of its force."""
+"""Puncture by a needle as a drop of its force."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from tissue_sim.parameters import parameter
 
 @dataclass(frozen=True)
 class Puncture(ReducedEffect):
-    """From the first time that the needle passes `depth` on, its force is (1 - drop) of what it would be.
+    """Reduce the force of a needle to (1 - drop) of its value as soon as the needle has passed a depth.
 
-    A reduced form: the tissue is not cut. Plates do not puncture.
+    A reduced form: the mesh is not cut. Plates do not puncture.
 
     Attributes:
-        depth: of the needle at which the surface gives way, m.
-        drop: share of the force that is lost for good, 0 (absent) to below 1.
+        depth: depth of the needle at which the surface ruptures, m.
+        drop: fraction of the force that is lost permanently, 0 (absent) to below 1.
     """
 
     name = "puncture"
@@ -32,15 +32,14 @@ class Puncture(ReducedEffect):
 
     def __post_init__(self):
         if not 0 < self.depth < inf:
-            raise InputError(f"{self.depth:g} m is not a positive depth", field="depth")
+            raise InputError(f"must be positive and finite; got {self.depth:g} m.", field="depth")
         if not 0 <= self.drop < 1:
-            raise InputError(f"{self.drop:g} is outside 0 to 1 (1 excluded); give the share of the force that is lost",
-                             field="drop")
+            raise InputError(f"must be a fraction of the force from 0 to below 1; got {self.drop:g}.", field="drop")
 
     def share(self, history: ToolHistory) -> float:
-        """What the puncture leaves of the force."""
+        """Return 1 - drop if the needle has passed the depth, else 1."""
         return 1.0 - self.drop if history.deepest > self.depth else 1.0
 
     def shares(self, depth: np.ndarray, deepest: np.ndarray, time: np.ndarray) -> np.ndarray:
-        """As `ReducedEffect.shares`."""
+        """Evaluate `share` for arrays; see `ReducedEffect.shares`."""
         return np.where(deepest > self.depth, 1.0 - self.drop, 1.0)

@@ -1,6 +1,6 @@
-"""What stands in a material file, part by part; see `tissue_sim.MaterialFile`.
+"""Entries of material files; see `tissue_sim.MaterialFile`.
 
-The entry of a part of a material follows from what the part declares (`tissue_sim.parameters`).
+The entry of a part of a material is derived from the declarations of the part (`tissue_sim.parameters`).
 """
 
 from __future__ import annotations
@@ -25,18 +25,19 @@ from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import FORM, Prony, PronyTerm
 from tissue_sim.parameters import declared, from_keys
 
+#: Lowest and highest value.
 Range = tuple[float, float]
 
 
 class CovarianceEntry(Entry, frozen=True, kw_only=True):
-    """Covariance of the parameters in `order`, in the product of their units."""
+    """Covariance of the parameters in `order`; units are products of those of the parameters."""
 
     order: tuple[str, ...]
     matrix: tuple[tuple[float, ...], ...]
 
 
 class ValidRange(Entry, frozen=True, kw_only=True):
-    """(lowest, highest) of what the parameters were fitted to."""
+    """Ranges, (lowest, highest), of the data to which the parameters were fitted."""
 
     stretch: Range | None = None
     strain_rate_per_s: Range | None = None
@@ -44,7 +45,7 @@ class ValidRange(Entry, frozen=True, kw_only=True):
 
 
 class StabilityEntry(Entry, frozen=True, kw_only=True):
-    """Drucker stability; see `tissue_sim.check_stability`."""
+    """Range of Drucker stability; see `tissue_sim.check_stability`."""
 
     stable_from: float
     stable_to: float
@@ -53,14 +54,14 @@ class StabilityEntry(Entry, frozen=True, kw_only=True):
 
 
 class SourceRecording(Entry, frozen=True, kw_only=True):
-    """A recording that the parameters come from."""
+    """File and SHA-256 of a recording from which the parameters were determined."""
 
     file: str
     sha256: Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
 
 
 class Provenance(Entry, frozen=True, kw_only=True):
-    """Where the parameters come from; `residual` such as ``{"RMSE_Pa": 12.0}``, `date` in ISO 8601."""
+    """Origin of the parameters; `residual` such as ``{"RMSE_Pa": 12.0}``, `date` in ISO 8601."""
 
     recordings: tuple[SourceRecording, ...] = ()
     method: str | None = None
@@ -72,7 +73,7 @@ class Provenance(Entry, frozen=True, kw_only=True):
 
 
 class PartEntry(Entry, frozen=True, kw_only=True):
-    """A part of a material in the units of the file; `standard_errors` by the file's keys and in its units."""
+    """Part of a material in the units of the file; `standard_errors` by the file's keys and in its units."""
 
     #: Class of the part.
     noun: ClassVar[type]
@@ -80,32 +81,41 @@ class PartEntry(Entry, frozen=True, kw_only=True):
 
     @classmethod
     def of(cls, part: Any, place: str, errors: Mapping[str, float]) -> PartEntry:
-        """The entry of a part; `errors`, SI, are looked up by the path of the attribute."""
+        """Make the entry of a part.
+
+        Args:
+            part: part of a material.
+            place: path of the part.
+            errors: path of a parameter -> standard error, SI.
+        """
         known = declared(cls.noun).items()
         mine = {what.key: errors[f"{place}.{name}"] / what.factor for name, what in known
                 if f"{place}.{name}" in errors}
         return cls(**{what.key: getattr(part, name) / what.factor for name, what in known}, standard_errors=mine)
 
     def part(self, field: str) -> Any:
-        """The part of a material.
+        """Make the part of a material.
+
+        Args:
+            field: path of the part, for messages.
 
         Raises:
-            InputError: a value that the part refuses, or a bad standard error, with the path below `field`.
+            InputError: an invalid value or standard error, with its path.
         """
         keys = [what.key for what in declared(self.noun).values()]
         for key, error in self.standard_errors.items():
             if key not in keys:
-                raise InputError(f"names no parameter beside it; known: {', '.join(keys)}",
+                raise InputError(f"must be the key of a parameter: {', '.join(keys)}.",
                                  field=f"{field}.standard_errors.{key}")
             if error < 0:
-                raise InputError(f"{error:g} is negative; give a standard deviation",
+                raise InputError(f"must be a standard deviation of 0 or more; got {error:g}.",
                                  field=f"{field}.standard_errors.{key}")
         return from_keys(self.noun, {key: getattr(self, key) for key in keys}, field)
 
 
 @cache
 def entry_of(noun: type) -> type[PartEntry]:
-    """The entry of a class of parts: a key for each parameter that it declares."""
+    """Make the class of entries of a class of parts: one key for each declared parameter."""
     keys: list[tuple[str, type] | tuple[str, type, Any]] = []
     for entry in fields(noun):
         what = declared(noun).get(entry.name)
@@ -117,7 +127,7 @@ def entry_of(noun: type) -> type[PartEntry]:
     return cast(type[PartEntry], made)
 
 
-if TYPE_CHECKING:  # a class that a function makes is no type to a checker; what it need know stands in PartEntry
+if TYPE_CHECKING:  # type checkers do not accept a class from a function as a type; PartEntry has all that they need
     LayerEntry = PartEntry
     PoroelasticityEntry = PartEntry
     PronyTermEntry = PartEntry
@@ -129,7 +139,7 @@ else:
 
 
 class ViscoelasticEntry(Entry, frozen=True, kw_only=True, omit_defaults=False):
-    """See `tissue_sim.material.viscoelasticity.Prony`; the convention is always written."""
+    """Prony series, see `tissue_sim.material.viscoelasticity.Prony`; the convention is always written."""
 
     terms: tuple[PronyTermEntry, ...]
     moduli: Literal["instantaneous", "long_term"] = "instantaneous"
@@ -137,19 +147,19 @@ class ViscoelasticEntry(Entry, frozen=True, kw_only=True, omit_defaults=False):
 
     @classmethod
     def of(cls, prony: Prony, place: str, errors: Mapping[str, float]) -> ViscoelasticEntry:
-        """The entry of a Prony series; `errors` as in `PartEntry.of`."""
+        """Make the entry of a Prony series; arguments as in `PartEntry.of`."""
         terms = (PronyTermEntry.of(term, f"{place}.terms[{i}]", errors) for i, term in enumerate(prony.terms))
         return cls(terms=tuple(terms), moduli=prony.moduli)
 
     def part(self, field: str) -> Prony:
-        """The Prony series; errors as `PartEntry.part`."""
+        """Make the Prony series; errors as in `PartEntry.part`."""
         terms = tuple(term.part(f"{field}.terms[{i}]") for i, term in enumerate(self.terms))
         with located(field=field):
             return Prony(terms, self.moduli)
 
 
 def entries_of(material: Material, errors: Mapping[str, float]) -> dict[str, Any]:
-    """Key of the file -> entry of everything that the material has beside its law and its bulk response.
+    """Make the entries of all parts of a material besides law and bulk response, by their keys in the file.
 
     Args:
         material: the material.
@@ -171,7 +181,7 @@ def entries_of(material: Material, errors: Mapping[str, float]) -> dict[str, Any
 
 
 def parts_of(entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Keyword arguments of `Material` from what `entries_of` made; errors as `PartEntry.part`."""
+    """Make the keyword arguments of `Material` from the entries of a file; errors as in `PartEntry.part`."""
     single = {key: entry.part(key) for key, entry in entries.items()
               if entry is not None and key not in ("layers", "effects", "regions")}
     layers = tuple(layer.part(f"layers[{i}]") for i, layer in enumerate(entries["layers"] or ()))
@@ -182,7 +192,7 @@ def parts_of(entries: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class RegionEntry(Entry, frozen=True, kw_only=True):
-    """What the tissue is in a region of the mesh: all of a material that a region may have."""
+    """Material of a region of the mesh."""
 
     name: str = ""
     law: str
@@ -195,21 +205,21 @@ class RegionEntry(Entry, frozen=True, kw_only=True):
 
     @classmethod
     def of(cls, material: Material, place: str, errors: Mapping[str, float]) -> RegionEntry:
-        """The entry of a region's material; `errors` as in `PartEntry.of`."""
+        """Make the entry of a region's material; arguments as in `PartEntry.of`."""
         mine = {path.removeprefix(f"{place}."): error for path, error in errors.items()
                 if path.startswith(f"{place}.")}
         parts = {key: entry for key, entry in entries_of(material, mine).items() if entry is not None}
         return cls(name=material.name, **law_entries(material, mine), **parts, density_kg_m3=material.density)
 
     def in_SI(self, field: str) -> tuple[RegionEntry, dict[str, float]]:
-        """The entry in SI, and the factors of its parameters' units by their paths; errors as `parameters_in_SI`."""
+        """Return the entry in SI, and path -> factor of the unit of its parameters; errors as in `parameters_in_SI`."""
         with located(field=field):
             parameters, factors = parameters_in_SI(self.law, self.parameters)
         return (msgspec.structs.replace(self, parameters=parameters),
                 {f"{field}.{name}": factor for name, factor in factors.items()})
 
     def part(self, field: str) -> Material:
-        """The material, of an entry in SI; errors as `PartEntry.part`, and what `Material` refuses."""
+        """Make the material of an entry in SI; errors as in `PartEntry.part` and `Material`."""
         with located(field=field):
             parts = {key: entry.part(key) for key in ("viscoelastic", "softening", "poroelasticity")
                      if (entry := getattr(self, key)) is not None}
@@ -218,36 +228,41 @@ class RegionEntry(Entry, frozen=True, kw_only=True):
 
 
 def _effect(name: str, content: Any) -> PartEntry:
-    """The entry of an added effect.
+    """Decode the entry of an additional effect.
 
     Raises:
-        InputError: nobody knows an effect of that name, or what `decode` refuses.
+        InputError: no registered effect has the name, or the content is invalid.
     """
     if name not in EFFECTS:
-        raise InputError(f"no effect of the tissue is called so here; known: {', '.join(EFFECTS) or 'none'}; install "
-                         "or register the package that brings it", field=f"effects.{name}")
+        raise InputError(f"must be the name of a registered effect: {', '.join(EFFECTS) or 'none'}. Install or "
+                         "register the package that defines it", field=f"effects.{name}")
     kind: type = EFFECTS[name]
     return decode(content, entry_of(kind), f"effects.{name}")
 
 
 def check_covariance(matrix: np.ndarray, m: int, field: str = "covariance.matrix") -> None:
-    """Refuse what is no covariance of m numbers; with the field.
+    """Check that a matrix is a covariance of m numbers.
+
+    Args:
+        matrix: matrix to check.
+        m: number of rows.
+        field: field for messages.
 
     Raises:
-        InputError: another shape, a number that is not finite, not symmetric, or not positive semi-definite.
+        InputError: the matrix has another shape, is not finite, not symmetric, or not positive semi-definite.
     """
     if matrix.shape != (m, m):
-        raise InputError(f"has the shape {matrix.shape}, expected {m} rows of {m}", field=field)
+        raise InputError(f"must have {m} rows of {m} numbers; got the shape {matrix.shape}.", field=field)
     if not np.isfinite(matrix).all():
-        raise InputError("holds a number that is not finite", field=field)
+        raise InputError("must be finite.", field=field)
     variances = np.diag(matrix)
     if (variances < 0).any():
-        raise InputError(f"variance {variances.min():g} on the diagonal is negative", field=field)
-    # A fixed parameter has a row of zeros. Rounding of a fit is far below 1e-9 of a correlation.
+        raise InputError(f"must have a diagonal of 0 or more; got {variances.min():g}.", field=field)
+    # A fixed parameter has a row of zeros. Rounding errors of a fit are far below 1e-9 of a correlation.
     scale = np.sqrt(np.where(variances > 0, variances, 1.0))
     correlation = matrix / scale[:, None] / scale[None, :]
     if np.abs(correlation - correlation.T).max() > 1e-9:
-        raise InputError("is not symmetric", field=field)
+        raise InputError("must be symmetric.", field=field)
     if np.linalg.eigvalsh(correlation).min() < -1e-9:
-        raise InputError("is not positive semi-definite: some combination of the parameters has a negative variance",
+        raise InputError("must be positive semi-definite; some combination of the parameters has a negative variance.",
                          field=field)

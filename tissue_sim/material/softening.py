@@ -12,18 +12,19 @@ from tissue_sim.parameters import parameter
 
 @dataclass(frozen=True)
 class Softening:
-    """Pseudo-elastic softening of the isochoric stress by a factor eta = 1 - loss tanh((Wm - W)/(modulus + share Wm)).
+    """Pseudo-elastic softening of the isochoric stress: S -> eta S.
 
-    W is the isochoric energy density and Wm the largest so far: on first load eta is 1, below the largest load the
-    stress is lower, and it returns to the first curve where that is reached again.
+    eta = 1 - loss tanh((Wm - W) / (modulus + share Wm)), with the isochoric energy density W and its largest value so
+    far Wm. On first load eta is 1; below the largest load the stress is lower; it returns to the first curve when W
+    reaches Wm again.
 
     Attributes:
-        loss: largest share of the stress that can be lost, 0 (absent) to below 1.
-        modulus: Pa; the larger, the less a small load softens.
-        share: of Wm in the scale; with modulus 0 unloading to rest always costs loss tanh(1/share).
+        loss: largest fraction of the stress that is lost, 0 (absent) to below 1.
+        modulus: Pa; the larger, the less softening after small loads.
+        share: coefficient of Wm, 1; with modulus 0 the loss after unloading to rest is loss tanh(1/share).
 
-    Source: Ogden and Roxburgh, Proc. R. Soc. A 455 (1999) 2861; with tanh Dorfmann and Ogden, IJSS 40 (2003) 2699;
-    with a share of Wm as in the Mullins effect of Abaqus.
+    Source: Ogden and Roxburgh, Proc. R. Soc. A 455 (1999) 2861; tanh: Dorfmann and Ogden, IJSS 40 (2003) 2699;
+    coefficient of Wm: Mullins effect of Abaqus.
     """
 
     loss: float = parameter("r", "1", key="loss", bounds=(1e-6, 0.99), absent=0.0)
@@ -32,19 +33,18 @@ class Softening:
 
     def __post_init__(self):
         if not 0 <= self.loss < 1:
-            raise InputError(f"{self.loss:g} is outside 0 to 1 (1 excluded); give the share of the stress that can be "
-                             "lost", field="loss")
+            raise InputError(f"must be a fraction of the stress from 0 to below 1; got {self.loss:g}.", field="loss")
         for name in ("modulus", "share"):
             if not 0 <= getattr(self, name) < np.inf:
-                raise InputError(f"{getattr(self, name):g} is not a number from 0 on", field=name)
+                raise InputError(f"must be finite and 0 or more; got {getattr(self, name):g}.", field=name)
         if self.modulus == 0 and self.share == 0:
-            raise InputError("modulus and share are both 0, so nothing scales the lost energy; give one of them",
+            raise InputError("modulus and share must not both be 0; together they scale the lost energy",
                              field="modulus")
 
     def factor(self, energy, largest) -> np.ndarray:
-        """eta at an isochoric energy density W, J/m3, with the largest so far; shapes broadcast."""
+        """Factor eta at an isochoric energy density W, J/m3, for the largest value so far Wm; shapes broadcast."""
         energy, largest = np.broadcast_arrays(np.asarray(energy, dtype=float), np.asarray(largest, dtype=float))
         scale = self.modulus + self.share * largest
-        # Before the first load both are zero.
+        # Before the first load W, Wm and the scale are zero.
         ratio = np.divide(np.maximum(largest - energy, 0.0), scale, out=np.zeros(scale.shape), where=scale > 0)
         return 1.0 - self.loss * np.tanh(ratio)

@@ -1,4 +1,4 @@
-"""Tissue that is stiffer or softer as a whole: on a warm day, in another session, of another animal."""
+"""Factor on the stiffness of the whole tissue, for instance between sessions, temperatures or animals."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from tissue_sim.parameters import parameter
 
 @dataclass(frozen=True)
 class StiffnessScale(ReducedEffect):
-    """Every force is `ratio` times what it would be.
+    """Multiply every force by a constant ratio.
 
-    Exact where nothing beside the tissue resists: all moduli, bulk included, times the ratio. A specimen that weighs
-    sags as it did.
+    Exact if only the tissue resists: all moduli, bulk included, are then multiplied by the ratio. The sag of a specimen
+    under its weight does not change.
 
     Attributes:
-        ratio: 1 is absent.
+        ratio: factor on the stiffness, 1; 1 if the effect is absent.
     """
 
     name = "stiffness_scale"
@@ -28,8 +28,8 @@ class StiffnessScale(ReducedEffect):
 
     def __post_init__(self):
         if not 0 < self.ratio < inf:
-            raise InputError(f"{self.ratio:g} is not a positive ratio of stiffness", field="ratio")
+            raise InputError(f"must be positive and finite; got {self.ratio:g}.", field="ratio")
 
     def share(self, history: ToolHistory) -> float:
-        """The ratio."""
+        """Return the ratio."""
         return self.ratio

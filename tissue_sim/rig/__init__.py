@@ -1,1 +1,1 @@
-"""The rig: what stands between the tissue and the numbers."""
+"""The rig: load frame and sensor, between the tissue and the recorded numbers."""

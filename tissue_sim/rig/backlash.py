@@ -1,23 +1,25 @@
-"""Backlash: a nut with play on its screw."""
+"""Backlash: motion of a nut with play on its screw."""
 
 from __future__ import annotations
 
 import numpy as np
 
 
-def follow(screw: np.ndarray, play: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where the nut is, and when the screw was there.
+def move_nut(screw: np.ndarray, play: float) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the motion of the nut (play operator).
 
-    The screw pushes the nut downwards (to larger values) at once, upwards only after `play`, which is taken up
-    downwards at the first sample (the play operator of Krasnosel'skii and Pokrovskii, Systems with Hysteresis, 1989).
+    The screw moves the nut downwards (to larger values) at once, and upwards only after `play`; at the first sample the
+    play is taken up in the downward direction.
 
     Args:
-        screw: positions in the order of time, m, shape (n,).
+        screw: positions in order of time, m, shape (n,).
         play: m, not negative.
 
     Returns:
-        Positions of the nut, m, shape (n,); and the sample, with its fraction, at which the screw last stood where the
-        nut is, on straight lines between its samples, shape (n,).
+        Positions of the nut, m, shape (n,); and the fractional sample number at which the screw was last at the
+        position of the nut, by linear interpolation, shape (n,).
+
+    Source: Krasnosel'skii and Pokrovskii, Systems with Hysteresis, 1989.
     """
     nut, since = screw.copy(), np.arange(screw.size, dtype=float)
     if not play:

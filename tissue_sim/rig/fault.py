@@ -1,7 +1,7 @@
-"""Faults of a rig that can be added: a file each, by name in rig files.
+"""Additional faults of a rig: contract, and registry by name.
 
-A fault is a frozen dataclass that derives from `RigFault` and declares its numbers with
-`tissue_sim.parameters.parameter`. `FAULTS` knows the classes by name; a `Rig` carries the faults themselves.
+A fault is a frozen dataclass that derives from `RigFault` and declares its parameters with
+`tissue_sim.parameters.parameter`. `FAULTS` contains the classes by name; a `Rig` contains the faults.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from tissue_sim.registry import Registry
 
 
 class RigFault:
-    """What a load frame or a sensor does that `Rig` has no field for. Override one of the two methods, or both.
+    """Effect of a load frame or a sensor for which `Rig` has no field. A subclass overrides one or both methods.
 
     Attributes:
         name: key in rig files.
-        title: for people.
-        needs_time: whether what it does depends on the time, or on the speed, of the motion.
+        title: name in reports.
+        needs_time: whether the effect depends on the time or the speed of the motion.
     """
 
     name: ClassVar[str]
@@ -30,24 +30,24 @@ class RigFault:
 
     @property
     def moves_tool(self) -> bool:
-        """Whether the tool goes elsewhere than the stage reports."""
+        """Whether the fault changes the motion of the tool."""
         return type(self).tool_motion is not RigFault.tool_motion
 
     @property
     def reads(self) -> bool:
-        """Whether the sensor reads something else than the true force."""
+        """Whether the fault changes the reading of the sensor."""
         return type(self).reading is not RigFault.reading
 
     def tool_motion(self, displacement: np.ndarray) -> np.ndarray:
-        """Where the tool goes when the stage reports these displacements, m, in the order of time, shape (n,)."""
+        """Displacement of the tool for displacements that the stage reports, m, in order of time, shape (n,)."""
         return displacement
 
     def reading(self, recording: Recording) -> Recording:
-        """What is read of a recording of reported displacement and true force, noise apart."""
+        """Reading, without noise, of a recording of reported displacement and true force."""
         return recording
 
 
-#: Name -> class.
+#: Name -> class of a fault.
 FAULTS: Registry[type[RigFault]] = Registry(
     "fault of a rig", "tissue_sim.rig_faults", {"inertia": "tissue_sim.rig.inertia:Inertia"},
     accepts=declaring(RigFault),

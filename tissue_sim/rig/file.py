@@ -1,4 +1,4 @@
-"""Rig files: ``NAME.rig.json``, what a load frame and its sensor do, apart from any material."""
+"""Rig files, ``NAME.rig.json``: effects of a load frame and its sensor."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from tissue_sim.parameters import declared, from_keys, to_keys
 from tissue_sim.rig.fault import FAULTS
 from tissue_sim.rig.rig import Rig
 
+#: Version of the format.
 VERSION = 1
+#: Value of the key ``schema``.
 SCHEMA = f"tissue_sim/rig/{VERSION}"
 _KEYS = [what.key for what in declared(Rig).values()]
 _RigFile = msgspec.defstruct(
@@ -25,7 +27,7 @@ _RigFile = msgspec.defstruct(
 
 
 def load_rig(path: str | Path) -> Rig:
-    """The rig in a file; a key that is absent or null leaves its effect out.
+    """Read the rig of a file; a key that is absent or null means that the effect is absent.
 
     Raises:
         InputError: damaged JSON (line), a newer schema, an unknown key (names the nearest), a value of the wrong type
@@ -37,10 +39,10 @@ def load_rig(path: str | Path) -> Rig:
 
 
 def write_rig(rig: Rig, path: str | Path) -> None:
-    """Write a rig in one step, with the effects that it has, 15 digits kept.
+    """Write a rig atomically, with the effects that it has and 15 digits.
 
     Raises:
-        InputError: a number too large in the unit of the file, or a place that cannot be written.
+        InputError: a number overflows in the unit of the file, or the path cannot be written.
     """
     absent = to_keys(Rig())
     data: dict[str, Any] = {"schema": SCHEMA}

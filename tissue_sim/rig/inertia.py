@@ -1,4 +1,4 @@
-"""Mass between the sensor and the tissue."""
+"""Inertia of the mass between the sensor and the tissue."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from tissue_sim.rig.fault import RigFault
 
 @dataclass(frozen=True)
 class Inertia(RigFault):
-    """The sensor feels the mass of the tool where it is accelerated: F + mass times acceleration.
+    """Add the inertial force of the tool to the reading of the sensor: F + mass times acceleration.
 
-    The acceleration is that of the reported motion, by second differences; a stage whose steps are seen in the report
-    has to be smoothed before.
+    The acceleration is that of the reported motion, by second differences. A report that shows the steps of the stage
+    must be smoothed before.
 
     Attributes:
-        mass: of what moves beyond the sensor, kg.
+        mass: moving mass beyond the sensor, kg.
     """
 
     name = "inertia"
@@ -31,7 +31,7 @@ class Inertia(RigFault):
 
     def __post_init__(self):
         if not 0 <= self.mass < np.inf:
-            raise InputError(f"{self.mass:g} kg is not a mass; give 0 or more", field="mass")
+            raise InputError(f"must be finite and 0 or more; got {self.mass:g} kg.", field="mass")
 
     def reading(self, recording: Recording) -> Recording:
         if not self.mass or len(recording) < 3:

@@ -1,4 +1,4 @@
-"""Force against depth on first loading: where a tool that is a little elsewhere looks its force up."""
+"""Loading curve: force against depth on first loading, to find the force at a slightly different depth."""
 
 from __future__ import annotations
 
@@ -6,22 +6,24 @@ import numpy as np
 
 from tissue_sim.recording.recording import Recording
 
-#: Depths closer than this part of the travel are one: jitter in a hold is no new depth.
+#: Depths whose difference is below this fraction of the travel are equal; small oscillations in a hold are ignored.
 _RESOLVED = 1e-3
+#: Force over the largest force below which the tool is out of contact, 1.
 _NO_FORCE = 1e-6
+#: Number of bisections.
 _HALVINGS = 60
 
 
 class LoadingCurve:
-    """The force of a computed recording when each depth was first reached, and what history has made of it since.
+    """Force of a computed recording on first loading, and the effect of history as factor and difference.
 
-    On either side of the touch, at depth 0 with force 0, the curve is a monotone cubic (Fritsch and Carlson, SIAM J.
-    Numer. Anal. 17 (1980) 238), straight beyond the last depth and 0 where no depth was computed. History is the
-    factor by which the force of each sample differs from it.
+    On each side of the touch, at depth 0 and force 0, the curve is a monotone cubic (Fritsch and Carlson, SIAM J.
+    Numer. Anal. 17 (1980) 238), linear beyond the last depth and 0 on a side without computed depths. The effect of
+    history is the ratio of the force of each sample to the curve.
 
     Args:
-        recording: computed at the depths in its displacement, shape (n,). Samples labelled ``hold`` do not shape the
-            curve.
+        recording: recording computed at the depths in its displacement, shape (n,). Samples labelled ``hold`` are not
+            points of the curve.
     """
 
     def __init__(self, recording: Recording):
@@ -34,9 +36,9 @@ class LoadingCurve:
         self._extremes = force[first].min(), force[first].max()
         curve = self(depth)
         loaded = np.abs(curve) > _NO_FORCE * np.abs(force).max()
-        # A ratio far from 1 comes from a curve near zero, where it says nothing: there the difference is kept instead.
+        # A ratio far from 1 means that the curve is near zero; the difference is used in addition to a limited ratio.
         factor = np.clip(np.divide(force, curve, out=np.ones_like(force), where=loaded), 0.0, 2.0)
-        # Out of contact the history is that of the last contact, and none before the first.
+        # Out of contact the effect of history is that of the last contact; there is none before the first contact.
         last = np.maximum.accumulate(np.where(loaded, np.arange(depth.size), -1))
         self._factor = np.where(last < 0, 1.0, factor[last])
         self._rest = force - self._factor * curve
@@ -46,15 +48,15 @@ class LoadingCurve:
         return np.where(depth > 0, self._into(np.maximum(depth, 0.0)), self._out(np.maximum(-depth, 0.0)))
 
     def force_behind(self, motion: np.ndarray, compliance: float, history: np.ndarray) -> np.ndarray:
-        """Force F at the tool's depths d that solve d + compliance F = motion, F being the curve at d times history.
+        """Solve d + compliance F(d) = motion for the force F, where F is the curve at d with the effect of history.
 
         Args:
-            motion: where the tool would be with a rigid load train, m, shape (m,).
+            motion: displacement of the tool with a rigid load train, m, shape (m,).
             compliance: m/N, not negative.
-            history: sample of the recording, with its fraction, whose history the tissue has, shape (m,).
+            history: fractional sample number in the recording whose effect of history applies, shape (m,).
 
         Returns:
-            N, shape (m,). Where a falling curve gives several solutions it is one of them.
+            N, shape (m,). If a falling curve gives several solutions, the result is one of them.
         """
         samples = np.arange(self._factor.size)
         factor, rest = (np.interp(history, samples, values) for values in (self._factor, self._rest))
@@ -64,7 +66,7 @@ class LoadingCurve:
 
         if not compliance:
             return force_at(motion)
-        # Forces that the solution cannot pass: the bracket holds a solution even where the curve falls.
+        # Bounds of the force, so that the interval contains a solution also if the curve falls.
         weakest, strongest = (rest + factor * bound for bound in (
             np.minimum(self(motion), self._extremes[0]), np.maximum(self(motion), self._extremes[1])))
         shallow = motion - compliance * np.maximum(strongest, 0.0)
@@ -77,13 +79,13 @@ class LoadingCurve:
 
 
 def _from_touch(away: np.ndarray, force: np.ndarray, step: float):
-    """Force as a function of the distance from the touch to one side of it; `away` is that of the samples."""
+    """Return the force as a function of the distance from the touch on one side; `away`: distance of the samples."""
     side = away > step
     if not side.any():
         return np.zeros_like
     order = np.argsort(away[side])
     knots, values = (np.append(0.0, samples[side][order]) for samples in (away, force))
-    # Where it is needed: campaigns load without scipy.
+    # Local import: campaigns are loaded without scipy.
     from scipy.interpolate import PchipInterpolator
 
     cubic = PchipInterpolator(knots, values)
@@ -92,7 +94,7 @@ def _from_touch(away: np.ndarray, force: np.ndarray, step: float):
 
 
 def _first_reached(depth: np.ndarray, hold: np.ndarray, step: float) -> list[int]:
-    """Samples that were deeper, or shallower, by more than `step` than all before them, and the first."""
+    """Indices of the first sample and of all samples that exceed the range of those before by more than `step`."""
     low = high = depth[0]
     found = [0]
     for sample, value in enumerate(depth.tolist()):

@@ -1,4 +1,4 @@
-"""Noise of a sensor, white or coloured."""
+"""White or coloured noise of a sensor."""
 
 from __future__ import annotations
 
@@ -9,25 +9,28 @@ from tissue_sim.errors import InputError
 
 def sensor_noise(samples: int, standard_deviation: float, seed: int, *, time: np.ndarray | None = None,
                  correlation_time: float = 0.0) -> np.ndarray:
-    """Gaussian noise with autocorrelation exp(-lag / correlation_time), white where that time is 0.
+    """Generate Gaussian noise with autocorrelation exp(-lag / correlation_time), white if that time is 0.
 
-    The coloured one is the Ornstein-Uhlenbeck process, exact for any spacing of the samples (Gillespie, Phys. Rev. E
-    54 (1996) 2084); on an even grid it is the autoregressive process AR(1).
+    Coloured noise is the Ornstein-Uhlenbeck process, exact for any spacing of the samples (Gillespie, Phys. Rev. E 54
+    (1996) 2084); on a uniform grid it is the autoregressive process AR(1).
 
     Args:
-        samples: how many, n.
+        samples: number of samples n.
         standard_deviation: of every sample, in the unit of the result.
         seed: the same seed gives the same noise.
-        time: s, shape (n,); needed with a correlation time only.
+        time: s, shape (n,); required with a correlation time.
         correlation_time: s.
 
     Returns:
         Shape (n,).
+
+    Raises:
+        InputError: a correlation time without `time`.
     """
     noise = np.random.default_rng(seed).normal(0.0, standard_deviation, samples)
     if correlation_time:
         if time is None:
-            raise InputError("coloured noise needs the times of its samples; give time", field="time")
+            raise InputError("must be given for coloured noise.", field="time")
         kept = np.exp(-np.diff(time) / correlation_time)
         fresh = np.sqrt(1.0 - kept**2) * noise[1:]
         for sample, (share, part) in enumerate(zip(kept.tolist(), fresh.tolist(), strict=True), start=1):

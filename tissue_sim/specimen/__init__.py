@@ -1,4 +1,4 @@
-"""Specimens: what is tested, one file a shape."""
+"""Specimens: one file for each shape."""
 
 from tissue_sim.specimen.specimen import HEIGHTS, SPECIMENS, STANDARD_GRAVITY, Specimen, specimen_sizes, specimen_texts
 

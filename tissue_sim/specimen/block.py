@@ -19,10 +19,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Block(Specimen):
-    """A rectangular block that stands on its base, such as the cubes that are cut of brains.
+    """A rectangular block that stands on its base.
 
     Attributes:
-        length, width: along x and y, m. height: m.
+        length: along x, m.
+        width: along y, m.
+        height: m.
     """
 
     shape = "block"
@@ -55,7 +57,7 @@ class Block(Specimen):
 
     @property
     def extent(self) -> np.ndarray:
-        """Along x, y and z, m, shape (3,)."""
+        """Sizes along x, y and z, m, shape (3,)."""
         import numpy as np
 
         return np.array([self.length, self.width, self.height])

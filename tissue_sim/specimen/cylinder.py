@@ -21,7 +21,8 @@ class Cylinder(Specimen):
     """A cylinder that stands on its base.
 
     Attributes:
-        radius, height: m; the radius is that of the undeformed cylinder.
+        radius: of the undeformed cylinder, m.
+        height: m.
     """
 
     shape = "cylinder"
@@ -55,15 +56,17 @@ class Cylinder(Specimen):
 
 
 def require_cylinder(specimen: Specimen, who: str, instead: str = 'take the solver "solid" (--solid)') -> Cylinder:
-    """The specimen where it is a cylinder.
+    """Return a specimen that is a cylinder.
 
     Args:
-        specimen: of any shape. who: takes nothing else, in words. instead: what to do.
+        specimen: specimen of any shape.
+        who: the caller that supports cylinders only, for the message.
+        instead: remedy, for the message.
 
     Raises:
-        InputError: it is none.
+        InputError: the specimen is not a cylinder.
     """
     if not isinstance(specimen, Cylinder):
-        raise InputError(f"{who} takes cylinders only, and the specimen is {with_article(specimen.shape)}; {instead}",
+        raise InputError(f"{who} requires a cylinder; the specimen is {with_article(specimen.shape)}; {instead}",
                          field="specimen.shape")
     return specimen

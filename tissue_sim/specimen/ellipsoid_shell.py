@@ -21,14 +21,16 @@ def _size(symbol: str, key: str) -> Any:
 
 @dataclass(frozen=True)
 class EllipsoidShell(Specimen):
-    """The upper half of a shell of soft tissue; its inner surface is held by a rigid core, its rim is free.
+    """The upper half of a shell of soft tissue between two ellipsoids.
+
+    The inner surface is fixed to a rigid core, the rim is free.
 
     Attributes:
-        semi_axis_x, semi_axis_y, semi_axis_z: of the outer surface, m; its apex is the origin.
-        thickness: along the axes, m; the inner surface has semi-axes that are shorter by it.
+        semi_axis_x, semi_axis_y, semi_axis_z: semi-axes of the outer surface, m; its apex is the origin.
+        thickness: difference between the semi-axes of outer and inner surface, m.
 
     Raises:
-        InputError: a thickness that leaves no core.
+        InputError: the thickness is at least a semi-axis, so that no core remains.
     """
 
     shape = "ellipsoid_shell"
@@ -47,7 +49,7 @@ class EllipsoidShell(Specimen):
 
     @property
     def semi_axes(self) -> tuple[float, float, float]:
-        """Of the outer surface along x, y and z, m."""
+        """Semi-axes of the outer surface along x, y and z, m."""
         return self.semi_axis_x, self.semi_axis_y, self.semi_axis_z
 
     @property
@@ -55,7 +57,7 @@ class EllipsoidShell(Specimen):
         return self.semi_axis_z
 
     def margin(self, x: float = 0.0, y: float = 0.0) -> float:
-        # At least so far: the ellipse through the place, and the rim, which is like it.
+        # A lower bound: the distance from a similar ellipse through the point to the rim.
         return (1.0 - math.hypot(x / self.semi_axis_x, y / self.semi_axis_y)) * min(self.semi_axis_x, self.semi_axis_y)
 
     @property

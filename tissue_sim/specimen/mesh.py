@@ -1,4 +1,4 @@
-"""A body of any shape, from a file of its mesh."""
+"""A body of any shape, whose mesh is read from a file."""
 
 from __future__ import annotations
 
@@ -17,24 +17,25 @@ if TYPE_CHECKING:
     from tissue_sim.mesh.solid import SolidMesh
     from tissue_sim.mesh.solid_file import FileMesh
 
-#: Corners of elements that a tool has under it, at least.
+#: Smallest number of corner nodes under a tool.
 _FEWEST = 4
 
 
 @dataclass(frozen=True)
 class MeshSpecimen(Specimen):
-    """A body whose mesh of tetrahedra or hexahedra another program has made; z points upwards in its file. The middle
-    of the box about its top is the origin.
+    """A body whose mesh of tetrahedra or hexahedra comes from another program.
+
+    In the file z points upwards. The origin is the middle of the bounding box of the top.
 
     Attributes:
         mesh_file: .msh of Gmsh, .vtu or .vtk, or .inp of Abaqus or CalculiX.
-        mesh_unit: of its coordinates: ``"mm"``, ``"m"``, ``"cm"``, ``"um"``, ``"in"``.
-        mesh_base: name in the file of the sides that are held; None: those in the lowest plane.
-        mesh_top: of those that the tool may meet; None: those in the highest plane, or all that look up.
-        content: the mesh of the file where that is not to be read any more, and `mesh_file` is its name alone.
+        mesh_unit: unit of the coordinates: ``"mm"``, ``"m"``, ``"cm"``, ``"um"``, ``"in"``.
+        mesh_base: name in the file of the faces that are held; None: the faces in the lowest plane.
+        mesh_top: name of the faces that the tool may touch; None: the faces in the highest plane, or all upward faces.
+        content: mesh of the file, if the file is not to be read again; `mesh_file` is then a name without folder.
 
     Raises:
-        InputError: what `tissue_sim.mesh.solid_file.read_file_mesh` refuses; a name that the file does not have.
+        InputError: see `tissue_sim.mesh.solid_file.read_file_mesh`; a name that the file does not have.
     """
 
     shape = "mesh"
@@ -52,13 +53,13 @@ class MeshSpecimen(Specimen):
     def __post_init__(self):
         super().__post_init__()
         if self.content is not None and str(self.mesh_file) != Path(self.mesh_file).name:
-            raise InputError("the mesh is given, and so is a file to read; leave one of them out",
+            raise InputError("must be left out if mesh_file is a path; the mesh would be defined twice",
                              field="specimen.content")
-        # Of most shapes a property of the class.
+        # A class attribute in most shapes; here it depends on the file.
         object.__setattr__(self, "is_flat", self._seen.is_flat)
 
     def __eq__(self, other: object) -> bool:
-        """Whether what is in the files is the same, whatever they are called."""
+        """Whether the contents of the files and all other fields are equal; the names of the files are ignored."""
         return isinstance(other, MeshSpecimen) and self._key == other._key
 
     def __hash__(self) -> int:
@@ -78,16 +79,16 @@ class MeshSpecimen(Specimen):
             found = path.stat()
             return _read(path.resolve(), self.mesh_unit, found.st_mtime_ns, found.st_size)
         except (OSError, ValueError):
-            return _read(path, self.mesh_unit, 0, 0)  # which says what is the matter
+            return _read(path, self.mesh_unit, 0, 0)  # raises the error with its reason
 
     @property
     def mesh_of_file(self) -> FileMesh:
-        """As it was read."""
+        """Mesh of the file."""
         return self._mesh
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the bytes that its mesh was read from."""
+        """SHA-256 of the bytes of the mesh file."""
         return self._mesh.digest
 
     @cached_property
@@ -104,7 +105,7 @@ class MeshSpecimen(Specimen):
 
     @property
     def height(self) -> float:
-        """From the lowest to the highest node, m."""
+        """Distance between the lowest and the highest node, m."""
         heights = self._mesh.points[:, 2]
         return float(heights.max() - heights.min())
 
@@ -128,16 +129,19 @@ class MeshSpecimen(Specimen):
         return self._seen.depth_at(x, y)
 
     def solid_mesh(self, grading: Grading) -> SolidMesh:
-        """The file's own elements, raised to the order of those that the grading asks for; their sizes are the file's.
+        """Return the elements of the file, raised to the order of the elements of the grading.
+
+        Args:
+            grading: element type, and radius and centre of the tool; its element sizes are ignored.
 
         Raises:
-            InputError: layers, or a tool with hardly a node under it.
+            InputError: layers, or fewer than `_FEWEST` nodes under the tool.
         """
         from tissue_sim.mesh.solid import with_tool_sets
         from tissue_sim.mesh.solid_file import solid_from_file
 
         if grading.interfaces:
-            raise InputError("a mesh of a file has regions of its own and takes no layers; leave them out",
+            raise InputError("must be left out for a mesh from a file; use regions instead",
                              field="material.layers")
         try:
             mesh = solid_from_file(self._mesh, grading.element.order, base=self.mesh_base, top=self.mesh_top)
@@ -155,7 +159,7 @@ class MeshSpecimen(Specimen):
 
 @lru_cache(maxsize=4)
 def _read(path: Path, unit: str, changed: int, size: int) -> FileMesh:
-    """A file is read once while it stays as it is."""
+    """Read a mesh file; cached as long as its time of change and its size stay the same."""
     from tissue_sim.mesh.solid_file import read_file_mesh
 
     return read_file_mesh(path, unit)

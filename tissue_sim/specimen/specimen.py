@@ -1,8 +1,8 @@
-"""Specimens: what every shape answers, and the shapes by name.
+"""Specimens: contract of a shape, and registry by name.
 
-A new shape is a frozen dataclass in a file of its own, derived from `Specimen`, with its sizes declared by
-`tissue_sim.parameters.parameter`; it stands in `SPECIMENS`, or a package adds it by an entry point of that group.
-Command line, campaigns and parameters of fits take its sizes from the declarations.
+A new shape is a frozen dataclass in its own file, derived from `Specimen`, whose sizes are declared by
+`tissue_sim.parameters.parameter`. It is listed in `SPECIMENS`, or added by another package through an entry point of
+the group ``tissue_sim.specimens``. Command line, campaigns and fits read the sizes from the declarations.
 """
 
 from __future__ import annotations
@@ -24,14 +24,17 @@ if TYPE_CHECKING:
     from tissue_sim.mesh.moved_solid import Circle
     from tissue_sim.mesh.solid import SolidMesh
 
-#: Gravity where nothing else is said, m/s2.
+#: Standard value of gravity, m/s2.
 STANDARD_GRAVITY = 9.81
+#: Meanings of a height: undeformed, or settled under its weight.
 HEIGHTS = ("moulded", "placed")
 
 
 class _ByShape(type):
-    """``Specimen(0.04, 0.07)`` makes a cylinder, ``Specimen(shape="block", ...)`` a block. Values without names are
-    the sizes of the shape first, then what all shapes have."""
+    """Metaclass: ``Specimen(0.04, 0.07)`` makes a cylinder, ``Specimen(shape="block", ...)`` a block.
+
+    Positional values are first the sizes of the shape, then the fields that all shapes have.
+    """
 
     def __call__(cls, *values: Any, **named: Any) -> Any:
         kind: Any = SPECIMENS.find(named.pop("shape", "cylinder"), field="specimen.shape") if cls is Specimen else cls
@@ -50,27 +53,28 @@ class _ByShape(type):
 
 @dataclass(frozen=True, kw_only=True)
 class Specimen(metaclass=_ByShape):
-    """A body of the material that stands on its base; the middle of its top is the origin, z points out of it.
+    """A body of the material that stands on its base; the origin is the middle of its top, z points out of the body.
 
-    ``Specimen(radius, height, ...)`` makes a cylinder, ``Specimen(shape=..., **sizes)`` any; a specimen is a frozen
-    dataclass with the sizes of its shape as fields, m.
+    ``Specimen(radius, height, ...)`` makes a cylinder, ``Specimen(shape=..., **sizes)`` any shape. A specimen is a
+    frozen dataclass with the sizes of its shape as fields, m.
 
     Attributes:
-        shape: name of the shape: ``"cylinder"``, ``"block"``, ``"ellipsoid_shell"``,
-            ``"mesh"``; a package may add others.
-        is_prism: whether all cross-sections are alike, so that one between plates that slip deforms homogeneously.
+        shape: name of the shape: ``"cylinder"``, ``"block"``, ``"ellipsoid_shell"``, ``"mesh"``; packages may add
+            others.
+        is_prism: whether all cross-sections are equal, so that the body deforms homogeneously between frictionless
+            plates.
         is_flat: whether top and base are planes.
-        is_round: whether an axisymmetric section is all of it.
+        is_round: whether the body is axisymmetric.
         from_file: whether shape and sizes come from a file.
-        texts: key in files -> field, of what it states in words, such as a file or a unit.
-        paths: keys of those that name files.
-        name: for people and campaign files.
-        density: kg/m3, or None where nobody said.
-        gravity: m/s2, along z and towards the base; 0 leaves self-weight out.
-        height_is: ``"moulded"``, the undeformed height, or ``"placed"``, measured on its base after it has settled.
+        texts: key in files -> field, for fields that are texts, such as a file or a unit.
+        paths: keys of the texts that are file names.
+        name: name in reports and campaign files.
+        density: kg/m3; None if unknown.
+        gravity: m/s2, towards the base; 0: without self-weight.
+        height_is: ``"moulded"``: `height` is the undeformed height; ``"placed"``: the height under the weight.
 
     Raises:
-        InputError: unknown shape; a size that is missing, not positive or not one of the shape; gravity without a
+        InputError: an unknown shape; a size that is missing, not positive or not one of the shape; gravity without a
             density.
     """
 
@@ -86,31 +90,32 @@ class Specimen(metaclass=_ByShape):
     gravity: float = parameter("g0", "m/s2", key="gravity_m_s2", bounds=(0.0, 100.0), absent=0.0, default=0.0)
     height_is: str = "moulded"
 
-    if TYPE_CHECKING:  # what `_ByShape` takes, and what is a field or a property of every shape
+    if TYPE_CHECKING:  # the arguments of `_ByShape.__call__`, and a field or property of every shape
         def __init__(self, *values: Any, **named: Any): ...
 
         @property
         def height(self) -> float:
-            """From the base to the highest point, m; what `height_is` says."""
+            """Distance between the base and the highest point, m; see `height_is`."""
 
     def __post_init__(self):
         for name, what in declared(type(self)).items():
             if what.shapes_mesh and what.absent is None:
                 require_length(getattr(self, name), f"specimen.{name}")
         if self.density is not None and not (math.isfinite(self.density) and self.density > 0):
-            raise InputError(f"{self.density:g} is not a positive density; give kg/m3", field="specimen.density")
+            raise InputError(f"must be positive and finite; got {self.density:g} kg/m3.", field="specimen.density")
         if not (math.isfinite(self.gravity) and self.gravity >= 0):
-            raise InputError(f"{self.gravity:g} m/s2 is not a gravity towards the base; give 0 or {STANDARD_GRAVITY}",
+            raise InputError(f"must be 0 or positive, towards the base, such as {STANDARD_GRAVITY}; got "
+                             f"{self.gravity:g} m/s2.",
                              field="specimen.gravity")
         if self.gravity and self.density is None:
-            raise InputError("gravity needs a density; give density in kg/m3", field="specimen.density")
+            raise InputError("must be given, in kg/m3, if gravity acts.", field="specimen.density")
         if self.height_is not in HEIGHTS:
-            raise InputError(f"{self.height_is!r} is not a way to measure a height; use 'moulded' or 'placed'",
+            raise InputError(f"must be 'moulded' or 'placed'; got {self.height_is!r}.",
                              field="specimen.height_is")
 
     @property
     def specific_weight(self) -> float:
-        """Density times gravity, N/m3; 0 where self-weight is left out."""
+        """Density times gravity, N/m3; 0 without self-weight."""
         return self.density * self.gravity if self.density else 0.0
 
     @property
@@ -118,29 +123,29 @@ class Specimen(metaclass=_ByShape):
         """Undeformed cross-section of a prism, m2.
 
         Raises:
-            InputError: it is none.
+            InputError: the body is not a prism.
         """
-        raise InputError(f"{with_article(self.shape)} has not one cross-section, and no closed form; simulate it with "
-                         "the solver \"solid\" (--solid)", field="specimen.shape")
+        raise InputError(f"{with_article(self.shape)} has no constant cross-section and no closed form; use the solver "
+                         "\"solid\" (--solid)", field="specimen.shape")
 
     @property
     def sizes(self) -> dict[str, float]:
-        """Key in files -> value in its unit, of the sizes of its shape."""
+        """Sizes of the shape: key in files -> value in the unit of the key."""
         return {what.key: float(f"{getattr(self, name) / what.factor:.15g}")
                 for name, what in declared(type(self)).items() if name not in _COMMON}
 
     @property
     def stated(self) -> dict[str, float | str]:
-        """Key in files -> value, of its sizes and of what it states in words: what makes it again."""
+        """Sizes and texts that define the specimen: key in files -> value."""
         words = {key: value for key, name in self.texts.items() if (value := getattr(self, name)) is not None}
         return {**self.sizes, **{key: str(value) for key, value in words.items()}}
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the files that it comes from; empty where there are none.
+        """SHA-256 of the files of the specimen; "" without files.
 
         Raises:
-            InputError: a file that cannot be read.
+            InputError: a file cannot be read.
         """
         content = [read_bytes(getattr(self, self.texts[key]), f"the {key} of {with_article(self.shape)}")
                    for key in self.paths]
@@ -148,51 +153,55 @@ class Specimen(metaclass=_ByShape):
 
     @property
     def region_names(self) -> tuple[str, ...]:
-        """Of the parts of its mesh that may have a material of their own."""
+        """Names of the regions of the mesh that may have their own material."""
         return ()
 
     @property
     def in_words(self) -> str:
-        """Its sizes, such as ``radius 40 mm, height 70 mm``."""
+        """Sizes in words, such as ``radius 40 mm, height 70 mm``."""
         return ", ".join(f"{_words(name)} {getattr(self, name) / what.factor:g} {what.key.rpartition('_')[2]}"
                          for name, what in declared(type(self)).items() if name not in _COMMON)
 
     def margin(self, x: float = 0.0, y: float = 0.0) -> float:
-        """How far a place is from the edge of the top, seen from above, m; negative beyond it."""
+        """Distance of a point from the edge of the top, in plan view, m; negative outside."""
         raise NotImplementedError
 
     @property
     def outer_radius(self) -> float:
-        """Of the circle about the axis that it fits in, seen from above, m."""
+        """Radius of the smallest circle about the axis that contains the body in plan view, m."""
         raise NotImplementedError
 
     def depth_at(self, x: float = 0.0, y: float = 0.0) -> float:
-        """How much of it is under a place, along the vertical, m."""
+        """Vertical thickness of the body under a point, m."""
         return self.height
 
     def solid_mesh(self, grading: Grading) -> SolidMesh:
-        """Its mesh in space, with the faces ``top``, what a tool may meet, ``base``, what is held, and ``side``, the
-        rest; under a needle with the sets ``face`` and ``free`` of `SolidMesh`.
+        """Make the three-dimensional mesh.
+
+        Its faces are ``top`` (may touch the tool), ``base`` (held) and ``side`` (others); under a needle it has the
+        sets ``face`` and ``free`` of `SolidMesh`.
 
         Raises:
-            InputError: a grading that does not fit.
+            InputError: the grading does not fit.
         """
         raise NotImplementedError
 
-
     def moved_mesh(self, mesh: SolidMesh, before: Specimen, circles: tuple[Circle, Circle]) -> SolidMesh:
-        """A mesh of another specimen of this shape, moved to this one, element by element the same.
+        """Move a mesh of another specimen of this shape to this specimen; the elements stay the same.
 
         Args:
-            mesh: of `before`. circles: that it has about the tool, and that it gets.
+            mesh: mesh of `before`.
+            before: specimen of the mesh.
+            circles: circles about the tool in the mesh before and after.
 
         Raises:
-            InputError: this shape cannot.
+            InputError: the shape does not support this.
         """
-        raise InputError(f"the mesh of {with_article(self.shape)} cannot be moved to another geometry; fit no sizes of "
-                         "it, and none of its tool", field="topology")
+        raise InputError(f"the mesh of {with_article(self.shape)} cannot be moved to another geometry; do not fit "
+                         "sizes of the specimen or of its tool", field="topology")
 
 
+#: Names of the fields that all shapes have.
 _COMMON = frozenset(entry.name for entry in fields(Specimen))
 
 
@@ -201,11 +210,11 @@ def _words(name: str) -> str:
 
 
 def with_article(name: str) -> str:
-    """A shape or a size in words: ``an ellipsoid shell``."""
+    """Name of a shape or a size with its article: ``an ellipsoid shell``."""
     return f"{'an' if name[0] in 'aeiou' else 'a'} {_words(name)}"
 
 
-#: Shape -> its class.
+#: Shape -> class.
 SPECIMENS: Registry[type[Specimen]] = Registry("specimen shape", "tissue_sim.specimens", {
     "cylinder": "tissue_sim.specimen.cylinder:Cylinder", "block": "tissue_sim.specimen.block:Block",
     "ellipsoid_shell": "tissue_sim.specimen.ellipsoid_shell:EllipsoidShell",
@@ -215,10 +224,12 @@ SPECIMENS: Registry[type[Specimen]] = Registry("specimen shape", "tissue_sim.spe
 
 
 class Size(NamedTuple):
-    """A size that shapes of specimens have.
+    """A size of one or several shapes of specimens.
 
     Attributes:
-        declaration: what it is. field: of the specimens. shapes: names of those that have it.
+        declaration: declaration of the parameter.
+        field: field of the specimens.
+        shapes: names of the shapes with this size.
     """
 
     declaration: Declaration
@@ -227,10 +238,10 @@ class Size(NamedTuple):
 
 
 def specimen_sizes() -> dict[str, Size]:
-    """Key in files and on the command line -> size, of all shapes.
+    """Return the sizes of all shapes by their keys in files and on the command line.
 
     Raises:
-        InputError: two shapes mean different sizes by one key.
+        InputError: two shapes use one key for different sizes.
     """
     found: dict[str, Size] = {}
     for shape, kind in SPECIMENS.items():
@@ -239,36 +250,36 @@ def specimen_sizes() -> dict[str, Size]:
                 continue
             first = found.get(what.key, Size(what, name, ()))
             if (first.declaration.factor, first.field) != (what.factor, name):
-                raise InputError(f"the shapes {first.shapes[0]} and {shape} mean different sizes by {what.key}; one of "
-                                 "them has to take another key", field="tissue_sim.specimens")
+                raise InputError(f"the shapes {first.shapes[0]} and {shape} use the key {what.key} for different "
+                                 "sizes; rename one of them", field="tissue_sim.specimens")
             found[what.key] = first._replace(shapes=(*first.shapes, shape))
     return found
 
 
 def sizes_of(shape: str) -> dict[str, Declaration]:
-    """Key in files -> what it is, of the sizes of a shape, in order."""
+    """Return the declarations of the sizes of a shape, in order, by their keys in files."""
     return {what.key: what for name, what in declared(SPECIMENS.find(shape, "specimen.shape")).items()
             if name not in _COMMON}
 
 
 def specimen_texts() -> dict[str, tuple[str, ...]]:
-    """Key in files -> names of the shapes that state it, of what shapes state in words.
+    """Return the keys of texts in files and, for each, the shapes that have it.
 
     Raises:
-        InputError: one shape means a size by a key that is a word of another.
+        InputError: the key of a text is the key of a size of another shape.
     """
     found: dict[str, tuple[str, ...]] = {}
     for shape, kind in SPECIMENS.items():
         for key in kind.texts:
             if key in specimen_sizes():
-                raise InputError(f"{with_article(shape)} states {key} in words, which is a size of another shape; one "
-                                 "of them has to take another key", field="tissue_sim.specimens")
+                raise InputError(f"{with_article(shape)} uses the key {key} for a text and another shape for a size; "
+                                 "rename one of them", field="tissue_sim.specimens")
             found[key] = (*found.get(key, ()), shape)
     return found
 
 
 def keys_of(shape: str) -> dict[str, bool]:
-    """Key in files -> whether it has to be stated, of the sizes of a shape and of what it states in words."""
+    """Return the keys of sizes and texts of a shape, and whether each is required."""
     kind = SPECIMENS.find(shape, "specimen.shape")
     usual = {entry.name: entry.default is not MISSING for entry in fields(kind)}
     return {**{key: what.absent is None for key, what in sizes_of(shape).items()},
@@ -276,11 +287,15 @@ def keys_of(shape: str) -> dict[str, bool]:
 
 
 def specimen_of_keys(shape: str, stated: Mapping[str, float | str], **common: Any) -> Specimen:
-    """A specimen of a shape from sizes by their keys of `specimen_sizes`, in the units of files, from what it states in
-    words, and from what all shapes have, in SI.
+    """Make a specimen from the keys of files.
+
+    Args:
+        shape: name of the shape.
+        stated: sizes in the units of their keys (`specimen_sizes`), and texts.
+        common: fields that all shapes have, SI.
 
     Raises:
-        InputError: what `Specimen` raises, the field the key of a size.
+        InputError: see `Specimen`; the field is the key of a size.
     """
     known = specimen_sizes()
     texts = SPECIMENS[shape].texts if shape in SPECIMENS else {}

@@ -76,7 +76,7 @@ class ElasticSpecimen:
     """
 
     def __init__(self, model: Model, depth: float, resolution: str = "accurate"):
-        if model.depends_on_way:
+        if model.is_path_dependent:
             raise InputError("must be independent of the loading history for an ElasticSpecimen; make a "
                              "HistoryDependentSpecimen", field="model")
         ideal = replace(model, experiment=replace(model.experiment, protocol=Motion.ramp(depth, _TABLE.points)),

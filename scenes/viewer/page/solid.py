@@ -200,7 +200,7 @@ class SolidPicture:
     def _draw_fields(self, fields: Any, snapshot: Snapshot, scene: Scene, opening: Opening,
                      options: ViewOptions) -> None:
         """Draw the tissue in the colours of a field, with contact lines and element edges."""
-        body, positions = self._body_of(fields.mesh), snapshot.place
+        body, positions = self._body_of(fields.mesh), snapshot.node_positions
         wedge = Wedge(opening, snapshot.pose, 1e-3 * options.ahead)
         _, factor = LABELS[options.field]
         values, at_points, sampled = body.values(fields, options.field, positions, wedge)

@@ -86,11 +86,11 @@ def test_the_live_force_equals_the_force_of_the_simulator(needle_loop, needle, u
         assert seen.readouts.force == pytest.approx(expected.force, rel=1e-4)
         assert seen.readouts.stiffness == pytest.approx(expected.stiffness, rel=1e-3)
         # The tissue that is shown: the same equilibrium, and the face of the tool where the tool is.
-        np.testing.assert_allclose(seen.snapshot.place, simulator.snapshot().place, atol=1e-7)
+        np.testing.assert_allclose(seen.snapshot.node_positions, simulator.snapshot().node_positions, atol=1e-7)
         nodes = seen.snapshot.fields.mesh.nodes
         face = (nodes[:, 1] == 0.0) & (nodes[:, 0] < 0.99 * needle.experiment.tool.radius)
         assert face.sum() > 3
-        np.testing.assert_allclose(seen.snapshot.place[face, 1], -seen.snapshot.depth, atol=1e-9)
+        np.testing.assert_allclose(seen.snapshot.node_positions[face, 1], -seen.snapshot.depth, atol=1e-9)
         np.testing.assert_allclose(seen.snapshot.fields.at_nodes("von_mises"),
                                    simulator.snapshot().fields.at_nodes("von_mises"), rtol=1e-2, atol=1.0)
         meshes.add(id(seen.snapshot.fields.mesh))
@@ -116,7 +116,7 @@ def test_a_refused_command_changes_nothing(needle_loop, until):
     simulation = needle_loop.simulation
     force = until(needle_loop, at_rest(2e-3)).readouts.force
     for command, values, expected in (("aim", {"depth": float("nan")}, "depth: must be a finite number"),
-                                      ("set_parameters", {"C10": -1.0}, "it must be positive"),
+                                      ("set_parameters", {"C10": -1.0}, "must give a positive shear modulus"),
                                       ("set_parameters", {"C77": 1.0}, "C77")):
         with pytest.raises(ts.InputError, match=expected):
             simulation.ask(command, **values)

@@ -141,7 +141,7 @@ def test_several_parameters_change_together():
     assert PHANTOM.viscoelastic.g.tolist() == [0.3, 0.2]
     with pytest.raises(ts.InputError, match="no parameter 'C11'"):
         with_values(PHANTOM, {"C11": 1.0})
-    with pytest.raises(ts.InputError, match="must stay below 1"):
+    with pytest.raises(ts.InputError, match="must be below 1"):
         with_values(PHANTOM, {"viscoelastic.terms[0].g": 0.9, "C10": 900.0})
 
 

@@ -1,1 +1,1 @@
-"""Kinds of test, a few in each file; `tissue_sim.experiment.kinds.kind` says what one is."""
+"""Kinds of test; see `tissue_sim.experiment.kinds.kind`."""

@@ -1,4 +1,4 @@
-"""Compression of a cylinder between plates."""
+"""Compression of a specimen between plates: lubricated, bonded, and with friction."""
 
 from tissue_sim.closed_form.homogeneous import UNIAXIAL
 from tissue_sim.experiment.interfaces import AS_TOOL
@@ -6,7 +6,7 @@ from tissue_sim.experiment.kinds.kind import DISPLACEMENT_FORCE, STRETCH_STRESS,
 from tissue_sim.experiment.tools.plate import Plate
 
 _SMOOTH = Face("frictionless", fixed=True)
-#: Dry plates: from about 0.5 on more friction makes no difference, as nearly all of the faces sticks.
+#: Dry plates. Above a coefficient of about 0.5 the force hardly changes, because most of the faces sticks.
 _DRY = Face(0.7, stated=True)
 
 LUBRICATED = TestKind(name="lubricated_compression", title="Lubricated compression", tool=Plate(), face=_SMOOTH,

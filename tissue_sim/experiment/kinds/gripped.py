@@ -1,4 +1,4 @@
-"""Tests of a specimen that is gripped at both ends."""
+"""Tests of a specimen that is gripped at both ends: tension and simple shear."""
 
 from tissue_sim.closed_form.homogeneous import SIMPLE_SHEAR, UNIAXIAL
 from tissue_sim.experiment.kinds.kind import DISPLACEMENT_FORCE, SHEAR_STRESS, STRETCH_STRESS, TestKind

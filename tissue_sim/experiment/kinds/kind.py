@@ -1,8 +1,8 @@
-"""What a kind of test is, and the kinds by name.
+"""Kinds of test: definition, and registry by name.
 
-A new kind is a `TestKind` in a file beside this one and a line in `KINDS`, or that of a package, by an entry point of
-the group. Campaigns, recordings, calibration, command line and viewer ask it and know no name of a kind. Nothing here
-needs numpy, so that help answers at once.
+A new kind is a `TestKind` in a file of this folder and a line in `KINDS`, or an entry point of the group
+``tissue_sim.kinds`` in another package. Campaigns, recordings, calibration, command line and viewer read the attributes
+of a kind and depend on no name. The module does not import numpy, so that ``--help`` stays fast.
 """
 
 from __future__ import annotations
@@ -20,19 +20,22 @@ if TYPE_CHECKING:
     from tissue_sim.experiment.protocol import Protocol
     from tissue_sim.specimen import Specimen
 
-#: Pairs of channels of a recording, motion and load.
-DISPLACEMENT_FORCE, STRETCH_STRESS = ("displacement", "force"), ("stretch", "nominal stress")
+#: Channels (motion, load) of a recording from a load frame.
+DISPLACEMENT_FORCE = ("displacement", "force")
+#: Channels of a stress-stretch curve.
+STRETCH_STRESS = ("stretch", "nominal stress")
+#: Channels of a shear curve.
 SHEAR_STRESS = ("shear strain", "nominal stress")
 
 
 @dataclass(frozen=True)
 class Face:
-    """How a face holds the tissue in a kind of test; see `tissue_sim.experiment.interfaces`.
+    """Interface of a face in a kind of test; see `tissue_sim.experiment.interfaces`.
 
     Attributes:
-        usual: interface, where nothing is said.
-        fixed: whether the name of the kind says it, so that a campaign cannot say anything else.
-        stated: whether a campaign has to say it.
+        usual: default interface.
+        fixed: whether the kind determines the interface, so that a campaign cannot change it.
+        stated: whether a campaign must state the interface.
     """
 
     usual: str | float
@@ -44,20 +47,19 @@ class Face:
 class TestKind:
     """A kind of test.
 
-    Attributes:
-        name: in files and on the command line.
-        title: for people.
-        tool: where nothing is said; a plate stands for plates only, a needle for all tools but plates. None: the
-            specimen is gripped at both ends and is not simulated.
-        tool_stated: whether a campaign has to say the shape of the tool.
+        name: name in files and on the command line.
+        title: name in reports.
+        tool: default tool; a plate admits plates only, a needle all tools but plates. None: the specimen is gripped at
+            both ends, and the test is not simulated.
+        tool_stated: whether a campaign must state the shape of the tool.
         face, base, shaft: interfaces of the tool's face, of the base and of a needle's shaft.
         control: ``"displacement"``.
-        sign: of strain and nominal stress under a positive displacement and force: -1 in compression, 1 in tension.
-        channels: pairs (motion, load), one of which its recordings must have; the first is that of a load frame.
-        closed_form: nominal stress of the homogeneous deformation; None where only the finite elements answer.
-        title_words: regular expressions of words by which titles and headers of files name the test, besides `name`
-            and `title`: lower case, without accents, words separated by one blank. Of words that overlap, the longest
-            counts; see `tissue_sim.recording.formats.kind_words`.
+        sign: sign of strain and nominal stress for positive displacement and force: -1 in compression, 1 in tension.
+        channels: pairs (motion, load); a recording needs one of them. The first is that of a load frame.
+        closed_form: nominal stress of the homogeneous deformation; None if only finite elements give the force.
+        title_words: regular expressions of words by which titles and headers of files name the test, in addition to
+            `name` and `title`: lower case, without accents, words separated by one blank. Of overlapping words the
+            longest counts; see `tissue_sim.recording.formats.kind_words`.
 
     Raises:
         InputError: another control, or neither a tool nor a closed form.
@@ -80,45 +82,47 @@ class TestKind:
 
     def __post_init__(self):
         if self.control != "displacement":
-            raise InputError(f"{self.name!r} is controlled by its {self.control}; the motion of a test is prescribed "
-                             "here, so give control='displacement'", field="tissue_sim.kinds")
+            raise InputError(f"{self.name!r} is controlled by its {self.control}; only tests with prescribed motion "
+                             "are supported, so give control='displacement'", field="tissue_sim.kinds")
         if self.tool is None and self.closed_form is None:
-            raise InputError(f"{self.name!r} has neither a tool nor a closed form, so nothing can answer it; give one "
-                             "of them", field="tissue_sim.kinds")
+            raise InputError(f"{self.name!r} has neither a tool nor a closed form, so that no model computes its "
+                             "force; give one of them", field="tissue_sim.kinds")
 
     @property
     def gripped(self) -> bool:
-        """Whether the specimen is held at both ends, without a tool, and can be no specimen that weighs."""
+        """Whether the specimen is held at both ends, without a tool; self-weight is then not supported."""
         return self.tool is None
 
     @property
     def can_pull(self) -> bool:
-        """Whether a force against the direction of loading reaches the specimen: it is gripped, or the tool adheres."""
+        """Whether the specimen can be pulled against the direction of loading: it is gripped, or the tool is bonded."""
         return self.gripped or self.face.usual == "bonded"
 
     @property
     def settles(self) -> bool:
-        """Whether it has a closed form too where the specimen weighs: that of `tissue_sim.closed_form.column`."""
+        """Whether a closed form exists also under self-weight: that of `tissue_sim.closed_form.column`."""
         return self.closed_form is not None and self.tool is not None
 
     @property
     def motion(self) -> str:
-        """What its samples do, in messages: ``compression``."""
+        """Name of the motion for messages: ``compression``."""
         return self.name.rpartition("_")[2]
 
     @property
     def strain_name(self) -> str:
-        """What `strain` gives, for axes."""
+        """Name of the result of `strain`, for axes."""
         return "shear strain" if self.both_ways else "nominal strain"
 
     @property
     def both_ways(self) -> bool:
-        """Whether the specimen may be loaded to either side, as in shear."""
+        """Whether the specimen may be loaded in both directions, as in shear."""
         return self.closed_form is not None and self.closed_form.rest == 0
 
     def interfaces(self, tool: Tool) -> dict[str, str | float]:
-        """Field of `Experiment` -> interface with this tool, where nothing is said: a tip without a flat face cannot be
-        bonded to tissue that comes to lie on it, and holds it without slip instead."""
+        """Default interfaces with a tool: field of `Experiment` -> interface.
+
+        A tip without a flat face cannot be bonded to tissue that it meets during the test; it sticks instead.
+        """
         usual = {field: face.usual for field, face in self.faces.items()}
         return usual | {"friction": "stick"} if usual["friction"] == "bonded" and tool.face_radius == 0 else usual
 
@@ -128,66 +132,71 @@ class TestKind:
         return {"friction": self.face, "friction_base": self.base, "friction_wall": self.shaft}
 
     def fits(self, tool: type[Tool] | Tool) -> bool:
-        """Whether it is done with such a tool."""
+        """Whether the test can be done with a tool."""
         return self.tool is not None and tool.is_plate == self.tool.is_plate
 
     def strain(self, abscissa: Any) -> Any:
-        """Nominal strain (shear strain of shear), positive under load, of a stretch or shear strain; any shape.
+        """Nominal strain (shear strain in shear), positive under load, of a stretch or shear strain of any shape.
 
         Raises:
-            InputError: no closed form.
+            InputError: the kind has no closed form.
         """
         return self.sign * (abscissa - self.require_closed_form().rest)
 
     def abscissa(self, strain: Any) -> Any:
-        """What `strain` takes; any shape.
+        """Stretch or shear strain of a nominal strain of any shape; the inverse of `strain`.
 
         Raises:
-            InputError: no closed form.
+            InputError: the kind has no closed form.
         """
         return self.require_closed_form().rest + self.sign * strain
 
     def require_closed_form(self) -> ClosedForm:
-        """Its closed form.
+        """Return the closed form.
 
         Raises:
-            InputError: it has none.
+            InputError: the kind has no closed form.
         """
         if self.closed_form is None:
             raise InputError(f"{self.name} has no closed form; use the finite elements", field="kind")
         return self.closed_form
 
     def require_tool(self) -> Tool:
-        """The tool where nothing is said.
+        """Return the default tool.
 
         Raises:
             InputError: the specimen is gripped.
         """
         if self.tool is None:
-            raise InputError(f"{self.name} has no tool and is not simulated; its closed form answers", field="kind")
+            raise InputError(f"{self.name} has no tool and is not simulated; use its closed form", field="kind")
         return self.tool
 
     def require_channels(self, present: Any, has: str, **place: Any) -> None:
-        """Refuse a recording without any of the pairs.
+        """Require one of the pairs of channels.
 
         Args:
-            present: names of its channels. has: what it has, for the message. place: for `InputError`.
+            present: names of the channels of a recording.
+            has: description of the channels, for the message.
+            place: arguments of `InputError`, such as file and line.
+
+        Raises:
+            InputError: the recording has none of the pairs.
         """
         if not any(set(pair) <= set(present) for pair in self.channels):
             needs = " or ".join(f"{motion!r} and {load!r}" for motion, load in self.channels)
             raise InputError(f"{self.name} needs columns {needs}; {has}", **place)
 
     def experiment(self, *, specimen: Specimen, protocol: Protocol, **overrides: Any) -> Experiment:
-        """The experiment on this specimen.
+        """Make the experiment of this kind on a specimen.
 
         Args:
-            specimen: geometry, and whether it weighs.
+            specimen: geometry, density and gravity.
             protocol: motion of the tool.
-            overrides: other fields of `Experiment`; `tool`, `friction`, `friction_base` and `friction_wall` in place
-                of the kind's own.
+            overrides: other fields of `Experiment`; `tool`, `friction`, `friction_base` and `friction_wall` replace the
+                defaults of the kind.
 
         Raises:
-            InputError: what `Experiment` refuses, or a kind without a tool.
+            InputError: see `Experiment`; or a kind without a tool.
         """
         from tissue_sim.experiment.experiment import Experiment
 

@@ -1,1 +1,1 @@
-"""Rigid tools: what is moved into the specimen."""
+"""Rigid tools that are moved into the specimen."""

@@ -11,18 +11,18 @@ from tissue_sim.experiment.tools.sizes import radius
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.parameters import parameter
 
-#: Sharpest cone, rad.
+#: Smallest half angle of a cone, rad.
 _SHARPEST = 0.01
 
 
 @dataclass(frozen=True)
 class Cone(Tool):
-    """A cone on a shaft.
+    """A cone on a shaft, with rounded tip and shoulder.
 
     Attributes:
         radius: of the shaft, m.
         half_angle: between the axis and the side, rad.
-        tip_radius: of the rounding of the tip, and of the shoulder, m.
+        tip_radius: radius of the rounding of tip and shoulder, m.
     """
 
     name = "cone"
@@ -35,8 +35,8 @@ class Cone(Tool):
     def __post_init__(self):
         self.require_sizes("tip_radius")
         if not _SHARPEST <= self.half_angle < math.pi / 2:
-            raise InputError("a cone needs a half angle, between its axis and its side, of 0.6 degrees or more and "
-                             "below 90 degrees", field="tool.half_angle")
+            raise InputError("must be at least 0.6 degrees and below 90 degrees, between the axis and the side of "
+                             f"the cone; got {math.degrees(self.half_angle):g} degrees.", field="tool.half_angle")
 
     @property
     def profile(self) -> Profile:

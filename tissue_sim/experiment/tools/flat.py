@@ -11,10 +11,11 @@ from tissue_sim.experiment.tools.tool import Tool
 
 @dataclass(frozen=True)
 class Flat(Tool):
-    """A flat punch.
+    """A flat punch with a rounded edge.
 
     Attributes:
-        radius: of the shaft, m. edge_radius: of the rounding between face and shaft, m.
+        radius: of the shaft, m.
+        edge_radius: radius of the rounding between face and shaft, m.
     """
 
     name = "flat"

@@ -1,4 +1,4 @@
-"""A plate that covers the whole top face."""
+"""A plate that covers the whole top of the specimen."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.tool import Tool
 
-#: Radius of a plate, m: wider than any specimen.
+#: Radius of a plate, m; wider than any specimen.
 PLATE_RADIUS = 10.0
 
 
 @dataclass(frozen=True)
 class Plate(Tool):
-    """A plate; it has no size."""
+    """A plate; it has no sizes."""
 
     name = "plate"
     is_plate = True

@@ -1,4 +1,4 @@
-"""A tool whose outline comes from a file."""
+"""A tool whose outline is read from a file."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ from tissue_sim.experiment.tools.tool import Tool
 if TYPE_CHECKING:
     import numpy as np
 
-#: Rounding of the corners where nothing is said, in radii of the tool; it is halved until the lines have room for it.
-PROFILE_ROUNDING, MOST_HALVINGS = 0.02, 10
+#: Default rounding of the corners over the radius of the tool, 1; it is halved until it fits the shortest segment.
+PROFILE_ROUNDING = 0.02
+#: Largest number of halvings.
+MOST_HALVINGS = 10
 
 
 @dataclass(frozen=True)
@@ -24,15 +26,15 @@ class ProfileTool(Tool):
     """A convex needle of any outline.
 
     Attributes:
-        radius: the largest of the file, m.
-        edge_radius: of the rounding of its corners; 0: `PROFILE_ROUNDING` of its radius or what its lines have room
-            for, m.
+        radius: largest radius of the file, m.
+        edge_radius: radius of the rounding of the corners, m; 0: `PROFILE_ROUNDING` of the radius, or the largest that
+            fits the segments.
         profile_file: see `tissue_sim.experiment.tools.profile_file`.
-        points: what it says, (r, z) of each point, m, where it is not to be read any more.
+        points: content of the file, (r, z) of each point, m, if the file is not to be read again.
 
     Raises:
-        InputError: no file, another radius than that of the file, what `read_profile` refuses, a rounding for which a
-            line is too short.
+        InputError: no file, a radius that differs from that of the file, an error of `read_profile`, a segment that is
+            too short for the rounding.
     """
 
     name = "profile"
@@ -48,10 +50,11 @@ class ProfileTool(Tool):
             raise InputError(f"the profile's radius is {widest:g} m; leave the radius out", field="tool.radius")
         object.__setattr__(self, "radius", widest)
         if not self.edge_radius:
-            self._round_as_there_is_room()
+            self._choose_rounding()
         self.require_sizes("edge_radius")
 
-    def _round_as_there_is_room(self) -> None:
+    def _choose_rounding(self) -> None:
+        """Set the largest rounding of the series that fits the outline."""
         for halvings in range(MOST_HALVINGS):
             object.__setattr__(self, "edge_radius", PROFILE_ROUNDING * self._widest / 2**halvings)
             try:
@@ -62,7 +65,7 @@ class ProfileTool(Tool):
 
     @cached_property
     def outline(self) -> np.ndarray:
-        """The profile of the file, (r, z), m, shape (n, 2)."""
+        """Outline of the file, (r, z), m, shape (n, 2)."""
         from tissue_sim.experiment.tools.profile_file import first_fault, read_profile
 
         if self.points is not None:
@@ -84,7 +87,7 @@ class ProfileTool(Tool):
 
     @property
     def profile(self) -> Profile:
-        """The chain lies inside the outline of the file by the rounding, so that its lines stay where they are."""
+        """Outline for contact: the polyline is that of the file, offset inwards by the rounding."""
         import numpy as np
 
         outline = self.outline
@@ -93,20 +96,20 @@ class ProfileTool(Tool):
             outline = outline[:-1]
         outline = np.concatenate([outline, top])
         rounding = self.edge_radius
-        way = np.diff(outline, axis=0)
-        inward = np.stack([-way[:, 1], way[:, 0]], axis=-1) / np.linalg.norm(way, axis=1)[:, None]
+        segment = np.diff(outline, axis=0)
+        inward = np.stack([-segment[:, 1], segment[:, 0]], axis=-1) / np.linalg.norm(segment, axis=1)[:, None]
         chain = outline.copy()
         chain[0] += rounding * np.array([0.0, 1.0]) / inward[0, 1]
         chain[-1] += rounding * inward[-1]
-        for k in range(1, len(way)):
-            # Where the two shifted lines meet.
+        for k in range(1, len(segment)):
+            # Intersection of the two offset segments.
             chain[k] += rounding * (inward[k - 1] + inward[k]) / (1.0 + inward[k - 1] @ inward[k])
-        if (np.einsum("ki,ki->k", np.diff(chain, axis=0), way) <= 0).any():
-            raise InputError(f"a line of the profile is too short for corners rounded by {rounding:g} m; give a "
+        if (np.einsum("ki,ki->k", np.diff(chain, axis=0), segment) <= 0).any():
+            raise InputError(f"a segment of the profile is too short for corners rounded by {rounding:g} m; give a "
                              "smaller edge radius", field="tool.edge_radius")
-        # A rounded point is blunter, and the deepest point is the origin.
+        # Rounding moves the deepest point, which must be the origin.
         chain[:, 1] -= chain[0, 1] - rounding
-        return Profile(chain, rounding, int(np.flatnonzero(way[:, 0] == 0.0)[0]))
+        return Profile(chain, rounding, int(np.flatnonzero(segment[:, 0] == 0.0)[0]))
 
     @property
     def face_radius(self) -> float:

@@ -1,4 +1,4 @@
-"""Profiles of tools from two-column files."""
+"""Outlines of tools from two-column files."""
 
 from __future__ import annotations
 
@@ -9,23 +9,22 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.files import read_text
 
-#: Bytes of a profile.
+#: Largest size of a file, bytes.
 _LARGEST = 1_000_000
 
 
 def read_profile(path: str | Path) -> np.ndarray:
-    """The outline of a tool.
+    """Read the outline of a tool.
 
     The file has two columns of numbers, r and z in mm, separated by commas, semicolons or blanks; lines that start
-    with ``#`` and one header line are skipped. The first point lies on the axis and is the deepest; the outline runs
-    outwards and upwards and is convex.
+    with ``#`` and one header line are skipped. The first point must lie on the axis and be the deepest; the outline
+    must run outwards and upwards and be convex.
 
     Returns:
-        (r, z), m, the first at z = 0, shape (n, 2).
+        Points (r, z), m, the first at z = 0, shape (n, 2).
 
     Raises:
-        InputError: no such file, a line that is not two numbers, or an outline that is not such a one; with file and
-            line.
+        InputError: no such file, a line that is not two numbers, or an invalid outline; with file and line.
     """
     path = Path(path)
     lines = read_text(path, "the profile of a tool, r and z in mm", _LARGEST).splitlines()
@@ -58,13 +57,14 @@ def read_profile(path: str | Path) -> np.ndarray:
 
 
 def first_fault(outline: np.ndarray) -> tuple[int, str] | None:
-    """The first point of an outline, (r, z), m, shape (n, 2), that cannot be one of a tool, and why; None: all can."""
+    """Return index and problem of the first invalid point of an outline, (r, z), m, shape (n, 2), or None."""
     if outline[0, 0] != 0.0:
         return 0, f"the first point has r = {1e3 * outline[0, 0]:g} mm; a profile starts on the axis, r = 0"
-    way = np.diff(outline, axis=0)
-    for k, (dr, dz) in enumerate(way):
+    segment = np.diff(outline, axis=0)
+    for k, (dr, dz) in enumerate(segment):
         if dr < 0 or dz < 0 or (dr == 0 and dz == 0) or (k == 0 and dr == 0):
             return k + 1, "the profile must run outwards and upwards from its deepest point"
-        if k and way[k - 1, 0] * dz - way[k - 1, 1] * dr < -1e-12 * np.linalg.norm(way[k - 1]) * np.hypot(dr, dz):
-            return k, "the profile is hollow here; only convex tools are available"
+        before = segment[k - 1]
+        if k and before[0] * dz - before[1] * dr < -1e-12 * np.linalg.norm(before) * np.hypot(dr, dz):
+            return k, "the profile must be convex; it is hollow here"
     return None

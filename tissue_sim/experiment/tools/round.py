@@ -12,7 +12,7 @@ from tissue_sim.experiment.tools.tool import Tool
 
 @dataclass(frozen=True)
 class Round(Tool):
-    """A needle with a round tip.
+    """A needle with a hemispherical tip.
 
     Attributes:
         radius: of tip and shaft, m.

@@ -1,4 +1,4 @@
-"""Sizes that several shapes have."""
+"""Declarations of sizes that several shapes share."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from typing import Any
 
 from tissue_sim.parameters import parameter
 
-#: Smallest and largest radius that a fit may try, m.
+#: Smallest and largest radius in a fit, m.
 _RADII = (1e-6, 1.0)
 
 
 def radius() -> Any:
-    """Of the shaft, or of the ball."""
+    """Declare the radius of the shaft, or of the ball."""
     return parameter("a", "m", key="tool_radius_mm", factor=1e-3, bounds=_RADII, shapes_mesh=True)
 
 
 def edge_radius() -> Any:
-    """Of the rounding between a flat face and the shaft."""
+    """Declare the radius of the rounding between a flat face and the shaft."""
     return parameter("r_e", "m", key="edge_radius_mm", factor=1e-3, bounds=(0.0, _RADII[1]), absent=0.0,
                      shapes_mesh=True, default=0.0)

@@ -28,7 +28,7 @@ class Sphere(Tool):
     @property
     def profile(self) -> Profile:
         a = self.radius
-        # A line too short to matter; above it the ball closes.
+        # A segment of negligible length; the ball is closed above it.
         return Profile([(0.0, a), (0.0, a * (1 + 1e-9))], a, 1)
 
     def contact_radius(self, depth: float, specimen_radius: float = math.inf) -> float:

@@ -1,8 +1,8 @@
-"""Rigid tools: what every shape answers, and the shapes by name.
+"""Rigid tools: contract of a shape, and registry by name.
 
-A new shape is a frozen dataclass in a file of its own, derived from `Tool`, with its sizes declared by
-`tissue_sim.parameters.parameter`; it stands in `TOOLS`, or a package adds it by an entry point of that group. Command
-line, campaigns and parameters of fits take its sizes from the declarations.
+A new shape is a frozen dataclass in its own file, derived from `Tool`, whose sizes are declared by
+`tissue_sim.parameters.parameter`. It is listed in `TOOLS`, or added by another package through an entry point of the
+group ``tissue_sim.tools``. Command line, campaigns and fits read the sizes from the declarations.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tissue_sim.registry import Registry
 
 
 class _ByShape(type):
-    """``Tool("flat", radius=0.008)`` makes a tool of that shape."""
+    """Metaclass: ``Tool("flat", radius=0.008)`` makes a tool of that shape."""
 
     def __call__(cls, *values: Any, **sizes: Any) -> Any:
         if cls is not Tool:
@@ -47,17 +47,17 @@ class Tool(metaclass=_ByShape):
     ``Tool(shape, **sizes)`` makes one; a tool is a frozen dataclass with the sizes of its shape as fields, m and rad.
 
     Attributes:
-        name: of the shape: ``"plate"`` covers the whole top face; ``"flat"`` is a needle with a flat face, ``"round"``
+        name: name of the shape: ``"plate"`` covers the whole top; ``"flat"`` is a needle with a flat face, ``"round"``
             one with a hemispherical tip, ``"cone"`` one with a conical tip; ``"sphere"`` is a ball; ``"profile"`` comes
-            from a file; a package may add others.
-        is_plate: whether it covers the whole top face.
+            from a file; packages may add others.
+        is_plate: whether the tool covers the whole top.
         has_shaft: whether tissue may meet a shaft above the face.
-        from_file: whether a file states its outline.
-        radius: of the shaft or of the ball, m; None of a plate.
-        edge_radius: of the rounding between a flat face and the shaft, m.
+        from_file: whether the outline comes from a file.
+        radius: of the shaft or of the ball, m; None for a plate.
+        edge_radius: radius of the rounding between a flat face and the shaft, m.
 
     Raises:
-        InputError: unknown shape, a size that is missing, does not fit or does not belong to the shape.
+        InputError: an unknown shape; a size that is missing, invalid or not one of the shape.
     """
 
     name: ClassVar[str]
@@ -73,52 +73,58 @@ class Tool(metaclass=_ByShape):
         """Name of the shape."""
         return self.name
 
-    if TYPE_CHECKING:  # what `_ByShape` takes
+    if TYPE_CHECKING:  # the arguments of `_ByShape.__call__`
         def __init__(self, *values: Any, **sizes: Any): ...
 
     @property
     def profile(self) -> Profile:
-        """The outline that the tissue meets; each shape states its own."""
+        """Outline for contact; each shape defines its own."""
         # No abstract class: Tool("flat") makes a shape by its name, and type checkers refuse to call an abstract one.
         raise NotImplementedError
 
     @property
     def face_radius(self) -> float | None:
-        """Radius of the flat part of the face, m; 0 where there is none, None for a plate."""
+        """Radius of the flat part of the face, m; 0 if there is none, None for a plate."""
         return 0.0
 
     @property
     def sharp_edge(self) -> bool:
-        """Whether a flat face ends in an edge without rounding, round which no tissue can slide."""
+        """Whether a flat face ends in an edge without rounding; tissue cannot slide around such an edge."""
         return False
 
     def contact_radius(self, depth: float, specimen_radius: float = math.inf) -> float:
-        """About how wide the contact is at a depth, m: of a pointed tool as on an elastic half-space (Hertz; Sneddon,
-        Int. J. Eng. Sci. 3 (1965) 47), of a plate the specimen's radius."""
+        """Approximate radius of the contact at a depth, m.
+
+        For a pointed or round tool that on an elastic half-space (Hertz; Sneddon, Int. J. Eng. Sci. 3 (1965) 47), for a
+        plate the radius of the specimen.
+        """
         raise NotImplementedError
 
     def require_radius(self) -> float:
-        """Its radius, m.
+        """Return the radius, m.
 
         Raises:
-            InputError: it has none, or none that is a length.
+            InputError: the tool has no radius, or the radius is not a positive finite length.
         """
         radius = self.radius or 0.0
         require_length(radius, "tool.radius")
         return radius
 
     def require_sizes(self, *roundings: str) -> None:
-        """Refuse a radius that is no length, and `roundings`, names of fields, that do not fit it.
+        """Check the radius, and that roundings are smaller than the radius.
+
+        Args:
+            roundings: names of fields.
 
         Raises:
-            InputError: with the field.
+            InputError: an invalid size.
         """
         radius = self.require_radius()
         for name in roundings:
             value = getattr(self, name)
             if not 0 <= value < radius:
-                raise InputError(f"an {_words(name)} of {value:g} m does not fit a tool of radius {radius:g} m; "
-                                 "give 0 or more and less than the radius", field=f"tool.{name}")
+                raise InputError(f"must be 0 or more and less than the radius {radius:g} m; got {value:g} m.",
+                                 field=f"tool.{name}")
 
 
 def _words(name: str) -> str:
@@ -141,10 +147,12 @@ TOOLS: Registry[type[Tool]] = Registry("tool shape", "tissue_sim.tools", {
 
 
 class Size(NamedTuple):
-    """A size that shapes of tools have.
+    """A size of one or several shapes of tools.
 
     Attributes:
-        declaration: what it is. field: of the tools. shapes: names of those that have it.
+        declaration: declaration of the parameter.
+        field: field of the tools.
+        shapes: names of the shapes with this size.
     """
 
     declaration: Declaration
@@ -153,38 +161,42 @@ class Size(NamedTuple):
 
 
 def tool_sizes() -> dict[str, Size]:
-    """Key in files and on the command line -> size, of all shapes.
+    """Return the sizes of all shapes by their keys in files and on the command line.
 
     Raises:
-        InputError: two shapes mean different sizes by one key.
+        InputError: two shapes use one key for different sizes.
     """
     found: dict[str, Size] = {}
     for shape, kind in TOOLS.items():
         for name, what in declared(kind).items():
             first = found.get(what.key, Size(what, name, ()))
             if (first.declaration.factor, first.field) != (what.factor, name):
-                raise InputError(f"the shapes {first.shapes[0]} and {shape} mean different sizes by {what.key}; one of "
-                                 "them has to take another key", field="tissue_sim.tools")
+                raise InputError(f"the shapes {first.shapes[0]} and {shape} use the key {what.key} for different "
+                                 "sizes; rename one of them", field="tissue_sim.tools")
             found[what.key] = first._replace(shapes=(*first.shapes, shape))
     return found
 
 
 def sizes_of_keys(stated: Mapping[str, float]) -> dict[str, float]:
-    """Field of a tool -> value in SI, of sizes by their keys of `tool_sizes` in the units of files."""
+    """Convert sizes from keys and units of files (see `tool_sizes`) to fields of a tool in SI."""
     known = tool_sizes()
     return {known[key].field: known[key].declaration.factor * value for key, value in stated.items()}
 
 
 def shapes_without_file() -> tuple[str, ...]:
-    """Names of the shapes that sizes alone describe."""
+    """Names of the shapes that are defined by sizes, without a file."""
     return tuple(name for name, kind in TOOLS.items() if not kind.from_file)
 
 
 def read_shape(word: str, folder: Path = Path()) -> tuple[str, Path | None]:
-    """Shape of a tool and the file of its profile: what is no shape and has an ending or a folder is a file.
+    """Interpret the name of a shape or of a file; a word with a suffix or a folder that is not a shape is a file.
 
     Args:
-        word: as a person states it. folder: that files are relative to.
+        word: text from the user.
+        folder: folder that files are relative to.
+
+    Returns:
+        Name of the shape, and path of its profile or None.
     """
     path = Path(word)
     if word in TOOLS or not (path.suffix or len(path.parts) > 1):

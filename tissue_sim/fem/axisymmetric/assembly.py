@@ -18,7 +18,7 @@ from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.point_effects import effects_function
 from tissue_sim.fem.axisymmetric.scratch import AT, scratch
 from tissue_sim.fem.energy import inverse_root_function, soften_function
-from tissue_sim.fem.history import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE
+from tissue_sim.fem.history import PastColumn
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.trace import Formula
 from tissue_sim.laws import KernelEnergy
@@ -75,21 +75,22 @@ def element_functions(element_name: str, energy: KernelEnergy,
         W, P, A = (with_tangent if ti.static(tangents) else without)(F, root, coefficients)
         if ti.static(tangents):
             if remembers == 1:
-                f = past[FACTOR]
+                f = past[PastColumn.FACTOR]
                 W = f * W
                 for l in ti.static(range(LANES)):
                     energies[elements[b, l], q] = W[l]
                 P1, A1 = [f * P[i] for i in ti.static(range(5))], [f * A[n] for n in ti.static(range(15))]
-                if past[LOSS] != 0.0:
+                if past[PastColumn.LOSS] != 0.0:
                     most = ti.Vector([largest[elements[b, l], q] for l in ti.static(range(LANES))])
-                    P2, A2 = soften(W, most, past[LOSS], past[LOSS_MODULUS], past[LOSS_SHARE], P1, A1)
+                    P2, A2 = soften(W, most, past[PastColumn.LOSS], past[PastColumn.LOSS_MODULUS],
+                                    past[PastColumn.LOSS_SHARE], P1, A1)
                     for i in ti.static(range(5)):
                         P1[i] = P2[i]
                     for n in ti.static(range(15)):
                         A1[n] = A2[n]
                 h = [ti.Vector([inherited[elements[b, l], q, i] for l in ti.static(range(LANES))])
                      for i in ti.static(range(4))]
-                S, P3, A3 = relax(F, past[INSTANT], h, P1, A1)
+                S, P3, A3 = relax(F, past[PastColumn.INSTANT], h, P1, A1)
                 for i in ti.static(range(4)):
                     for l in ti.static(range(LANES)):
                         stresses[elements[b, l], q, i] = S[i][l]

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 from tissue_sim.fem.energy import invariant_derivatives, packed, stretch_derivatives, taichi_function
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
-from tissue_sim.public_names import ModuleOnUse
+from tissue_sim.public_names import LazyModule
 
 if TYPE_CHECKING:
     import sympy as sp
 else:
-    sp = ModuleOnUse("sympy")
+    sp = LazyModule("sympy")
 
 #: Packed symmetric 5 x 5: row and column of every entry of the tangent.
 PACKED = packed(5)

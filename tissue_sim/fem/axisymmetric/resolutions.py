@@ -6,7 +6,7 @@ from math import isnan, nan
 from typing import NamedTuple
 
 from tissue_sim.experiment.experiment import Experiment
-from tissue_sim.fem.solver import Comparison, Rung
+from tissue_sim.fem.solver import ErrorEstimate, ResolutionLevel
 
 
 class Grading(NamedTuple):
@@ -27,7 +27,7 @@ class Resolution(NamedTuple):
         rubbed_edge: under a flat tool with friction, or on which tissue sticks, where its edge radius is smaller than
             the elements there otherwise: they are as large as it is, but not smaller than these. None: as others.
         layer_elements: fewest in a layer of the material.
-        comparison: what tells how far its force errs. Coarser meshes tell nothing, since contact round an edge errs
+        error_estimate: what tells how far its force errs. Coarser meshes tell nothing, since contact round an edge errs
             otherwise on each; half of what a much finer mesh differs by is near its error where steps are too long.
         force_errors: largest error of the force under a plate, a flat tool and a tip, over the force, of the study's
             specimen from 2 to 10 mm (`benchmarks/realtime_ladder.py`), and under a flat tool without friction, over the
@@ -41,7 +41,7 @@ class Resolution(NamedTuple):
     force_errors: tuple[float, ...] = ()
     layer_elements: int = 2
     rubbed_edge: Grading | None = None
-    comparison: Comparison | None = None
+    error_estimate: ErrorEstimate | None = None
 
 
 #: Height over radius of the study's specimen (radius 40, height 70 mm).
@@ -57,9 +57,9 @@ RESOLUTIONS = {
     "realtime_20": Resolution(((4, 4), (8.0, 4.0)), Grading(0.2, 5.0, 6.0), Grading(0.35, 4.0, 4.0),
                               (0.01, 0.027, 0.022, nan)),
     "fast": Resolution(((6, 8), (10.0, 4.0)), Grading(0.1625, 1.875, 1.8), Grading(0.25, 2.5, 1.6),
-                       rubbed_edge=Grading(0.03, 1.875, 2.2), comparison=Comparison("realtime_120", 1.0)),
+                       rubbed_edge=Grading(0.03, 1.875, 2.2), error_estimate=ErrorEstimate("realtime_120", 1.0)),
     "accurate": Resolution(((16, 20), (50.0, 25.0)), Grading(0.00625, 1.5, 1.5), Grading(0.08, 1.5, 1.35),
-                           layer_elements=4, comparison=Comparison("realtime_120", 0.5)),
+                           layer_elements=4, error_estimate=ErrorEstimate("realtime_120", 0.5)),
     "finest": Resolution(((22, 28), (150.0, 25.0)), Grading(0.005, 1.0, 1.4), Grading(0.05, 1.0, 1.25),
                          layer_elements=6),
 }
@@ -67,10 +67,10 @@ RESOLUTIONS = {
 UNMEASURED = {"realtime": "realtime_63"}
 
 
-def realtime_rungs(experiment: Experiment) -> tuple[Rung, ...]:
+def realtime_levels(experiment: Experiment) -> tuple[ResolutionLevel, ...]:
     """Resolutions of a test for real time, the finest first. Tissue that slides freely round an edge finds wrong
     equilibria on the coarsest (15 to 45 % of the force, of nearly neo-Hookean tissue after 8 mm)."""
     tool, free = experiment.tool, experiment.friction in ("frictionless", 0.0)
     kind = 0 if tool.is_plate else 2 if not tool.face_radius else 3 if free else 1
-    return tuple(Rung(name, one.force_errors[kind]) for name, one in RESOLUTIONS.items()
+    return tuple(ResolutionLevel(name, one.force_errors[kind]) for name, one in RESOLUTIONS.items()
                  if one.force_errors and not isnan(one.force_errors[kind]))

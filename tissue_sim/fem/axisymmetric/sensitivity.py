@@ -21,7 +21,7 @@ from tissue_sim.fem.axisymmetric.sensitivity_points import (
     TERMS,
     WORKS,
 )
-from tissue_sim.fem.history import FACTOR, INSTANT, LOSS
+from tissue_sim.fem.history import PastColumn
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.fem.taichi.launch import BoundKernel
 
@@ -84,10 +84,11 @@ class Sensitivity:
                 rate[k] = (np.asarray(more) - np.asarray(less)) / width
             softer = [np.array([0.0, 1.0, 0.0] if s is None else [s.loss, s.modulus, s.share])
                       for s in (up.softening, down.softening)]
-            self._past_rates[k, LOSS:] = (softer[0] - softer[1]) / width
-        coefficient_rates, kappa_rates, self._past_rates[:, FACTOR], moduli_rates = rates
+            self._past_rates[k, PastColumn.LOSS:] = (softer[0] - softer[1]) / width
+        coefficient_rates, kappa_rates, self._past_rates[:, PastColumn.FACTOR], moduli_rates = rates
         self._which[LAYERED] = moduli_rates.any()
-        self._which[SOFTENS] = equations.memory.past[LOSS] != 0 or self._past_rates[:, LOSS:].any()
+        self._which[SOFTENS] = (equations.memory.past[PastColumn.LOSS] != 0
+                                or self._past_rates[:, PastColumn.LOSS:].any())
         self._which[TERMS], self._which[[ONE, WORKS]] = self._decay.size, 1
         relaxes = [up is not None and down is not None and up != down for up, down, _ in self._relaxations]
         self._which[RELAXES] = any(relaxes)
@@ -119,7 +120,8 @@ class Sensitivity:
         memory = self._equations.memory
         if self._decay.size:
             self._decay[:], self._gain[:] = memory.step
-            self._past_rates[:, INSTANT], self._decay_rates[:], self._gain_rates[:] = self._relaxation_rates(memory.dt)
+            (self._past_rates[:, PastColumn.INSTANT], self._decay_rates[:],
+             self._gain_rates[:]) = self._relaxation_rates(memory.dt)
         if self._waits or not self._may_refine():
             self._waits = max(self._waits - 1, 0)
             self._equations.respond(self._launch)

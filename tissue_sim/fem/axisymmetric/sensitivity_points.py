@@ -11,7 +11,7 @@ from tissue_sim.fem.axisymmetric import energy as point
 from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.scratch import AT, scratch
 from tissue_sim.fem.energy import inverse_root_function, soften_function
-from tissue_sim.fem.history import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE
+from tissue_sim.fem.history import PastColumn
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.elements import ELEMENTS
@@ -130,7 +130,7 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
                 s[at + GRADIENT + i] = F[i]
             s[at + ROOT] = root
             if ti.static(remembers):
-                kept, f = (b * points + q) * KEPT, past[FACTOR]
+                kept, f = (b * points + q) * KEPT, past[PastColumn.FACTOR]
                 W, P, A = law_of(F, root, coefficients)
                 s[at + ENERGY] = f * W
                 for i in ti.static(range(5)):
@@ -139,9 +139,10 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
                 for n in ti.static(range(15)):
                     to = kept + (KEPT_SOFT_TANGENT + n) * one
                     law[to] = f * A[n]
-                if past[LOSS] != 0.0:
-                    P1, A1 = soften(f * W, at_lanes(largest, elements, b, q), past[LOSS], past[LOSS_MODULUS],
-                                    past[LOSS_SHARE], [f * P[i] for i in ti.static(range(5))],
+                if past[PastColumn.LOSS] != 0.0:
+                    P1, A1 = soften(f * W, at_lanes(largest, elements, b, q), past[PastColumn.LOSS],
+                                    past[PastColumn.LOSS_MODULUS], past[PastColumn.LOSS_SHARE],
+                                    [f * P[i] for i in ti.static(range(5))],
                                     [f * A[n] for n in ti.static(range(15))])
                     for i in ti.static(range(5)):
                         s[at + SOFT_STRESS + i] = P1[i]
@@ -150,7 +151,7 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
                         law[to] = A1[n]
                 left = pushed(F, [component(inherited, elements, b, q, i) for i in ti.static(range(4))])
                 for i in ti.static(range(5)):
-                    s[at + RELAXED_STRESS + i] = past[INSTANT] * s[at + SOFT_STRESS + i] + left[i]
+                    s[at + RELAXED_STRESS + i] = past[PastColumn.INSTANT] * s[at + SOFT_STRESS + i] + left[i]
                     to = kept + (KEPT_GRADIENT + i) * one
                     law[to] = F[i]
                     to1 = kept + (KEPT_STRESS + i) * one
@@ -197,7 +198,7 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
         """Go on from the rate of the law's stress that is noted to that of the stress in time, modulus 1; energy and
         softened stress go to their rates."""
         at, noted, terms, one = RATE + 5 * q, LAW + NOTED * q, which[TERMS], which[ONE]
-        f, df = past[FACTOR], past_rates[k, FACTOR] / past[FACTOR]
+        f, df = past[PastColumn.FACTOR], past_rates[k, PastColumn.FACTOR] / past[PastColumn.FACTOR]
         F = [s[noted + GRADIENT + i] for i in ti.static(range(5))]
         W = s[noted + ENERGY]
         dW = f * s[ENERGY_RATE + q] + df * W
@@ -206,14 +207,15 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
         own = (b * points + q) * parameters + k
         if which[SOFTENS] == 1:
             L, dL = at_lanes(largest, elements, b, q), largest_rates[own]
-            width = ti.max(past[LOSS_MODULUS] + past[LOSS_SHARE] * L, 1e-300)
-            width_rate = past_rates[k, LOSS_MODULUS] + past_rates[k, LOSS_SHARE] * L + past[LOSS_SHARE] * dL
+            width = ti.max(past[PastColumn.LOSS_MODULUS] + past[PastColumn.LOSS_SHARE] * L, 1e-300)
+            width_rate = (past_rates[k, PastColumn.LOSS_MODULUS] + past_rates[k, PastColumn.LOSS_SHARE] * L
+                          + past[PastColumn.LOSS_SHARE] * dL)
             bend = ti.tanh(ti.max(L - W, 0.0) / width)
             argument_rate = (dL - dW - (L - W) * width_rate / width) / width
-            eta_rate = ti.select(W < L, -past_rates[k, LOSS] * bend - past[LOSS] * (1.0 - bend * bend) * argument_rate,
-                                 0.0 * W)
+            eta_rate = ti.select(W < L, -past_rates[k, PastColumn.LOSS] * bend
+                                 - past[PastColumn.LOSS] * (1.0 - bend * bend) * argument_rate, 0.0 * W)
             for i in ti.static(range(5)):
-                s[at + i] = (1.0 - past[LOSS] * bend) * s[at + i] + eta_rate * s[noted + STRESS + i]
+                s[at + i] = (1.0 - past[PastColumn.LOSS] * bend) * s[at + i] + eta_rate * s[noted + STRESS + i]
         energy_rates[own] = dW
         S = pulled_back(F, [s[at + i] for i in ti.static(range(5))])
         for i in ti.static(range(4)):
@@ -229,7 +231,8 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
                                    - gain_rates[k, t] * s[BEFORE + 4 * q + i])
         left = pushed(F, [s[PAST + i] for i in ti.static(range(4))])
         for i in ti.static(range(5)):
-            s[at + i] = past[INSTANT] * s[at + i] + past_rates[k, INSTANT] * s[noted + SOFT_STRESS + i] + left[i]
+            s[at + i] = (past[PastColumn.INSTANT] * s[at + i]
+                         + past_rates[k, PastColumn.INSTANT] * s[noted + SOFT_STRESS + i] + left[i])
 
     @ti.func
     def push(b, k, kappa, parameters, batches, pressures, which: ti.template(), acts: ti.template(), directions:

@@ -14,13 +14,13 @@ from tissue_sim.fem.axisymmetric.creep import creep
 from tissue_sim.fem.axisymmetric.equations import Equations
 from tissue_sim.fem.axisymmetric.fields import Fields
 from tissue_sim.fem.axisymmetric.predictor import extrapolation
-from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, realtime_rungs
+from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, realtime_levels
 from tissue_sim.fem.axisymmetric.state import SavedState
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface, deformed_surface
 from tissue_sim.fem.axisymmetric.touch import bind_ahead, bring_down
 from tissue_sim.fem.free_tool import AT_REST
 from tissue_sim.fem.inertia import Motion
-from tissue_sim.fem.solver import Comparison, Neighbours, OwnStiffness, Rung, Solver, Step, StepStatus
+from tissue_sim.fem.solver import ErrorEstimate, Neighbours, OwnStiffness, ResolutionLevel, Solver, Step, StepStatus
 from tissue_sim.kernel_owner import KernelOwner
 from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
@@ -97,14 +97,14 @@ class AxisymmetricSolver(KernelOwner, Solver):
         # Where all moduli change alike, the tissue stays where it is and its forces follow them.
         self.committed.history[:, self.equations.equation.size :] *= material.mu0 / before
 
-    def follow(self, pose: Pose) -> Pose:
+    def project_pose(self, pose: Pose) -> Pose:
         """On the axis and upright at the depth of the pose."""
         x, y, z = pose.position
         if x == y == 0.0 and pose.orientation == NO_ROTATION:
             return pose
         return Pose((0.0, 0.0, z))
 
-    def takes(self, pose: Pose) -> bool:
+    def accepts_pose(self, pose: Pose) -> bool:
         """Whether the tool is above the depth at which compressed tissue loses its one equilibrium; see `DEEPEST`."""
         return pose.depth <= self._deepest
 
@@ -186,14 +186,14 @@ class AxisymmetricSolver(KernelOwner, Solver):
         self.equations.counts[newton.STIFFNESS_ASKED] = 1
 
     @classmethod
-    def realtime_rungs(cls, model: Model) -> Sequence[Rung]:
-        """See `Solver.realtime_rungs`."""
-        return realtime_rungs(model.experiment)
+    def realtime_levels(cls, model: Model) -> Sequence[ResolutionLevel]:
+        """See `Solver.realtime_levels`."""
+        return realtime_levels(model.experiment)
 
     @classmethod
-    def comparison(cls, resolution: str) -> Comparison | None:
-        """See `Solver.comparison`."""
-        return RESOLUTIONS[resolution].comparison if resolution in RESOLUTIONS else None
+    def error_estimate(cls, resolution: str) -> ErrorEstimate | None:
+        """See `Solver.error_estimate`."""
+        return RESOLUTIONS[resolution].error_estimate if resolution in RESOLUTIONS else None
 
     def differentiate(self, neighbours: Neighbours) -> Sensitivity | None:
         """Carry exact derivatives along from now on, before the first step; there are none with effects at points, laws

@@ -1,9 +1,9 @@
 """Band matrices in blocks, for use inside Taichi kernels.
 
-The lower band is cut into square blocks of `BLOCK` columns. Block (I, J) of block row I lies at ``band[I, w]`` with
-``w = J - I + width - 1``; it is stored by columns, each a vector over its `BLOCK` rows, so that the inner products
-of the factorisations run on whole vectors. Of a matrix that is not symmetric there are two such bands: its own lower
-triangle, with the whole blocks of the diagonal, and that of its transpose.
+The lower band is divided into square blocks of `BLOCK` columns. Block (I, J) is stored at ``band[I, w]`` with
+``w = J - I + width - 1``, by columns, each a vector of its `BLOCK` rows, so that the inner products of the
+factorisations run on vectors. A matrix that is not symmetric has two such bands: its lower triangle with the full
+diagonal blocks, and the lower triangle of its transpose.
 """
 
 from functools import cache
@@ -13,18 +13,19 @@ import numpy as np
 
 from tissue_sim.fem.taichi.runtime import initialise
 
+#: Rows and columns of a block; the number of lanes of a vector.
 BLOCK = 8
 
 
 class Factorisation(NamedTuple):
-    """Taichi functions of a linear solver, for use inside kernels: factorise once, solve many.
+    """Taichi functions of a linear solver, for use inside kernels: factorise once, solve for many right-hand sides.
 
     Attributes:
         init: ``init(matrix, matrix_upper, lower, upper, inverse, rows, width, begin, skewed) -> int`` writes the
-            factors of a matrix to two other bands, and the reciprocals of their diagonal to `inverse` (rows * BLOCK);
-            0 where it cannot, else 1. Those of the block rows before `begin` are there already; between rows and
-            columns one of which lies before the block row `skewed` the matrix is symmetric, and its upper half is not
-            looked at. A symmetric solver does not look at upper halves at all.
+            factors to the bands `lower` and `upper`, and the reciprocals of their diagonal to `inverse`
+            (rows * BLOCK). It returns 1, or 0 if the factorisation fails. The factors of block rows before `begin`
+            are kept. Entries with a row or column before block row `skewed` are symmetric, and their upper half is
+            not read. A symmetric solver reads no upper half.
         solve: ``solve(lower, upper, inverse, x, rows, width)`` overwrites the right-hand side x, (rows) vectors.
 
     Source: the pair init and compute of lineax (Rader, Lyons and Kidger, 2023, arXiv:2311.17283).
@@ -35,12 +36,12 @@ class Factorisation(NamedTuple):
 
 
 def block_shape(size: int, half_band: int) -> tuple[int, int]:
-    """Block rows and blocks per row of a band matrix of `size` equations."""
+    """Number of block rows and of blocks per row of a band matrix of `size` equations."""
     return max(1, -(-size // BLOCK)), -(-half_band // BLOCK) + 1
 
 
 def pack(lower: np.ndarray) -> np.ndarray:
-    """LAPACK's lower band storage, shape (half_band + 1, n), as blocks, shape (rows, width, BLOCK, BLOCK)."""
+    """Convert LAPACK's lower band storage, shape (half_band + 1, n), to blocks, shape (rows, width, BLOCK, BLOCK)."""
     half_band, size = lower.shape[0] - 1, lower.shape[1]
     rows, width = block_shape(size, half_band)
     band = np.zeros((rows, width, BLOCK, BLOCK))
@@ -54,7 +55,7 @@ def pack(lower: np.ndarray) -> np.ndarray:
 
 
 def unpack(blocks: np.ndarray, size: int, half_band: int) -> np.ndarray:
-    """The inverse of `pack`: LAPACK's lower band storage, shape (half_band + 1, size)."""
+    """Convert blocks to LAPACK's lower band storage, shape (half_band + 1, size); the inverse of `pack`."""
     width = blocks.shape[1]
     lower = np.zeros((half_band + 1, size))
     for d in range(half_band + 1):
@@ -66,8 +67,11 @@ def unpack(blocks: np.ndarray, size: int, half_band: int) -> np.ndarray:
 
 @cache
 def add_entry_function():
-    """Taichi function ``add_entry(row, column, value, free, width, band)``: add to the lower half of the matrix of the
-    first `free` equations."""
+    """Return the Taichi function ``add_entry(row, column, value, free, width, band)``.
+
+    It adds `value` to an entry of the lower triangle of the matrix of the first `free` equations; other entries are
+    ignored.
+    """
     ti = initialise()
 
     @ti.func
@@ -82,8 +86,10 @@ def add_entry_function():
 
 @cache
 def subtract_function():
-    """Taichi function ``subtract(I, J, first, width, matrix, left, right)``: left(I, J) = matrix(I, J) - sum over the
-    block columns K from `first` to before J of left(I, K) right(J, K)^T."""
+    """Return the Taichi function ``subtract(I, J, first, width, matrix, left, right)``.
+
+    left(I, J) = matrix(I, J) - sum of left(I, K) right(J, K)^T over the block columns K from `first` to J - 1.
+    """
     ti = initialise()
 
     @ti.func
@@ -112,8 +118,10 @@ def subtract_function():
 
 @cache
 def mirror_function():
-    """Taichi function ``mirror(lower, upper, begin, end, width)``: fill in the upper half of the block rows from
-    `begin` to before `end` of a symmetric matrix, of which there is only the lower one."""
+    """Return the Taichi function ``mirror(lower, upper, begin, end, width)``.
+
+    It copies the lower band of a symmetric matrix to the upper band, for block rows `begin` to `end` - 1.
+    """
     ti = initialise()
 
     @ti.func
@@ -128,8 +136,10 @@ def mirror_function():
 
 @cache
 def complete_function():
-    """Taichi function ``complete(lower, rows, width)``: fill in what lies above the diagonal in the blocks on it, of a
-    symmetric matrix."""
+    """Return the Taichi function ``complete(lower, rows, width)``.
+
+    It fills the upper triangles of the diagonal blocks of a symmetric matrix.
+    """
     ti = initialise()
 
     @ti.func
@@ -144,8 +154,10 @@ def complete_function():
 
 @cache
 def add_any_function():
-    """Taichi function ``add_any(row, column, value, free, width, lower, upper)``: add to an entry on either side of the
-    diagonal of the matrix of the first `free` equations."""
+    """Return the Taichi function ``add_any(row, column, value, free, width, lower, upper)``.
+
+    It adds `value` to an entry on either side of the diagonal of the matrix of the first `free` equations.
+    """
     ti = initialise()
 
     @ti.func

@@ -1,4 +1,4 @@
-"""Band Cholesky factorisation: of tangents that are symmetric and positive definite."""
+"""Band Cholesky factorisation L L^T of symmetric positive definite tangents."""
 
 from functools import cache
 
@@ -8,7 +8,7 @@ from tissue_sim.fem.taichi.runtime import initialise
 
 @cache
 def cholesky_functions() -> Factorisation:
-    """L L^T; `init` fails where the matrix is not positive definite."""
+    """Return the Taichi functions of L L^T; `init` fails if the matrix is not positive definite."""
     ti = initialise()
     subtract = subtract_function()
     lanes = ti.Vector(list(range(BLOCK)))
@@ -37,12 +37,12 @@ def cholesky_functions() -> Factorisation:
                             v -= column * band[I, w, k][c]
                         band[I, w, c] = v
                         pivot = band[I, w, c][c]
-                        # Written so that a NaN pivot fails too.
+                        # "not >" also fails for a NaN pivot.
                         if not pivot > 0.0:
                             ok = 0
                             pivot = 1.0
                         inverse[I * BLOCK + c] = 1.0 / ti.sqrt(pivot)
-                        # Zeros above the diagonal, which `solve` relies on.
+                        # `solve` relies on zeros above the diagonal.
                         band[I, w, c] = ti.select(lanes >= c, v * inverse[I * BLOCK + c], 0.0)
             if ok == 0:
                 break

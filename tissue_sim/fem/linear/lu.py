@@ -1,8 +1,8 @@
-"""Band LU factorisation without pivoting: of tangents of slipping contact, which are those of the tissue, symmetric and
-positive definite, with a few entries beside.
+"""Band LU factorisation without pivoting, for tangents of slipping contact.
 
-Rows of U stand where columns of L do, and both halves of the factorisation run like that of Cholesky. Where the matrix
-is symmetric, U is L times the diagonal, and one half is enough.
+Such a tangent is symmetric and positive definite but for a few entries of friction. U is stored by rows where L is
+stored by columns, so that both halves run like the Cholesky factorisation. In a symmetric part of the matrix U is the
+diagonal times L^T, so that one half is enough.
 """
 
 from functools import cache
@@ -13,7 +13,7 @@ from tissue_sim.fem.taichi.runtime import initialise
 
 @cache
 def lu_functions() -> Factorisation:
-    """L U, L with a unit diagonal; `init` fails where a pivot is too small against its column."""
+    """Return the Taichi functions of L U, L with unit diagonal; `init` fails if a pivot is too small for its column."""
     ti = initialise()
     subtract = subtract_function()
     lanes = ti.Vector(list(range(BLOCK)))
@@ -49,7 +49,7 @@ def lu_functions() -> Factorisation:
                 for k in range(c):
                     v -= ti.select(lanes > k, lower[I, width - 1, k], 0.0) * v[k]
                 pivot = v[c]
-                # Written so that a NaN pivot fails too.
+                # "not >" also fails for a NaN pivot.
                 if not ti.abs(pivot) > 1e-14 * largest:
                     ok = 0
                     pivot = 1.0

@@ -1,38 +1,70 @@
-"""Intel's Pardiso by pypardiso: matrices of one pattern, whose analysis is done once."""
+"""Intel MKL Pardiso by pypardiso: factors of matrices of one sparsity pattern, analysed once."""
 
 from __future__ import annotations
 
 import ctypes
 import os
 import sys
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
 
-#: Pardiso's kinds of matrices: symmetric and positive definite, symmetric, and any.
-DEFINITE, SYMMETRIC, OTHER = 2, -2, 11
-#: Its phases: analysis, numbers, all of a solution, and its two halves.
-_ANALYSE, _FACTORISE, _SOLVE, _FORWARD, _BACKWARD = 11, 22, 33, 331, 333
-#: Of its parameters, counted from 0: use of what follows, ordering (2: nested dissection), size of pivots that are made
-#: larger, scaling, matching, how many pivots were made larger, pivots of 2 x 2, eigenvalues that are negative, single
-#: precision, and whether a Schur complement is left over (2: with what solutions need).
-_USE, _ORDERING, _SMALLEST, _SCALING, _MATCHING, _PERTURBED, _PIVOTING, _NEGATIVE, _SINGLE, _SCHUR = (
-    0, 1, 9, 10, 12, 13, 20, 22, 27, 35)
-#: Where pypardiso looks for its library, which takes it a quarter of a second each time.
+#: Matrix types of Pardiso (`mtype`): symmetric positive definite.
+DEFINITE = 2
+#: Symmetric indefinite.
+SYMMETRIC = -2
+#: Not symmetric.
+OTHER = 11
+
+
+class _Phase(IntEnum):
+    """Phases of Pardiso."""
+
+    ANALYSE = 11
+    FACTORISE = 22
+    SOLVE = 33
+    FORWARD = 331
+    BACKWARD = 333
+
+
+class _Parameter(IntEnum):
+    """Indices of Pardiso's parameters `iparm`, counted from 0."""
+
+    #: 1: the values below are used instead of the defaults.
+    USE = 0
+    #: 2: nested dissection.
+    ORDERING = 1
+    #: Pivots below 10^-value are perturbed.
+    SMALLEST_PIVOT = 9
+    SCALING = 10
+    MATCHING = 12
+    #: Output: number of perturbed pivots.
+    PERTURBED = 13
+    #: 1: pivots of 2 x 2 as well.
+    PIVOTING = 20
+    #: Output: number of negative eigenvalues.
+    NEGATIVE = 22
+    SINGLE_PRECISION = 27
+    #: 2: Schur complement, with the factors that solutions need.
+    SCHUR = 35
+
+
+#: Environment variable in which pypardiso looks for its library; without it each search takes 0.25 s.
 _LIBRARY = "PYPARDISO_MKL_RT"
 
 
 class PardisoError(RuntimeError):
-    """Pardiso could not do what it was asked for."""
+    """Pardiso returned an error code."""
 
 
 class PardisoPattern:
-    """Factors of matrices that have their entries in the same places; one at a time.
+    """Factor of matrices of one sparsity pattern; only the newest factor is valid.
 
     Args:
-        matrix: one of them, a `scipy.sparse.csc_array` with sorted rows.
+        matrix: one of the matrices, a `scipy.sparse.csc_array` with sorted rows.
         kind: `DEFINITE`, `SYMMETRIC` or `OTHER`.
-        interface: sorted numbers of equations that are left over: their Schur complement is found with the factor.
+        interface: sorted indices of equations whose Schur complement is computed with the factor; None: none.
         single: single precision, which takes half of the time and memory.
 
     Raises:
@@ -50,7 +82,7 @@ class PardisoPattern:
                                     shape=matrix.shape)
         rows = sparse.csr_array(numbered if kind == OTHER else sparse.triu(numbered))
         rows.sort_indices()
-        self._places = rows.data.astype(np.intp) - 1
+        self._entries = rows.data.astype(np.intp) - 1
         self._row_starts, self._columns = (part.astype(np.int32) + 1 for part in (rows.indptr, rows.indices))
         self._data = np.zeros(rows.nnz, dtype=np.float32 if single else np.float64)
         parameters = self._solver.iparm
@@ -58,38 +90,42 @@ class PardisoPattern:
         if interface is not None:
             self._solver.perm = np.zeros(self.size, dtype=np.int32)
             self._solver.perm[interface] = 1
-            parameters[[_USE, _ORDERING, _SMALLEST, _SCHUR]] = 1, 2, 8, 2
+            parameters[[_Parameter.USE, _Parameter.ORDERING, _Parameter.SMALLEST_PIVOT, _Parameter.SCHUR]] = 1, 2, 8, 2
         else:
-            # Its own choices, but for solutions: without this each is refined twice, to no smaller error.
+            # Pardiso's defaults except that iterative refinement, which does not reduce the error here, is off.
             exchanges = int(kind == OTHER)
-            parameters[[_USE, _ORDERING, _SMALLEST, _SCALING, _MATCHING, _PIVOTING, _SINGLE]] = (
+            parameters[[_Parameter.USE, _Parameter.ORDERING, _Parameter.SMALLEST_PIVOT, _Parameter.SCALING,
+                        _Parameter.MATCHING, _Parameter.PIVOTING, _Parameter.SINGLE_PRECISION]] = (
                 1, 2, 13 if exchanges else 8, exchanges, exchanges, 1, int(single))
         self._analysed = False
 
     def factorise(self, matrix: Any) -> np.ndarray | None:
-        """Take the numbers of a matrix; returns the Schur complement of the interface, where there is one.
+        """Factorise a matrix with the pattern of this object.
+
+        Returns:
+            The Schur complement of the interface, shape (m, m); None without an interface.
 
         Raises:
-            PardisoError: a singular matrix, or one that is not definite where it should be.
+            PardisoError: the matrix is singular, or not positive definite although its type is.
         """
-        self._data[:] = matrix.data[self._places]
-        left = None if self.interface is None else np.zeros((self.interface.size, self.interface.size))
-        nothing = np.zeros((self.size, 1), dtype=self._data.dtype)
+        self._data[:] = matrix.data[self._entries]
+        schur = None if self.interface is None else np.zeros((self.interface.size, self.interface.size))
+        unused = np.zeros((self.size, 1), dtype=self._data.dtype)
         if not self._analysed:
-            self._run(_ANALYSE, nothing, nothing)
+            self._run(_Phase.ANALYSE, unused, unused)
             self._analysed = True
-        self._run(_FACTORISE, nothing, nothing if left is None else left)
+        self._run(_Phase.FACTORISE, unused, unused if schur is None else schur)
         if self._kind == OTHER and self.perturbed:
-            # Its exchanges of rows were chosen for other numbers.
-            self._run(_ANALYSE, nothing, nothing)
-            self._run(_FACTORISE, nothing, nothing)
-        return left
+            # The row permutation of the analysis was chosen for other values.
+            self._run(_Phase.ANALYSE, unused, unused)
+            self._run(_Phase.FACTORISE, unused, unused)
+        return schur
 
     def require_interface(self) -> np.ndarray:
-        """The equations that are left over.
+        """Return the indices of the interface equations.
 
         Raises:
-            ValueError: there are none.
+            ValueError: the pattern has no interface.
         """
         if self.interface is None:
             raise ValueError("this pattern has no interface")
@@ -97,27 +133,27 @@ class PardisoPattern:
 
     @property
     def perturbed(self) -> bool:
-        """Whether pivots of the last matrix had to be made larger."""
-        return bool(self._solver.iparm[_PERTURBED])
+        """Whether pivots of the last matrix were perturbed."""
+        return bool(self._solver.iparm[_Parameter.PERTURBED])
 
     @property
     def negative(self) -> bool:
-        """Whether a symmetric matrix had negative eigenvalues."""
-        return bool(self._solver.iparm[_NEGATIVE])
+        """Whether the last symmetric matrix had negative eigenvalues."""
+        return bool(self._solver.iparm[_Parameter.NEGATIVE])
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solutions for right-hand sides, shape (n,) or (n, several)."""
-        return self._solved(_SOLVE, right)
+        """Solve for right-hand sides, shape (n,) or (n, m)."""
+        return self._solve_phase(_Phase.SOLVE, right)
 
     def reduce(self, right: np.ndarray) -> np.ndarray:
-        """The first half of a solution: in the rows of the interface, what its Schur complement has to carry."""
-        return self._solved(_FORWARD, right)
+        """Forward substitution; the interface rows then hold the right-hand side of the Schur complement."""
+        return self._solve_phase(_Phase.FORWARD, right)
 
     def expand(self, reduced: np.ndarray) -> np.ndarray:
-        """The other half, once the solution of the interface stands in its rows."""
-        return self._solved(_BACKWARD, reduced)
+        """Backward substitution; the interface rows of `reduced` must hold the solution of the Schur complement."""
+        return self._solve_phase(_Phase.BACKWARD, reduced)
 
-    def _solved(self, phase: int, right: np.ndarray) -> np.ndarray:
+    def _solve_phase(self, phase: int, right: np.ndarray) -> np.ndarray:
         columns = np.asfortranarray(right.reshape(self.size, -1), dtype=self._data.dtype)
         answer = np.zeros_like(columns, order="F")
         self._run(phase, columns, answer)

@@ -1,27 +1,43 @@
-"""Factors in single precision, whose solutions are made exact by a Krylov iteration in double precision.
+"""Factors in single precision with Krylov refinement in double precision.
 
-Such a factor takes half of the time and memory. Applied to its matrix it leaves one to some 1e-2, so that each step of
-the iteration gains two digits. What single precision cannot tell, whether a matrix is positive definite, is asked of
-the iteration: conjugate gradients meet a negative curvature where it is not (their curvatures are the pivots of the
-matrix on the space that they have seen, which holds the direction once its share of the right-hand side is used up).
+A factor in single precision takes half of the time and memory. As a preconditioner its error is about 1e-2, so that
+each iteration gains two digits. Single precision cannot decide whether a matrix is positive definite; conjugate
+gradients can: their curvatures are the pivots of the matrix on the Krylov space, and a negative curvature shows an
+indefinite matrix as soon as the right-hand side has a component in that direction.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from tissue_sim.fem.linear.pardiso import OTHER, SYMMETRIC, PardisoError, PardisoPattern
 
-#: What is left of a right-hand side of a solution, and of the random one that a new factor is asked first.
-_LEFT, _ASKED = 1e-13, 1e-6
-#: Steps until then; a factor that needs more for the first is of no use.
-_STEPS, _FIRST_STEPS = 40, 12
+
+@dataclass(frozen=True)
+class RefinementSettings:
+    """Settings of the Krylov refinement.
+
+    Attributes:
+        tolerance: relative residual of a solution, 1.
+        max_iterations: of a solution; after them the matrix is factorised in double precision.
+        test_tolerance: relative residual of the solution for a random right-hand side that tests a new factor, 1.
+        max_test_iterations: of this test; a factor that needs more is rejected.
+    """
+
+    tolerance: float = 1e-13
+    max_iterations: int = 40
+    test_tolerance: float = 1e-6
+    max_test_iterations: int = 12
+
+
+_SETTINGS = RefinementSettings()
 
 
 class SingleFactor:
-    """A factor in single precision, and the matrix; see `Factor` in `sparse.py`."""
+    """Factor in single precision together with its matrix in double precision; see `Factor` in `sparse.py`."""
 
     definite = True
 
@@ -31,7 +47,7 @@ class SingleFactor:
 
     @classmethod
     def of(cls, pattern: PardisoPattern, matrix: Any, symmetric: bool) -> SingleFactor | None:
-        """None where single precision is too little, or a symmetric matrix may not be positive definite."""
+        """Factorise; None if single precision is too inaccurate, or a symmetric matrix may be indefinite."""
         try:
             pattern.factorise(matrix)
         except PardisoError:
@@ -39,65 +55,78 @@ class SingleFactor:
         if pattern.perturbed:
             return None
         factor = cls(pattern, matrix.copy(), symmetric)
-        asked = np.random.default_rng(0).standard_normal((matrix.shape[0], 1))
-        return None if factor._iterate(asked, _ASKED, _FIRST_STEPS) is None else factor
+        right = np.random.default_rng(0).standard_normal((matrix.shape[0], 1))
+        found = factor._iterate(right, _SETTINGS.test_tolerance, _SETTINGS.max_test_iterations)
+        return None if found is None else factor
 
     def solve(self, right: np.ndarray) -> np.ndarray:
+        """Solve for right-hand sides, shape (n,) or (n, m), to the relative residual of the settings."""
         if self._exact is None:
-            answer = self._iterate(right.reshape(right.shape[0], -1), _LEFT, _STEPS)
+            answer = self._iterate(right.reshape(right.shape[0], -1), _SETTINGS.tolerance, _SETTINGS.max_iterations)
             if answer is not None:
                 return answer.reshape(right.shape)
             self._exact = PardisoPattern(self._matrix, SYMMETRIC if self._symmetric else OTHER)
             self._exact.factorise(self._matrix)
         return self._exact.solve(right)
 
-    def _iterate(self, right: np.ndarray, goal: float, most: int) -> np.ndarray | None:
-        """Solutions for right-hand sides, shape (n, m); None where `most` steps do not leave their share `goal`, or
-        conjugate gradients meet a direction without stiffness."""
-        left, size = right.copy(), np.linalg.norm(right, axis=0)
-        goals, answer = goal * size, np.zeros_like(right)
-        way, last = np.zeros_like(right), np.ones_like(size)
-        ways: list[np.ndarray] = []
-        pushes: list[np.ndarray] = []
-        steps = 0
-        while not (np.linalg.norm(left, axis=0) <= goals).all():
-            if steps == most:
+    def _iterate(self, right: np.ndarray, tolerance: float, max_iterations: int) -> np.ndarray | None:
+        """Solve by preconditioned conjugate gradients, or by GCR if the matrix is not symmetric.
+
+        Args:
+            right: right-hand sides, shape (n, m).
+            tolerance: relative residual.
+            max_iterations: limit.
+
+        Returns:
+            Shape (n, m); None if the limit is reached, or if conjugate gradients find a direction of zero or negative
+            curvature.
+
+        Source: Saad, Iterative Methods for Sparse Linear Systems, algorithms 9.1 and 6.21.
+        """
+        residual, size = right.copy(), np.linalg.norm(right, axis=0)
+        goals, answer = tolerance * size, np.zeros_like(right)
+        direction, last = np.zeros_like(right), np.ones_like(size)
+        directions: list[np.ndarray] = []
+        products: list[np.ndarray] = []
+        iteration = 0
+        while not (np.linalg.norm(residual, axis=0) <= goals).all():
+            if iteration == max_iterations:
                 return None
-            steps += 1
-            found = self._apply(left)
+            iteration += 1
+            found = self._apply(residual)
             if self._symmetric:
-                product = _dot(left, found)
-                way = found + _over(product, last) * way if steps > 1 else found
-                last, push = product, self._matrix @ way
-                curvature = _dot(way, push)
-                if not ((curvature > 0.0) | (np.linalg.norm(left, axis=0) == 0.0)).all():
+                product = _dot(residual, found)
+                direction = found + _over(product, last) * direction if iteration > 1 else found
+                last, image = product, self._matrix @ direction
+                curvature = _dot(direction, image)
+                if not ((curvature > 0.0) | (np.linalg.norm(residual, axis=0) == 0.0)).all():
                     return None
-                share = _over(product, curvature)
+                length = _over(product, curvature)
             else:
-                # Conjugate residuals, orthogonal to all earlier ones.
-                way, push = found, self._matrix @ found
-                for earlier, pushed in zip(ways, pushes, strict=True):
-                    share = _dot(pushed, push)
-                    way, push = way - share * earlier, push - share * pushed
-                length = np.linalg.norm(push, axis=0)
-                way, push = _over(way, length), _over(push, length)
-                ways.append(way)
-                pushes.append(push)
-                share = _dot(push, left)
-            answer += share * way
-            left -= share * push
+                # The image of each direction is orthogonal to those of all earlier ones.
+                direction, image = found, self._matrix @ found
+                for earlier, earlier_image in zip(directions, products, strict=True):
+                    length = _dot(earlier_image, image)
+                    direction, image = direction - length * earlier, image - length * earlier_image
+                norm = np.linalg.norm(image, axis=0)
+                direction, image = _over(direction, norm), _over(image, norm)
+                directions.append(direction)
+                products.append(image)
+                length = _dot(image, residual)
+            answer += length * direction
+            residual -= length * image
         return answer
 
     def _apply(self, right: np.ndarray) -> np.ndarray:
-        """Solutions of the factor alone; in units in which single precision has no small numbers."""
+        """Apply the single-precision inverse to normalised columns, which avoids underflow."""
         size = np.linalg.norm(right, axis=0)
         return size * self._pattern.solve(_over(right, size))
 
-
 def _dot(first: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Inner products of the columns of two arrays."""
     return np.asarray(np.einsum("ij,ij->j", first, other))
 
 
 def _over(number: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """A quotient; 0 where it has no value."""
+    """Quotient of two arrays; 0 where the divisor is 0."""
     return np.divide(number, other, out=np.zeros_like(number), where=other != 0.0)

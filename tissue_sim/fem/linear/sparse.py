@@ -1,6 +1,6 @@
-"""Factors of sparse matrices by libraries: SciPy's SuperLU, or Intel's Pardiso where pypardiso is installed.
+"""Factorisation of sparse matrices: SciPy's SuperLU, or Intel's Pardiso if pypardiso is installed.
 
-pypardiso (an extra, ``pip install tissue_sim[pardiso]``) takes a tenth of the time for 60,000 equations of a solid.
+pypardiso (extra ``pip install tissue_sim[pardiso]``) is about ten times faster for 60,000 equations of a solid.
 """
 
 from __future__ import annotations
@@ -14,48 +14,55 @@ import numpy as np
 from tissue_sim.fem.linear.pardiso import DEFINITE, OTHER, SYMMETRIC, PardisoError, PardisoPattern
 from tissue_sim.fem.linear.single import SingleFactor
 
-#: ``TISSUE_SIM_SPARSE=scipy`` keeps to SciPy where pypardiso is installed, too.
+#: Environment variable; ``TISSUE_SIM_SPARSE=scipy`` selects SciPy although pypardiso is installed.
 _CHOICE = "TISSUE_SIM_SPARSE"
-#: Pardiso's factors of so many equations are in single precision where that is enough; smaller ones take no time.
+#: Number of equations from which on Pardiso first tries single precision; smaller systems take no noticeable time.
 _SINGLE_FROM = 1000
 
 
 class Factor(Protocol):
-    """A factor of a matrix.
+    """Factor of a matrix.
 
     Attributes:
-        definite: whether a symmetric matrix is positive definite; True of one that is not symmetric.
+        definite: whether a symmetric matrix is positive definite; True for other matrices.
     """
 
     definite: bool
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solutions for right-hand sides, shape (n,) or (n, several)."""
+        """Solve for right-hand sides, shape (n,) or (n, m)."""
 
 
 class CondensedFactor(Factor, Protocol):
-    """A factor of a matrix that was condensed onto some of its equations.
+    """Factor of a matrix that is condensed onto interface equations (Schur complement).
 
     Attributes:
-        compliance: of these, the block of the inverse, shape (m, m).
+        compliance: block of the inverse of the matrix for the interface equations, shape (m, m).
     """
 
     compliance: np.ndarray
 
     def begin(self, right: np.ndarray) -> np.ndarray:
-        """A solution that is begun: it stands in these equations, and `finish` finds the rest, which takes half of the
-        time. What is begun may be added up, shape (n,) or (n, several)."""
+        """First half of a solution: the interface rows of the result hold the solution; `finish` computes the others.
+
+        The first half takes half of the time. Results are linear in the right-hand side and may be added.
+
+        Args:
+            right: shape (n,) or (n, several).
+        """
 
     def begin_push(self, forces: np.ndarray) -> np.ndarray:
-        """The same for a right-hand side that is 0 but in these equations, shape (m,)."""
+        """First half of a solution for a right-hand side that is 0 except in the interface equations, shape (m,)."""
 
     def finish(self, begun: np.ndarray) -> np.ndarray:
-        """The whole solution."""
+        """Second half of a solution; returns the solution of all equations."""
 
 
 class SparseSolver:
-    """Factors of matrices that have their entries in the same places. What does not depend on the numbers is found once
-    where the library can; so only the newest factor is one that may be used."""
+    """Factorise matrices of one sparsity pattern.
+
+    The symbolic analysis is done once if the library supports it. Only the newest factor is valid.
+    """
 
     def __init__(self) -> None:
         self._kept: dict[int, PardisoPattern] = {}
@@ -63,7 +70,15 @@ class SparseSolver:
         self._single_is_enough = True
 
     def factorise(self, matrix: Any, *, symmetric: bool) -> Factor | None:
-        """A factor of a square matrix, a `scipy.sparse.csc_array` with sorted rows; None where it is singular."""
+        """Factorise a square matrix.
+
+        Args:
+            matrix: a `scipy.sparse.csc_array` with sorted rows.
+            symmetric: whether the matrix is symmetric.
+
+        Returns:
+            None if the matrix is singular.
+        """
         if library() != "pardiso":
             return _SuperLU.of(matrix, symmetric)
         tried = self._single_is_enough and matrix.shape[0] >= _SINGLE_FROM
@@ -79,8 +94,15 @@ class SparseSolver:
         return factor
 
     def condense(self, matrix: Any, interface: np.ndarray) -> CondensedFactor | None:
-        """The same of a symmetric matrix, condensed onto its equations `interface`, sorted; None where it is singular,
-        or not positive definite while these are held."""
+        """Factorise a symmetric matrix and condense it onto interface equations.
+
+        Args:
+            matrix: a `scipy.sparse.csc_array` with sorted rows.
+            interface: sorted indices of the interface equations, shape (m,).
+
+        Returns:
+            None if the matrix is singular, or not positive definite with the interface held.
+        """
         if library() != "pardiso":
             return _CondensedSuperLU.of(matrix, interface)
         pattern = self._kept.get(DEFINITE)
@@ -98,12 +120,12 @@ def _pattern(kept: dict[int, PardisoPattern], matrix: Any, kind: int, *, single:
 
 
 def factorise(matrix: Any, *, symmetric: bool) -> Factor | None:
-    """A factor of one matrix; see `SparseSolver.factorise`."""
+    """Factorise one matrix; see `SparseSolver.factorise`."""
     return SparseSolver().factorise(matrix, symmetric=symmetric)
 
 
 def library() -> str:
-    """``"pardiso"`` or ``"scipy"``."""
+    """Name of the library in use: ``"pardiso"`` or ``"scipy"``."""
     if os.environ.get(_CHOICE) == "scipy" or importlib.util.find_spec("pypardiso") is None:
         return "scipy"
     return "pardiso"
@@ -213,7 +235,7 @@ class _CondensedPardiso:
         return begun
 
     def begin_push(self, forces: np.ndarray) -> np.ndarray:
-        # The first half of the solution leaves such a right-hand side as it is.
+        # Forward substitution does not change such a right-hand side.
         begun = np.zeros(self._pattern.size)
         begun[self._pattern.require_interface()] = self.compliance @ forces
         return begun

@@ -7,7 +7,7 @@ import numpy as np
 from tissue_sim.fem.reduced.elements_kernel import FOLLOWS, SETTINGS, elements_kernel
 from tissue_sim.fem.reduced.model import Rest
 from tissue_sim.fem.solid.batches import LANES, ElementBatches
-from tissue_sim.fem.solid.element import ADDS
+from tissue_sim.fem.solid.element import SettingColumn
 from tissue_sim.fem.solid.tissue import RegionElements, bulk_modulus, element_groups, layer_ratios
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
@@ -52,7 +52,7 @@ class SampledElements:
         points = batches.weights.shape[1]
         self._regions = tuple(RegionElements(name, each, points, SETTINGS) for name, each in chosen.items())
         for region in self._regions[1:]:
-            region.settings[ADDS] = True
+            region.settings[SettingColumn.ADDS] = True
         self.modes = modes = basis.shape[1]
         self._forces = np.zeros(modes)
         self._contact_radius = contact_radius

@@ -3,7 +3,7 @@
 from functools import cache
 
 from tissue_sim.fem.solid.batches import LANES
-from tissue_sim.fem.solid.element import ADDS, KAPPA, REMEMBERS, element_functions
+from tissue_sim.fem.solid.element import SettingColumn, element_functions
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
@@ -70,9 +70,9 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
                  wanted: real1, blocks: single1, standing: vector1):
         ti.loop_config(serialize=True)
         for _ in range(1):
-            kappa, remembers = settings[KAPPA], settings[REMEMBERS]
+            kappa, remembers = settings[SettingColumn.KAPPA], settings[SettingColumn.REMEMBERS]
             least[0] = 1e30
-            if settings[ADDS] == 0.0:
+            if settings[SettingColumn.ADDS] == 0.0:
                 for i in range(residual.shape[0]):
                     residual[i] = 0.0
             for b in range(moduli.shape[0]):

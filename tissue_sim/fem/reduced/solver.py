@@ -294,8 +294,8 @@ class ReducedSolver(PlacedReduced):
             at[free] -= solution((tangent + rates)[free, free], residual)
             solves += 1
 
-    def takes(self, pose: Pose) -> bool:
-        """See `Solver.takes`: in the box, or where it touches nothing."""
+    def accepts_pose(self, pose: Pose) -> bool:
+        """See `Solver.accepts_pose`: in the box, or where it touches nothing."""
         return any(self._where(pose, Frame(pose, self.datum)))
 
     def _where(self, pose: Pose, frame: Frame) -> tuple[bool, bool]:

@@ -22,7 +22,7 @@ from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.strokes import stroke
 from tissue_sim.fem.reduced.symmetry import Symmetry, parities, symmetries
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
-from tissue_sim.fem.solid.elastic import elastic_answer, element_forces, held_places, lifted_amplitudes
+from tissue_sim.fem.solid.elastic import element_forces, held_places, lifted_amplitudes, linear_response
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.material import Material
@@ -59,7 +59,7 @@ class Snapshots:
     Attributes:
         displacements: of all freedoms at each pose, from where nobody touches it, m, shape (poses, freedoms).
         wrenches: on the tool, N and N m, shape (poses, 6).
-        doubts: see `Solver.doubts`, where the force is largest; not kept in files.
+        doubts: see `Solver.warnings`, where the force is largest; not kept in files.
     """
 
     displacements: np.ndarray
@@ -100,7 +100,7 @@ def snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Sequence[np
         displacements.append(solver.sample().displacement.ravel() - rest)
         wrenches.append(step.wrench)
         if (size := math.hypot(*step.wrench[:3])) > largest:
-            largest, doubts = size, solver.doubts()
+            largest, doubts = size, solver.warnings()
     return Snapshots(np.array(displacements), np.array(wrenches), doubts)
 
 
@@ -132,7 +132,7 @@ def lifted_modes(solver: SolidSolver) -> np.ndarray:
     for i in range(3):
         for k in range(3):
             motions[:, i, 3 + 3 * i + k] = held[:, k]
-    return elastic_answer(solver, motions.reshape(-1, LIFTING))
+    return linear_response(solver, motions.reshape(-1, LIFTING))
 
 
 def modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -260,7 +260,7 @@ def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
         ``force_rms_error`` and ``force_largest_error`` over the rms force of the whole with the same material, the rms
         force of all, ``force_rms_N``, and
         ``not_converged``, the share of steps that were not, and where the whole solid has some ``warnings`` (see
-        `Solver.doubts`); and ``error_factors`` that fit, see `ReducedModel`.
+        `Solver.warnings`); and ``error_factors`` that fit, see `ReducedModel`.
     """
     from scipy.optimize import nnls
 
@@ -379,4 +379,4 @@ def training_mesh(model: Model, box: PoseBox, resolution: str) -> SolidMesh:
                              f"{at} mm; make the box smaller", field="box.sideways")
     # Rings that fit into the top.
     room = _ROOM * specimen.margin(x, y) - experiment.contact_radius
-    return build_mesh(experiment, resolution, model.material.layers, beside=max(0.0, min(aside, room)))
+    return build_mesh(experiment, resolution, model.material.layers, distance=max(0.0, min(aside, room)))

@@ -1,9 +1,9 @@
-"""The elements of a solid into forces of nodes and a sparse matrix, as a Taichi kernel."""
+"""Assembly of the elements of a solid: nodal forces and sparse stiffness matrix, as a Taichi kernel."""
 
 from functools import cache
 
 from tissue_sim.fem.solid.batches import LANES
-from tissue_sim.fem.solid.element import ADDS, KAPPA, REMEMBERS, TANGENT, element_functions
+from tissue_sim.fem.solid.element import SettingColumn, element_functions
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
@@ -11,8 +11,10 @@ from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
 @cache
 def assembly_kernel(element_name: str, energy: KernelEnergy):
-    """Kernel of the forces of all nodes, and of the tangent where `settings` ask for it; `least` gets the smallest
-    J."""
+    """Return the kernel that assembles the nodal forces, and the tangent if `settings` request it.
+
+    It writes the smallest volume ratio J to `least`.
+    """
     ti = initialise()
     nodes = SOLID_ELEMENTS[element_name].nodes
     pairs = nodes * (nodes + 1) // 2
@@ -31,11 +33,12 @@ def assembly_kernel(element_name: str, energy: KernelEnergy):
         # One pass of one serial task, started without waking a thread pool.
         ti.loop_config(serialize=True)
         for _ in range(1):
-            kappa, tangent, remembers = settings[KAPPA], settings[TANGENT], settings[REMEMBERS]
-            if settings[ADDS] == 0.0:
+            kappa, tangent = settings[SettingColumn.KAPPA], settings[SettingColumn.TANGENT]
+            remembers = settings[SettingColumn.REMEMBERS]
+            if settings[SettingColumn.ADDS] == 0.0:
                 for i in range(residual.shape[0]):
                     residual[i] = 0.0
-            if tangent > 0.0 and settings[ADDS] == 0.0:
+            if tangent > 0.0 and settings[SettingColumn.ADDS] == 0.0:
                 for i in range(data.shape[0]):
                     data[i] = 0.0
             least[0] = 1e30

@@ -1,4 +1,7 @@
-"""How forces of laws of contact change at an equilibrium, exactly; a law's own rates only help Newton's iteration."""
+"""Exact derivatives of the forces of contact laws at an equilibrium, by differences.
+
+The derivatives that a law states are only used in Newton's tangent and may be incomplete.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +12,20 @@ import numpy as np
 from tissue_sim.fem.solid.contact import ContactNodes
 from tissue_sim.fem.solid.frame import Frame
 
-#: Steps of the differences: in units of the laws' reach, and of the force of a node, or of a share of the largest.
-_STEP, _SMALL = 1e-5, 1e-3
+#: Step of the differences over the reach of the laws, or over the force of a node, 1.
+_STEP = 1e-5
+#: Smallest nodal force for such a step over the largest one, 1.
+_SMALL = 1e-3
 
 
 class LawRates(NamedTuple):
-    """Rates of the forces of nodes on the tool, zero where no law acts.
+    """Derivatives of the nodal forces on the tool, zero where no law acts.
 
     Attributes:
-        by_place: with the place of a node against the tool, its slip held, N/m, shape (n, 3, 3).
-        by_slip: with its slip, N/m, shape (n, 3, 3). by_force: with the force of the contact along the normal, (n, 3).
-        normals: out of the tool, shape (n, 3).
+        by_place: with respect to the position of a node relative to the tool at constant slip, N/m, shape (n, 3, 3).
+        by_slip: with respect to the slip, N/m, shape (n, 3, 3).
+        by_force: with respect to the contact force along the normal, shape (n, 3).
+        normals: outward normals of the tool, shape (n, 3).
     """
 
     by_place: np.ndarray
@@ -29,10 +35,12 @@ class LawRates(NamedTuple):
 
     @classmethod
     def of(cls, contact: ContactNodes, displacement: np.ndarray, frame: Frame) -> LawRates | None:
-        """At an equilibrium that was looked at last; None where no law acts.
+        """Compute the derivatives at the last evaluated equilibrium; None if no law acts.
 
         Args:
-            contact: the nodes. displacement: of these, m, shape (n, 3). frame: of the tool.
+            contact: contact nodes.
+            displacement: of these nodes, m, shape (n, 3).
+            frame: frame of the tool.
         """
         state, laws, normals = contact.state, contact.laws, contact.normals.copy()
         near, nodes = state.near, contact.nodes[state.near]
@@ -58,12 +66,17 @@ class LawRates(NamedTuple):
         return cls(by_place, by_slip, by_force, normals)
 
     def forces(self, motion: np.ndarray, slipped: np.ndarray, contact_forces: np.ndarray) -> np.ndarray:
-        """Rates of the forces with m parameters, from those of places against the tool, of slip and of the contact's
-        forces, shape (n, 3, m) each."""
+        """Derivatives of the forces with respect to m parameters, shape (n, 3, m).
+
+        Args:
+            motion: derivatives of the positions relative to the tool, shape (n, 3, m).
+            slipped: derivatives of the slip, shape (n, 3, m).
+            contact_forces: derivatives of the contact forces, shape (n, 3, m).
+        """
         normal = np.einsum("ni,nik->nk", self.normals, contact_forces)
         return self.by_place @ motion + self.by_slip @ slipped + self.by_force[:, :, None] * normal[:, None]
 
     def with_motion(self, rates: np.ndarray) -> np.ndarray:
-        """Rates of the forces with the motion of the nodes, N/m, shape (n, 3, 3), where the contact's have these."""
+        """Derivatives of the forces with respect to nodal motions, N/m, shape (n, 3, 3), for those of the contact."""
         normal = np.einsum("ni,nij->nj", self.normals, rates)
         return self.by_place + self.by_slip + self.by_force[:, :, None] * normal[:, None]

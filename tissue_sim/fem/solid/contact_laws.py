@@ -1,4 +1,4 @@
-"""Laws of contact in the solid in space: tractions between the tool and what has touched it, at nodes."""
+"""Additional contact laws of a three-dimensional solid: tractions between tool and tissue at the nodes."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ import numpy as np
 
 from tissue_sim.experiment.contact_law import ContactLaw, Traction, strength, traction_of
 
-#: Of a gap, in units of the reach, by which it is seen how the pull falls.
+#: Step of the difference quotient of a pull with respect to the gap, in units of the reach.
 _STEP = 1e-6
 
 
 class NodeLaws:
-    """All laws of a contact together.
+    """Sum of all additional contact laws.
 
     Args:
-        laws: tractions beside contact and friction.
+        laws: laws besides contact and friction.
         face: area of the tool's face at the largest depth, m2.
-        areas: on which each node of the mesh stands for tractions, m2, shape (nodes,).
+        areas: area that each node of the mesh represents, m2, shape (nodes,).
 
     Attributes:
-        reach: gap from which on none does anything, m; 0 where there is none.
-        strength: pull of all where the surfaces touch without pressure, Pa.
+        reach: gap from which on no law has an effect, m; 0 without laws.
+        strength: sum of the pulls at zero gap and pressure, Pa.
     """
 
     def __init__(self, laws: tuple[ContactLaw, ...] = (), face: float = 1.0, areas: np.ndarray | None = None):
@@ -32,24 +32,26 @@ class NodeLaws:
         return bool(self._laws)
 
     def pull_of(self, nodes: np.ndarray) -> np.ndarray:
-        """Largest pull that nodes bear where they touch without pressure, N, shape (n,)."""
+        """Largest pull on nodes at zero gap and pressure, N, shape (n,)."""
         return np.zeros(nodes.size) if self._areas is None else self.strength * self._areas[nodes]
 
     def act(self, nodes: np.ndarray, gap: np.ndarray, normal: np.ndarray, slip: np.ndarray, normals: np.ndarray,
             meridians: np.ndarray, curved: np.ndarray, bending: float) -> tuple[np.ndarray, np.ndarray]:
-        """Forces of nodes on the tool, N, shape (n, 3), and their rates with the way of the nodes, N/m, (n, 3, 3).
+        """Compute the forces on the tool, N, shape (n, 3), and their derivatives, N/m, shape (n, 3, 3).
 
         Args:
-            nodes: their numbers, shape (n,).
-            gap: m, shape (n,). normal: force of the contact, below 0 where it presses, N, shape (n,).
-            slip: from where each touched, m, shape (n, 3).
-            normals: out of the tool; meridians: along its outline, shape (n, 3).
-            curved: how the normals turn with the place, 1/m, shape (n, 3, 3).
-            bending: 1 where the rates know how a pull turns with the surface and falls with the gap, which leads astray
-                far from equilibrium and where the surfaces tear apart; 0: they are those that the laws state.
+            nodes: indices of the nodes, shape (n,).
+            gap: m, shape (n,).
+            normal: contact force along the normal, negative in compression, N, shape (n,).
+            slip: since each node touched, m, shape (n, 3).
+            normals: outward normals of the tool, shape (n, 3).
+            meridians: directions along its outline, shape (n, 3).
+            curved: derivative of the normals with respect to position, 1/m, shape (n, 3, 3).
+            bending: 1: the derivatives contain the rotation of a pull with the surface and its decrease with the gap,
+                which is inaccurate far from equilibrium and where surfaces separate; 0: only those that the laws state.
 
         Raises:
-            InputError: a law whose traction is none.
+            InputError: a law does not return a `Traction`.
         """
         assert self._areas is not None
         areas, along = self._areas[nodes], (meridians, np.cross(normals, meridians))
@@ -59,7 +61,7 @@ class NodeLaws:
         pull, pull_rate, drag, drag_rates = 0.0, 0.0, np.zeros((2, gap.size)), np.zeros((2, 2, gap.size))
         for law in self._laws:
             found = self._traction(law, gap, pressure, slips)
-            # Each ends at its own reach; that of the furthest one is the contact's.
+            # Each law ends at its own reach.
             near = gap < law.reach
             pull = pull + near * found.pull
             rate = np.broadcast_to(found.pull_rate, gap.shape)
@@ -83,5 +85,5 @@ class NodeLaws:
 
     def _traction(self, law: ContactLaw, gap: np.ndarray, pressure: np.ndarray, slips: tuple[np.ndarray, ...]
                   ) -> Traction:
-        # Copies: a formula may add in place, and the next law is asked about the same.
+        # Copies, because a formula may change its arguments, which are passed to the next law.
         return traction_of(law, gap.copy(), pressure.copy(), (slips[0].copy(), slips[1].copy()), self._face)

@@ -1,4 +1,4 @@
-"""What the nodes of a contact do at an equilibrium, and how their forces change with a parameter there."""
+"""State of the contact nodes at an equilibrium, and derivatives of their forces with respect to parameters."""
 
 from __future__ import annotations
 
@@ -8,17 +8,28 @@ import numpy as np
 
 
 class ContactState(NamedTuple):
-    """Of all nodes, see `tissue_sim.fem.solid.contact.ContactNodes`.
+    """State of all contact nodes; see `tissue_sim.fem.solid.contact.ContactNodes`. Shapes are (n,) if not stated.
 
     Attributes:
-        held, pressed, sticks, slides, goes, keeps, met: held where they touched; pressed against a body; of these,
-            stuck by friction, slipping, and slipping far enough to have a way; whether their anchor stays, and whether
-            they are bound to a body from now on; near: near enough for laws beside contact and friction; shape (n,).
-        gap: m; normal: force along the normal, N; limit: of friction, N; friction: its coefficient, shape (n,).
-        springs: of gaps, and holds: of slip, N/m, shape (n,).
-        normals: out of the bodies; slip: since the last equilibrium, m; ways: of slip, shape (n, 3).
-        curved: how the normals turn with the place, 1/m; turn: from the frame of the body to that of the mesh, shape
-            (n, 3, 3).
+        held: held where they touched, without slip.
+        pressed: pressed against a body.
+        sticks: pressed and stuck by friction.
+        slides: pressed and slipping.
+        goes: slipping far enough that the direction of slip is defined.
+        keeps: whether the stick anchor stays.
+        met: whether the node is bound to a body from now on.
+        near: near enough for additional contact laws.
+        gap: m.
+        normal: force along the normal, N.
+        limit: limit of friction, N.
+        friction: coefficient of friction, 1.
+        springs: penalty stiffness of the gap, N/m.
+        holds: penalty stiffness of the slip, N/m.
+        normals: outward normals of the bodies, shape (n, 3).
+        slip: since the last equilibrium, m, shape (n, 3).
+        ways: directions of slip, shape (n, 3).
+        curved: derivative of the normals with respect to position, 1/m, shape (n, 3, 3).
+        turn: rotation from the frame of the body to that of the mesh, shape (n, 3, 3).
     """
 
     held: np.ndarray
@@ -42,19 +53,18 @@ class ContactState(NamedTuple):
     turn: np.ndarray
 
     def force_rates(self, motion: np.ndarray, anchors: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rates of the forces that the laws of the contact allow, and what its constraints still miss, in N, shape
-        (n, 3, m) each.
+        """Derivatives of the contact forces, and residual derivatives of the constraints in N, shape (n, 3, m) each.
 
         Args:
-            motion: rates of the nodes' places with m parameters, shape (n, 3, m).
-            anchors: of where they are bound, in the frames of their bodies, shape (n, 3, m).
-            forces: of their forces, as found so far, shape (n, 3, m).
+            motion: derivatives of the nodal positions with respect to m parameters, shape (n, 3, m).
+            anchors: derivatives of the anchors in the frames of their bodies, shape (n, 3, m).
+            forces: present iterate of the derivatives of the forces, shape (n, 3, m).
         """
         n, way, springs = self.normals[:, :, None], self.ways[:, :, None], self.springs[:, None, None]
         gap = _along(n, motion)
         slipped = motion - self.turn @ anchors
         tilt = self.curved @ motion
-        # The way is that of the slip's part along the surface.
+        # Derivative of the tangential part of the slip.
         slip = self.slip[:, :, None]
         along = slipped - (_along(n, slipped) + _along(slip, tilt)) * n - _along(slip, n) * tilt
         flat = self.slip - np.einsum("ni,ni->n", self.slip, self.normals)[:, None] * self.normals
@@ -75,7 +85,7 @@ class ContactState(NamedTuple):
         return np.where(acts, found, 0.0), np.where(acts, missing, 0.0)
 
     def anchor_rates(self, motion: np.ndarray, anchors: np.ndarray) -> np.ndarray:
-        """Rates of where the nodes are bound after this equilibrium; arguments as of `force_rates`."""
+        """Derivatives of the anchors after this equilibrium; arguments as in `force_rates`."""
         n = self.normals[:, :, None]
         beside = self.gap[:, None, None] * (self.curved @ motion)
         surface = self.turn.swapaxes(1, 2) @ (motion - _along(n, motion) * n - beside)
@@ -83,12 +93,12 @@ class ContactState(NamedTuple):
 
     @property
     def kinds(self) -> np.ndarray:
-        """What each node does, to be compared with another equilibrium, shape (5, n)."""
+        """Flags of each node whose change between equilibria makes a kink, shape (5, n)."""
         return np.stack([self.held, self.pressed, self.sticks, self.slides, self.near])
 
 
 def _along(direction: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Their component, kept as an axis of one: (n, 3, m) times (n, 3, m or 1) -> (n, 1, m)."""
+    """Component of vectors along directions, shape (n, 1, m) from (n, 3, 1) and (n, 3, m)."""
     return (direction * vectors).sum(axis=1, keepdims=True)
 
 

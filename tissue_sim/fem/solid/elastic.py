@@ -1,4 +1,4 @@
-"""What a solid answers beside the way of its steps: to small motions of its tool, and element by element."""
+"""Linear response of a resting solid to motions of its tool, and forces of single elements."""
 
 from __future__ import annotations
 
@@ -8,33 +8,32 @@ from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.pose import Pose
 
-# The solver and this are one thing in two files, so this one uses protected names of the other.
+# These functions belong to `SolidSolver` and use its protected members; they are separate to keep the files short.
 
 
 def held_places(solver: SolidSolver) -> np.ndarray:
-    """Of the nodes that the tool holds, in its frame, m, shape (n, 3)."""
+    """Positions of the nodes that the tool holds, in the frame of the tool, m, shape (n, 3)."""
     return solver._held_at
 
 
 def held_freedoms(solver: SolidSolver) -> np.ndarray:
-    """Along which axes nodes are held, by the tool or where they stand, shape (nodes, 3)."""
+    """Whether nodes are held, by the tool or by the base, along each axis, shape (nodes, 3)."""
     held = np.ones(solver.x.size, dtype=bool)
     held[solver._free] = False
     return held.reshape(-1, 3)
 
 
 def lifted_amplitudes(solver: SolidSolver, pose: Pose) -> np.ndarray:
-    """How far a tool that holds tissue has come at a pose: its way, m, and how the entries of its rotation changed, row
-    by row, shape (12,)."""
+    """Motion of a tool that holds tissue from its first touch to a pose, see `Frame.motion_from`, shape (12,)."""
     return Frame(pose, solver.datum).motion_from(Frame(solver._start, solver.datum))
 
 
-def elastic_answer(solver: SolidSolver, motions: np.ndarray) -> np.ndarray:
-    """What small motions of the nodes that the tool holds do to the resting solid, m, shape (freedoms, n).
+def linear_response(solver: SolidSolver, motions: np.ndarray) -> np.ndarray:
+    """Displacements of the resting solid for small motions of the nodes that the tool holds, m, shape (freedoms, n).
 
     Args:
-        solver: is at rest afterwards.
-        motions: of these freedoms, m, shape (3 nodes, n).
+        solver: solver; it is reset to the resting state.
+        motions: displacements of these degrees of freedom, m, shape (3 nodes, n).
     """
     solver.lift_off()
     solver._assemble()
@@ -49,8 +48,10 @@ def elastic_answer(solver: SolidSolver, motions: np.ndarray) -> np.ndarray:
 
 
 def element_forces(solver: SolidSolver, displacement: np.ndarray, bulk_ratio: float) -> np.ndarray:
-    """See `Tissue.element_forces`; at a displacement of all freedoms from where the solid stands, m. The state of the
-    solver stays."""
+    """Forces of single elements at a displacement, m, shape (freedoms,), from the resting state.
+
+    The state of the solver is kept. See `Tissue.element_forces`.
+    """
     rest, pressures, _ = solver._rest
     solver.x[:] = rest + displacement
     forces = solver.tissue.element_forces(bulk_ratio, pressures)

@@ -1,15 +1,16 @@
-"""Elements of a solid as Taichi functions: stresses to forces and stiffness, a few elements at a time.
+"""Three-dimensional mixed elements as Taichi functions: forces and stiffness of a batch of elements.
 
-One element stands in each lane of the vectors; see `tissue_sim.fem.axisymmetric.assembly`, of which this is the form in
-space: a discontinuous pressure per element enforces J - 1 = p / K in the mean, is an unknown of Newton's iteration and
-eliminated element by element (Simo, Taylor and Pister, CMAME 51 (1985) 177).
+Each lane of the vectors is one element, as in `tissue_sim.fem.axisymmetric.assembly`. A discontinuous pressure in each
+element enforces J - 1 = p / K in the mean; it is an unknown of Newton's method and eliminated element by element (Simo,
+Taylor and Pister, CMAME 51 (1985) 177).
 """
 
+from enum import IntEnum
 from functools import cache
 from typing import Any, NamedTuple
 
 from tissue_sim.fem.energy import inverse_root_function, soften_function
-from tissue_sim.fem.history import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE
+from tissue_sim.fem.history import PastColumn
 from tissue_sim.fem.solid import energy as point
 from tissue_sim.fem.solid.batches import LANES
 from tissue_sim.fem.taichi.runtime import initialise
@@ -17,23 +18,38 @@ from tissue_sim.fem.taichi.scratch import scratch
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
-#: Places in `settings` of kernels: bulk modulus, Pa; whether the tangent is wanted; whether the tissue remembers;
-#: whether forces and stiffness are added to what other elements have left.
-KAPPA, TANGENT, REMEMBERS, ADDS = range(4)
-#: Most nodes, points and pressure modes of an element.
-_NODES, _POINTS, _MODES = 27, 27, 4
-#: Where things of the batch that is worked on stand in the scratch field: motion and forces of nodes, pressure
-#: amplitudes, gaps, rates of the volume, and at each point the tangent; of one node stress rates at one point, and
-#: stiffness with all others.
+
+class SettingColumn(IntEnum):
+    """Columns of the settings of a kernel."""
+
+    #: Bulk modulus, Pa.
+    KAPPA = 0
+    #: Whether the tangent is computed.
+    TANGENT = 1
+    #: Whether the material has a history.
+    REMEMBERS = 2
+    #: Whether forces and stiffness are added to those of other elements.
+    ADDS = 3
+
+
+#: Largest number of nodes of an element.
+_NODES = 27
+#: Largest number of quadrature points of an element.
+_POINTS = 27
+#: Largest number of pressure modes of an element.
+_MODES = 4
+#: Sections of the scratch field for one batch, with their sizes: displacements and forces of the nodes, pressure
+#: amplitudes, residuals of the pressure equations, derivatives of the volume, tangents at the points; for one node the
+#: derivatives of the stress at one point, and the stiffness with all other nodes.
 _sizes = (("U", 3 * _NODES), ("FORCE", 3 * _NODES), ("PRESSURE", _MODES), ("GAP", _MODES), ("V", 3 * _MODES * _NODES),
           ("A", 45 * _POINTS), ("RATE", 27), ("PAIRS", 9 * _NODES))
 _AT = {name: sum(size for _, size in _sizes[:i]) for i, (name, _) in enumerate(_sizes)}
-#: Where others go on in the scratch field.
+#: First entry of the scratch field that is free for other functions.
 SCRATCH = sum(size for _, size in _sizes)
 
 
 class ElementFunctions(NamedTuple):
-    """Taichi functions of a batch: `integrate` gives its forces, `stiffen` its stiffness after that."""
+    """Taichi functions of a batch: `integrate` computes its forces, `stiffen` then its stiffness."""
 
     integrate: Any
     stiffen: Any
@@ -41,7 +57,7 @@ class ElementFunctions(NamedTuple):
 
 @cache
 def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctions:
-    """The functions of an element and an energy."""
+    """Return the functions of an element type and an energy."""
     ti = initialise()
     element = SOLID_ELEMENTS[element_name]
     nodes, modes, points = element.nodes, element.pressure_modes, element.quadrature[1].size
@@ -54,34 +70,34 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
     V, A, RATE, PAIRS = (_AT[name] for name in ("V", "A", "RATE", "PAIRS"))
     PLACE, COFACTOR = point.PLACE, point.COFACTOR
 
-    # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi, four times slower here. And what is
-    # added up over points is added up in the scratch field, not in variables: vectors that are stored in a loop tell
-    # LLVM what belongs together, where it else loads and packs number by number.
+    # `a = a + b` on arrays, because `a += b` is an atomic operation in Taichi and four times slower here. Sums over
+    # points are kept in the scratch field, not in variables: with stores in a loop LLVM uses vector instructions.
 
     @ti.func
     def at_point(b, q, tangent: ti.template(), remembers, H, J, p, weights: ti.template(), moduli: ti.template(),
                  coefficients: ti.template(), elements: ti.template(), past: ti.template(), inherited: ti.template(),
                  largest: ti.template(), stresses: ti.template(), energies: ti.template()):
-        """Stress and dJ/dF of a point, times its weight; its tangent is noted."""
+        """Compute stress and dJ/dF of a point times its weight, and store its tangent in the scratch field."""
         F = [H[m] + ti.static(float(m % 4 == 0)) for m in ti.static(range(9))]
         W, P, T = stress_and_tangent(F, J, inverse_root(ti.max(J, 1e-6)), coefficients, tangent)
         cof = cofactor(F)
         if remembers > 0.0:
-            f = past[FACTOR]
+            f = past[PastColumn.FACTOR]
             W = f * W
             for l in ti.static(range(LANES)):
                 energies[elements[b, l], q] = W[l]
             P1, T1 = [f * P[m] for m in ti.static(range(9))], [f * T[n] for n in ti.static(range(45))]
-            if past[LOSS] != 0.0:
+            if past[PastColumn.LOSS] != 0.0:
                 most = ti.Vector([largest[elements[b, l], q] for l in ti.static(range(LANES))])
-                P2, T2 = soften(W, most, past[LOSS], past[LOSS_MODULUS], past[LOSS_SHARE], P1, T1)
+                P2, T2 = soften(W, most, past[PastColumn.LOSS], past[PastColumn.LOSS_MODULUS],
+                                past[PastColumn.LOSS_SHARE], P1, T1)
                 for m in ti.static(range(9)):
                     P1[m] = P2[m]
                 for n in ti.static(range(45)):
                     T1[n] = T2[n]
             h = [ti.Vector([inherited[elements[b, l], q, i] for l in ti.static(range(LANES))])
                  for i in ti.static(range(6))]
-            S, P3, T3 = relax(F, cof, J, past[INSTANT], h, P1, T1)
+            S, P3, T3 = relax(F, cof, J, past[PastColumn.INSTANT], h, P1, T1)
             for i in ti.static(range(6)):
                 for l in ti.static(range(LANES)):
                     stresses[elements[b, l], q, i] = S[i][l]
@@ -106,8 +122,10 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
                   elements: ti.template(), past: ti.template(), inherited: ti.template(), largest: ti.template(),
                   stresses: ti.template(), energies: ti.template(), volume_rates: ti.template(), gaps: ti.template(),
                   forces: ti.template()):
-        """Forces of the nodes of a batch, with the pressure's share of what the volume still misses; returns the
-        smallest J. What the tissue remembers is as in `tissue_sim.fem.history`."""
+        """Compute the nodal forces of a batch, with the eliminated pressure increments; returns the smallest J.
+
+        The material history is that of `tissue_sim.fem.history`.
+        """
         for a in range(nodes):
             i = b * nodes + a
             for k in ti.static(range(3)):
@@ -130,7 +148,7 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
                     H[3 * k] = H[3 * k] + u * x0
                     H[3 * k + 1] = H[3 * k + 1] + u * y0
                     H[3 * k + 2] = H[3 * k + 2] + u * z0
-            # J - 1 from the displacement gradient: nothing is lost to the 1 when K/mu multiplies it.
+            # J - 1 from the displacement gradient, without cancellation, because K/mu multiplies it.
             minors = (H[0] * H[4] - H[1] * H[3] + H[0] * H[8] - H[2] * H[6] + H[4] * H[8] - H[5] * H[7])
             cube = (H[0] * (H[4] * H[8] - H[5] * H[7]) - H[1] * (H[3] * H[8] - H[5] * H[6])
                     + H[2] * (H[3] * H[7] - H[4] * H[6]))
@@ -142,7 +160,7 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
                 p = p + phi * s[PRESSURE + m]
                 s[GAP + m] = s[GAP + m] + weights[b * points + q] * phi * dilation
             P, cof = [vec(0.0) for _m in ti.static(range(9))], [vec(0.0) for _m in ti.static(range(9))]
-            # Compiled twice: forces alone take three quarters of the time.
+            # Compiled twice, because forces alone take three quarters of the time.
             if tangent > 0.0:
                 P1, cof1 = at_point(b, q, True, remembers, H, 1.0 + dilation, p, weights, moduli, coefficients,
                                     elements, past, inherited, largest, stresses, energies)
@@ -180,8 +198,10 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
     @ti.func
     def stiffen(b, kappa, moduli: ti.template(), gx: ti.template(), gy: ti.template(), gz: ti.template(),
                 stiffness: ti.template()):
-        """Stiffness of all pairs of nodes (c, a), a <= c: the force on a along i for a motion of c along k stands at
-        3 k + i of their nine."""
+        """Compute the stiffness of all pairs of nodes (c, a), a <= c.
+
+        Entry 3 k + i of the nine of a pair is the force on a along i for a displacement of c along k.
+        """
         bulk = kappa * moduli[b]
         for c in range(nodes):
             for i in range(9 * (c + 1)):

@@ -1,4 +1,4 @@
-"""Where the tool is, as the solid sees it."""
+"""Frame of the tool relative to the mesh."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from tissue_sim.pose import Pose
 
 
 class Frame:
-    """Where the tool is: its rotation, shape (3, 3), and the place of its deepest point in the frame of the mesh, m.
+    """Rotation of the tool, shape (3, 3), and position of its deepest point in the frame of the mesh, m, shape (3,).
 
     Args:
-        pose: in the frame of the scene. datum: height of its origin in the frame of the mesh, m.
+        pose: pose in the frame of the scene.
+        datum: height of the scene's origin in the frame of the mesh, m.
     """
 
     def __init__(self, pose: Pose, datum: float):
@@ -24,20 +25,26 @@ class Frame:
         self.origin = np.array([x0, y0, z0 + datum])
 
     def motion_from(self, first: Frame) -> np.ndarray:
-        """The way from another frame, m, and how the entries of the rotation changed, row by row, shape (12,)."""
+        """Motion from another frame: displacement, m, and change of the rotation matrix row by row, shape (12,)."""
         return np.concatenate([self.origin - first.origin, (self.rotation - first.rotation).ravel()])
 
     def into(self, points: np.ndarray) -> np.ndarray:
-        """Points of the mesh, (n, 3), in the frame of the tool."""
+        """Transform points from the frame of the mesh to that of the tool, m, shape (n, 3)."""
         return (points - self.origin) @ self.rotation
 
     def out_of(self, points: np.ndarray) -> np.ndarray:
-        """Points of the frame of the tool, (n, 3), in that of the mesh."""
+        """Transform points from the frame of the tool to that of the mesh, m, shape (n, 3)."""
         return points @ self.rotation.T + self.origin
 
     def rates(self, points: np.ndarray) -> np.ndarray:
-        """How points fixed to the tool, in the frame of the mesh, m, (n, 3), move with its position and a rotation
-        about its deepest point, shape (n, 3, 6)."""
+        """Derivative of points fixed to the tool with respect to its position and a rotation about its deepest point.
+
+        Args:
+            points: in the frame of the mesh, m, shape (n, 3).
+
+        Returns:
+            Shape (n, 3, 6).
+        """
         rates = np.zeros((len(points), 3, 6))
         rates[:, 0, 0] = rates[:, 1, 1] = rates[:, 2, 2] = 1.0
         x, y, z = (points - self.origin).T
@@ -48,7 +55,7 @@ class Frame:
 
 
 def turned_with(forces: np.ndarray) -> np.ndarray:
-    """How forces (n, 3) change with the place and the rotation of what they are fixed to, shape (n, 3, 6)."""
+    """Derivative of forces, shape (n, 3), that rotate with a body, with respect to its pose, shape (n, 3, 6)."""
     rates = np.zeros((*forces.shape, 6))
     x, y, z = forces.T
     rates[:, 0, 4], rates[:, 0, 5] = z, -y

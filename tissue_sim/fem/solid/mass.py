@@ -1,4 +1,4 @@
-"""The mass of a solid in space, lumped at its nodes, and its motion."""
+"""Lumped mass of a three-dimensional solid, and its inertia."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from tissue_sim.mesh.solid import SolidMesh
 
 
 def lumped_volumes(mesh: SolidMesh, weights: np.ndarray) -> np.ndarray:
-    """Volume that each node stands for in a mass matrix, m3, shape (nodes,): all above zero, and of each element its
-    own volume, shared as the diagonal of its consistent matrix is.
+    """Lump the volume of the elements at the nodes, m3, shape (nodes,).
 
-    Of hexahedra that are no more than stretched these are Simpson's rule, and that of trapezoids. Source: Hinton, Rock
-    and Zienkiewicz, Earthquake Eng. Struct. Dyn. 4 (1976) 245.
+    The diagonal of the consistent mass matrix is scaled so that each element keeps its volume; all entries are positive
+    (Hinton, Rock and Zienkiewicz, Earthquake Eng. Struct. Dyn. 4 (1976) 245). For rectangular hexahedra the result is
+    Simpson's rule, or the trapezoidal rule.
 
     Args:
-        mesh: undeformed. weights: volumes of its quadrature points, m3, shape (elements, q).
+        mesh: undeformed mesh.
+        weights: volumes of its quadrature points, m3, shape (elements, q).
     """
     values, _ = mesh.element.shape_functions(mesh.element.quadrature[0])
     diagonal = weights @ values**2
@@ -27,16 +28,17 @@ def lumped_volumes(mesh: SolidMesh, weights: np.ndarray) -> np.ndarray:
 
 
 class Mass:
-    """Mass of the freedoms, and where they would go without forces; see `tissue_sim.fem.inertia`.
+    """Mass and inertial forces of the degrees of freedom; see `tissue_sim.fem.inertia`.
 
     Args:
-        mesh: undeformed. weights: volumes of its quadrature points, m3, shape (elements, q).
+        mesh: undeformed mesh.
+        weights: volumes of its quadrature points, m3, shape (elements, q).
         density: kg/m3.
-        matrix: rows and columns of the stiffness of all freedoms, a `scipy.sparse.csc_array`.
+        matrix: stiffness matrix of all degrees of freedom, a `scipy.sparse.csc_array`.
 
     Attributes:
-        rate: of this step: the acceleration at its end is (u - rest) rate, 1/s2; 0: no mass takes part.
-        motion: velocities, and what went before.
+        rate: of this step, 1/s2: the acceleration at its end is (u - rest) rate; 0 in a static step.
+        motion: velocities and history.
         density: kg/m3.
     """
 
@@ -49,16 +51,16 @@ class Mass:
         self.rate, self.density = 0.0, density
 
     def prepare(self, x: np.ndarray, dt: float, inertial: bool) -> None:
-        """Before a step of dt (s) from displacements x, m, shape (freedoms,)."""
+        """Prepare a step of dt seconds from displacements x, m, shape (freedoms,)."""
         self.rate = self.motion.prepare(x, dt) if inertial else 0.0
 
     def resist(self, x: np.ndarray, residual: np.ndarray, matrix: Any | None) -> None:
-        """Add forces of inertia at displacements x, m, to the residual, N, and their rates to a matrix."""
+        """Add inertial forces at displacements x, m, to the residual, N, and their derivatives to the matrix."""
         if self.rate:
             residual[:] += self.rate * self._masses * (x - self._rest)
             if matrix is not None:
                 matrix.data[self._diagonal] += self.rate * self._masses
 
     def ahead(self, x: np.ndarray, dt: float, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """See `Motion.ahead`."""
+        """Predict the inertial forces of the next step; see `Motion.ahead`."""
         return self.motion.ahead(x, dt, self._masses, along)

@@ -1,4 +1,4 @@
-"""How what the tissue remembers changes with parameters of its material."""
+"""Derivatives of the material history with respect to parameters of the material."""
 
 from __future__ import annotations
 
@@ -6,32 +6,35 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tissue_sim.fem.history import INSTANT, LOSS, Memory
+from tissue_sim.fem.history import Memory, PastColumn
 from tissue_sim.material.viscoelasticity import Prony
 
-#: A point whose energy is this near to the largest so far, of itself, is at it; below it, and beyond it, a step of the
-#: differences leads over it from so near.
-_TIE, _BELOW, _BEYOND = 1e-7, 1e-5, 1e-4
+#: Relative distance between the energy density of a point and its largest value so far below which they are equal, 1.
+_TIE = 1e-7
+#: Relative distance below the largest value within which a difference could cross the kink there, 1.
+_BELOW = 1e-5
+#: Relative distance beyond the largest value within which a difference could cross the kink there, 1.
+_BEYOND = 1e-4
 
 
 class MemoryRates:
-    """Rates of a memory with m parameters, at the last committed step.
+    """Derivatives of the history of one material with respect to m parameters, at the last committed step.
 
     Args:
-        memory: of elements of one material.
-        past_rates: of `Memory.past`, shape (m, 5).
-        relaxations: of each parameter what relaxes with a little more and a little less of it.
-        widths: difference of the two, shape (m,).
+        memory: history of the elements of the material.
+        past_rates: derivatives of `Memory.past`, shape (m, 5).
+        relaxations: for each parameter the relaxing terms with the parameter increased and decreased.
+        widths: differences of the two parameter values, shape (m,).
 
     Attributes:
-        inherited: of what is left of earlier stresses in the step, nothing moving, shape (m, elements, q, 6).
+        inherited: derivatives of the contribution of earlier stresses in the step, shape (m, elements, q, 6).
     """
 
     def __init__(self, memory: Memory, past_rates: np.ndarray, relaxations: Sequence[tuple[Prony | None, Prony | None]],
                  widths: np.ndarray):
         self.memory, self._past_rates, self._relaxations, self._widths = memory, past_rates, relaxations, widths
         m = widths.size
-        self._past_rates[:, INSTANT] = 0.0
+        self._past_rates[:, PastColumn.INSTANT] = 0.0
         shape = (m, *memory.stresses.shape) if memory.works else (m, 0)
         self._before, self._largest = np.zeros(shape), np.zeros(shape[:-1])
         self._internal = np.zeros((m, *memory.internal.shape))
@@ -41,18 +44,18 @@ class MemoryRates:
 
     @property
     def kept(self) -> tuple[np.ndarray, ...]:
-        """All that is carried from step to step, parameters first; to begin with others, fill them with those."""
+        """Arrays that are carried from step to step, parameters first; overwriting them restores another state."""
         return self._before, self._internal, self._largest
 
     def begin_step(self) -> None:
-        """Before the rates of a step are asked for, the memory being prepared for it."""
+        """Prepare the derivatives of a step, after the history has been prepared for the step."""
         memory = self.memory
         if not len(memory.internal):
             return
         decay, gain = memory.step
         for k, ((more, less), width) in enumerate(zip(self._relaxations, self._widths, strict=True)):
             if more is not None and less is not None and more != less:
-                self._past_rates[k, INSTANT], self._decays[k], self._gains[k] = (
+                self._past_rates[k, PastColumn.INSTANT], self._decays[k], self._gains[k] = (
                     (np.asarray(a) - np.asarray(b)) / width
                     for a, b in zip(more.increment(memory.dt), less.increment(memory.dt), strict=True))
             self.inherited[k] = (np.tensordot(decay, self._internal[k], 1)
@@ -60,13 +63,17 @@ class MemoryRates:
                                  - gain.sum() * self._before[k] - self._gains[k].sum() * memory.before)
 
     def begin_aside(self) -> bool:
-        """Take points that are about at their largest load away from it, until `end_aside`, so that no difference
-        straddles the kink there: those that are loaded on are as if for the first time, which changes no force, and
-        `_BELOW` of the largest load is added to that of others. Returns whether there are any; then the forces have to
-        be assembled anew."""
+        """Move points near their largest energy density away from the kink there, until `end_aside`.
+
+        Differences must not cross the kink. Points under increasing load are treated as on first load, which changes no
+        force; for others `_BELOW` of the largest value is added to it.
+
+        Returns:
+            Whether there are such points; the forces must then be assembled again.
+        """
         memory = self.memory
         self._kept = []
-        if memory.works and memory.past[LOSS] != 0.0:
+        if memory.works and memory.past[PastColumn.LOSS] != 0.0:
             largest, more = memory.largest, memory.energies - memory.largest
             near = (largest > 0.0) & (more >= -_BELOW * largest) & (more <= _BEYOND * largest)
             if near.any():
@@ -76,12 +83,12 @@ class MemoryRates:
         return bool(self._kept)
 
     def end_aside(self) -> None:
-        """Everything is as it was before `begin_aside`."""
+        """Restore the values before `begin_aside`."""
         for array, before in self._kept:
             array[:] = before
 
     def directions(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Arrays of the memory that the assembly reads, and their rates with parameter k."""
+        """Arrays of the history that the assembly reads, and their derivatives with respect to parameter k."""
         memory = self.memory
         if not memory.works:
             return []
@@ -89,8 +96,13 @@ class MemoryRates:
                 (memory.largest, self._largest[k])]
 
     def commit(self, k: int, stress: np.ndarray, energy: np.ndarray) -> None:
-        """What the memory makes of rates of stresses, Pa, shape (elements, q, 6), and energies of the law, J/m3, with
-        parameter k, when the step is committed."""
+        """Update the derivatives of the history when a step is committed.
+
+        Args:
+            k: index of the parameter.
+            stress: derivative of the stress of the law, Pa, shape (elements, q, 6).
+            energy: derivative of the energy density, J/m3, shape (elements, q).
+        """
         memory = self.memory
         if len(memory.internal):
             decay, gain = memory.step

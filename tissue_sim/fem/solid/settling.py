@@ -1,4 +1,4 @@
-"""A specimen that settles under its own weight before the tool comes."""
+"""Equilibrium of a specimen under its own weight, before the tool touches."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from tissue_sim.fem.solver import Neighbours, StepStatus
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.specimen import Specimen
 
-#: The weight is put on in no smaller parts than this.
+#: Smallest part of the weight that is applied in one step, 1.
 _SMALLEST_PART = 2.0**-6
-#: Of the logarithm of the height, a tenth of the half width of its differences.
+#: Width of the difference with respect to the logarithm of the height, ten times its half width.
 _WIDTH = 1e-6
 
 
-class Repeated(NamedTuple):
-    """How a settled specimen changes with m parameters; see `StartRates`."""
+class SettlingDerivative(NamedTuple):
+    """Derivatives of a settled specimen with respect to m parameters; see `StartRates`."""
 
     stretch: np.ndarray
     settled: list[np.ndarray]
@@ -29,12 +29,13 @@ class Repeated(NamedTuple):
 
 
 class Settling(NamedTuple):
-    """How a specimen came to stand under its own weight.
+    """Load steps by which a specimen came into equilibrium under its weight.
 
     Attributes:
-        stand: makes the solver of a mesh without a tool and without weight.
-        mesh: as moulded. specimen: its weight, and what its height is.
-        steps: specific weight of each, N/m3, and the state to which it led: displacements, pressures, contact forces.
+        stand: makes the solver of a mesh without tool and weight.
+        mesh: undeformed mesh.
+        specimen: weight, and meaning of the height.
+        steps: specific weight of each step, N/m3, and its state: displacements, pressures, contact forces.
     """
 
     stand: Callable[[SolidMesh], SolidSolver]
@@ -42,10 +43,10 @@ class Settling(NamedTuple):
     specimen: Specimen
     steps: list[tuple[float, list[np.ndarray]]]
 
-    def repeat(self, neighbours: Neighbours) -> Repeated | None:
-        """The same steps once more with derivatives, from where each ended; None where there are none."""
+    def differentiate(self, neighbours: Neighbours) -> SettlingDerivative | None:
+        """Repeat the steps from their stored states with derivatives; None if the solver has no derivatives."""
         solver, m = self.stand(self.mesh), len(neighbours)
-        # The moulded height, where it has to be found, is one parameter more.
+        # An undeformed height that was determined from the settled one is an additional parameter.
         more = [(solver.material, solver.material, _WIDTH)] if self.specimen.height_is == "placed" else []
         derivatives = solver.differentiate([*neighbours, *more])
         if derivatives is None:
@@ -62,22 +63,26 @@ class Settling(NamedTuple):
         if more:
             rises = np.average(carried[0][:, 2::3], axis=1, weights=self.mesh.areas("top"))
             stretch = -rises[:m] / (rises[m] + float(np.ptp(self.mesh.nodes[:, 2])))
-        return Repeated(stretch, [each[:m] + np.multiply.outer(stretch, each[m]) if more else each for each in carried],
-                        solver.contact.nodes)
+        settled = [each[:m] + np.multiply.outer(stretch, each[m]) if more else each for each in carried]
+        return SettlingDerivative(stretch, settled, solver.contact.nodes)
 
 
 def settle(stand: Callable[[SolidMesh], SolidSolver], mesh: SolidMesh, specimen: Specimen
            ) -> tuple[SolidSolver, Settling]:
-    """The specimen as moulded, standing under its own weight without a tool.
+    """Compute the equilibrium of a specimen under its weight, without a tool.
 
-    One whose height was measured as placed gets the moulded height that settles to it, and the solver's mesh with it.
+    If the height of the specimen is the settled one, the undeformed height is determined by Newton's method.
 
     Args:
-        stand: the solver of a mesh without a tool and without weight. mesh: as high as the specimen says it is.
-        specimen: its weight, and what its height is.
+        stand: makes the solver of a mesh without tool and weight.
+        mesh: mesh with the stated height of the specimen.
+        specimen: weight, and meaning of the height.
+
+    Returns:
+        Solver in equilibrium under the weight, and the load steps.
 
     Raises:
-        ConvergenceError: it does not stand under its own weight.
+        ConvergenceError: the specimen has no equilibrium under its weight.
     """
     height = float(np.ptp(mesh.nodes[:, 2]))
     factor = 1.0
@@ -90,16 +95,16 @@ def settle(stand: Callable[[SolidMesh], SolidSolver], mesh: SolidMesh, specimen:
         # The sag grows with the square of the height: one Newton step on factor - c factor^2 = 1.
         loss = (factor * height - stands) / (factor**2 * height)
         factor -= (factor - loss * factor**2 - 1) / (1 - 2 * loss * factor) if 2 * loss * factor < 1 else -0.1
-    raise ConvergenceError(f"no moulded height settles to {height * 1e3:g} mm under a specific weight of "
+    raise ConvergenceError(f"no undeformed height settles to {height * 1e3:g} mm under a specific weight of "
                            f"{specimen.specific_weight:g} N/m3; check density and moduli")
 
 
 def _let_settle(solver: SolidSolver, specific_weight: float) -> list[tuple[float, list[np.ndarray]]]:
-    """Put weight on in as many parts as it takes; returns `Settling.steps`."""
+    """Apply the weight in as few steps as converge; returns `Settling.steps`."""
     carried, part, steps = 0.0, 1.0, []
     while carried < 1.0:
         solver.tissue.specific_weight = min(1.0, carried + part) * specific_weight
-        # It has stood for long.
+        # An infinite time step: the fully relaxed state.
         step = solver.step(solver.pose, np.inf)
         if step.status is StepStatus.CONVERGED:
             carried = min(1.0, carried + part)
@@ -108,8 +113,8 @@ def _let_settle(solver: SolidSolver, specific_weight: float) -> list[tuple[float
         else:
             part /= 2.0
             if part < _SMALLEST_PART:
-                raise ConvergenceError("the specimen does not stand under its own weight: it stopped settling at "
-                                       f"{carried:.0%} of it ({step.status.message}); check density and moduli")
+                raise ConvergenceError("the specimen has no equilibrium under its own weight: the solver stopped at "
+                                       f"{carried:.0%} of the weight ({step.status.message}); check density and moduli")
     solver.rest_here()
     return steps
 

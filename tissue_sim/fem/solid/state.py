@@ -1,4 +1,4 @@
-"""What a committed state of a solid leaves behind."""
+"""Saved states and samples of a solid."""
 
 from __future__ import annotations
 
@@ -11,8 +11,13 @@ from tissue_sim.pose import Pose
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Of what is drawn: displacements, m, shape (nodes, 3), pressure amplitudes, Pa, (elements, modes), and the
-    isochoric stresses of its memory where it has one; see `SolidFields`."""
+    """Data of a committed state for fields.
+
+    Attributes:
+        displacement: of the nodes, m, shape (nodes, 3).
+        pressures: pressure amplitudes of the elements, Pa, shape (elements, modes).
+        stresses: isochoric stresses with relaxation and softening, see `SolidFields`; None without such effects.
+    """
 
     displacement: np.ndarray
     pressures: np.ndarray
@@ -24,7 +29,10 @@ class SavedState:
     """State on which the next step depends; see `SolidSolver.save`.
 
     Attributes:
-        start: pose of the tool at its first touch, for which the mesh was made; None: the place of the model.
+        arrays: arrays of solver, contact and material history.
+        pose: pose of the tool.
+        largest_force: largest force so far, N.
+        start: pose of the tool at its first touch, for which the mesh was made; None: the position of the model.
     """
 
     arrays: tuple[np.ndarray, ...]

@@ -1,4 +1,4 @@
-"""The deformed surface of a solid."""
+"""Deformed surface of a three-dimensional solid."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from tissue_sim.mesh.subdivision import surface_triangles
 
 
 class SolidSurface:
-    """The surface at a state, in the frame of the scene; no outline, since it has no axis.
+    """Surface of a solid at a state, in the frame of the scene; `outline` is None because the solid has no axis.
 
     Args:
-        mesh: undeformed.
-        displacement: of its nodes, m, shape (nodes, 3).
+        mesh: undeformed mesh.
+        displacement: displacement of its nodes, m, shape (nodes, 3).
         datum: height of the scene's origin in the frame of the mesh, m.
     """
 
@@ -23,8 +23,8 @@ class SolidSurface:
         self._mesh, self._displacement, self._datum = mesh, displacement, datum
 
     def triangles(self, segments: int = 48) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices, m, shape (v, 3), and triangles between the nodes, (t, 3), normals outwards."""
+        """Return vertices, m, shape (v, 3), and triangles, shape (t, 3), with normals that point outwards."""
         triangles = surface_triangles(self._mesh.element, np.concatenate(list(self._mesh.faces.values())))
-        numbers, places = np.unique(triangles, return_inverse=True)
+        numbers, indices = np.unique(triangles, return_inverse=True)
         vertices = self._mesh.nodes[numbers] + self._displacement[numbers] - [0.0, 0.0, self._datum]
-        return vertices, places.reshape(-1, 3)
+        return vertices, indices.reshape(-1, 3)

@@ -1,60 +1,77 @@
-"""The tangent of a solid in its factor, which serves for more than one linear solution.
+"""Factor of the tangent of a solid, which is used for several Newton iterations (modified Newton).
 
-Where a factor serves again, pressures and contact forces are eliminated with the rates that the matrix holds: the
-iteration is then one for displacements, pressures and contact forces with an earlier tangent, whose error shrinks by a
-share that depends neither on K/mu nor on the springs of the contact.
+With a reused factor, pressures and contact forces are eliminated with the stiffness values that the matrix contains.
+The iteration is then one for displacements, pressures and contact forces with an earlier tangent, whose convergence
+rate depends neither on K/mu nor on the penalty stiffness of the contact.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
 from tissue_sim.fem.solid.contact import ContactNodes
-from tissue_sim.fem.solid.free_part import FreePart
+from tissue_sim.fem.solid.free_dofs import FreeDofSystem
 from tissue_sim.fem.solid.tissue import Tissue
 
-#: A factor serves again where each solution takes the unbalanced forces down to this share, or where so many more that
-#: gain as much as the last one will do.
-_GAIN, _MORE = 1e-2, 3
-#: More than that is no gain at all; what was balanced exactly would have none.
-_LOST = 1e6
-#: A solution that begins so far off is followed by a new tangent.
-_FAR = 100.0
+
+@dataclass(frozen=True)
+class ReuseSettings:
+    """Conditions for the reuse of a factor.
+
+    Attributes:
+        gain: largest ratio of the residuals after and before a solution for which the factor is reused, 1.
+        more: number of further solutions within which the tolerance must be reached with a larger ratio.
+        no_gain: bound of the ratio, 1; a residual that was zero before has no finite ratio.
+        far: relative residual above which the next solution needs a new tangent, 1.
+    """
+
+    gain: float = 1e-2
+    more: int = 3
+    no_gain: float = 1e6
+    far: float = 100.0
+
+
+_SETTINGS = ReuseSettings()
 
 
 class Tangent:
-    """Factor of the last matrix, and what it holds.
+    """Factor of the last assembled matrix.
 
     Args:
-        tissue: whose stiffness stands in `matrix`. contact: whose rates are added to it. sparse: makes the factors.
-        free: numbers of the free freedoms.
+        tissue: tissue whose stiffness is in `matrix`.
+        contact: contact whose stiffness is added.
+        matrix: matrix of all and of the free degrees of freedom.
+        sparse: sparse solver.
+        free: indices of the free degrees of freedom.
 
     Attributes:
-        factor: None where there is none.
-        stale: whether it is that of an earlier state.
+        factor: None if there is none.
+        stale: whether the factor belongs to an earlier state.
     """
 
-    def __init__(self, tissue: Tissue, contact: ContactNodes, matrix: FreePart, sparse: SparseSolver,
+    def __init__(self, tissue: Tissue, contact: ContactNodes, matrix: FreeDofSystem, sparse: SparseSolver,
                  free: np.ndarray):
         self._tissue, self._contact, self._matrix, self._sparse, self._free = tissue, contact, matrix, sparse, free
         self.factor: Factor | None = None
         self.stale, self._before = False, np.inf
 
     def factorise(self, symmetric: bool) -> Factor | None:
-        """Of the matrix that was assembled last, with the rates of the contact; None where it is singular."""
+        """Factorise the matrix that was assembled last, with the contact stiffness; None if it is singular."""
         self._matrix.add(self._contact.rates)
         self._contact.keep_rates()
         self.factor, self.stale = self._sparse.factorise(self._matrix.free, symmetric=symmetric), False
         return self.factor
 
     def solve(self, right: np.ndarray, way: np.ndarray | None, apart: np.ndarray) -> np.ndarray:
-        """Motion that balances these unbalanced forces, N, shape (freedoms,).
+        """Compute the increment of displacements that balances unbalanced forces, m, shape (freedoms,).
 
         Args:
-            right: they are changed.
-            way: what freedoms still have to go with the tool, m; None: nothing.
-            apart: how the contact's nodes move against their bodies beside that, m, shape (n, 3).
+            right: unbalanced forces, N, shape (freedoms,); they are overwritten.
+            way: prescribed increments of the degrees of freedom that move with the tool, m; None: none.
+            apart: additional increments of the contact nodes relative to their bodies, m, shape (n, 3).
         """
         assert self.factor is not None
         contact, motion = self._contact, np.zeros_like(right)
@@ -70,10 +87,10 @@ class Tangent:
         return motion
 
     def keep(self, ratio: float, far: bool) -> None:
-        """After a solution from a state with this ratio of unbalanced to balanced forces; `far`: a new one is due."""
-        self.stale, self._before = not far and ratio <= _FAR, ratio
+        """Register a solution from a state with a relative residual `ratio`; `far`: a new tangent is needed next."""
+        self.stale, self._before = not far and ratio <= _SETTINGS.far, ratio
 
     def serves(self, ratio: float, goal: float, changed: bool) -> bool:
-        """Whether an earlier state's factor is near enough; none is where the contact has changed."""
-        gain = min(ratio / max(self._before, 1e-300), _LOST)
-        return not changed and (gain <= _GAIN or ratio * gain**_MORE <= goal)
+        """Whether a factor of an earlier state is accurate enough; never if the contact has changed."""
+        gain = min(ratio / max(self._before, 1e-300), _SETTINGS.no_gain)
+        return not changed and (gain <= _SETTINGS.gain or ratio * gain**_SETTINGS.more <= goal)

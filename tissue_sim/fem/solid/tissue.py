@@ -1,4 +1,4 @@
-"""The elements of a solid with their materials: forces, stiffness, weight, and what they remember."""
+"""Elements of a solid with their materials: forces, stiffness, weight, and material history."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tissue_sim.errors import InputError, nearest
 from tissue_sim.fem.history import Memory
 from tissue_sim.fem.solid.assembly import assembly_kernel
 from tissue_sim.fem.solid.batches import LANES, ElementBatches
-from tissue_sim.fem.solid.element import ADDS, KAPPA, REMEMBERS, TANGENT
+from tissue_sim.fem.solid.element import SettingColumn
 from tissue_sim.fem.solid.point_effects import SolidEffects
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
@@ -22,12 +22,12 @@ from tissue_sim.mesh.solid import SolidMesh
 
 
 class RegionParts(NamedTuple):
-    """What derivatives see of the elements of one material.
+    """Data of the elements of one material for derivatives.
 
     Attributes:
-        inputs: arrays that the material sets and the assembly reads, written in place.
-        memory: what these elements remember.
-        relaxation: what relaxes in them, of a material of the whole.
+        inputs: arrays that the material sets in place and the assembly reads.
+        memory: history of these elements.
+        relaxation: returns the relaxing terms of these elements for a material of the whole solid.
     """
 
     inputs: tuple[np.ndarray, ...]
@@ -36,15 +36,17 @@ class RegionParts(NamedTuple):
 
 
 class RegionElements:
-    """Elements of one material: their memory, and the kernel that works on them.
+    """Elements of one material: history, and kernel.
 
     Args:
-        name: of the region of the mesh; empty for those in none.
-        elements: their numbers, shape (n,). points: quadrature points of each.
-        settings: how many numbers of settings the kernel has.
+        name: name of the region of the mesh; "" for elements without a region.
+        elements: indices of the elements, shape (n,).
+        points: number of quadrature points of an element.
+        settings: number of settings of the kernel, see `SettingColumn`.
 
     Attributes:
-        bulk: modulus of the material that they have, Pa. mu0: its shear modulus, Pa.
+        bulk: bulk modulus of the material, Pa.
+        mu0: shear modulus of the material, Pa.
     """
 
     def __init__(self, name: str, elements: np.ndarray, points: int, settings: int = 4):
@@ -56,7 +58,7 @@ class RegionElements:
         self.kernel: BoundKernel
 
     def set_material(self, own: Material, bulk: float, contact_radius: float) -> dict[str, np.ndarray]:
-        """Take over a material and a bulk modulus, Pa; returns what the kernel reads of it, by names."""
+        """Set a material and a bulk modulus, Pa; returns the arrays that the kernel reads, by name."""
         coefficients = own.energy_law.kernel_coefficients(own.parameters)
         if coefficients.size == self.coefficients.size:
             self.coefficients[:] = coefficients
@@ -65,28 +67,28 @@ class RegionElements:
         memory = self.memory
         memory.set_material(own.relaxation(contact_radius), own.softening, own.instantaneous_factor)
         self.bulk, self.mu0 = bulk, own.mu0
-        self.settings[KAPPA], self.settings[REMEMBERS] = bulk, memory.works
+        self.settings[SettingColumn.KAPPA], self.settings[SettingColumn.REMEMBERS] = bulk, memory.works
         return {"settings": self.settings, "least": self.least, "coefficients": self.coefficients,
                 "past": memory.past, "inherited": memory.inherited, "largest": memory.largest,
                 "stresses": memory.stresses, "energies": memory.energies}
 
 
 class Tissue:
-    """All elements; each region of the mesh may have a material of its own.
+    """All elements of a solid; each region of the mesh may have its own material.
 
     Args:
-        mesh: undeformed.
-        x: displacements that are worked on, m, shape (freedoms,).
-        contact_radius: m; how fast the pores drain, see `Material.relaxation`.
-        element_layers: number of the material's layer of each element, shape (elements,); that after the last one
-            stands for none. None: of none.
+        mesh: undeformed mesh.
+        x: array of the displacements, m, shape (freedoms,).
+        contact_radius: m, for the time of drainage, see `Material.relaxation`.
+        element_layers: index of the material's layer of each element, shape (elements,); the index after the last layer
+            means no layer. None: no layers.
 
     Attributes:
-        batches: forces, pressures and the matrix of the elements.
-        bulk_moduli: of the batches, Pa, shape (batches,).
+        batches: forces, pressures and matrix of the elements.
+        bulk_moduli: bulk moduli of the batches, Pa, shape (batches,).
         specific_weight: density times gravity, N/m3, towards -z.
-        effects: at the points of the elements in no region.
-        material: that of the elements in no region.
+        effects: point effects of the elements without a region.
+        material: material of the elements without a region.
     """
 
     def __init__(self, mesh: SolidMesh, x: np.ndarray, contact_radius: float,
@@ -99,12 +101,12 @@ class Tissue:
         self._layers = np.zeros(count, dtype=np.intp) if element_layers is None else element_layers
         self.bulk_moduli = np.zeros(self.batches.batches)
         self.specific_weight = 0.0
-        # A region that is named has none.
+        # Named regions have no point effects.
         self.effects = SolidEffects(self.batches, mesh.connectivity, named.get("", np.zeros(0, dtype=np.intp)))
 
     @property
     def memory(self) -> Memory:
-        """Of the elements of the first region: of all where there is one."""
+        """History of the elements of the first region; of all elements if there is only one region."""
         return self._regions[0].memory
 
     @property
@@ -114,11 +116,12 @@ class Tissue:
 
     @property
     def regions(self) -> tuple[RegionParts, ...]:
-        """Of each region, what its material sets and its forces depend on."""
+        """Data of each region for derivatives."""
         def relaxation(name: str) -> Callable[[Material], Prony | None]:
             return lambda material: material.regions.get(name, material).relaxation(self.contact_radius)
 
-        return tuple(RegionParts((region.settings[KAPPA : KAPPA + 1], region.coefficients, self.batches.moduli[part]),
+        kappa = slice(SettingColumn.KAPPA, SettingColumn.KAPPA + 1)
+        return tuple(RegionParts((region.settings[kappa], region.coefficients, self.batches.moduli[part]),
                                  region.memory, relaxation(region.name))
                      for region, part in zip(self._regions, self.batches.parts, strict=True))
 
@@ -126,8 +129,8 @@ class Tissue:
         """Change parameters, bulk responses or laws.
 
         Raises:
-            InputError: an effect that no kernel can take over, a region that the mesh does not have, or a bulk ratio
-                outside `BULK_RATIOS`; nothing is changed.
+            InputError: an effect that kernels do not support, a region that the mesh does not have, or a bulk ratio
+                outside of `BULK_RATIOS`; nothing is changed.
         """
         require_regions(material, self._mesh)
         materials = [material.regions.get(region.name, material) for region in self._regions]
@@ -137,14 +140,14 @@ class Tissue:
         self.batches.set_moduli(layer_ratios(material, self._layers))
         for region, own, bulk, part in zip(self._regions, materials, bulks, self.batches.parts, strict=True):
             named = region.set_material(own, bulk, self.contact_radius)
-            region.settings[REMEMBERS] = region.memory.works or bool(self.effects)
+            region.settings[SettingColumn.REMEMBERS] = region.memory.works or bool(self.effects)
             self.bulk_moduli[part] = bulk
             with LOCK:
                 kernel = assembly_kernel(self._mesh.element.name, own.energy_law.kernel_energy)
                 region.kernel = BoundKernel(kernel, {"x": self._x, **named, **self.batches.arrays(part)})
 
     def assemble(self, tangent: bool = True) -> float:
-        """Forces, and if asked for stiffness, of the state as it is; returns the smallest J."""
+        """Assemble forces, and optionally the stiffness, at the present displacements; returns the smallest J."""
         self._run(self._regions, tangent)
         if self.effects:
             self.effects.add(self._x, tangent)
@@ -153,36 +156,38 @@ class Tissue:
         return min(float(region.least[0]) for region in self._regions)
 
     def assemble_regions(self, numbers: Sequence[int]) -> None:
-        """Forces of the elements of these regions alone, without weight and effects."""
+        """Assemble the forces of the elements of some regions, without weight and point effects."""
         self.batches.residual[:] = 0.0
         self._run([self._regions[number] for number in numbers], False)
 
     def _run(self, regions: Sequence[RegionElements], tangent: bool) -> None:
         with LOCK:
             for region in regions:
-                region.settings[TANGENT], region.settings[ADDS] = tangent, region is not regions[0]
+                region.settings[SettingColumn.TANGENT] = tangent
+                region.settings[SettingColumn.ADDS] = region is not regions[0]
                 region.kernel()
 
     def element_forces(self, bulk_ratio: float, standing: np.ndarray) -> np.ndarray:
-        """Of each element on its nodes at the displacements as they are, without the weight and with the pressures that
-        its bulk modulus, or one of this many times the shear modulus where that is less, gives, N, shape (elements,
-        freedoms of an element).
+        """Compute the forces of each element on its nodes, without weight, N, shape (elements, freedoms of an element).
+
+        The bulk modulus is the element's, or `bulk_ratio` times its shear modulus if that is less.
 
         Args:
-            standing: pressures of an equilibrium, as `ElementBatches.pressures`, which either modulus gives there.
+            bulk_ratio: largest K / mu0, 1.
+            standing: pressures at an equilibrium, see `ElementBatches.pressures`; there both moduli give the same.
         """
         self.batches.pressures[:], left = 0.0, np.zeros(self.batches.batches)
         for region, part in zip(self._regions, self.batches.parts, strict=True):
-            region.settings[KAPPA] = min(region.bulk, bulk_ratio * region.mu0)
-            left[part] = 1.0 - region.settings[KAPPA] / region.bulk
+            region.settings[SettingColumn.KAPPA] = min(region.bulk, bulk_ratio * region.mu0)
+            left[part] = 1.0 - region.settings[SettingColumn.KAPPA] / region.bulk
         self.assemble()
         for region in self._regions:
-            region.settings[KAPPA] = region.bulk
+            region.settings[SettingColumn.KAPPA] = region.bulk
         lost = left[:, None, None] * standing.reshape(self.batches.batches, -1, LANES)
         return self.batches.element_forces + self.batches.pressure_forces(lost.reshape(standing.shape))
 
     def follow(self, motion: np.ndarray) -> None:
-        """Let the pressures follow a linear solution, in which the freedoms moved so, shape (freedoms,), m."""
+        """Update the pressures after a linear solution with displacement increments, m, shape (freedoms,)."""
         self.batches.follow(motion, self.bulk_moduli)
 
     def add_known_volumes(self, forces: np.ndarray) -> None:
@@ -190,13 +195,13 @@ class Tissue:
         self.batches.add_known_volumes(forces, self.bulk_moduli)
 
     def prepare(self, dt: float) -> None:
-        """Before a step; see `Memory.prepare`."""
+        """Prepare a step of dt seconds; see `Memory.prepare`."""
         for region in self._regions:
             region.memory.prepare(dt)
         self.effects.prepare(dt)
 
     def commit(self) -> None:
-        """After a step that converged."""
+        """Accept the last step, which converged."""
         for region in self._regions:
             region.memory.commit()
         if self.effects:
@@ -204,18 +209,18 @@ class Tissue:
 
     @property
     def kept(self) -> tuple[np.ndarray, ...]:
-        """All that the memory of a committed step is; to go back there, fill them with what they were."""
+        """Arrays that define the history of the committed state; writing saved copies into them restores it."""
         added = (self.effects.states, self.effects.stress) if self.effects else ()
         return (*(array for region in self._regions for array in region.memory.kept), *added)
 
     @property
     def remembers(self) -> bool:
-        """Whether the tissue has a memory, so that it changes with time while nothing moves."""
+        """Whether the material has a history, so that the tissue may change with time while nothing moves."""
         return bool(self.effects) or any(region.memory.works for region in self._regions)
 
     def stresses(self) -> np.ndarray | None:
-        """Isochoric second Piola stress of the last committed step where some of the tissue remembers, Pa, shape
-        (elements, q, 6); None where none does."""
+        """Isochoric second Piola-Kirchhoff stress of the last committed step, Pa, shape (elements, q, 6); None if no
+        material has a history."""
         if not self.remembers:
             return None
         found = np.zeros((*self.batches.weights.shape, 6))
@@ -227,20 +232,25 @@ class Tissue:
 
 
 def element_groups(mesh: SolidMesh) -> dict[str, np.ndarray]:
-    """Numbers of the elements of each region of a mesh that has any, by its name, empty for those in none.
+    """Indices of the elements of each region by its name, "" for elements without a region; empty groups are left out.
 
     Raises:
         InputError: an element in two regions.
     """
     taken = np.concatenate([np.zeros(0, dtype=np.intp), *mesh.regions.values()])
     if np.unique(taken).size != taken.size:
-        raise InputError("an element lies in two regions of the mesh; give it to one of them", field="mesh.regions")
+        raise InputError("must contain each element in at most one region; got an element in two.",
+                         field="mesh.regions")
     groups = {"": np.setdiff1d(np.arange(len(mesh.connectivity)), taken), **mesh.regions}
     return {name: np.asarray(elements, dtype=np.intp) for name, elements in groups.items() if len(elements)}
 
 
 def require_regions(material: Material, mesh: SolidMesh) -> None:
-    """Raises InputError: a region of the material that the mesh does not have."""
+    """Require that the mesh has all regions of a material.
+
+    Raises:
+        InputError: the mesh lacks a region.
+    """
     for name in material.regions:
         if name not in mesh.regions:
             known = nearest(name, mesh.regions) if mesh.regions else "; it names none"
@@ -248,19 +258,18 @@ def require_regions(material: Material, mesh: SolidMesh) -> None:
 
 
 def element_layers(mesh: SolidMesh, layers: tuple[Layer, ...]) -> np.ndarray:
-    """Number of the layer in which the middle of each element lies, that after the last for none, shape (elements,)."""
+    """Index of the layer that contains the centre of each element, shape (elements,); after the last one: no layer."""
     return np.searchsorted(np.cumsum([layer.thickness for layer in layers]), mesh.element_depths)
 
 
 def layer_ratios(material: Material, layers: np.ndarray) -> np.ndarray:
-    """Moduli of elements over those of their material, by the layers that they lie in; see `element_layers`."""
+    """Ratio of the moduli of elements to those of their material, by their layers, shape of `layers`."""
     ratios = np.array([*(layer.ratio for layer in material.layers), 1.0])
     return ratios[np.minimum(layers, ratios.size - 1)]
 
 
 def node_moduli(material: Material, mesh: SolidMesh, layers: np.ndarray) -> np.ndarray:
-    """Shear modulus of resting tissue at each node, the mean of the elements there, Pa, shape (nodes,); `layers` as of
-    `element_layers`."""
+    """Initial shear modulus at each node, mean over its elements, Pa, shape (nodes,); layers: see `element_layers`."""
     moduli = layer_ratios(material, layers)
     for name, elements in element_groups(mesh).items():
         moduli[elements] *= material.regions.get(name, material).mu0
@@ -270,10 +279,10 @@ def node_moduli(material: Material, mesh: SolidMesh, layers: np.ndarray) -> np.n
 
 
 def bulk_modulus(material: Material, mesh: SolidMesh) -> float:
-    """Bulk modulus with which a material is computed on a mesh, Pa.
+    """Bulk modulus of a material on a mesh, Pa; incompressible materials get a finite one.
 
     Raises:
-        InputError: a bulk ratio outside `BULK_RATIOS`.
+        InputError: a bulk ratio outside of `BULK_RATIOS`.
     """
     bulk = material.bulk_modulus
     if np.isinf(bulk):
@@ -281,6 +290,6 @@ def bulk_modulus(material: Material, mesh: SolidMesh) -> float:
         bulk = incompressible_ratio(0.5 * wide, high) * material.mu0
     low, most = BULK_RATIOS
     if not low <= bulk / material.mu0 <= most:
-        raise InputError(f"K/mu0 is {bulk / material.mu0:g}; the finite elements are checked from {low:g} to "
-                         f"{most:g}", field="bulk")
+        raise InputError(f"K/mu0 must be {low:g} to {most:g}, for which the finite elements are verified; got "
+                         f"{bulk / material.mu0:g}.", field="bulk")
     return bulk

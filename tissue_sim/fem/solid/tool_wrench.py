@@ -1,4 +1,4 @@
-"""The wrench of a solid on its tool, and how it changes as the tool moves."""
+"""Wrench of a solid on its tool, and its derivative with respect to the pose of the tool."""
 
 from __future__ import annotations
 
@@ -12,14 +12,16 @@ from tissue_sim.fem.solid.frame import Frame, turned_with
 from tissue_sim.tool_force import Matrix
 
 
-class Grip(NamedTuple):
-    """What the tool holds and what it presses, at a state.
+class ToolConstraint(NamedTuple):
+    """Nodes that the tool holds or may touch, and their forces, at a state.
 
     Attributes:
-        frame: of the tool.
-        moved: freedoms of the nodes that it holds, shape (3 n,). held: where these are, m, shape (n, 3).
-        forces: of the tissue on them, N, shape (n, 3).
-        contact: the nodes that may meet it. places: where these are, m, shape (m, 3).
+        frame: frame of the tool.
+        moved: degrees of freedom of the held nodes, shape (3 n,).
+        held: positions of the held nodes, m, shape (n, 3).
+        forces: forces of the tissue on the held nodes, N, shape (n, 3).
+        contact: contact nodes.
+        places: positions of the contact nodes, m, shape (m, 3).
     """
 
     frame: Frame
@@ -33,17 +35,21 @@ class Grip(NamedTuple):
         """Force, then torque about the tool's deepest point, on the tool, N and N m, shape (6,)."""
         moves = self.contact.moves
         rates = np.concatenate([self.frame.rates(self.held), self.frame.rates(self.places[moves])])
-        # The residual of what the tool holds is the force that it needs.
+        # The residual at held nodes is the force that the tool must apply.
         forces = np.concatenate([-self.forces, self.contact.acting[moves]])
         return np.einsum("nik,ni->k", rates, forces)
 
     def stiffness(self, matrix: Any, factor: Factor, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Minus the derivative of the wrench with the tool's place and rotation, shape (6, 6), and how all freedoms go
-        with the tool, shape (freedoms, 6).
+        """Compute the stiffness of the tissue by condensation onto the pose of the tool.
 
         Args:
-            matrix: stiffness of all freedoms, the rates of the contact with it. factor: of its free part.
-            free: numbers of the free freedoms.
+            matrix: stiffness matrix of all degrees of freedom, contact included.
+            factor: factor of its free part.
+            free: indices of the free degrees of freedom.
+
+        Returns:
+            Minus the derivative of the wrench with respect to position and rotation of the tool, shape (6, 6), and the
+            derivative of all displacements, shape (freedoms, 6).
         """
         contact, frame, moves = self.contact, self.frame, self.contact.moves
         moved = np.zeros((matrix.shape[0], 6))
@@ -51,9 +57,9 @@ class Grip(NamedTuple):
         moved[self.moved] = levers.reshape(-1, 6)
         way, turned = np.zeros((2, len(contact.nodes), 3, 6))
         way[moves] = frame.rates(self.places[moves])
-        # The forces of what touches the tool turn with it.
+        # Contact forces rotate with the tool.
         turned[moves] = turned_with(contact.acting[moves])
-        # Forces of the nodes when the tool moves and the tissue does not yet; the matrix holds the rates of contact.
+        # Nodal forces for a motion of the tool with fixed tissue; the matrix contains the contact stiffness.
         pushed = matrix @ moved
         np.add.at(pushed.reshape(-1, 3, 6), contact.nodes, turned - np.einsum("nij,njk->nik", contact.rates, way))
         answer = moved.copy()
@@ -62,7 +68,7 @@ class Grip(NamedTuple):
         reactions = (matrix @ answer)[self.moved].reshape(-1, 3, 6)
         wrench_rate = np.einsum("nia,nib->ab", levers, -reactions)
         wrench_rate += np.einsum("nia,nib->ab", way[moves], on_tool[moves])
-        # The levers of the torque change, too: a node goes its way, and the tool's deepest point the tool's.
+        # The levers of the torque change as well: by the displacement of the node minus that of the tool.
         apart = np.concatenate([levers, answer.reshape(-1, 3, 6)[contact.nodes[moves]]])
         apart[:, :, :3] -= np.eye(3)
         forces = np.concatenate([-self.forces, contact.acting[moves]])
@@ -71,5 +77,5 @@ class Grip(NamedTuple):
 
 
 def rows(matrix: np.ndarray) -> Matrix:
-    """A 6 x 6 matrix as those of answers."""
+    """Convert a 6 x 6 array to the tuples of `ToolForce`."""
     return cast("Matrix", tuple(map(tuple, matrix.tolist())))

@@ -1,4 +1,4 @@
-"""Flat sides under a round tool: what is said of the force is what it really lacks."""
+"""Faceting error of a round tool on linear elements: the warning states the missing fraction of the force."""
 
 import json
 import re
@@ -15,8 +15,11 @@ MATERIAL = ts.Material("neo_hooke", {"C10": 1000.0}, ts.Bulk("bulk_ratio", 1e3))
 
 
 def pressed(size, element, tool=None, friction="frictionless", depth=3e-3):
-    """Largest force, N, and what is said of it, of a tool, a ball if none is said, in a block with
-    elements of one size."""
+    """Simulate an indentation of a block with elements of one size, m; the default tool is a ball.
+
+    Returns:
+        Largest force, N, and the warnings of the solver.
+    """
     line = np.linspace(-0.02, 0.02, round(0.04 / size) + 1)
     experiment = ts.KINDS["needle_indentation"].experiment(
         specimen=ts.Specimen(0.02, 0.02), protocol=ts.Protocol.ramp(depth, points=2),
@@ -28,39 +31,39 @@ def pressed(size, element, tool=None, friction="frictionless", depth=3e-3):
 
 @pytest.fixture(scope="module")
 def truth():
-    """Of quadratic elements, of which nothing is said."""
+    """Force with quadratic elements, which have no faceting error, N."""
     force, warnings = pressed(0.04 / 10, HEX27P1)
     assert warnings == []
     return force
 
 
 @pytest.mark.parametrize("elements", [8, 10, 12])
-def test_the_share_that_is_named_is_missing(elements, truth):
+def test_warning_states_the_missing_fraction(elements, truth):
     force, (warning,) = pressed(0.04 / elements, HEX8P0)
-    named = float(re.search(r"takes some ([\d.]+) % of the force away", warning)[1]) / 100.0
+    named = float(re.search(r"that about ([\d.]+) % of the force is missing", warning)[1]) / 100.0
     assert 0.6 * named < 1.0 - force / truth < 1.6 * named, warning
     assert f"{40 / elements:.2g} mm wide" in warning and "use elements of 1.5 mm there" in warning
 
 
 @pytest.mark.parametrize("friction", ["stick", 0.5])
-def test_what_sticks_is_told_the_same(friction):
+def test_sticking_contact_gets_the_same_warning(friction):
     _, (warning,) = pressed(4e-3, HEX8P0, friction=friction)
-    assert "takes some 17 % of the force away" in warning
+    assert "that about 17 % of the force is missing" in warning
 
 
-def test_where_most_is_missing_there_is_no_figure():
+def test_warning_has_no_figure_if_most_of_the_force_is_missing():
     _, (warning,) = pressed(5e-3, HEX8P0, depth=3e-4)
-    assert "takes most of the force away; use elements of 0.49 mm there" in warning
+    assert "that most of the force is missing; use elements of 0.49 mm there" in warning
 
 
 @pytest.mark.parametrize("tool", [ts.Tool("flat", radius=8e-3), ts.Tool("flat", radius=8e-3, edge_radius=1e-3)])
-def test_nothing_is_said_of_a_flat_tool(tool):
+def test_flat_tool_gets_no_warning(tool):
     _, warnings = pressed(4e-3, HEX8P0, tool, "stick")
     assert warnings == []
 
 
-def test_a_reduced_solid_says_it_of_the_whole_one(tmp_path, capsys):
-    """Of the file of a mesh whose elements are too wide for the tool, whatever its own error is."""
+def test_reduced_solid_reports_the_warning_of_the_full_solid(tmp_path, capsys):
+    """The mesh comes from a file, and its elements are too wide for the tool."""
     line, numbers, text = np.arange(-20.0, 21.0, 4.0), {}, ["*NODE"]
     places = [(x, y, z) for z in (-12.0, -8.0, -4.0, 0.0) for y in line for x in line]
     for number, place in enumerate(places, start=1):
@@ -78,7 +81,7 @@ def test_a_reduced_solid_says_it_of_the_whole_one(tmp_path, capsys):
     assert main([*asked, "-o", str(tmp_path / "block.reduced.npz"), "--json"]) == 0
     out, err = capsys.readouterr()
     (warning,) = json.loads(out)["warnings"]
-    assert err == "" and "4 mm wide" in warning and "of the force away" in warning
+    assert err == "" and "4 mm wide" in warning and "of the force is missing" in warning
     assert ts.load_reduced(tmp_path / "block.reduced.npz").report["warnings"] == [warning]
     assert main([*asked, "-o", str(tmp_path / "again.reduced.npz")]) == 0
     assert f"tissue-sim: warning: {warning}" in capsys.readouterr().err

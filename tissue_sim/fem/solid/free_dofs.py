@@ -1,4 +1,4 @@
-"""Which freedoms are free, and the part of a sparse matrix that belongs to them, with the rates of contact forces."""
+"""Free degrees of freedom, and the part of a sparse matrix that belongs to them, with contact stiffness."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ import numpy as np
 from tissue_sim.mesh.solid import SolidMesh
 
 
-def staying(mesh: SolidMesh, fixed: Mapping[str, str], pins: Sequence[tuple[int, str]]) -> np.ndarray:
-    """Whether each node stays where it is along x, y and z, shape (nodes, 3).
+def fixed_freedoms(mesh: SolidMesh, fixed: Mapping[str, str], pins: Sequence[tuple[int, str]]) -> np.ndarray:
+    """Whether each node is fixed along x, y and z, shape (nodes, 3).
 
     Args:
-        mesh: of the nodes. fixed: node set -> axes, ``"z"`` or ``"xyz"``. pins: nodes and axes.
+        mesh: mesh of the nodes.
+        fixed: node set -> axes, ``"z"`` or ``"xyz"``.
+        pins: nodes and axes.
     """
     stays = np.zeros((len(mesh.nodes), 3), dtype=bool)
     held: list[tuple[Any, str]] = [*((mesh.sets[name], axes) for name, axes in fixed.items()), *pins]
@@ -24,16 +26,17 @@ def staying(mesh: SolidMesh, fixed: Mapping[str, str], pins: Sequence[tuple[int,
     return stays
 
 
-class FreePart:
-    """The part of a matrix that belongs to free freedoms, with the rates of the contact forces.
+class FreeDofSystem:
+    """Submatrix of the free degrees of freedom, with the stiffness of the contact.
 
     Args:
-        matrix: of all freedoms, whose data are written anew each time.
-        free: numbers of the free ones.
-        blocks: freedoms of the contact nodes, shape (n, 3).
+        matrix: matrix of all degrees of freedom, whose data are overwritten by each assembly.
+        free: indices of the free degrees of freedom.
+        blocks: degrees of freedom of the contact nodes, shape (n, 3).
 
     Attributes:
-        all, free: the two, with what was added.
+        all: full matrix with the contact stiffness.
+        free: submatrix with the contact stiffness.
     """
 
     def __init__(self, matrix: Any, free: np.ndarray, blocks: np.ndarray):
@@ -43,14 +46,14 @@ class FreePart:
         numbered = sparse.csc_array((np.arange(1, matrix.nnz + 1), matrix.indices, matrix.indptr), shape=matrix.shape)
         part = numbered[:, free][free].tocsc()
         part.sort_indices()
-        self._places = part.data - 1
+        self._entries = part.data - 1
         self.free = sparse.csc_array((np.zeros(part.nnz), part.indices, part.indptr), shape=part.shape)
-        # Entry (i, j) of each node's own block.
+        # Indices of the entries (i, j) of the diagonal block of each contact node.
         rows, columns = np.broadcast_arrays(blocks[:, :, None], blocks[:, None])
         self._blocks = np.asarray(numbered[rows.ravel(), columns.ravel()]).ravel() - 1 if blocks.size else (
             np.zeros(0, dtype=np.intp))
 
     def add(self, rates: np.ndarray) -> None:
-        """Add rates of contact forces, N/m, shape (n, 3, 3), to the matrix that was assembled last."""
+        """Add contact stiffness, N/m, shape (n, 3, 3), to the matrix that was assembled last."""
         np.add.at(self.all.data, self._blocks, rates.ravel())
-        self.free.data[:] = self.all.data[self._places]
+        self.free.data[:] = self.all.data[self._entries]

@@ -1,0 +1,108 @@
+"""Faceting error: flat sides of linear elements lie inside of the outline of a round tool."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissue_sim.fem.solid.contact import ContactNodes
+from tissue_sim.mesh.solid import SolidMesh
+
+#: Exponent of the force of a round tool as a function of its depth (Hertz).
+_HERTZ_EXPONENT = 1.5
+#: Fraction of the force, missing because of faceting, above which a warning is given.
+_WARNING_FRACTION = 0.025
+#: Fraction of the force above which the linear estimate of the missing force is not valid.
+_LARGEST_FRACTION = 0.5
+#: Side length times curvature from which on a side spans an edge of the tool; the estimate holds for smooth parts only.
+_EDGE_RATIO = 2.0
+
+
+@dataclass(frozen=True)
+class Faceting:
+    """Distance between flat sides of elements and the round outline of the tool.
+
+    Attributes:
+        inside: mean distance between the sides and the outline, m.
+        depth: largest displacement under the tool, along its normal, m.
+        size: mean width of the sides, m.
+    """
+
+    inside: float
+    depth: float
+    size: float
+
+    @property
+    def share(self) -> float:
+        """Fraction of the force that is missing, 1.5 inside / depth (Hertz: F ~ depth^1.5); infinite without depth."""
+        return _HERTZ_EXPONENT * self.inside / self.depth if self.depth else math.inf
+
+
+def faceting(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray) -> Faceting | None:
+    """Compute the faceting error of a round tool that presses on nodes only.
+
+    A flat side between nodes at distance h is inside of a surface with principal curvatures k1 and k2 by
+    h^2 (k1 + k2) / 12 in the mean.
+
+    Args:
+        contact: contact nodes at an equilibrium.
+        mesh: undeformed mesh.
+        displacement: displacement of all nodes, m, shape (nodes, 3).
+
+    Returns:
+        The faceting; None for elements with curved sides, and if no round part of the tool carries most of the force.
+    """
+    if len(mesh.element.corners) < mesh.element.nodes or not (contact.pressed & contact.moves).any():
+        return None
+    state, areas = contact.state, contact.areas
+    curvature = np.trace(state.curved, axis1=1, axis2=2)
+    carried = np.where((state.pressed | state.held) & contact.moves, np.maximum(-state.normal, 0.0), 0.0)
+    # Edges and shafts turn the normal by a right angle from node to node: they are not smooth parts.
+    round_ones = np.where(np.sqrt(areas) * np.abs(curvature) < _EDGE_RATIO, carried, 0.0)
+    if round_ones.sum() < 0.5 * carried.sum() or not carried.any():
+        return None
+    inside = float(np.average(areas * curvature, weights=round_ones)) / 12.0
+    indentation = np.abs(np.einsum("ni,ni->n", displacement[contact.nodes], state.normals))
+    return Faceting(inside, float(indentation[carried > 0.0].max()),
+                    math.sqrt(float(np.average(areas, weights=round_ones))))
+
+
+def faceting_error(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray, force: float) -> float | None:
+    """Estimate the error of a force, N, because of flat sides under a round tool.
+
+    Args:
+        contact, mesh, displacement: as in `faceting`.
+        force: magnitude of the force on the tool, N.
+
+    Returns:
+        N; None if the error is not known.
+    """
+    found = faceting(contact, mesh, displacement)
+    if found is None:
+        return None
+    # The estimate holds for small fractions; beyond one half it is at least the whole force.
+    return force * found.share / (1.0 - found.share) if found.share < _LARGEST_FRACTION else force
+
+
+def faceting_warnings(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray) -> list[str]:
+    """Return a warning if the force is too small because of the faceting error.
+
+    Coarse elements are also too stiff; this error of opposite sign may hide the faceting error.
+
+    Args:
+        contact, mesh, displacement: as in `faceting`.
+
+    Returns:
+        One sentence, or none: the error is small, or the elements have curved sides.
+    """
+    found = faceting(contact, mesh, displacement)
+    if found is None or not found.depth or found.share <= _WARNING_FRACTION:
+        return []
+    share, size = found.share, 1e3 * found.size
+    missing = "most of the force" if share > _LARGEST_FRACTION else f"about {100.0 * share:.2g} % of the force"
+    return [f"faceting error: the flat sides of the elements under the tool, {size:.2g} mm wide, are inside of its "
+            f"round outline by {1e3 * found.inside:.2g} mm in the mean, at a depth of {1e3 * found.depth:.2g} mm, so "
+            f"that {missing} is missing; use elements of {size * math.sqrt(_WARNING_FRACTION / share):.2g} mm there, "
+            "or quadratic ones"]
