@@ -9,7 +9,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric import newton
-from tissue_sim.fem.axisymmetric.contact import HOLD
+from tissue_sim.fem.axisymmetric.contact import STICK_STIFFNESS_FACTOR
 from tissue_sim.fem.axisymmetric.contact_kernels import TOUCHED
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
 from tissue_sim.fem.linear import band
@@ -236,8 +236,8 @@ class TestTangent:
         before[sticking, 1:] = now[sticking]
         surface.anchors[:] = before
         with_contact = whole(solver)
-        slipping, pressed = surface.ways.copy(), surface.pressed.copy()
-        solver.equations.counts[newton.CONTACTS] = 0
+        slipping, pressed = surface.slip_signs.copy(), surface.pressed.copy()
+        solver.equations.counts[newton.Count.CONTACTS] = 0
         added = with_contact - whole(solver)
         assert abs(added - added.T).max() > 1e-3 * abs(added).max(), "slip makes it unsymmetric"
 
@@ -258,7 +258,7 @@ class TestTangent:
             size = np.minimum((multipliers * normal).sum(axis=-1), 0) + surface.springs * (reach[..., 0] - edge)
             size = np.where(moving, size, 0)
             travel = ((moved - before[..., 1:]) * tangent).sum(axis=-1)
-            held = (multipliers * tangent).sum(axis=-1) + HOLD * surface.springs * travel
+            held = (multipliers * tangent).sum(axis=-1) + STICK_STIFFNESS_FACTOR * surface.springs * travel
             drag = np.where(touching & (size < 0), np.where(slipping != 0, -mu * slipping * size, held), 0.0)
             force = size[..., None] * normal + drag[..., None] * tangent
             total = np.zeros((freedoms // 2, 2))
@@ -281,8 +281,8 @@ def whole(solver):
     solver.equations.tangent()
     rows, width = solver.equations.entries.shape[:2]
     full = np.zeros((rows * band.BLOCK,) * 2)
-    unsymmetric = bool(solver.equations.counts[newton.UNSYMMETRIC])
-    skewed = int(solver.equations.counts[newton.SKEWED])
+    unsymmetric = bool(solver.equations.counts[newton.Count.UNSYMMETRIC])
+    skewed = int(solver.equations.counts[newton.Count.SKEWED])
     for row in range(rows):
         for column in range(max(0, row - width + 1), row + 1):
             i, j = (slice(k * band.BLOCK, (k + 1) * band.BLOCK) for k in (row, column))

@@ -181,7 +181,7 @@ class TestTangent:
         assert step.status is StepStatus.CONVERGED
         with_contact = solver.equations.tangent()
         pressed = solver.equations.surface.pressed.copy()
-        solver.equations.counts[newton.CONTACTS] = 0
+        solver.equations.counts[newton.Count.CONTACTS] = 0
         added = with_contact - solver.equations.tangent()
 
         surface, freedoms = solver.equations.surface, 2 * len(solver.mesh.nodes)

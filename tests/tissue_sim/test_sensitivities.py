@@ -41,7 +41,7 @@ class Status:
         surface = solver.equations.surface
         # A point that just touches has a force of rounding, or none.
         presses = abs(surface.forces).max(axis=-1) > 1e-9 * abs(surface.forces).max(initial=0.0)
-        self.seen.append((presses.tobytes(), surface.ways.tobytes()))
+        self.seen.append((presses.tobytes(), surface.slip_signs.tobytes()))
 
 
 def difference(model, name, width=1e-4):

@@ -36,7 +36,8 @@ def work(monkeypatch) -> list[int]:
 
     def count_solve(self, *arguments, **options):
         solve(self, *arguments, **options)
-        counted[0] += int(self.report[newton.ITERATIONS]) + (self.report[newton.STATUS] == StepStatus.CONVERGED)
+        is_converged = self.report[newton.Report.STATUS] == StepStatus.CONVERGED
+        counted[0] += int(self.report[newton.Report.ITERATIONS]) + is_converged
 
     def count_respond(self, *arguments, **options):
         respond(self, *arguments, **options)

@@ -1,8 +1,9 @@
-"""Contact of the surface with rigid bodies: who may meet whom, and what the kernels know of it."""
+"""Contact pairs of tissue edges and rigid bodies, and the packed arrays of contact points for the kernels."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -11,40 +12,101 @@ from tissue_sim.experiment.contact_law import ContactLaw
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.mesh import Mesh
 
-#: Stiffness of the springs that eliminate contact forces, in units of mu0 over the length of the element edge: each
-#: iteration leaves one part in so many of a gap.
-STIFFNESS = 3e3
-#: How many times stiffer a point that does not slip is held.
-HOLD = 30.0
-#: What an interface without slip stands for among the coefficients of friction.
+#: Penalty stiffness of a contact point, in units of mu0 over the length of the element edge. Each augmented Lagrangian
+#: iteration divides the remaining gap by about this number.
+PENALTY_STIFFNESS = 3e3
+#: Tangential penalty stiffness of a point that sticks over its normal penalty stiffness.
+STICK_STIFFNESS_FACTOR = 30.0
+#: Value of the coefficient of friction of an interface without slip.
 STICK = -1.0
-#: Places along an edge and weights, from -1 to 1, of Simpson's and the trapezoidal rule, by the order of the element.
+#: Element order -> points and weights on [-1, 1] of the quadrature with the nodes of an edge: trapezoidal and Simpson's
+#: rule.
 NODE_RULES = {1: (np.array([-1.0, 1.0]), np.array([1.0, 1.0])),
               2: (np.array([-1.0, 0.0, 1.0]), np.array([1.0, 4.0, 1.0]) / 3.0)}
-#: Columns of `ContactPoints.spans`.
-FIRST_LINE, LAST_LINE, SHAFT, MOVES, STAYS = range(5)
-#: Columns of `ContactPoints.rates`: of the force with the motion of the point, N/m; normal; coefficient of the
-#: friction that acts; by how much the constraint is missed, m; what of the rates is that of contact laws, N/m.
-RR, RZ, ZR, ZZ, NORMAL_R, NORMAL_Z, FRICTION, MISSED_R, MISSED_Z, LAW_RR, LAW_RZ, LAW_ZZ, RATES = range(13)
-#: Columns of `ContactPoints.known_rates`: the rates that the matrix holds, and what of them is that of contact laws.
-KNOWN_LAW_RR, KNOWN_LAW_RZ, KNOWN_LAW_ZZ, KNOWN = range(4, 8)
+
+
+class SpanColumn(IntEnum):
+    """Columns of `ContactPoints.spans`: the part of a body's outline that a contact point may meet.
+
+    Attributes:
+        FIRST_LINE: index of the first line segment of the outline.
+        LAST_LINE: index of the last line segment.
+        SHAFT: index of the first line segment of the shaft, where the friction of the shaft begins.
+        MOVES: 1 if the body moves with the tool, 0 if the body rests.
+        STAYS: 1 if the point stays on the body even under tension, else 0.
+    """
+
+    FIRST_LINE = 0
+    LAST_LINE = 1
+    SHAFT = 2
+    MOVES = 3
+    STAYS = 4
+
+
+class RateColumn(IntEnum):
+    """Columns of `ContactPoints.rates`: linearisation of the contact force of a point.
+
+    Attributes:
+        RR, RZ, ZR, ZZ: derivative of the contact force with respect to the displacement of the point, N/m.
+        NORMAL_R, NORMAL_Z: outward unit normal of the body.
+        FRICTION: coefficient of the active friction; 0 if no friction acts.
+        MISSED_R, MISSED_Z: residual of the contact constraint, m.
+        LAW_RR, LAW_RZ, LAW_ZZ: the part of the derivative that results from contact laws (adhesion), N/m.
+    """
+
+    RR = 0
+    RZ = 1
+    ZR = 2
+    ZZ = 3
+    NORMAL_R = 4
+    NORMAL_Z = 5
+    FRICTION = 6
+    MISSED_R = 7
+    MISSED_Z = 8
+    LAW_RR = 9
+    LAW_RZ = 10
+    LAW_ZZ = 11
+
+
+class KnownRateColumn(IntEnum):
+    """Columns of `ContactPoints.known_rates`: the derivatives that the factorised matrix contains, N/m.
+
+    Attributes:
+        RR, RZ, ZR, ZZ: derivative of the contact force with respect to the displacement of the point.
+        LAW_RR, LAW_RZ, LAW_ZZ: the part of the derivative that results from contact laws.
+    """
+
+    RR = 0
+    RZ = 1
+    ZR = 2
+    ZZ = 3
+    LAW_RR = 4
+    LAW_RZ = 5
+    LAW_ZZ = 6
+
+
+#: Number of columns of `ContactPoints.rates`.
+RATE_COLUMNS = len(RateColumn)
+#: Number of columns of `ContactPoints.known_rates`.
+KNOWN_RATE_COLUMNS = len(KnownRateColumn)
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Edges of the surface and the body that they may meet.
+    """Element edges of the tissue surface and the rigid body with which they may come into contact.
 
     Attributes:
-        profile: outline of the body; that of a body which moves with the tool is in the tool's frame.
-        edges: nodes of the element edges, shape (m, nodes of an edge).
-        friction: of the body's face and of its shaft: a coefficient, 0 frictionless, `STICK` no slip.
-        moves: whether the body moves with the tool or rests.
+        profile: outline of the body, in the frame of the tool if the body moves with the tool.
+        edges: node numbers of the element edges, shape (m, nodes of an edge).
+        friction: Coulomb coefficients of the body's face and of its shaft; 0: frictionless, `STICK`: no slip.
+        moves: whether the body moves with the tool; otherwise the body rests.
         tied: whether an interface without slip holds the edges from the start.
-        stays: whether the edges stay on the body even when they are pulled.
-        first_line: line of the profile's chain from which on the edges may meet it.
-        between_nodes: whether contact is watched at as many Gauss points of an edge as it brings freedoms along its
-            normal, instead of its nodes: a surface that slides round an edge no larger than an element, or up a ball,
-            is ten times as well placed by them. A pointed tip would poke through.
+        stays: whether the edges stay in contact under tension.
+        first_line: index of the first line segment of the outline that the edges may meet.
+        between_nodes: whether the contact conditions hold at the Gauss points of an edge (as many points as the edge
+            adds normal degrees of freedom) instead of its nodes. On a surface that slides around an edge no larger
+            than an element, or up a sphere, Gauss points reduce the geometric error by a factor of ten. A pointed tip
+            would penetrate between Gauss points.
     """
 
     profile: Profile
@@ -59,14 +121,14 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """All pairs of a problem.
+    """All contact pairs of a boundary-value problem.
 
     Attributes:
-        pairs: the first ones rest, the others move with the tool.
-        tolerance: how far a point may violate a contact condition, m.
-        laws: tractions at points that have touched the tool, beside contact and friction.
-        face: area of the tool's face at the largest depth, m2.
-        level: whether the body that moves is a plate, which a settled top meets all at once.
+        pairs: contact pairs, those of bodies that rest first, then those of bodies that move with the tool.
+        tolerance: largest violation of a contact condition (penetration, or slip where the tissue sticks), m.
+        laws: additional tractions, as of adhesion, at points that have touched the tool.
+        face: contact area of the tool at the largest depth, m2.
+        level: whether the moving body is a plate, which touches the whole settled top at once.
     """
 
     pairs: tuple[Pair, ...]
@@ -77,54 +139,59 @@ class Contact:
 
 
 class ContactPoints:
-    """The points that may meet a body, and the arrays that a step's kernel works on; without contact they hold one that
-    is never looked at.
+    """Contact points of the tissue surface, packed in the arrays that the kernel of a step reads and writes.
 
-    A node is a point once for the bodies that rest and once for those that move, in the first pair that has it.
+    A node is one contact point for the bodies that rest and one for the bodies that move, in the first pair that
+    contains the node. Without contact the arrays contain one unused point.
 
     Attributes:
-        count: points that are looked at, n below.
-        nodes, shapes: of the edge of each point, and the shape functions there, shape (n, a).
-        spans: per point first and last line, first line of the shaft, whether the body moves, whether the point stays
-            on it, (n, 5).
-        vertices: chains of all bodies, one behind the other, shape (v, 2).
-        rounding: of each point's body, m, shape (n,).
-        friction: of the face and of the shaft of each point's body, shape (n, 2).
-        places: (r, z) of the undeformed points, m, (n, 2); areas: that they stand for, m2, shape (n,); springs: N/m,
-            shape (n,).
-        anchors, held: how a point is bound (`contact_kernels.FREE`, `HELD`, `TOUCHED`) and where in the body's frame,
-            at the last equilibrium and during a step, shape (n, 3); met: what it would become. Where: displacement
-            of the point in that frame.
-        pressed: 1 where a point counts as in contact, else 0, shape (n,).
-        ways, slipped: which way along the surface a point slips, 1, -1 or 0, during a step and at the last equilibrium.
-        forces: on the tissue, turned round, N, shape (n, 2); rates: columns as named above, (n, RATES); known_rates:
-            those with the motion of the points that the matrix holds, N/m, (n, 4).
+        count: number of contact points, n below; 0 without contact.
+        nodes: nodes of the edge of each point, shape (n, a).
+        shapes: shape functions of these nodes at the point, shape (n, a).
+        spans: columns of `SpanColumn`, shape (n, 5).
+        vertices: vertices of the outlines of all bodies, one outline after the other, m, shape (v, 2).
+        rounding: edge radius of each point's body, m, shape (n,).
+        friction: coefficients of the face and of the shaft of each point's body, shape (n, 2).
+        places: (r, z) of the undeformed points, m, shape (n, 2).
+        areas: surface area of each point, m2, shape (n,).
+        springs: penalty stiffness of each point, N/m, shape (n,).
+        anchors: bond (`contact_kernels.FREE`, `HELD` or `TOUCHED`) and anchor of each point at the last equilibrium;
+            the anchor is the displacement of the point in the frame of the body, (r, z), m; shape (n, 3).
+        held: the same during a step.
+        met: the same after the step, if the step converges.
+        pressed: 1 where a point is in the active set of the normal contact, else 0, shape (n,).
+        slip_signs: direction of slip along the surface during a step, 1, -1 or 0 (no slip), shape (n,).
+        slipped: the same at the last equilibrium.
+        forces: forces of the tissue on the bodies, N, shape (n, 2).
+        rates: columns of `RateColumn`, shape (n, `RATE_COLUMNS`).
+        known_rates: columns of `KnownRateColumn`, N/m, shape (n, `KNOWN_RATE_COLUMNS`).
     """
 
     def __init__(self, mesh: Mesh, contact: Contact | None):
         pairs = () if contact is None else contact.pairs
         order = mesh.element.order
-        # Of each point its pair, the nodes of its edge and where on it; of each edge its points and their weights.
+        # Each point: pair, nodes of the edge, coordinate on the edge. Each edge: nodes, its points, their weights.
         points: list[tuple[Pair, np.ndarray, float]] = []
         numbers: dict[tuple[int, bool], int] = {}
         edges: list[tuple[np.ndarray, list[int], np.ndarray]] = []
         for pair in pairs:
-            places, weights = leggauss(order) if pair.between_nodes else NODE_RULES[order]
+            coordinates, weights = leggauss(order) if pair.between_nodes else NODE_RULES[order]
             for edge in pair.edges:
                 at = []
-                for node, place in zip(edge.tolist(), places.tolist(), strict=False):
+                for node, coordinate in zip(edge.tolist(), coordinates.tolist(), strict=False):
                     number = len(points) if pair.between_nodes else numbers.setdefault((node, pair.moves), len(points))
                     if number == len(points):
-                        points.append((pair, edge, place))
+                        points.append((pair, edge, coordinate))
                     at.append(number)
                 edges.append((edge, at, weights))
         self.count = len(points)
         if not points:
-            nobody = Pair(Profile(np.zeros((2, 2)), 0.0, 0), np.zeros((1, order + 1), np.int32), (0.0, 0.0))
-            points = [(nobody, nobody.edges[0], 0.0)]
-        owners, n = [pair for pair, _edge, _place in points], len(points)
-        self.nodes = np.array([edge for _pair, edge, _place in points], dtype=np.int32)
-        along, lines = np.array([place for _pair, _edge, place in points]), np.linspace(-1.0, 1.0, order + 1)
+            unused = Pair(Profile(np.zeros((2, 2)), 0.0, 0), np.zeros((1, order + 1), np.int32), (0.0, 0.0))
+            points = [(unused, unused.edges[0], 0.0)]
+        owners, n = [pair for pair, _edge, _coordinate in points], len(points)
+        self.nodes = np.array([edge for _pair, edge, _coordinate in points], dtype=np.int32)
+        along = np.array([coordinate for _pair, _edge, coordinate in points])
+        lines = np.linspace(-1.0, 1.0, order + 1)
         self.shapes = np.stack([np.prod([(along - other) / (own - other) for other in lines if other != own], axis=0)
                                 for own in lines], axis=-1)
         self.places = np.einsum("na,nai->ni", self.shapes, mesh.nodes[self.nodes])
@@ -139,39 +206,51 @@ class ContactPoints:
             for k, pair in zip(self._owner, owners, strict=True)], dtype=np.int32)
         self.rounding = np.array([pair.profile.rounding for pair in owners])
         self.friction = np.array([pair.friction for pair in owners], dtype=float)
-        self.tied, self.moves = np.array([pair.tied for pair in owners]), self.spans[:, MOVES].astype(bool)
+        self.tied, self.moves = np.array([pair.tied for pair in owners]), self.spans[:, SpanColumn.MOVES].astype(bool)
         self.areas, self._lengths, self.springs = np.zeros((3, n))
         for edge, at, weights in edges:
-            # Of each point's share of the edge: 2 pi r times half the length times its weight.
+            # The area of a point is 2 pi r times half the length of the edge times the weight of the point.
             length = float(np.linalg.norm(mesh.nodes[edge[-1]] - mesh.nodes[edge[0]]))
             r = self.places[at, 0]
             areas = np.pi * length * weights * r
             self.areas[at] += areas
-            # A point on the axis has no area, but must not be left alone.
+            # A point on the axis has no area but needs a penalty stiffness.
             self._lengths[at] += (areas + 0.25 * areas.max() * (r == 0.0)) / length
         self.anchors, self.held, self.met = np.zeros((3, n, 3))
-        self.pressed, self.ways, self.slipped = np.zeros((3, n))
-        self.forces, self.rates, self.known_rates = np.zeros((n, 2)), np.zeros((n, RATES)), np.zeros((n, KNOWN))
+        self.pressed, self.slip_signs, self.slipped = np.zeros((3, n))
+        self.forces, self.rates = np.zeros((n, 2)), np.zeros((n, RATE_COLUMNS))
+        self.known_rates = np.zeros((n, KNOWN_RATE_COLUMNS))
 
     @property
     def slips(self) -> bool:
-        """Whether anything can slip against friction."""
+        """Whether a point of the surface can slip against friction."""
         return bool((self.friction > 0.0).any())
 
     def set_stiffness(self, modulus: float) -> None:
-        """Springs of this many Pa over the length of their edge.
+        """Set the penalty stiffness of all points, and `rounding_rate`.
 
-        `rounding_rate` is the force, N, that rounding costs per m of displacement.
+        `rounding_rate` is the force that rounding errors of displacements cause, N per m of displacement.
+
+        Args:
+            modulus: penalty stiffness per area, times the length of the edge, Pa.
         """
         self.springs[:] = modulus * self._lengths
         self.rounding_rate = np.finfo(float).eps * float(np.linalg.norm(self.springs))
 
     def positions(self, displacement: np.ndarray) -> np.ndarray:
-        """Where the points are, (r, z), m, shape (n, 2), from nodal displacements (nodes, 2)."""
+        """Return the deformed positions (r, z) of the points, m, shape (n, 2).
+
+        Args:
+            displacement: displacements of the nodes, m, shape (nodes, 2).
+        """
         return self.places + np.einsum("na,nai->ni", self.shapes, displacement[self.nodes])
 
     def gaps(self, place: np.ndarray) -> np.ndarray:
-        """Signed distance of points (n, 2), each in the frame of its body, from its body, m, shape (n,)."""
+        """Return the signed distance of each point from its body, negative inside, m, shape (n,).
+
+        Args:
+            place: positions (r, z) of the points in the frames of their bodies, m, shape (n, 2).
+        """
         gaps = np.zeros(len(place))
         for number, profile in enumerate(self._profiles):
             own = self._owner == number

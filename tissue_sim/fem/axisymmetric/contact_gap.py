@@ -1,30 +1,33 @@
-"""How far a point is from a rigid body, as a Taichi function."""
+"""Signed distance of a point from a rigid body with a polygonal, rounded outline, as a Taichi function."""
 
 from functools import cache
 
-from tissue_sim.fem.axisymmetric.contact import FIRST_LINE, LAST_LINE, SHAFT
+from tissue_sim.fem.axisymmetric.contact import SpanColumn
 from tissue_sim.fem.taichi.runtime import initialise
 
 
 @cache
 def nearest_function():
-    """Taichi function ``nearest(r, z, i, depth, spans, vertices, rounding) -> (gap, normal r, normal z, curvature,
-    line)`` of point i of `ContactPoints` at (r, z) in the frame of its body, with the tool at `depth`."""
+    """Return the Taichi function ``nearest`` (closest-point projection).
+
+    ``nearest(r, z, i, depth, spans, vertices, rounding) -> (gap, normal r, normal z, curvature, line)`` evaluates point
+    i of `ContactPoints` at (r, z) in the frame of its body, with the tool at `depth`.
+    """
     ti = initialise()
     far = 1e30
 
     @ti.func
     def nearest(r, z, i, depth, spans: ti.template(), vertices: ti.template(), rounding: ti.template()):
-        """Gap, outward normal, curvature of the surface, and line of the body's chain that is nearest to (r, z).
+        """Return gap (m), outward normal, curvature (1/m) and index of the line segment closest to (r, z).
 
-        A sharp shaft goes on downwards while its tool is pressed in: what is held below the face leaves no room there
-        for the surface beside it.
+        While a tool with a sharp shaft is pressed in, the shaft is extended downwards: the tissue below the face
+        occupies that region, so that tissue next to the tool cannot enter it.
         """
-        first = spans[i, FIRST_LINE]
-        closed = first == spans[i, SHAFT] and rounding[i] == 0.0 and depth >= 0.0
+        first = spans[i, SpanColumn.FIRST_LINE]
+        closed = first == spans[i, SpanColumn.SHAFT] and rounding[i] == 0.0 and depth >= 0.0
         best, gap, nr, nz, curved, line = far, far, 0.0, 0.0, 0.0, first
         front_best = 0.0
-        for s in range(first, spans[i, LAST_LINE] + 1):
+        for s in range(first, spans[i, SpanColumn.LAST_LINE] + 1):
             tr, tz = vertices[s + 1, 0] - vertices[s, 0], vertices[s + 1, 1] - vertices[s, 1]
             length = ti.sqrt(tr * tr + tz * tz)
             tr, tz = tr / length, tz / length
@@ -36,10 +39,10 @@ def nearest_function():
             dr, dz = dr - share * tr, dz - share * tz
             distance = ti.sqrt(dr * dr + dz * dz)
             front = dr * tz - dz * tr
-            # At a vertex two lines are equally near: the one that the point stands farther in front of decides.
+            # At a vertex two segments are equally close: the one with the larger distance from its line decides.
             if distance < best - 1e-15 or (distance < best + 1e-15 and ti.abs(front) > ti.abs(front_best)):
                 best, front_best, line = distance, front, s
-                # Before the start of the chain there is no inside.
+                # The outline has no inside before its first vertex.
                 inside = front < 0.0 and (closed or not (s == first and along < 0.0))
                 sign = -1.0 if inside else 1.0
                 gap = sign * distance - rounding[i]

@@ -17,42 +17,28 @@ unsymmetric.
 from functools import cache
 from typing import NamedTuple
 
-from tissue_sim.fem.axisymmetric.contact import (
-    FRICTION,
-    HOLD,
-    KNOWN_LAW_RR,
-    KNOWN_LAW_RZ,
-    KNOWN_LAW_ZZ,
-    LAW_RR,
-    LAW_RZ,
-    LAW_ZZ,
-    MISSED_R,
-    MISSED_Z,
-    MOVES,
-    NORMAL_R,
-    NORMAL_Z,
-    RR,
-    RZ,
-    SHAFT,
-    STAYS,
-    ZR,
-    ZZ,
-)
+from tissue_sim.fem.axisymmetric.contact import STICK_STIFFNESS_FACTOR, KnownRateColumn, RateColumn, SpanColumn
 from tissue_sim.fem.axisymmetric.contact_gap import nearest_function
 from tissue_sim.fem.axisymmetric.contact_laws import law_functions
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.trace import Formula
 
-#: How a point is bound to the body: not at all, held by an interface without slip, touching with friction.
-FREE, HELD, TOUCHED = 0.0, 1.0, 2.0
-#: Share of a point's spring that weighs gap and slip against its force where its state is decided: about the stiffness
-#: of the tissue.
-TRIAL = 1e-3
-#: All points may change their state at once; any other number draws a quarter of them, another one for each number, so
-#: that they do not go round in circles together.
-ALL, DRAWN = 1_000_000, 4
-#: Coulomb's cone is kept to this share, and as much more may friction that is none pull.
-CONE = 1e-3
+#: Bond of a contact point that is not bound to a body. Bonds are stored in arrays of floats.
+FREE = 0.0
+#: Bond of a contact point that an interface without slip holds at the position where it touched.
+HELD = 1.0
+#: Bond of a contact point that has touched a body with friction; its anchor is the origin of the elastic slip.
+TOUCHED = 2.0
+#: Augmentation parameter of the active set over the penalty stiffness of the point: gap and slip are multiplied by the
+#: augmentation parameter and added to the contact force. The parameter is about the stiffness of the tissue.
+AUGMENTATION_FACTOR = 1e-3
+#: Value of `changeable` with which all points may change their contact state at once.
+ALL_POINTS = 1_000_000
+#: Any other positive value of `changeable` selects one in this many points, other ones for each value, so that the
+#: active set does not cycle.
+DRAW_INTERVAL = 4
+#: Relative tolerance of Coulomb's friction cone, and of negligible friction.
+CONE_TOLERANCE = 1e-3
 
 
 class ContactFunctions(NamedTuple):
@@ -78,7 +64,7 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                     law_settings: ti.template(), multipliers, nodes: ti.template(), shapes: ti.template(),
                     spans: ti.template(), places: ti.template(), areas: ti.template(), vertices: ti.template(),
                     rounding: ti.template(), friction: ti.template(), springs: ti.template(), held: ti.template(),
-                    pressed: ti.template(), ways: ti.template(), met: ti.template(), forces: ti.template(),
+                    pressed: ti.template(), slip_signs: ti.template(), met: ti.template(), forces: ti.template(),
                     rates: ti.template(), x: ti.template(), target: ti.template(), equation: ti.template(),
                     residual: ti.template()):
         """Add the contact forces to the residual, and note their rates with the motion of the points and what their
@@ -93,7 +79,7 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
         """
         axial, squares, violation, slipping, switched, wanting = 0.0, 0.0, 0.0, 0, 0, 0
         for i in range(count):
-            moves = float(spans[i, MOVES])
+            moves = float(spans[i, SpanColumn.MOVES])
             # Travel in the frame of the body: small differences of it are more exact than those of places.
             ur, uz = 0.0, moves * lift
             for a in range(shapes.shape[1]):
@@ -109,19 +95,19 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
             if clings:
                 gap, curved = (ur - held[i, 1]) * nr + (uz - held[i, 2]) * nz, 0.0
             # What is rounded belongs to the face.
-            mu = friction[i, 0] if curved > 0.0 or line < spans[i, SHAFT] else friction[i, 1]
+            mu = friction[i, 0] if curved > 0.0 or line < spans[i, SpanColumn.SHAFT] else friction[i, 1]
             spring = springs[i]
             at = multipliers + 2 * i
             along = x[at + 1] * nr - x[at] * nz
             normal = x[at] * nr + x[at + 1] * nz
-            if spans[i, STAYS] == 0:
+            if spans[i, SpanColumn.STAYS] == 0:
                 normal = ti.min(normal, 0.0)
-            trial = normal + TRIAL * spring * gap
+            trial = normal + AUGMENTATION_FACTOR * spring * gap
             acting = 0.0
             fr, fz, krr, krz, kzr, kzz, missed_r, missed_z = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            drawn = changeable == ALL or (changeable > 0 and (7 * i + 5 * changeable) % DRAWN == 0)
+            drawn = changeable == ALL_POINTS or (changeable > 0 and (7 * i + 5 * changeable) % DRAW_INTERVAL == 0)
             if changeable > 0 and bound != HELD:
-                presses = 1.0 if trial < 0.0 or gap < slack or spans[i, STAYS] == 1 else 0.0
+                presses = 1.0 if trial < 0.0 or gap < slack or spans[i, SpanColumn.STAYS] == 1 else 0.0
                 if ti.static(not has_laws):
                     if pending == 1 and bound == TOUCHED and mu != 0.0:
                         # The tool is about to reach it.
@@ -130,7 +116,7 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                     if drawn:
                         switched += 1
                         pressed[i] = presses
-                    elif trial > negligible / CONE:
+                    elif trial > negligible / CONE_TOLERANCE:
                         wanting += 1
             met[i, 0] = FREE
             if mu > 0.0 and gap <= 1e-3 * tolerance:
@@ -139,7 +125,7 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                 if bound == TOUCHED:
                     met[i, 1], met[i, 2] = held[i, 1], held[i, 2]
             if bound == HELD:
-                spring *= HOLD
+                spring *= STICK_STIFFNESS_FACTOR
                 dr, dz = ur - held[i, 1], uz - held[i, 2]
                 fr, fz, missed_r, missed_z = x[at], x[at + 1], dr, dz
                 krr, kzz = spring, spring
@@ -161,24 +147,24 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                     acting = ti.max(mu, 0.0)
                     slip = (ur - held[i, 1]) * tr + (uz - held[i, 2]) * tz
                     drag, limit = along, mu * ti.max(-normal, 0.0)
-                    way = ways[i]
+                    way = slip_signs[i]
                     if changeable > 0 and mu > 0.0:
-                        tried = drag + TRIAL * spring * slip
+                        tried = drag + AUGMENTATION_FACTOR * spring * slip
                         # What slips one way has to stick before it slips the other way, else it would jump to and fro.
                         if way != 0.0:
                             way = way if way * slip > 0.0 else 0.0
                         elif ti.abs(tried) > mu * ti.max(-trial, 0.0):
                             way = 1.0 if tried > 0.0 else -1.0
-                        if way != ways[i]:
+                        if way != slip_signs[i]:
                             if drawn:
-                                ways[i] = way
+                                slip_signs[i] = way
                                 switched += 1
                             else:
-                                if ti.abs(slip) > 1e-3 * tolerance or ti.abs(drag) > (1.0 + CONE) * limit:
+                                if ti.abs(slip) > 1e-3 * tolerance or ti.abs(drag) > (1.0 + CONE_TOLERANCE) * limit:
                                     wanting += 1
-                                way = ways[i]
+                                way = slip_signs[i]
                     if way == 0.0:
-                        tt += HOLD * spring - bending * curved * normal
+                        tt += STICK_STIFFNESS_FACTOR * spring - bending * curved * normal
                         missed_r += slip * tr
                         missed_z += slip * tz
                         met[i, 1], met[i, 2] = held[i, 1], held[i, 2]
@@ -225,10 +211,11 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                             lrz = area * (nn * nr * nz + tt * tr * tz)
                             lzz = area * (nn * nz * nz + tt * tz * tz)
             krr, krz, kzr, kzz = krr + lrr, krz + lrz, kzr + lrz, kzz + lzz
-            rates[i, RR], rates[i, RZ], rates[i, ZR], rates[i, ZZ] = krr, krz, kzr, kzz
-            rates[i, NORMAL_R], rates[i, NORMAL_Z], rates[i, FRICTION] = nr, nz, acting
-            rates[i, MISSED_R], rates[i, MISSED_Z] = missed_r, missed_z
-            rates[i, LAW_RR], rates[i, LAW_RZ], rates[i, LAW_ZZ] = lrr, lrz, lzz
+            rates[i, RateColumn.RR], rates[i, RateColumn.RZ] = krr, krz
+            rates[i, RateColumn.ZR], rates[i, RateColumn.ZZ] = kzr, kzz
+            rates[i, RateColumn.NORMAL_R], rates[i, RateColumn.NORMAL_Z], rates[i, RateColumn.FRICTION] = nr, nz, acting
+            rates[i, RateColumn.MISSED_R], rates[i, RateColumn.MISSED_Z] = missed_r, missed_z
+            rates[i, RateColumn.LAW_RR], rates[i, RateColumn.LAW_RZ], rates[i, RateColumn.LAW_ZZ] = lrr, lrz, lzz
             axial += moves * fz
             squares += fr * fr + fz * fz
             if pending == 1:
@@ -252,9 +239,11 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
     def follow(i, pr, pz, rates: ti.template(), known: ti.template()):
         """How the force of a point follows its motion and what its constraint missed, by the rates that the matrix
         holds: any others, of stiff springs, would leave forces that nothing balances."""
-        krr, krz = known[i, RR] - known[i, KNOWN_LAW_RR], known[i, RZ] - known[i, KNOWN_LAW_RZ]
-        kzr, kzz = known[i, ZR] - known[i, KNOWN_LAW_RZ], known[i, ZZ] - known[i, KNOWN_LAW_ZZ]
-        wr, wz = pr + rates[i, MISSED_R], pz + rates[i, MISSED_Z]
+        krr = known[i, KnownRateColumn.RR] - known[i, KnownRateColumn.LAW_RR]
+        krz = known[i, KnownRateColumn.RZ] - known[i, KnownRateColumn.LAW_RZ]
+        kzr = known[i, KnownRateColumn.ZR] - known[i, KnownRateColumn.LAW_RZ]
+        kzz = known[i, KnownRateColumn.ZZ] - known[i, KnownRateColumn.LAW_ZZ]
+        wr, wz = pr + rates[i, RateColumn.MISSED_R], pz + rates[i, RateColumn.MISSED_Z]
         return krr * wr + krz * wz, kzr * wr + kzz * wz
 
     @ti.func
@@ -273,7 +262,7 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                       rates: ti.template(), known: ti.template(), motion: ti.template(), x: ti.template()):
         """Let the forces follow a linear solution, in which the tool went down by `move`."""
         for i in range(count):
-            pr, pz = 0.0, float(spans[i, MOVES]) * move
+            pr, pz = 0.0, float(spans[i, SpanColumn.MOVES]) * move
             for a in range(shapes.shape[1]):
                 pr += shapes[i, a] * motion[2 * nodes[i, a]]
                 pz += shapes[i, a] * motion[2 * nodes[i, a] + 1]
@@ -301,7 +290,7 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
         many there are. Where a tool stands at the first touch all forces are rounding, which is no pull."""
         released = 0
         for i in range(count):
-            if held[i, 0] == HELD and spans[i, STAYS] == 0:
+            if held[i, 0] == HELD and spans[i, SpanColumn.STAYS] == 0:
                 r, z = places[i, 0] + held[i, 1], places[i, 1] + held[i, 2]
                 _, nr, nz, _, _ = nearest(r, z, i, 0.0, spans, vertices, rounding)
                 if nr * forces[i, 0] + nz * forces[i, 1] > strength * areas[i] + negligible:

@@ -1,4 +1,4 @@
-"""Laws of contact in the axisymmetric solid: the part of their tractions in the half plane."""
+"""Tractions of contact laws (adhesion, lubrication) in the axisymmetric solid, as Taichi functions."""
 
 from functools import cache
 from typing import NamedTuple
@@ -12,11 +12,13 @@ from tissue_sim.fem.taichi.trace import TRIED, Formula, expressions, traced
 
 
 class LawFunctions(NamedTuple):
-    """What the kernel of a step takes of the laws.
+    """Contact laws in the form that the kernel of a step calls.
 
     Attributes:
-        traction: Taichi function ``traction(gap, pressure, slip, settings) -> (pull, drag, pull rate, drag rate)``.
-        drags, stiffens: whether drag, and rates, are ever anything but 0.
+        traction: Taichi function ``traction(gap, pressure, slip, settings) -> (pull, drag, pull rate, drag rate)``:
+            normal and tangential traction (Pa) and their derivatives with respect to gap and slip (Pa/m).
+        drags: whether a law has a tangential traction.
+        stiffens: whether a law has nonzero derivatives.
     """
 
     traction: object
@@ -25,17 +27,17 @@ class LawFunctions(NamedTuple):
 
 
 def law_settings(laws: tuple[ContactLaw, ...], face: float) -> np.ndarray:
-    """What `traction` takes: the area of the tool's face, m2, then of each law its reach, m, and its parameters."""
+    """Return the settings of `traction`: contact area of the tool, m2, then reach (m) and parameters of each law."""
     numbers = [[law.reach, *Formula.of(law).numbers(law)] for law in laws]
     return np.array([face, *(value for law in numbers for value in law)])
 
 
 @cache
 def law_functions(formulas: tuple[Formula[ContactLaw], ...]) -> LawFunctions:
-    """Of the laws of a contact.
+    """Return the Taichi functions of the sum of several contact laws.
 
     Raises:
-        InputError: a law that no kernel can take over.
+        InputError: a law uses an operation that kernels do not support.
     """
     ti = initialise()
     count = 1 + sum(1 + len(formula.parameters) for formula in formulas)
@@ -54,7 +56,7 @@ def law_functions(formulas: tuple[Formula[ContactLaw], ...]) -> LawFunctions:
 
 
 def _sum(formulas: tuple[Formula[ContactLaw], ...], place: list, settings: list) -> list:
-    """Pull, drag, and their rates with gap and slip, of all laws together."""
+    """Return normal and tangential traction, and their derivatives with gap and slip, summed over all laws."""
     (gap, pressure, slip), (face, *numbers) = traced(place, lanes=False), traced(settings, lanes=False)
     total = [0.0] * 4
     for formula in formulas:
@@ -63,10 +65,10 @@ def _sum(formulas: tuple[Formula[ContactLaw], ...], place: list, settings: list)
         with located(field=f"contact_laws.{formula.kind.name}"):
             found = formula.bind(parameters).traction(gap, pressure, (slip, 0.0), face)
             if not isinstance(found, Traction):
-                raise InputError("its traction is no tissue_sim.Traction; return one")
+                raise InputError(f"traction must return a tissue_sim.Traction; got {type(found).__name__}.")
         values = [found.pull, found.drag[0], found.pull_rate, found.drag_rates[0][0]]
         if len(formulas) > 1:
-            # Each ends at its own reach; that of the furthest one is the contact's.
+            # Each law ends at its own reach; the contact uses the largest reach.
             values = [np.where(gap < reach, value, 0.0) if hasattr(value, "lanes") else value for value in values]
         total = [before + value for before, value in zip(total, values, strict=True)]
     return total

@@ -1,4 +1,4 @@
-"""From an experiment to the contact pairs of its mesh."""
+"""Definition of the contact pairs of an experiment on its mesh."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ from tissue_sim.experiment.tools.plate import PLATE_RADIUS
 from tissue_sim.fem.axisymmetric.contact import STICK, Contact, Pair
 from tissue_sim.mesh import Mesh
 
-#: How far a point may violate a contact condition: in radii of a needle, and of the specimen between plates; where the
-#: deformation is homogeneous closed forms are met.
-NEEDLE_TOLERANCE, PLATE_TOLERANCE, HOMOGENEOUS_TOLERANCE = 1e-4, 1e-7, 1e-11
-
-#: A tip of this radius, in radii of the contact, lies between nodes as it does at them.
+#: Largest violation of a contact condition under a needle, over the radius of the needle.
+NEEDLE_TOLERANCE = 1e-4
+#: The same between plates, over the radius of the specimen.
+PLATE_TOLERANCE = 1e-7
+#: The same between plates if the deformation is homogeneous, so that forces agree with closed forms.
+HOMOGENEOUS_TOLERANCE = 1e-11
+#: Smallest tip radius, over the radius of the contact, with which contact conditions at Gauss points are accurate.
 BLUNT = 0.5
 
 
 def coefficient(interface: str | float) -> float:
-    """Coefficient of friction of an interface for tissue that meets it during the test."""
+    """Return the coefficient of friction of an interface for tissue that touches it during the test."""
     if not isinstance(interface, str):
         return interface
     return {"bonded": STICK, "stick": STICK, "frictionless": 0.0}[interface]
@@ -27,16 +29,16 @@ def coefficient(interface: str | float) -> float:
 
 def build_contact(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
                   homogeneous: bool | None = None) -> Contact | None:
-    """Who may meet whom: the base and the lower half of the side, the tool and the rest.
+    """Return the contact pairs: the base with the lower half of the side, the tool with the rest of the surface.
 
     Args:
-        experiment: what is done.
-        mesh: of its specimen.
-        tool: whether the tool is there; it is not while the specimen settles.
-        homogeneous: whether the specimen deforms so; None: as the experiment alone says.
+        experiment: specimen, tool, interfaces.
+        mesh: mesh of the specimen.
+        tool: whether the tool is present; it is absent while the specimen settles under its weight.
+        homogeneous: whether the deformation of the specimen is homogeneous; None: as the experiment states.
 
     Returns:
-        The pairs, or None where there are none.
+        Contact pairs; None if no edge may come into contact.
     """
     homogeneous = experiment.homogeneous if homogeneous is None else homogeneous
     low, high = (None, None) if homogeneous else _sides(mesh)
@@ -46,8 +48,8 @@ def build_contact(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
     if not any(len(pair.edges) for pair in pairs):
         return None
     if experiment.tool.is_plate:
-        share = HOMOGENEOUS_TOLERANCE if homogeneous else PLATE_TOLERANCE
-        tolerance = share * experiment.specimen.margin()
+        relative = HOMOGENEOUS_TOLERANCE if homogeneous else PLATE_TOLERANCE
+        tolerance = relative * experiment.specimen.margin()
     else:
         tolerance = NEEDLE_TOLERANCE * experiment.tool.require_radius()
     level = tool and experiment.tool.is_plate
@@ -56,14 +58,17 @@ def build_contact(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
 
 
 def _sides(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Edges of the lower and of the upper half of the side."""
+    """Return the edges of the lower and of the upper half of the side."""
     side = mesh.edges("side")
     high = mesh.nodes[side, 1].mean(axis=1) > 0.5 * mesh.nodes[:, 1].min()
     return side[~high], side[high]
 
 
 def _base(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[Pair]:
-    """The side may bulge onto the base; a base with friction also holds the bottom, which stays on it."""
+    """Return the pairs with the base.
+
+    The side may bulge onto the base. A base with friction also holds the bottom, which stays in contact.
+    """
     bottom = mesh.nodes[:, 1].min()
     plane = Profile(np.array([[PLATE_RADIUS, bottom], [0.0, bottom]]), 0.0, 1)
     mu = coefficient(experiment.base_interface)
@@ -76,6 +81,7 @@ def _base(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[P
 
 
 def _plate(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[Pair]:
+    """Return the pairs with the plate: the top, and the upper half of the side."""
     profile, mu = experiment.tool.profile, coefficient(experiment.friction)
     pairs = []
     if experiment.friction != "bonded":
@@ -86,7 +92,7 @@ def _plate(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[
 
 
 def _needle(experiment: Experiment, mesh: Mesh) -> list[Pair]:
-    """The whole top where it can leave the face, else what is beside the face."""
+    """Return the pairs with the needle: the whole top; under a bonded face only the top next to the face."""
     tool = experiment.tool
     profile = tool.profile
     friction = coefficient(experiment.friction), coefficient(experiment.friction_wall)
@@ -96,7 +102,7 @@ def _needle(experiment: Experiment, mesh: Mesh) -> list[Pair]:
     face, free = mesh.edges("face"), mesh.edges("free")
     if experiment.friction == "bonded":
         return [Pair(profile, free, friction, first_line=1)]
-    # Tissue beside a sharp edge cannot come under the face without slip.
+    # Tissue next to a sharp edge cannot come under the face without slip.
     first, tied = 0 if tool.edge_radius else 1, friction[0] == STICK
     return [Pair(profile, face, friction, tied=tied, between_nodes=not tied),
             Pair(profile, free, friction, first_line=first, between_nodes=not tied)]

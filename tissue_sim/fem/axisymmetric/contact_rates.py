@@ -3,12 +3,12 @@
 from functools import cache
 from typing import NamedTuple
 
-from tissue_sim.fem.axisymmetric.contact import FRICTION, KNOWN, LAW_RR, MOVES, RZ, ZR, ZZ
+from tissue_sim.fem.axisymmetric.contact import KNOWN_RATE_COLUMNS, KnownRateColumn, RateColumn, SpanColumn
 from tissue_sim.fem.linear.band import BLOCK, add_any_function, add_entry_function
 from tissue_sim.fem.taichi.runtime import initialise
 
-#: A rate has changed if it did by this share of its spring.
-CHANGED = 0.01
+#: A derivative counts as changed if it differs by more than this fraction of the penalty stiffness of its point.
+CHANGE_TOLERANCE = 0.01
 
 
 class RateFunctions(NamedTuple):
@@ -31,14 +31,14 @@ def rate_functions(slips: bool) -> RateFunctions:
     def forget_rates(count, known: ti.template()):
         """The matrix holds none."""
         for i in range(count):
-            for k in ti.static(range(KNOWN)):
+            for k in ti.static(range(KNOWN_RATE_COLUMNS)):
                 known[i, k] = 0.0
 
     @ti.func
     def has_changed(i, springs: ti.template(), rates: ti.template(), known: ti.template()):
         changed = 0
         for k in ti.static(range(4)):
-            if ti.abs(rates[i, k] - known[i, k]) > CHANGED * springs[i]:
+            if ti.abs(rates[i, k] - known[i, k]) > CHANGE_TOLERANCE * springs[i]:
                 changed = 1
         return changed
 
@@ -52,7 +52,7 @@ def rate_functions(slips: bool) -> RateFunctions:
 
     @ti.func
     def first_rows(count, fresh, free, rows, nodes: ti.template(), shapes: ti.template(), springs: ti.template(),
-                   ways: ti.template(), rates: ti.template(), known: ti.template(), equation: ti.template()):
+                   slip_signs: ti.template(), rates: ti.template(), known: ti.template(), equation: ti.template()):
         """First block rows of the matrix that points have to do with which have changed, and which slip."""
         changed, skewed = rows, rows
         for i in range(count):
@@ -62,7 +62,7 @@ def rate_functions(slips: bool) -> RateFunctions:
                     row = equation[2 * nodes[i, a] + k]
                     if shapes[i, a] != 0.0 and row < free:
                         first = ti.min(first, row // BLOCK)
-            if rates[i, FRICTION] > 0.0 and ways[i] != 0.0:
+            if rates[i, RateColumn.FRICTION] > 0.0 and slip_signs[i] != 0.0:
                 skewed = ti.min(skewed, first)
             if fresh == 0 and has_changed(i, springs, rates, known) == 1:
                 changed = ti.min(changed, first)
@@ -90,8 +90,8 @@ def rate_functions(slips: bool) -> RateFunctions:
                                     add_entry(row, column, value, free, width, entries)
                 for k in ti.static(range(4)):
                     known[i, k] = rates[i, k]
-                for k in ti.static(range(KNOWN - 4)):
-                    known[i, 4 + k] = rates[i, LAW_RR + k]
+                for k in ti.static(range(KNOWN_RATE_COLUMNS - KnownRateColumn.LAW_RR)):
+                    known[i, KnownRateColumn.LAW_RR + k] = rates[i, RateColumn.LAW_RR + k]
 
     @ti.func
     def add_tool_rates(count, free, nodes: ti.template(), shapes: ti.template(), spans: ti.template(),
@@ -101,9 +101,9 @@ def rate_functions(slips: bool) -> RateFunctions:
         force on the tool with the tissue's motion to `reaction`; returns that of the force itself, N/m."""
         stiff = 0.0
         for i in range(count):
-            krz, kzr, kzz = rates[i, RZ], rates[i, ZR], rates[i, ZZ]
+            krz, kzr, kzz = rates[i, RateColumn.RZ], rates[i, RateColumn.ZR], rates[i, RateColumn.ZZ]
             # How the point moves in the frame of its body when only the tool and what follows it does.
-            apart = float(spans[i, MOVES])
+            apart = float(spans[i, SpanColumn.MOVES])
             for a in range(shapes.shape[1]):
                 if equation[2 * nodes[i, a] + 1] >= free:
                     apart += shapes[i, a] * direction[2 * nodes[i, a] + 1]

@@ -12,7 +12,7 @@ from tissue_sim.experiment.contact_law import strength
 from tissue_sim.fem.axisymmetric import contact as contacts
 from tissue_sim.fem.axisymmetric import contact_kernels, newton
 from tissue_sim.fem.axisymmetric.batches import ElementBatches
-from tissue_sim.fem.axisymmetric.contact import HOLD, Contact, ContactPoints
+from tissue_sim.fem.axisymmetric.contact import STICK_STIFFNESS_FACTOR, Contact, ContactPoints
 from tissue_sim.fem.axisymmetric.contact_laws import law_settings
 from tissue_sim.fem.axisymmetric.numbering import number_equations
 from tissue_sim.fem.axisymmetric.reference import integrate
@@ -73,10 +73,10 @@ class Equations:
         self.start = x[:freedoms].copy()
         self._target, self._motion, self.masses, self.rest = np.zeros((4, freedoms))
         self.weights, self._predicted = np.array([1.0, 0.0, 0.0]), 0.0
-        self.report, self.settings = np.zeros(7), np.zeros(13)
+        self.report, self.settings = np.zeros(len(newton.Report)), np.zeros(len(newton.Setting))
         if contact is not None:
             reach = max((law.reach for law in contact.laws), default=0.0)
-            self.settings[newton.CONTACT_TOLERANCE: newton.INERTIA] = (
+            self.settings[newton.Setting.CONTACT_TOLERANCE: newton.Setting.INERTIA] = (
                 contact.tolerance, strength(contact.laws, contact.face), reach)
         laws, face = ((), 1.0) if contact is None else (contact.laws, contact.face)
         self._laws, self._law_settings = tuple(map(Formula.of, laws)), law_settings(laws, face)
@@ -123,18 +123,18 @@ class Equations:
             self._coefficients = np.array(coefficients)
         self.memory.set_material(self.relaxation(material), material.softening, factor)
         self.effects.set_effects(material.effects.values())
-        self.counts[newton.REMEMBERS] = self.remembers
+        self.counts[newton.Count.REMEMBERS] = self.remembers
         with LOCK:
             kernel = newton.step_kernel(self.mesh.element.name, energy, self.surface.slips, self.effects.formulas,
                                         self._laws)
             arrays = self._kernel_arrays()
             if not (isinstance(self._kernel, BoundKernel) and self._kernel.is_of(kernel, arrays)):
                 self._kernel = BoundKernel(kernel, arrays)
-        self.surface.set_stiffness(contacts.STIFFNESS * material.mu0)
+        self.surface.set_stiffness(contacts.PENALTY_STIFFNESS * material.mu0)
         # Displacements are rounded, and so are the forces of what is stiff: per m of depth, and of the places.
         height = np.ptp(self.mesh.nodes[:, 1])
         stiff = self.bulk_modulus * float(np.linalg.norm(self.reference.rounding * self.moduli))
-        self._rounding_rate = stiff + self.surface.rounding_rate * HOLD
+        self._rounding_rate = stiff + self.surface.rounding_rate * STICK_STIFFNESS_FACTOR
         self._rounding_of_places = self.surface.rounding_rate * height
         # How far the top sinks for a specific weight, m4/N.
         self._sinks = height**2 / (6.0 * material.mu0)
@@ -161,7 +161,7 @@ class Equations:
 
     @property
     def settles(self) -> bool:
-        """Whether contact settles on linearised tissue; see `newton.SETTLES`."""
+        """Whether contact settles on linearised tissue; see `newton.PassMode.CONTACT`."""
         return self.surface.count > 0 and not self._laws
 
     @property
@@ -192,21 +192,27 @@ class Equations:
         """
         resumes = goes_on_from is not None
         rounding = self._rounding_rate * (abs(depth) + self._sinks * self.specific_weight) + self._rounding_of_places
-        self.settings[: newton.TOUCH] = (
+        self.settings[: newton.Setting.TOUCH] = (
             depth, goes_on_from if resumes else self._predicted, self.bulk_modulus, self.specific_weight,
             tolerance,
             max(self._floor, FLOOR_SHARE * self.state.largest_force), rounding)
-        self.counts[newton.MAX_ITERATIONS], self.counts[newton.KEEPS] = max_iterations, 2 * resumes
-        self.counts[newton.ITERATED] = iterated
+        self.counts[newton.Count.MAX_ITERATIONS] = max_iterations
+        self.counts[newton.Count.START_MODE] = newton.StartMode.RESUME if resumes else newton.StartMode.PREDICT
+        self.counts[newton.Count.ITERATED] = iterated
         if not resumes:
-            self.surface.held[:], self.surface.ways[:] = self.surface.anchors, self.surface.slipped
+            self.surface.held[:], self.surface.slip_signs[:] = self.surface.anchors, self.surface.slipped
             self.surface.pressed[:] = 0.0
         with LOCK:
             self._kernel()
 
-    def respond(self, launch, assembles: bool = True, keeps: int = 1) -> None:
-        """Assemble the exact tangent at the equilibrium just found, with the contact as it was in the step, and call
-        `launch` there; without `assembles` the matrix stays as the step left it. `keeps`: see `newton.KEEPS`."""
+    def respond(self, launch, assembles: bool = True, mode: newton.StartMode = newton.StartMode.FIXED_CONTACT) -> None:
+        """Assemble the exact tangent at the last equilibrium with the contact bonds of the step, and call `launch`.
+
+        Args:
+            launch: function that uses the assembled tangent.
+            assembles: whether the tangent is assembled; otherwise the matrix stays as the step left it.
+            mode: contact and results of the assembly, see `newton.StartMode`.
+        """
         surface, after = self.surface, self.surface.held.copy()
         surface.held[:] = surface.anchors
         released = (surface.anchors[:, 0] == contact_kernels.HELD) & (after != surface.anchors).any(axis=-1)
@@ -218,13 +224,13 @@ class Equations:
             return
         remembered = [(array, array.copy()) for array in (
             self.memory.stresses, self.memory.energies, self.effects.found, self.state.x, surface.forces)]
-        self.settings[newton.PREDICTED] = self.settings[newton.DEPTH]
-        self.settings[newton.TOLERANCE] = -1.0
-        self.counts[newton.MAX_ITERATIONS], self.counts[newton.KEEPS] = 0, keeps
+        self.settings[newton.Setting.PREDICTED] = self.settings[newton.Setting.DEPTH]
+        self.settings[newton.Setting.TOLERANCE] = -1.0
+        self.counts[newton.Count.MAX_ITERATIONS], self.counts[newton.Count.START_MODE] = newton.StartMode.PREDICT, mode
         with LOCK:
             self._kernel()
             launch()
-        self.counts[newton.KEEPS] = 0
+        self.counts[newton.Count.START_MODE] = newton.StartMode.PREDICT
         surface.held[:] = after
         # With the tangent they come out rounded otherwise: whether somebody asks must not show in later steps.
         for array, before in remembered:
@@ -233,13 +239,13 @@ class Equations:
     def stiffness_without_mass(self) -> float | None:
         """How the force grows with depth where nothing resists acceleration, N/m, at the inertial equilibrium just
         found, with the contact as it is there; None where the tissue would not stay without its mass."""
-        report, right, inertia = self.report.copy(), self._right.copy(), float(self.settings[newton.INERTIA])
-        self.settings[newton.INERTIA] = 0.0
-        self.respond(_nothing, keeps=3)
-        self.settings[newton.INERTIA] = inertia
-        stiffness = float(self.report[newton.STIFFNESS])
+        report, right, inertia = self.report.copy(), self._right.copy(), float(self.settings[newton.Setting.INERTIA])
+        self.settings[newton.Setting.INERTIA] = 0.0
+        self.respond(_nothing, mode=newton.StartMode.STIFFNESS_ONLY)
+        self.settings[newton.Setting.INERTIA] = inertia
+        stiffness = float(self.report[newton.Report.STIFFNESS])
         self.report[:], self._right[:] = report, right
-        return stiffness if self.counts[newton.FACTORISED] else None
+        return stiffness if self.counts[newton.Count.FACTORISED] else None
 
     def tangent(self) -> np.ndarray:
         """Condensed tangent at the last committed state: lower band in LAPACK's storage, (half_band + 1, free), N/m."""
@@ -278,13 +284,13 @@ class Equations:
     def begin_drag(self) -> tuple[np.ndarray, np.ndarray, float]:
         """Let the places of inertia hold a drag: volumes instead of masses. Returns the masses and the density as they
         were, for `end_drag`, and the array of where each freedom is dragged from, m."""
-        masses, density = self.masses.copy(), float(self.settings[newton.DENSITY])
-        self.masses[:], self.settings[newton.DENSITY] = self.node_masses, 1.0
+        masses, density = self.masses.copy(), float(self.settings[newton.Setting.DENSITY])
+        self.masses[:], self.settings[newton.Setting.DENSITY] = self.node_masses, 1.0
         return masses, self.rest, density
 
     def end_drag(self, masses: np.ndarray, density: float) -> None:
         """After `begin_drag`."""
-        self.masses[:], self.settings[newton.DENSITY] = masses, density
+        self.masses[:], self.settings[newton.Setting.DENSITY] = masses, density
 
     def shared_arrays(self) -> dict[str, np.ndarray]:
         """Arrays of this solver that its kernel and that of `tissue_sim.fem.axisymmetric.sensitivity_kernel` both work
@@ -294,7 +300,8 @@ class Equations:
                        "mode_values", "moduli", "equations_r", "equations_z")
         return {"counts": self.counts, "settings": self.settings, "equation": self.equation,
                 "direction": self.direction, "contact_nodes": surface.nodes, "contact_shapes": surface.shapes,
-                "spans": surface.spans, "springs": surface.springs, "held": surface.held, "ways": surface.ways,
+                "spans": surface.spans, "springs": surface.springs, "held": surface.held,
+                "slip_signs": surface.slip_signs,
                 "contact_rates": surface.rates, "known_rates": surface.known_rates,
                 "coefficients": self._coefficients, "past": memory.past,
                 "inherited": memory.inherited, "largest": memory.largest, "stresses": memory.stresses,

@@ -1,5 +1,7 @@
 """One converged step of the axisymmetric solid as one Taichi kernel."""
 
+from dataclasses import dataclass
+from enum import IntEnum
 from functools import cache
 
 from tissue_sim.fem.axisymmetric import contact_kernels
@@ -15,33 +17,162 @@ from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.trace import Formula
 from tissue_sim.laws import KernelEnergy
 
-#: Friction of a point that is no friction, as a share of the least load that residuals are measured against.
-FRICTION_FLOOR = 1e-9
-#: A factor serves again where each solve with it takes the residual down to this share, or where so many more solves
-#: that gain as much as the last one will do: of a test, and in real time, whose smaller meshes have cheaper factors.
-GAIN, MORE = (1e-2, 1e-3), (3, 2)
-#: A solution that begins so far off is followed by a new tangent at once.
-FAR = 100.0
-#: After a linear solution contact settles on the tissue as it was linearised, whose factor follows the points that
-#: change, in so many rounds at most.
-ROUNDS = 8
-#: What a pass of the iteration looks at: the elements and the contact; the contact alone, as it settles; the contact
-#: alone, for the stiffness with what has become of it.
-WHOLE, SETTLES, ANSWERS = range(3)
-#: All points of the surface may change their state at once, until so many iterations did not settle it.
-CIRCLING = 8
-#: A linear solution that turns an element inside out is halved so many times at most.
-HALVINGS = 6
-#: Places in the kernel's counts, settings and report. KEEPS: 0 a step begins with an extrapolation, 1 with the state as
-#: it is and no point may change its own, 2 it goes on where the last one ended, 3 as 1, and only the stiffness is
-#: answered. FACTORISED, BENDING, SKEWED: answers, whether there is a factor at the end, whether the rates of contact
-#: are those with the curvature of the surfaces, and the block row before which the matrix is symmetric. ITERATED:
-#: linear solves before this start, of one that goes on.
-(PASSES, FREE, MAX_ITERATIONS, CONTACTS, REMEMBERS, UNSYMMETRIC, CHANGEABLE, KEEPS, STIFFNESS_ASKED, FACTORISED,
- BENDING, ITERATED, SKEWED) = range(13)
-(DEPTH, PREDICTED, KAPPA, WEIGHT, TOLERANCE, FLOOR, ROUNDING, TOUCH, CONTACT_TOLERANCE, STRENGTH,
- REACH, INERTIA, DENSITY) = range(13)
-STATUS, ITERATIONS, RESIDUAL, FORCE, VIOLATION, SLIPPING, STIFFNESS = range(7)
+
+class Count(IntEnum):
+    """Indices of `Equations.counts`, the integers that a step reads and writes.
+
+    Attributes:
+        PASSES: number of times that the kernel solves the step; 1 except in benchmarks.
+        FREE: number of free equations.
+        MAX_ITERATIONS: maximum number of linear solves.
+        CONTACTS: number of contact points; 0 removes the contact.
+        REMEMBERS: 1 if the tissue has a memory (relaxation, softening, effects at the points).
+        UNSYMMETRIC: output, 1 if the matrix is unsymmetric because points slip.
+        CHANGEABLE: which points may change their contact state, see `contact_kernels.ALL_POINTS`.
+        START_MODE: a `StartMode`.
+        STIFFNESS_ASKED: 1 if a converged step computes the stiffness of the tool.
+        FACTORISED: output, 1 if the matrix is factorised at the end of the step.
+        BENDING: output, 1 if the matrix contains the curvature of the contact surfaces.
+        ITERATED: number of linear solves before this start, in mode `StartMode.RESUME`.
+        SKEWED: output, the first block row in which the matrix is unsymmetric.
+    """
+
+    PASSES = 0
+    FREE = 1
+    MAX_ITERATIONS = 2
+    CONTACTS = 3
+    REMEMBERS = 4
+    UNSYMMETRIC = 5
+    CHANGEABLE = 6
+    START_MODE = 7
+    STIFFNESS_ASKED = 8
+    FACTORISED = 9
+    BENDING = 10
+    ITERATED = 11
+    SKEWED = 12
+
+
+class Setting(IntEnum):
+    """Indices of `Equations.settings`, the numbers that a step reads.
+
+    Attributes:
+        DEPTH: depth of the tool at the end of the step, m.
+        PREDICTED: depth of the tool to which the initial state belongs, m.
+        KAPPA: bulk modulus, Pa.
+        WEIGHT: specific weight, N/m3.
+        TOLERANCE: largest relative residual of a converged step.
+        FLOOR: smallest force against which the residual is measured, N.
+        ROUNDING: force of rounding errors, N.
+        TOUCH: z of the tool's deepest point at the first touch, m.
+        CONTACT_TOLERANCE: largest violation of a contact condition, m.
+        STRENGTH: largest traction of the contact laws, Pa.
+        REACH: largest gap at which a contact law acts, m.
+        INERTIA: factor between the mass and the dynamic stiffness, 1/s2; 0 in a quasi-static step.
+        DENSITY: mass density, kg/m3.
+    """
+
+    DEPTH = 0
+    PREDICTED = 1
+    KAPPA = 2
+    WEIGHT = 3
+    TOLERANCE = 4
+    FLOOR = 5
+    ROUNDING = 6
+    TOUCH = 7
+    CONTACT_TOLERANCE = 8
+    STRENGTH = 9
+    REACH = 10
+    INERTIA = 11
+    DENSITY = 12
+
+
+class Report(IntEnum):
+    """Indices of `Equations.report`, the results of a step.
+
+    Attributes:
+        STATUS: a `tissue_sim.fem.solver.StepStatus`.
+        ITERATIONS: number of linear solves.
+        RESIDUAL: norm of the unbalanced forces over the norm of the balanced forces.
+        FORCE: axial force on the tool, N.
+        VIOLATION: largest violation of a contact condition, m.
+        SLIPPING: number of slipping points.
+        STIFFNESS: derivative of the axial force with respect to the depth, N/m.
+    """
+
+    STATUS = 0
+    ITERATIONS = 1
+    RESIDUAL = 2
+    FORCE = 3
+    VIOLATION = 4
+    SLIPPING = 5
+    STIFFNESS = 6
+
+
+class PassMode(IntEnum):
+    """What a pass of Newton's iteration evaluates.
+
+    Attributes:
+        FULL: the elements and the contact.
+        CONTACT: the contact only, with the linearised elements, until the active set does not change.
+        STIFFNESS: the contact only, for the stiffness of the tool with the final bonds.
+    """
+
+    FULL = 0
+    CONTACT = 1
+    STIFFNESS = 2
+
+
+class StartMode(IntEnum):
+    """State from which a step begins.
+
+    Attributes:
+        PREDICT: an extrapolation of earlier states.
+        FIXED_CONTACT: the present state; no point may change its contact state.
+        RESUME: the state at which the last call ended.
+        STIFFNESS_ONLY: as `FIXED_CONTACT`; only the stiffness of the tool is computed.
+    """
+
+    PREDICT = 0
+    FIXED_CONTACT = 1
+    RESUME = 2
+    STIFFNESS_ONLY = 3
+
+
+@dataclass(frozen=True)
+class NewtonSettings:
+    """Settings of Newton's iteration with reused factorisations.
+
+    The kernel contains the values as constants.
+
+    Attributes:
+        friction_floor: friction below this fraction of `Setting.FLOOR` is neglected.
+        reuse_ratio: the factorisation is reused if a linear solve reduces the residual to this fraction or less.
+        reuse_solves: the factorisation is also reused if this number of additional solves, each with the last
+            reduction, reaches the tolerance.
+        reuse_ratio_realtime: `reuse_ratio` if the step computes a stiffness; small real-time meshes have cheap
+            factorisations.
+        reuse_solves_realtime: `reuse_solves` if the step computes a stiffness.
+        new_tangent_residual: relative residual above which the next iteration assembles a new tangent.
+        max_contact_rounds: maximum number of contact iterations on the linearised elements after each linear solve
+            (the factorisation is updated for the points that change).
+        all_points_iterations: number of iterations in which all points may change their contact state at once; after
+            that a part of the points may change, so that the active set does not cycle.
+        max_halvings: maximum number of halvings of a Newton step that inverts an element.
+    """
+
+    friction_floor: float = 1e-9
+    reuse_ratio: float = 1e-2
+    reuse_solves: int = 3
+    reuse_ratio_realtime: float = 1e-3
+    reuse_solves_realtime: int = 2
+    new_tangent_residual: float = 100.0
+    max_contact_rounds: int = 8
+    all_points_iterations: int = 8
+    max_halvings: int = 6
+
+
+#: Settings of the compiled kernels.
+NEWTON = NewtonSettings()
 
 
 @cache
@@ -88,7 +219,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
              rows_rr: vector1, rows_rz: vector1, rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1, inverse_rz:
              vector1, inverse_zz: vector1, force_r: vector1, force_z: vector1, contact_nodes: int2, contact_shapes:
              real2, spans: int2, contact_places: real2, areas: real1, vertices: real2,
-             contact_rounding: real1, friction: real2, springs: real1, held: real2, pressed: real1, ways: real1, met:
+             contact_rounding: real1, friction: real2, springs: real1, held: real2, pressed: real1, slip_signs: real1,
+             met:
              real2, forces: real2, contact_rates: real2, known_rates: real2, law_settings: real1, coefficients: real1,
              past: real1, inherited: real3, largest: real2, stresses: real3, energies: real2, effect_settings: real1,
              effect_states: real3, effect_states_found: real3, masses: real1, rest: real1, x: real1, before: real1,
@@ -98,22 +230,23 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
         # One pass of one serial task, started without waking a thread pool; the count is an argument so that the loop
         # is not unrolled into many tasks.
         ti.loop_config(serialize=True)
-        for _ in range(counts[PASSES]):
-            free, max_iterations = counts[FREE], counts[MAX_ITERATIONS]
-            depth, kappa, tolerance = settings[DEPTH], settings[KAPPA], settings[TOLERANCE]
-            inertia = settings[INERTIA]
-            floor, rounding, weight = settings[FLOOR], settings[ROUNDING], settings[WEIGHT]
+        for _ in range(counts[Count.PASSES]):
+            free, max_iterations = counts[Count.FREE], counts[Count.MAX_ITERATIONS]
+            depth, kappa, tolerance = settings[Setting.DEPTH], settings[Setting.KAPPA], settings[Setting.TOLERANCE]
+            inertia = settings[Setting.INERTIA]
+            floor, rounding, weight = settings[Setting.FLOOR], settings[Setting.ROUNDING], settings[Setting.WEIGHT]
             width, rows = entries.shape[1], entries.shape[0]
             batches, equations = real.shape[0], residual.shape[0] - 1
             pressures = equation.shape[0]
             multipliers = x.shape[0] - 2 * springs.shape[0]
-            if counts[KEEPS] == 0:
+            if counts[Count.START_MODE] == StartMode.PREDICT:
                 predict(x, history, slots, weights)
-            if counts[KEEPS] != 2:  # where it ended points have been looked at
-                counts[CHANGEABLE] = contact_kernels.ALL if counts[KEEPS] == 0 else 0
-            strength, reach = settings[STRENGTH], settings[REACH]
+            if counts[Count.START_MODE] != StartMode.RESUME:  # where it ended points have been looked at
+                counts[Count.CHANGEABLE] = (contact_kernels.ALL_POINTS
+                                            if counts[Count.START_MODE] == StartMode.PREDICT else 0)
+            strength, reach = settings[Setting.STRENGTH], settings[Setting.REACH]
             pending = 0
-            if counts[CONTACTS] > 0 and ti.abs(depth - settings[PREDICTED]) > 1e-10 * ti.abs(depth):
+            if counts[Count.CONTACTS] > 0 and ti.abs(depth - settings[Setting.PREDICTED]) > 1e-10 * ti.abs(depth):
                 pending = 1
             for dof in range(pressures):
                 target[dof] = start[dof] + depth * direction[dof]
@@ -124,35 +257,35 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         motion[dof] = target[dof] - x[dof]
                     else:
                         x[dof] = target[dof]  # the rounding of the extrapolation
-            report[STATUS], report[STIFFNESS] = 0.0, 0.0
-            iterations, tangent, halvings = 0, 1, HALVINGS
+            report[Report.STATUS], report[Report.STIFFNESS] = 0.0, 0.0
+            iterations, tangent, halvings = 0, 1, NEWTON.max_halvings
             # What the pass looks at, and the block row from which on the factor has to be made.
-            part, settled, circles, waits, begin = WHOLE, 0, 0, 0, 0
+            part, settled, circles, waits, begin = PassMode.FULL, 0, 0, 0, 0
             # Far from equilibrium the surface's curvature would make the tangent indefinite.
             bending = 1.0 if max_iterations == 0 else 0.0
-            if counts[KEEPS] == 2:
-                bending = float(counts[BENDING])
+            if counts[Count.START_MODE] == StartMode.RESUME:
+                bending = float(counts[Count.BENDING])
             first, first_ratio, last_ratio, axial = 1, 0.0, 0.0, 0.0
-            gain, more = GAIN[0], MORE[0]
-            if counts[STIFFNESS_ASKED] == 1:
-                gain, more = GAIN[1], MORE[1]
+            gain, more = NEWTON.reuse_ratio, NEWTON.reuse_solves
+            if counts[Count.STIFFNESS_ASKED] == 1:
+                gain, more = NEWTON.reuse_ratio_realtime, NEWTON.reuse_solves_realtime
             # The status lives in the report: Taichi 1.7.4 loses a local variable that a branch of such a loop sets.
             # Each solve may need more passes: for halves of it, for a tangent that was skipped, for points that have to
             # change, for contact that settles.
-            for _attempt in range((HALVINGS + ROUNDS + 4) * max_iterations + 4):
-                if report[STATUS] != 0.0:
+            for _attempt in range((NEWTON.max_halvings + NEWTON.max_contact_rounds + 4) * max_iterations + 4):
+                if report[Report.STATUS] != 0.0:
                     break
                 for i in range(residual.shape[0]):
                     residual[i] = 0.0
-                fresh = tangent if part == WHOLE else 0
+                fresh = tangent if part == PassMode.FULL else 0
                 if fresh == 1:
                     for i in range(flat.shape[0]):
                         flat[i] = block(0.0)
                     for i in range(pull.shape[0]):
                         pull[i] = 0.0
                 interior, smallest, definite = 0.0, 1e30, 1
-                for b in range(batches if part == WHOLE else 0):
-                    J = work.integrate(b, tangent, kappa, counts[REMEMBERS], x, pressures, elements, dofs,
+                for b in range(batches if part == PassMode.FULL else 0):
+                    J = work.integrate(b, tangent, kappa, counts[Count.REMEMBERS], x, pressures, elements, dofs,
                                        gradient_r, gradient_z, value_r, point_weights, mode_values, moduli,
                                        coefficients, past, inherited, largest, stresses, energies, effect_settings,
                                        effect_states, effect_states_found, volume_r, volume_z, gap)
@@ -160,27 +293,28 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     if weight != 0.0:
                         work.add_weight(b, weight, volumes)
                     if inertia != 0.0:
-                        work.add_inertia(b, inertia, settings[DENSITY], volumes, dofs, rest)
+                        work.add_inertia(b, inertia, settings[Setting.DENSITY], volumes, dofs, rest)
                     if tangent == 1:
                         own.keep_volume(b, volume_r, volume_z, known_volume_r, known_volume_z)
                         definite = ti.min(definite, work.stiffen(
-                            b, kappa, pending, inertia * settings[DENSITY], moduli, gradient_r, gradient_z, value_r,
-                            dofs, motion, volumes, k_rr, k_zr, k_rz, k_zz, rows_rr, rows_rz, rows_zr, rows_zz,
+                            b, kappa, pending, inertia * settings[Setting.DENSITY], moduli, gradient_r, gradient_z,
+                            value_r, dofs, motion, volumes, k_rr, k_zr, k_rz, k_zz, rows_rr, rows_rz, rows_zr, rows_zz,
                             inverse_rr, inverse_rz, inverse_zz))
                         work.scatter_stiffness(b, places, element_stiffness, scattered, pull_starts, pulls,
                                                pull_factors, pull)
                     interior += own.interior(b, real, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz,
                                              inverse_zz, force_r, force_z)
                     own.scatter_force(b, equations_r, equations_z, residual)
-                if smallest <= 0.0 and halvings < HALVINGS:
+                if smallest <= 0.0 and halvings < NEWTON.max_halvings:
                     halvings += 1
                     for i in range(x.shape[0]):
                         x[i] = 0.5 * (x[i] + before[i])
                     continue
-                if part == SETTLES:
-                    contact.take_off_forces(counts[CONTACTS], multipliers, contact_nodes, contact_shapes, equation, x,
+                if part == PassMode.CONTACT:
+                    contact.take_off_forces(counts[Count.CONTACTS], multipliers, contact_nodes, contact_shapes,
+                                            equation, x,
                                             residual)
-                elif inertia != 0.0 and part == WHOLE:
+                elif inertia != 0.0 and part == PassMode.FULL:
                     for dof in range(pressures):
                         i = equation[dof]
                         if i >= 0:
@@ -188,47 +322,48 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                             if tangent == 1 and i < free:
                                 at = entries[i // B, width - 1, i % B, i % B]
                                 entries[i // B, width - 1, i % B, i % B] = at + inertia * masses[dof]
-                tool = settings[PREDICTED] if pending == 1 else depth
+                tool = settings[Setting.PREDICTED] if pending == 1 else depth
                 # At first what just touches counts as pressed: the tool is about to move, or a law pulls.
                 slack = 1e-9 if pending == 1 or (strength > 0.0 and iterations == 0) else 0.0
                 axial, balanced, violation, slipping, switched, wanting = contact.add_contact(
-                    counts[CONTACTS], counts[CHANGEABLE], slack, pending, bending, depth - tool, tool,
-                    tool - settings[TOUCH], free, settings[CONTACT_TOLERANCE], FRICTION_FLOOR * floor, reach,
-                    law_settings, multipliers, contact_nodes, contact_shapes, spans, contact_places, areas, vertices,
-                    contact_rounding, friction, springs, held, pressed, ways, met, forces, contact_rates, x, target,
-                    equation, residual)
-                counts[CHANGEABLE], counts[BENDING] = 0, int(bending)
-                if part == SETTLES and (switched == 0 or settled == ROUNDS):
+                    counts[Count.CONTACTS], counts[Count.CHANGEABLE], slack, pending, bending, depth - tool, tool,
+                    tool - settings[Setting.TOUCH], free, settings[Setting.CONTACT_TOLERANCE],
+                    NEWTON.friction_floor * floor, reach, law_settings, multipliers, contact_nodes, contact_shapes,
+                    spans, contact_places, areas, vertices, contact_rounding, friction, springs, held, pressed,
+                    slip_signs, met, forces, contact_rates, x, target, equation, residual)
+                counts[Count.CHANGEABLE], counts[Count.BENDING] = 0, int(bending)
+                if part == PassMode.CONTACT and (switched == 0 or settled == NEWTON.max_contact_rounds):
                     # The elements come next, their tangent too where the contact goes on changing, and does not settle
                     # any more.
-                    part, waits = WHOLE, wanting
+                    part, waits = PassMode.FULL, wanting
                     if switched > 0:
                         tangent, circles = 1, 1
                     continue
-                if part == WHOLE:
+                if part == PassMode.FULL:
                     wanting, waits = ti.max(wanting, waits), 0
-                report[VIOLATION], report[SLIPPING] = violation, slipping
+                report[Report.VIOLATION], report[Report.SLIPPING] = violation, slipping
                 if fresh == 1:
-                    rates.forget_rates(counts[CONTACTS], known_rates)
-                    counts[UNSYMMETRIC], counts[SKEWED], begin = 0, rows, 0
-                if fresh == 1 or part != WHOLE:
-                    changed, skewed = rates.first_rows(counts[CONTACTS], fresh, free, rows, contact_nodes,
-                                                         contact_shapes, springs, ways, contact_rates, known_rates,
-                                                         equation)
+                    rates.forget_rates(counts[Count.CONTACTS], known_rates)
+                    counts[Count.UNSYMMETRIC], counts[Count.SKEWED], begin = 0, rows, 0
+                if fresh == 1 or part != PassMode.FULL:
+                    changed, skewed = rates.first_rows(counts[Count.CONTACTS], fresh, free, rows, contact_nodes,
+                                                       contact_shapes, springs, slip_signs, contact_rates, known_rates,
+                                                       equation)
                     begin = ti.min(begin, changed)
                     if ti.static(slips):
                         if slipping > 0:
-                            if counts[UNSYMMETRIC] == 0:
+                            if counts[Count.UNSYMMETRIC] == 0:
                                 # Cholesky's factor is none of these.
-                                counts[UNSYMMETRIC], begin = 1, 0
+                                counts[Count.UNSYMMETRIC], begin = 1, 0
                                 complete(blocks, rows, width)
-                            if skewed < counts[SKEWED]:
-                                mirror(blocks, upper_blocks, skewed, counts[SKEWED], width)
-                                counts[SKEWED] = skewed
-                    rates.add_rates(counts[CONTACTS], fresh, counts[UNSYMMETRIC], free, width, contact_nodes,
+                            if skewed < counts[Count.SKEWED]:
+                                mirror(blocks, upper_blocks, skewed, counts[Count.SKEWED], width)
+                                counts[Count.SKEWED] = skewed
+                    rates.add_rates(counts[Count.CONTACTS], fresh, counts[Count.UNSYMMETRIC], free, width,
+                                    contact_nodes,
                                       contact_shapes, springs, contact_rates, known_rates, equation, entries, upper)
                     if begin < rows:
-                        counts[FACTORISED] = 0
+                        counts[Count.FACTORISED] = 0
                 unbalanced, total = interior, axial
                 for i in range(free):
                     unbalanced += residual[i] * residual[i]
@@ -241,58 +376,59 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                 ratio = ti.sqrt(unbalanced) / scale
                 # Rounding is allowed for, within reason.
                 goal = tolerance + ti.min(rounding / scale, 1e-5)
-                if part == WHOLE:
-                    report[RESIDUAL], report[FORCE] = ratio, total
+                if part == PassMode.FULL:
+                    report[Report.RESIDUAL], report[Report.FORCE] = ratio, total
                     if iterations == first:
                         first_ratio = ratio
                 solves = 0
-                if part == SETTLES:
+                if part == PassMode.CONTACT:
                     settled, solves = settled + 1, 1
-                elif part == ANSWERS:
-                    report[STATUS] = converged
+                elif part == PassMode.STIFFNESS:
+                    report[Report.STATUS] = converged
                 elif smallest <= 0.0 or smallest >= 1e30 or ti.math.isnan(smallest):
-                    report[STATUS] = inverted
+                    report[Report.STATUS] = inverted
                 elif ti.math.isnan(ratio) or ti.math.isinf(ratio):
-                    report[STATUS] = diverged
+                    report[Report.STATUS] = diverged
                 elif pending == 0 and ratio <= goal:
                     released = 0
-                    if violation <= settings[CONTACT_TOLERANCE]:
-                        released = contact.release(counts[CONTACTS], FRICTION_FLOOR * floor, strength, reach,
-                                                   contact_places, areas, spans, vertices, contact_rounding, held,
-                                                   forces)
+                    if violation <= settings[Setting.CONTACT_TOLERANCE]:
+                        released = contact.release(counts[Count.CONTACTS], NEWTON.friction_floor * floor, strength,
+                                                   reach, contact_places, areas, spans, vertices, contact_rounding,
+                                                   held, forces)
                     if released > 0:
                         # Another problem from here on.
                         tangent, first = 1, iterations + 1
-                        counts[CHANGEABLE] = contact_kernels.ALL
+                        counts[Count.CHANGEABLE] = contact_kernels.ALL_POINTS
                     elif wanting > 0 and iterations < max_iterations:
-                        counts[CHANGEABLE], tangent = contact_kernels.ALL, 1
-                    elif violation <= settings[CONTACT_TOLERANCE] and wanting == 0:
-                        bound = contact.hold(counts[CONTACTS], held, met)
-                        if counts[STIFFNESS_ASKED] == 1 and (bound > 0 or rates.have_changed(
-                                counts[CONTACTS], springs, contact_rates, known_rates) == 1):
+                        counts[Count.CHANGEABLE], tangent = contact_kernels.ALL_POINTS, 1
+                    elif violation <= settings[Setting.CONTACT_TOLERANCE] and wanting == 0:
+                        bound = contact.hold(counts[Count.CONTACTS], held, met)
+                        if counts[Count.STIFFNESS_ASKED] == 1 and (bound > 0 or rates.have_changed(
+                                counts[Count.CONTACTS], springs, contact_rates, known_rates) == 1):
                             # The stiffness is that with the new bonds.
-                            part = ANSWERS
+                            part = PassMode.STIFFNESS
                         else:
-                            report[STATUS] = converged
+                            report[Report.STATUS] = converged
                     elif iterations >= max_iterations:
-                        report[STATUS] = slow
+                        report[Report.STATUS] = slow
                         if wanting > 0:
-                            counts[CHANGEABLE] = contact_kernels.ALL
+                            counts[Count.CHANGEABLE] = contact_kernels.ALL_POINTS
                     elif tangent == 0:
                         tangent = 1
                     else:
                         solves = 1
                 elif iterations >= max_iterations:
-                    report[STATUS] = slow
+                    report[Report.STATUS] = slow
                 elif iterations > first + 2 and ratio > 1e3 * ti.max(first_ratio, 1.0):
-                    report[STATUS] = diverged
+                    report[Report.STATUS] = diverged
                 elif tangent == 0 and (switched > 0 or (
                         ratio > gain * last_ratio and ratio * (ratio / last_ratio)**more > goal)):
                     tangent = 1
                 else:
                     solves = 1
                 asked = 0
-                if counts[STIFFNESS_ASKED] == 1 and (report[STATUS] == converged or counts[KEEPS] == 3):
+                if counts[Count.STIFFNESS_ASKED] == 1 and (report[Report.STATUS] == converged
+                                                           or counts[Count.START_MODE] == StartMode.STIFFNESS_ONLY):
                     asked = 1
                 if solves + asked > 0:
                     stiff = 0.0
@@ -302,19 +438,20 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         for i in range(free):
                             residual[i], reaction[i] = pull[i], pull[i]
                         stiff = pull[free] + rates.add_tool_rates(
-                            counts[CONTACTS], free, contact_nodes, contact_shapes, spans, contact_rates, direction,
-                            equation, residual, reaction)
+                            counts[Count.CONTACTS], free, contact_nodes, contact_shapes, spans, contact_rates,
+                            direction, equation, residual, reaction)
                         if inertia != 0.0:
                             for dof in range(pressures):
                                 if equation[dof] >= free:
                                     stiff += inertia * masses[dof] * direction[dof] * direction[dof]
                     if solves == 1:
-                        for b in range(batches if part == WHOLE and fresh == 0 else 0):
+                        for b in range(batches if part == PassMode.FULL and fresh == 0 else 0):
                             own.add_known_volume(b, kappa, real, moduli, volume_r, volume_z, known_volume_r,
                                                  known_volume_z, gap, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr,
                                                  inverse_rz, inverse_zz, force_r, force_z, equations_r, equations_z,
                                                  residual)
-                        contact.add_missing(counts[CONTACTS], contact_nodes, contact_shapes, contact_rates, known_rates,
+                        contact.add_missing(counts[Count.CONTACTS], contact_nodes, contact_shapes, contact_rates,
+                                            known_rates,
                                             equation, residual)
                     for I in range(rows):
                         for k in ti.static(range(B)):
@@ -323,36 +460,36 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         for i in range(free, rows * B):
                             entries[i // B, width - 1, i % B, i % B] = 1.0
                         if ti.static(slips):
-                            if counts[UNSYMMETRIC] == 1:
+                            if counts[Count.UNSYMMETRIC] == 1:
                                 definite = lu.init(blocks, upper_blocks, factor, upper_factor, inverse, rows, width,
-                                                   begin, counts[SKEWED])
-                        if counts[UNSYMMETRIC] == 0:
+                                                   begin, counts[Count.SKEWED])
+                        if counts[Count.UNSYMMETRIC] == 0:
                             definite = cholesky.init(blocks, upper_blocks, factor, upper_factor, inverse, rows, width,
                                                      begin, rows)
-                        counts[FACTORISED] = definite
+                        counts[Count.FACTORISED] = definite
                         begin = rows if definite == 1 else 0
                     if definite == 1:
                         if ti.static(slips):
-                            if counts[UNSYMMETRIC] == 1:
+                            if counts[Count.UNSYMMETRIC] == 1:
                                 lu.solve(factor, upper_factor, inverse, right, rows, width)
-                        if counts[UNSYMMETRIC] == 0:
+                        if counts[Count.UNSYMMETRIC] == 0:
                             cholesky.solve(factor, upper_factor, inverse, right, rows, width)
                     if asked == 1 and definite == 1:
                         for i in range(free):
                             stiff -= reaction[i] * right[i // B][i % B]
-                        report[STIFFNESS] = stiff
-                    elif part == SETTLES and definite == 0:
-                        part, tangent = WHOLE, 1
+                        report[Report.STIFFNESS] = stiff
+                    elif part == PassMode.CONTACT and definite == 0:
+                        part, tangent = PassMode.FULL, 1
                     elif solves == 1 and definite == 0 and bending > 0.0:
                         bending, last_ratio = 0.0, 0.0
                     elif solves == 1 and definite == 0:
-                        report[STATUS] = indefinite
+                        report[Report.STATUS] = indefinite
                     elif solves == 1:
-                        if part == WHOLE:
+                        if part == PassMode.FULL:
                             for i in range(x.shape[0]):
                                 before[i] = x[i]
                             # The tool's way is not cut in here.
-                            halvings = HALVINGS if pending == 1 else 0
+                            halvings = NEWTON.max_halvings if pending == 1 else 0
                         else:
                             # What is eliminated has no unbalanced forces left.
                             for b in range(batches):
@@ -370,23 +507,23 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         for b in range(batches):
                             own.update(b, kappa, x, pressures, motion, elements, dofs, real, moduli, known_volume_r,
                                        known_volume_z, gap, rows_rr, rows_rz, rows_zr, rows_zz, force_r, force_z)
-                        contact.update_forces(counts[CONTACTS], depth - tool, multipliers, contact_nodes,
+                        contact.update_forces(counts[Count.CONTACTS], depth - tool, multipliers, contact_nodes,
                                               contact_shapes, spans, contact_rates, known_rates, motion, x)
-                        if part == WHOLE:
+                        if part == PassMode.FULL:
                             # Where the old factor is likely to serve again, only the residual is computed first.
-                            tangent = 1 if pending == 1 or ratio > FAR else 0
+                            tangent = 1 if pending == 1 or ratio > NEWTON.new_tangent_residual else 0
                             last_ratio = ratio
                             bending = 1.0 if ratio < 0.1 else 0.0
                             pending, settled = 0, 0
                             iterations += 1
                             if ti.static(settles):
-                                if counts[CONTACTS] > 0 and circles == 0:
-                                    part = SETTLES
-                        counts[CHANGEABLE] = contact_kernels.ALL
-                        if iterations + counts[ITERATED] > CIRCLING:
-                            counts[CHANGEABLE] = iterations + counts[ITERATED] + settled
-            if report[STATUS] == 0.0:
-                report[STATUS] = slow
-            report[ITERATIONS] = iterations
+                                if counts[Count.CONTACTS] > 0 and circles == 0:
+                                    part = PassMode.CONTACT
+                        counts[Count.CHANGEABLE] = contact_kernels.ALL_POINTS
+                        if iterations + counts[Count.ITERATED] > NEWTON.all_points_iterations:
+                            counts[Count.CHANGEABLE] = iterations + counts[Count.ITERATED] + settled
+            if report[Report.STATUS] == 0.0:
+                report[Report.STATUS] = slow
+            report[Report.ITERATIONS] = iterations
 
     return step

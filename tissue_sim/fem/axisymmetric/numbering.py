@@ -1,4 +1,4 @@
-"""Which equation belongs to which freedom, so that the matrix has a narrow band."""
+"""Numbering of the equations with a small half-bandwidth."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from tissue_sim.mesh import Mesh
 
 
 class Numbering(NamedTuple):
-    """Freedoms r and z of each node in turn.
+    """Equation numbers of the degrees of freedom, r and z of each node in turn.
 
     Attributes:
-        equation: of each freedom, the free ones first and then the prescribed ones; -1 of an interior node, which is
-            eliminated inside its element.
-        direction: how each freedom moves with the depth of the tool.
-        free: how many are free.
-        half_band: largest difference of two free equations in one element.
+        equation: equation of each degree of freedom, shape (freedoms,): the free ones first, then the prescribed ones;
+            -1 for interior nodes, which are eliminated inside their element.
+        direction: displacement of each degree of freedom per depth of the tool, -1 or 0, shape (freedoms,).
+        free: number of free equations.
+        half_band: half-bandwidth, the largest difference of two free equations in one element.
     """
 
     equation: np.ndarray
@@ -27,12 +27,12 @@ class Numbering(NamedTuple):
 
 
 def number_equations(mesh: Mesh, supports: dict[str, str], tool: dict[str, str]) -> Numbering:
-    """Number the freedoms of a mesh.
+    """Number the degrees of freedom of a mesh.
 
     Args:
         mesh: undeformed mesh.
-        supports: node set -> components held.
-        tool: node set -> components that follow the tool.
+        supports: node set -> fixed components, "r", "z" or "rz".
+        tool: node set -> components that move with the tool.
     """
     prescribed = np.zeros((len(mesh.nodes), 2), dtype=bool)
     direction = np.zeros((len(mesh.nodes), 2))
@@ -46,7 +46,7 @@ def number_equations(mesh: Mesh, supports: dict[str, str], tool: dict[str, str])
     shared = np.zeros(len(mesh.nodes), dtype=bool)
     shared[mesh.connectivity[:, : mesh.element.boundary_nodes]] = True
     free, held = shared[:, None] & ~prescribed, shared[:, None] & prescribed
-    # Row by row or column by column, whichever makes the narrower band; row by row where it is the same.
+    # The order with the smaller bandwidth is used: by rows, or by columns.
     by_rows, by_columns = np.arange(len(mesh.nodes)), np.lexsort(mesh.nodes[:, ::-1].T)
     numberings = [_equations(mesh, order, free, held) for order in (by_rows, by_columns)]
     equation, half_band = min(numberings, key=lambda numbering: numbering[1])
@@ -54,7 +54,7 @@ def number_equations(mesh: Mesh, supports: dict[str, str], tool: dict[str, str])
 
 
 def _equations(mesh: Mesh, order: np.ndarray, free: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, int]:
-    """Equation of every freedom when nodes are taken in this order, and the half band that follows."""
+    """Return the equation of every degree of freedom for an order of the nodes, and the half-bandwidth."""
     count = int(free.sum())
     equation = np.full(free.shape, -1, dtype=np.int32)
     for members, first in ((free, 0), (held, count)):

@@ -1,4 +1,7 @@
-"""Effects at the points in the axisymmetric solid: six components reduced to four, stress and tangent to those of F."""
+"""Additional stresses (effects) at the quadrature points of the axisymmetric solid.
+
+Six components are reduced to four (RR, RZ, ZZ, hoop); stress and tangent are expressed by the deformation gradient.
+"""
 
 from functools import cache
 from typing import Any
@@ -7,14 +10,17 @@ from tissue_sim.fem.axisymmetric.energy import PACKED
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.trace import Formula, expressions, traced
 
-#: Places of RR, ZZ, hoop and RZ among six components, in the order of a memory: RR, RZ, ZZ, hoop.
-_PLACES = (0, 3, 1, 2)
+#: Indices of RR, RZ, ZZ and hoop among the six components of a symmetric tensor.
+_COMPONENTS = (0, 3, 1, 2)
 
 
 @cache
 def effects_function(formulas: tuple[Formula, ...]):
-    """Taichi function ``add_effects(F, P, A, states, settings) -> (S, P, A, states)`` of vectors: add the stress of
-    effects, F S, to P and its derivative to A; see `tissue_sim.fem.point_effects.PointEffects` for the rest."""
+    """Return the Taichi function ``add_effects(F, P, A, states, settings) -> (S, P, A, states)``.
+
+    The function adds the first Piola stress F S of the effects to P and its derivative to A. S is the second Piola
+    stress of the effects. All arguments are vectors; see `tissue_sim.fem.point_effects.PointEffects`.
+    """
     ti = initialise()
     count = 1 + sum(len(formula.parameters) for formula in formulas)
 
@@ -29,7 +35,7 @@ def effects_function(formulas: tuple[Formula, ...]):
 
 
 def _added(formulas: tuple[Formula, ...], F: list, P: list, A: list, states: list, settings: list) -> tuple:
-    """What `add_effects` does, on expressions of Taichi."""
+    """Evaluate `add_effects` on Taichi expressions."""
     F, P, A = traced(F, lanes=True), traced(P, lanes=True), traced(A, lanes=True)
     states, (dt, *numbers) = traced(states, lanes=True), traced(settings, lanes=False)
     C = [F[0] * F[0] + F[2] * F[2], F[1] * F[1] + F[3] * F[3], F[4] * F[4], F[0] * F[1] + F[2] * F[3], 0.0, 0.0]
@@ -40,10 +46,11 @@ def _added(formulas: tuple[Formula, ...], F: list, P: list, A: list, states: lis
         parameters, numbers = numbers[: len(formula.parameters)], numbers[len(formula.parameters):]
         state, states = states[: len(formula.kind.rest)], states[len(formula.kind.rest):]
         stress, tangent, new = formula.bind(parameters).response(list(C), state, dt)
-        S = [S[i] + stress[place] for i, place in enumerate(_PLACES)]
-        D = [[D[i][k] + tangent[row][column] for k, column in enumerate(_PLACES)] for i, row in enumerate(_PLACES)]
+        S = [S[i] + stress[place] for i, place in enumerate(_COMPONENTS)]
+        D = [[D[i][k] + tangent[row][column] for k, column in enumerate(_COMPONENTS)]
+             for i, row in enumerate(_COMPONENTS)]
         found += new
-    # How the Green strains RR, 2 RZ, ZZ and hoop change with F.
+    # Derivative of the Green strains RR, 2 RZ, ZZ and hoop with respect to F.
     B = [[F[0], 0.0, F[2], 0.0, 0.0], [F[1], F[0], F[3], F[2], 0.0], [0.0, F[1], 0.0, F[3], 0.0],
          [0.0, 0.0, 0.0, 0.0, F[4]]]
     DB = [[sum((D[i][m] * B[m][k] for m in range(4)), 0.0) for k in range(5)] for i in range(4)]

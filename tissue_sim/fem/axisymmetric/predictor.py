@@ -1,24 +1,24 @@
-"""Where an equilibrium is likely to be, from earlier ones: by the depth of the tool, or by time where tissue swings."""
+"""Predictor of the next equilibrium: Lagrange extrapolation of earlier states by depth or by time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from math import prod
 
-#: Earlier states that are kept.
+#: Number of stored states from which the predictor extrapolates.
 KEPT = 3
 
 
 def extrapolation(known: Sequence[float], depth: float, order: int) -> list[float]:
-    """Weights of Lagrange's extrapolation from the latest state through earlier ones, `KEPT` of them.
+    """Return the weights of Lagrange extrapolation of the stored states, `KEPT` of them.
 
-    States that lie closer together than a tenth of the step are left out: extrapolation would magnify their rounding,
-    and far away it would be a wild guess.
+    w_i = prod over j != i of (d - d_j) / (d_i - d_j). States closer together than a tenth of the step are omitted,
+    because extrapolation would amplify their rounding errors.
 
     Args:
-        known: depths (m) of the states, or times (s), the latest first.
-        depth: where to, in the same.
-        order: the highest one; 0: the latest state as it is.
+        known: depths (m) or times (s) of the states, the latest first.
+        depth: depth or time to which the states are extrapolated, in the same unit.
+        order: highest polynomial order; 0 returns the latest state.
     """
     weights = [0.0] * KEPT
     if depth in known:

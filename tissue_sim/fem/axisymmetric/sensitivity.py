@@ -6,30 +6,21 @@ import numpy as np
 
 from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.batches import LANES
-from tissue_sim.fem.axisymmetric.contact import NORMAL_R, NORMAL_Z
+from tissue_sim.fem.axisymmetric.contact import RateColumn
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD
 from tissue_sim.fem.axisymmetric.equations import Equations
 from tissue_sim.fem.axisymmetric.sensitivity_kernel import respond_kernels
-from tissue_sim.fem.axisymmetric.sensitivity_points import (
-    FRESH,
-    KEPT,
-    LAYERED,
-    ONE,
-    REFINES,
-    RELAXES,
-    SOFTENS,
-    TERMS,
-    WORKS,
-)
+from tissue_sim.fem.axisymmetric.sensitivity_points import KeptRecord, Switch
 from tissue_sim.fem.history import PastColumn
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.fem.taichi.launch import BoundKernel
 
-#: With so many parameters the last factor of a step serves better than one of the exact tangent; more of them where
-#: points slip and a factor costs twice as much.
-FEW, FEW_OF_SLIP = 2, 4
-#: Lengths of step whose changes of relaxation are remembered.
-_KNOWN_STEPS = 64
+#: Maximum number of parameters for which the factorisation of the step is cheaper than one of the exact tangent.
+MAX_REFINED = 2
+#: The same with slip, where the matrix is unsymmetric and a factorisation costs twice as much.
+MAX_REFINED_SLIP = 4
+#: Maximum number of step lengths for which the derivatives of the relaxation are stored.
+_STORED_STEP_LENGTHS = 64
 
 
 class Sensitivity:
@@ -59,7 +50,7 @@ class Sensitivity:
         self._multiplier_rates, self._anchor_rates, self._point_rates = np.zeros((3, *shape))
         self.force, self._changed = np.zeros(m), False
         self._contact = np.zeros((3, *surface.springs.shape))
-        self._which = np.zeros(9, np.int32)
+        self._which = np.zeros(len(Switch), np.int32)
         kernels = respond_kernels(equations.mesh.element.name, equations.material.energy_law.kernel_energy,
                                 memory.works, surface.slips)
         arrays = {
@@ -86,12 +77,12 @@ class Sensitivity:
                       for s in (up.softening, down.softening)]
             self._past_rates[k, PastColumn.LOSS:] = (softer[0] - softer[1]) / width
         coefficient_rates, kappa_rates, self._past_rates[:, PastColumn.FACTOR], moduli_rates = rates
-        self._which[LAYERED] = moduli_rates.any()
-        self._which[SOFTENS] = (equations.memory.past[PastColumn.LOSS] != 0
+        self._which[Switch.LAYERED] = moduli_rates.any()
+        self._which[Switch.SOFTENS] = (equations.memory.past[PastColumn.LOSS] != 0
                                 or self._past_rates[:, PastColumn.LOSS:].any())
-        self._which[TERMS], self._which[[ONE, WORKS]] = self._decay.size, 1
+        self._which[Switch.TERMS], self._which[[Switch.ONE, Switch.PASSES]] = self._decay.size, 1
         relaxes = [up is not None and down is not None and up != down for up, down, _ in self._relaxations]
-        self._which[RELAXES] = any(relaxes)
+        self._which[Switch.RELAXES] = any(relaxes)
         return {"directions": np.concatenate([np.tile(here[0], (m, 1)), coefficient_rates], axis=1),
                 "acts": np.array(coefficient_rates.any(axis=1), np.int32), "relaxes": np.array(relaxes, np.int32),
                 "kappa_rates": kappa_rates,
@@ -101,7 +92,8 @@ class Sensitivity:
         """Of the memory: a row of lanes for each batch, point, parameter, term and component, the last ones fastest."""
         batches, q = self._equations.batches.batches, self._equations.reference.weights.shape[1]
         modes = self._equations.mesh.element.pressure_modes
-        rows = {"centre_r": m, "centre_z": m, "way_r": 1, "way_z": 1, "law": KEPT * q, "pressure_rates": modes,
+        rows = {"centre_r": m, "centre_z": m, "way_r": 1, "way_z": 1, "law": KeptRecord.SIZE * q,
+                "pressure_rates": modes,
                 "swelling": modes}
         of_memory = {"largest_rates": m * q, "energy_rates": m * q, "stress_rates": 4 * m * q,
                      "before_rates": 4 * m * q, "internal_rates": 4 * m * terms * q}
@@ -136,23 +128,23 @@ class Sensitivity:
         """Whether the step has left a factor, and rates of the contact, that so few parameters are solved with sooner
         than the exact tangent is assembled and factorised."""
         counts, settings = self._equations.counts, self._equations.settings
-        few = FEW_OF_SLIP if counts[newton.UNSYMMETRIC] else FEW
-        return (not self._equations.memory.works and self.force.size <= few and settings[newton.INERTIA] == 0
-                and counts[newton.FACTORISED] == 1 and counts[newton.BENDING] == 1)
+        few = MAX_REFINED_SLIP if counts[newton.Count.UNSYMMETRIC] else MAX_REFINED
+        return (not self._equations.memory.works and self.force.size <= few and settings[newton.Setting.INERTIA] == 0
+                and counts[newton.Count.FACTORISED] == 1 and counts[newton.Count.BENDING] == 1)
 
     def _refined(self) -> bool:
         before = self._multiplier_rates.copy()
-        self._which[[FRESH, REFINES]] = 1
+        self._which[[Switch.FACTORISES, Switch.REFINES]] = 1
         self._equations.respond(self._run, assembles=False)
-        self._which[REFINES] = 0
-        if self._which[FRESH]:
+        self._which[Switch.REFINES] = 0
+        if self._which[Switch.FACTORISES]:
             self._multiplier_rates[:] = before
-        return not self._which[FRESH]
+        return not self._which[Switch.FACTORISES]
 
     def _relaxation_rates(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Of the instantaneous share, of decay and of gain of each term in a step of dt, s."""
         if dt not in self._known:
-            if len(self._known) >= _KNOWN_STEPS:
+            if len(self._known) >= _STORED_STEP_LENGTHS:
                 self._known.clear()
             rates = np.zeros(len(self._relaxations)), np.zeros_like(self._decay_rates), np.zeros_like(self._gain_rates)
             for k, (up, down, width) in enumerate(self._relaxations):
@@ -167,9 +159,9 @@ class Sensitivity:
         self._respond()
 
     def _launch(self) -> None:
-        self._which[FRESH] = 1
+        self._which[Switch.FACTORISES] = 1
         self._run()
-        if self._which[FRESH]:
+        if self._which[Switch.FACTORISES]:
             self.force[:] = np.nan
 
     def _follow_contact(self) -> None:
@@ -180,11 +172,11 @@ class Sensitivity:
             return
         anew = (held > 0) & (surface.held != surface.anchors).any(axis=-1)
         if anew.any():
-            normals = surface.rates[anew][:, [NORMAL_R, NORMAL_Z]]
+            normals = surface.rates[anew][:, [RateColumn.NORMAL_R, RateColumn.NORMAL_Z]]
             along = np.stack([-normals[:, 1], normals[:, 0]], axis=-1)
             self._anchor_rates[:, anew] = np.einsum("kni,ni->kn", self._point_rates[:, anew], along)[..., None] * along
         if not touching.all():
             self._multiplier_rates[:, ~touching] = 0.0
         contact = self._contact = np.empty_like(before)
-        contact[0], contact[1], contact[2] = touching, held == HELD, surface.ways
+        contact[0], contact[1], contact[2] = touching, held == HELD, surface.slip_signs
         self._changed |= bool((contact != before).any())

@@ -5,22 +5,14 @@ the exact tangent at the converged state. What a parameter does to the elements 
 `sensitivity_points`; what it did to the past is carried along.
 """
 
+from dataclasses import dataclass
 from functools import cache
 
 from tissue_sim.fem.axisymmetric.batches import LANES
-from tissue_sim.fem.axisymmetric.contact import FRICTION, HOLD, MOVES, NORMAL_R, NORMAL_Z, RR, RZ, ZR, ZZ
+from tissue_sim.fem.axisymmetric.contact import STICK_STIFFNESS_FACTOR, KnownRateColumn, RateColumn, SpanColumn
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD, TOUCHED
-from tissue_sim.fem.axisymmetric.newton import CONTACTS, KAPPA, SKEWED, UNSYMMETRIC
-from tissue_sim.fem.axisymmetric.newton import FREE as FREE_EQUATIONS
-from tissue_sim.fem.axisymmetric.sensitivity_points import (
-    FRESH,
-    ONE,
-    REFINES,
-    RELAXES,
-    SETTLES,
-    WORKS,
-    response_functions,
-)
+from tissue_sim.fem.axisymmetric.newton import Count, Setting
+from tissue_sim.fem.axisymmetric.sensitivity_points import Switch, response_functions
 from tissue_sim.fem.axisymmetric.sensitivity_product import product_functions
 from tissue_sim.fem.linear import band as band_matrix
 from tissue_sim.fem.linear.cholesky import cholesky_functions
@@ -28,12 +20,30 @@ from tissue_sim.fem.linear.lu import lu_functions
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 
-#: Most rounds in which the rates of the contact forces settle, each of which takes about three digits off what is
-#: left, and the share of them that may still be missing.
-ROUNDS, SETTLED = 9, 1e-10
-#: Share of the forces that the last factor of a step may leave unbalanced (`SETTLED` where rounding allows no less),
-#: and share of those before that two rounds may leave: one takes off less than the next.
-BALANCED, SLOW = 1e-11, 1e-2
+
+@dataclass(frozen=True)
+class DifferentiationSettings:
+    """Settings of the iteration for the derivatives of displacements and contact forces.
+
+    The kernel contains the values as constants.
+
+    Attributes:
+        max_rounds: maximum number of rounds; each round reduces the error of the contact forces by about three digits.
+        contact_tolerance: relative error of the derivatives of the contact forces at which the iteration stops.
+        residual_tolerance: relative residual that the iteration with the factorisation of the step must reach;
+            `contact_tolerance` where rounding prevents this.
+        stall_ratio: the iteration with the factorisation of the step has stalled if two rounds reduce the residual to
+            no less than this fraction.
+    """
+
+    max_rounds: int = 9
+    contact_tolerance: float = 1e-10
+    residual_tolerance: float = 1e-11
+    stall_ratio: float = 1e-2
+
+
+#: Settings of the compiled kernels.
+DIFFERENTIATION = DifferentiationSettings()
 
 
 @cache
@@ -53,52 +63,56 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
     cholesky, lu = cholesky_functions(), lu_functions()
 
     @ti.func
-    def contact_rate(i, k, dr, dz, held: ti.template(), ways: ti.template(), springs: ti.template(),
+    def contact_rate(i, k, dr, dz, held: ti.template(), slip_signs: ti.template(), springs: ti.template(),
                      contact_rates: ti.template(), known: ti.template(), multiplier_rates: ti.template(),
                      anchor_rates: ti.template()):
         """Rate of the force of point i with parameter k when it moves by (dr, dz). By how much that misses its
         constraint counts with the rates that the matrix holds."""
-        fr = contact_rates[i, RR] * dr + contact_rates[i, RZ] * dz
-        fz = contact_rates[i, ZR] * dr + contact_rates[i, ZZ] * dz
+        fr = contact_rates[i, RateColumn.RR] * dr + contact_rates[i, RateColumn.RZ] * dz
+        fz = contact_rates[i, RateColumn.ZR] * dr + contact_rates[i, RateColumn.ZZ] * dz
         lr, lz = multiplier_rates[k, i, 0], multiplier_rates[k, i, 1]
         hr, hz = anchor_rates[k, i, 0], anchor_rates[k, i, 1]
-        stiff, missed_r, missed_z = HOLD * springs[i], 0.0, 0.0
+        stiff, missed_r, missed_z = STICK_STIFFNESS_FACTOR * springs[i], 0.0, 0.0
         if held[i, 0] == HELD:
             missed_r, missed_z = dr - hr, dz - hz
             fr += lr - stiff * hr
             fz += lz - stiff * hz
-        elif contact_rates[i, RR] != 0.0 or contact_rates[i, ZZ] != 0.0:
-            nr, nz, mu = contact_rates[i, NORMAL_R], contact_rates[i, NORMAL_Z], contact_rates[i, FRICTION]
+        elif contact_rates[i, RateColumn.RR] != 0.0 or contact_rates[i, RateColumn.ZZ] != 0.0:
+            nr, nz = contact_rates[i, RateColumn.NORMAL_R], contact_rates[i, RateColumn.NORMAL_Z]
+            mu = contact_rates[i, RateColumn.FRICTION]
             tr, tz = -nz, nr
             pressed, along = lr * nr + lz * nz, 0.0
             apart, slip = dr * nr + dz * nz, 0.0
             if mu > 0.0 and held[i, 0] == TOUCHED:
                 sticks = lr * tr + lz * tz - stiff * (hr * tr + hz * tz)
-                along = sticks if ways[i] == 0.0 else -ways[i] * mu * pressed
-                slip = (dr - hr) * tr + (dz - hz) * tz if ways[i] == 0.0 else 0.0
+                along = sticks if slip_signs[i] == 0.0 else -slip_signs[i] * mu * pressed
+                slip = (dr - hr) * tr + (dz - hz) * tz if slip_signs[i] == 0.0 else 0.0
             missed_r, missed_z = apart * nr + slip * tr, apart * nz + slip * tz
             fr += pressed * nr + along * tr
             fz += pressed * nz + along * tz
-        fr += (known[i, RR] - contact_rates[i, RR]) * missed_r + (known[i, RZ] - contact_rates[i, RZ]) * missed_z
-        fz += (known[i, ZR] - contact_rates[i, ZR]) * missed_r + (known[i, ZZ] - contact_rates[i, ZZ]) * missed_z
+        fr += ((known[i, KnownRateColumn.RR] - contact_rates[i, RateColumn.RR]) * missed_r
+               + (known[i, KnownRateColumn.RZ] - contact_rates[i, RateColumn.RZ]) * missed_z)
+        fz += ((known[i, KnownRateColumn.ZR] - contact_rates[i, RateColumn.ZR]) * missed_r
+               + (known[i, KnownRateColumn.ZZ] - contact_rates[i, RateColumn.ZZ]) * missed_z)
         return fr, fz
 
     @ti.func
     def factorise(counts: ti.template(), entries: ti.template(), blocks: ti.template(), upper_blocks: ti.template(),
                   factor: ti.template(), upper_factor: ti.template(), inverse: ti.template(), rows, width):
-        for i in range(counts[FREE_EQUATIONS], rows * B):
+        for i in range(counts[Count.FREE], rows * B):
             entries[i // B, width - 1, i % B, i % B] = 1.0
         good = 1
         if ti.static(slips):
-            if counts[UNSYMMETRIC] == 1:
-                good = lu.init(blocks, upper_blocks, factor, upper_factor, inverse, rows, width, 0, counts[SKEWED])
-        if counts[UNSYMMETRIC] == 0:
+            if counts[Count.UNSYMMETRIC] == 1:
+                good = lu.init(blocks, upper_blocks, factor, upper_factor, inverse, rows, width, 0,
+                               counts[Count.SKEWED])
+        if counts[Count.UNSYMMETRIC] == 0:
             good = cholesky.init(blocks, upper_blocks, factor, upper_factor, inverse, rows, width, 0, rows)
         return good
 
     @ti.func
     def settle(k, kappa, batches, which: ti.template(), counts: ti.template(), equation: ti.template(), contact_nodes:
-               ti.template(), contact_shapes: ti.template(), springs: ti.template(), held: ti.template(), ways:
+               ti.template(), contact_shapes: ti.template(), springs: ti.template(), held: ti.template(), slip_signs:
                ti.template(), contact_rates: ti.template(), known_rates: ti.template(), factor: ti.template(),
                upper_factor: ti.template(), inverse: ti.template(), right: ti.template(), residual: ti.template(),
                forces: ti.template(), multiplier_rates: ti.template(), anchor_rates: ti.template(), point_rates:
@@ -113,21 +127,21 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
         """Let the nodes, and the forces of contact, follow parameter k; `motion` holds the last part of that, and then
         the forces before it. With the factor of a tangent nearby each round takes off what the exact one still misses,
         and `which` says whether all of it."""
-        free, width, rows = counts[FREE_EQUATIONS], factor.shape[1], factor.shape[0]
+        free, width, rows = counts[Count.FREE], factor.shape[1], factor.shape[0]
         last, before_last = 0.0, 0.0
-        refines = which[REFINES]
+        refines = which[Switch.REFINES]
         goes_on = float(refines)
-        which[SETTLES] = 0
+        which[Switch.SETTLED] = 0
         for i in range(dx.shape[1]):
             dx[k, i] = 0.0
-        for c in range(counts[CONTACTS]):
+        for c in range(counts[Count.CONTACTS]):
             point_rates[k, c, 0], point_rates[k, c, 1] = 0.0, 0.0
         for b in range(way_r.shape[0]):
             at = k * batches + b
             way_r[b], way_z[b] = centre_r[at], centre_z[at]
         for i in range(swelling.shape[0]):
             swelling[i], pressure_rates[i] = vec(0.0), vec(0.0)
-        for round in range(ROUNDS):
+        for round in range(DIFFERENTIATION.max_rounds):
             missing, pushing, changed, largest_rate = 0.0, 0.0, 0.0, 0.0
             for i in range(residual.shape[0]):
                 residual[i] = forces[k, i]
@@ -136,27 +150,29 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
                 if refines == 1 and round > 0:
                     for b in range(batches):
                         missed = tangent.add_product(
-                            b, k, kappa, batches, which[ONE], law, dx, dofs, real, gradient_r, gradient_z, value_r,
+                            b, k, kappa, batches, which[Switch.ONE], law, dx, dofs, real, gradient_r, gradient_z,
+                                                     value_r,
                             moduli, equations_r, equations_z, volume_r, volume_z, known_volume_r, known_volume_z,
                             pressure_rates, swelling, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz,
                             inverse_zz, centre_r, centre_z, way_r, way_z, residual)
                         missing += missed
             for i in range(free, residual.shape[0]):
                 motion[equation.shape[0] + i] = residual[i]
-            for c in range(counts[CONTACTS]):
+            for c in range(counts[Count.CONTACTS]):
                 fr, fz = contact_rate(c, k, goes_on * point_rates[k, c, 0], goes_on * point_rates[k, c, 1], held,
-                                      ways, springs, contact_rates, known_rates, multiplier_rates, anchor_rates)
+                                      slip_signs, springs, contact_rates, known_rates, multiplier_rates, anchor_rates)
                 for a in range(contact_shapes.shape[1]):
                     ir, iz = equation[2 * contact_nodes[c, a]], equation[2 * contact_nodes[c, a] + 1]
                     residual[ir] = residual[ir] + contact_shapes[c, a] * fr
                     residual[iz] = residual[iz] + contact_shapes[c, a] * fz
             for i in range(free):
                 missing += ti.abs(residual[i])
-            slow = refines == 1 and round > 1 and not missing <= SLOW * before_last
-            if refines == 1 and (missing <= BALANCED * pushing or (slow and missing <= SETTLED * pushing)):
+            slow = refines == 1 and round > 1 and not missing <= DIFFERENTIATION.stall_ratio * before_last
+            if refines == 1 and (missing <= DIFFERENTIATION.residual_tolerance * pushing
+                                 or (slow and missing <= DIFFERENTIATION.contact_tolerance * pushing)):
                 for dof in range(equation.shape[0]):
                     motion[dof] = 0.0
-                which[SETTLES] = 1
+                which[Switch.SETTLED] = 1
                 break
             if slow:
                 break
@@ -167,9 +183,9 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
                 for i in ti.static(range(B)):
                     right[I][i] = residual[I * B + i] if I * B + i < free else 0.0
             if ti.static(slips):
-                if counts[UNSYMMETRIC] == 1:
+                if counts[Count.UNSYMMETRIC] == 1:
                     lu.solve(factor, upper_factor, inverse, right, rows, width)
-            if counts[UNSYMMETRIC] == 0:
+            if counts[Count.UNSYMMETRIC] == 0:
                 cholesky.solve(factor, upper_factor, inverse, right, rows, width)
             for dof in range(equation.shape[0]):
                 i = equation[dof]
@@ -182,12 +198,12 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
                     for b in range(batches):
                         tangent.follow(b, k, kappa, motion, dofs, real, moduli, known_volume_r, known_volume_z,
                                        rows_rr, rows_rz, rows_zr, rows_zz, way_r, way_z, pressure_rates, swelling, dx)
-            for c in range(counts[CONTACTS]):
+            for c in range(counts[Count.CONTACTS]):
                 dr, dz = 0.0, 0.0
                 for a in range(contact_shapes.shape[1]):
                     dr += contact_shapes[c, a] * dx[k, 2 * contact_nodes[c, a]]
                     dz += contact_shapes[c, a] * dx[k, 2 * contact_nodes[c, a] + 1]
-                fr, fz = contact_rate(c, k, dr, dz, held, ways, springs, contact_rates, known_rates,
+                fr, fz = contact_rate(c, k, dr, dz, held, slip_signs, springs, contact_rates, known_rates,
                                       multiplier_rates, anchor_rates)
                 changed += ti.abs(fr - multiplier_rates[k, c, 0]) + ti.abs(fz - multiplier_rates[k, c, 1])
                 largest_rate += ti.abs(fr) + ti.abs(fz)
@@ -195,7 +211,8 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
                 point_rates[k, c, 0], point_rates[k, c, 1] = dr, dz
             if refines == 0:
                 # What the next round would change, from what the last ones did.
-                if changed * ti.min(changed / ti.max(last, 1e-300), 1.0) <= SETTLED * largest_rate:
+                if changed * ti.min(changed / ti.max(last, 1e-300),
+                                    1.0) <= DIFFERENTIATION.contact_tolerance * largest_rate:
                     break
                 last = changed
 
@@ -212,13 +229,14 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
              largest_rates: vector1, energy_rates: vector1, stress_rates: vector1, before_rates: vector1,
              internal_rates: vector1, centre_r: vector1, centre_z: vector1, law: vector1, forces: real2):
         ti.loop_config(serialize=True)
-        for _ in range(which[WORKS]):
+        for _ in range(which[Switch.PASSES]):
             batches, pressures, parameters = elements.shape[0], equation.shape[0], forces.shape[0]
-            kappa = settings[KAPPA]
-            if which[REFINES] == 1:
-                which[FRESH] = 0
+            kappa = settings[Setting.KAPPA]
+            if which[Switch.REFINES] == 1:
+                which[Switch.FACTORISES] = 0
             else:
-                which[FRESH] = 1 - factorise(counts, entries, blocks, upper_blocks, factor, upper_factor, inverse,
+                which[Switch.FACTORISES] = 1 - factorise(counts, entries, blocks, upper_blocks, factor, upper_factor,
+                                                         inverse,
                                              blocks.shape[0], blocks.shape[1])
             for k in range(parameters):
                 for i in range(residual.shape[0]):
@@ -227,7 +245,7 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
                 work.note(b, which, x, dofs, elements, gradient_r, gradient_z, value_r, coefficients, past,
                           inherited, largest, pressures, mode_values, point_weights, moduli, law)
                 if ti.static(remembers):
-                    if which[RELAXES] == 1:
+                    if which[Switch.RELAXES] == 1:
                         work.recall(b, which, elements, stresses, before, internal, recent)
                 for k in range(parameters):
                     work.push(b, k, kappa, parameters, batches, pressures, which, acts, directions, x, elements,
@@ -241,7 +259,8 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
     def respond(which: int1, counts: int1, settings: real1, equation: int1, direction: real1, elements: int2, dofs:
                 int2, real: vector1, gradient_r: vector1, gradient_z: vector1, value_r: vector1, moduli: vector1,
                 equations_r: int2, equations_z: int2, contact_nodes: int2, contact_shapes: real2, spans: int2, springs:
-                real1, held: real2, ways: real1, contact_rates: real2, known_rates: real2, largest: real2, stresses:
+                real1, held: real2, slip_signs: real1, contact_rates: real2, known_rates: real2, largest: real2,
+                stresses:
                 real3, energies: real2, before: real3, internal: real4, recent: vector1, factor: block3, upper_factor:
                 block3, inverse: real1, right: block1, residual: real1, pull: real1, volume_r: vector1, volume_z:
                 vector1, known_volume_r: vector1, known_volume_z: vector1, pressure_rates: vector1, swelling: vector1,
@@ -252,23 +271,24 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
                 vector1, centre_z: vector1, way_r: vector1, way_z: vector1, motion: real1, law: vector1, forces: real2,
                 dx: real2, force_rates: real1):
         ti.loop_config(serialize=True)
-        for _ in range(which[WORKS]):
+        for _ in range(which[Switch.PASSES]):
             batches, pressures, parameters = elements.shape[0], equation.shape[0], force_rates.shape[0]
-            free, kappa = counts[FREE_EQUATIONS], settings[KAPPA]
+            free, kappa = counts[Count.FREE], settings[Setting.KAPPA]
             for k in range(parameters):
-                if which[FRESH] == 0 or which[REFINES] == 0:
+                if which[Switch.FACTORISES] == 0 or which[Switch.REFINES] == 0:
                     settle(k, kappa, batches, which, counts, equation, contact_nodes, contact_shapes, springs, held,
-                           ways, contact_rates, known_rates, factor, upper_factor, inverse, right, residual, forces,
+                           slip_signs, contact_rates, known_rates, factor, upper_factor, inverse, right, residual,
+                           forces,
                            multiplier_rates, anchor_rates, point_rates, law, dx, motion, dofs, real, gradient_r,
                            gradient_z, value_r, moduli, equations_r, equations_z, volume_r, volume_z, known_volume_r,
                            known_volume_z, pressure_rates, swelling, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr,
                            inverse_rz, inverse_zz, centre_r, centre_z, way_r, way_z)
-                    if which[REFINES] == 1 and which[SETTLES] == 0:
-                        which[FRESH] = 1
+                    if which[Switch.REFINES] == 1 and which[Switch.SETTLED] == 0:
+                        which[Switch.FACTORISES] = 1
                 # The force on the tool: of the points that meet it, and of the tissue that moves with it.
                 total = 0.0
-                for c in range(counts[CONTACTS]):
-                    total += float(spans[c, MOVES]) * multiplier_rates[k, c, 1]
+                for c in range(counts[Count.CONTACTS]):
+                    total += float(spans[c, SpanColumn.MOVES]) * multiplier_rates[k, c, 1]
                 for dof in range(pressures):
                     i = equation[dof]
                     if i >= free:
@@ -278,7 +298,7 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
                 force_rates[k] = total
             if ti.static(remembers):
                 for b in range(batches):
-                    if which[RELAXES] == 1:
+                    if which[Switch.RELAXES] == 1:
                         work.recall(b, which, elements, stresses, before, internal, recent)
                     for k in range(parameters):
                         work.remember(b, k, parameters, batches, which, dx, dofs, elements, gradient_r, gradient_z,

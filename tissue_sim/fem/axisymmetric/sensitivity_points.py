@@ -2,6 +2,7 @@
 lanes: to the forces of nodes while nothing moves, and to the memory of the tissue once it is known how everything does.
 """
 
+from enum import IntEnum
 from functools import cache
 from typing import NamedTuple
 
@@ -16,17 +17,71 @@ from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.elements import ELEMENTS
 
-#: Places of what is noted of the law at a quadrature point of the batch that is worked on: deformation gradient,
-#: J^(-1/3), energy, stress as it is, softened, and relaxed besides.
-GRADIENT, ROOT, ENERGY, STRESS, SOFT_STRESS, RELAXED_STRESS, NOTED = 0, 5, 6, 7, 12, 17, 22
-#: What is kept of it until the motion is known: deformation gradient, stress, softened second Piola stress (RR, RZ, ZZ,
-#: hoop) and softened tangent.
-KEPT_GRADIENT, KEPT_STRESS, KEPT_SECOND, KEPT_SOFT_TANGENT, KEPT = 0, 5, 10, 14, 29
-#: Places in `which`: whether the matrix has still to be factorised (what stays 1 is singular); whether parameters
-#: change moduli of elements; whether something softens; how many terms relax; whether parameters change how; 1; whether
-#: the step's last factor is to do instead of one of the exact tangent, and whether it did; 1, as often as
-#: kernels go through their loop.
-FRESH, LAYERED, SOFTENS, TERMS, RELAXES, ONE, REFINES, SETTLES, WORKS = range(9)
+
+class PointRecord(IntEnum):
+    """Offsets of the record of one quadrature point in the scratch field, for the batch that is evaluated.
+
+    Attributes:
+        GRADIENT: deformation gradient, 5 numbers.
+        ROOT: J^(-1/3).
+        ENERGY: isochoric energy density, Pa.
+        STRESS: isochoric first Piola stress of the law, 5 numbers, Pa.
+        SOFT_STRESS: the same with softening.
+        RELAXED_STRESS: the same with softening and relaxation.
+        SIZE: numbers in a record.
+    """
+
+    GRADIENT = 0
+    ROOT = 5
+    ENERGY = 6
+    STRESS = 7
+    SOFT_STRESS = 12
+    RELAXED_STRESS = 17
+    SIZE = 22
+
+
+class KeptRecord(IntEnum):
+    """Offsets of the record of one quadrature point that is kept until the displacement derivatives are known.
+
+    Attributes:
+        GRADIENT: deformation gradient, 5 numbers.
+        STRESS: isochoric first Piola stress of the law, 5 numbers, Pa.
+        SECOND: second Piola stress with softening (RR, RZ, ZZ, hoop), 4 numbers, Pa.
+        SOFT_TANGENT: tangent with softening, 15 numbers, packed as `energy.PACKED`, Pa.
+        SIZE: numbers in a record.
+    """
+
+    GRADIENT = 0
+    STRESS = 5
+    SECOND = 10
+    SOFT_TANGENT = 14
+    SIZE = 29
+
+
+class Switch(IntEnum):
+    """Indices of `which`, the integers that control the kernels of the sensitivities.
+
+    Attributes:
+        FACTORISES: 1 if the matrix must be factorised; still 1 afterwards if the matrix is singular.
+        LAYERED: 1 if a parameter changes the moduli of elements.
+        SOFTENS: 1 if the material or a derivative of the material softens.
+        TERMS: number of relaxation terms.
+        RELAXES: 1 if a parameter changes the relaxation.
+        ONE: 1, unknown to the compiler, see `response_functions`.
+        REFINES: 1 if the iteration uses the factorisation of the step instead of one of the exact tangent.
+        SETTLED: output, 1 if that iteration converged.
+        PASSES: number of passes of the loop in a kernel, 1.
+    """
+
+    FACTORISES = 0
+    LAYERED = 1
+    SOFTENS = 2
+    TERMS = 3
+    RELAXES = 4
+    ONE = 5
+    REFINES = 6
+    SETTLED = 7
+    PASSES = 8
 
 
 class ResponseFunctions(NamedTuple):
@@ -115,7 +170,7 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
              past: ti.template(), inherited: ti.template(), largest: ti.template(), pressures, modes_at: ti.template(),
              weights: ti.template(), moduli: ti.template(), law: ti.template()):
         """Note of a batch what does not depend on the parameter."""
-        one = which[ONE]
+        one = which[Switch.ONE]
         for a in range(nodes):
             i = b * nodes + a
             s[UR + a] = ti.Vector([x[dofs[i, l]] for l in ti.static(range(LANES))])
@@ -125,19 +180,19 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
             area = h0 + h3 + h0 * h3 - h1 * h2
             F = [1.0 + h0, h1, h2, 1.0 + h3, 1.0 + h4]
             root = inverse_root(ti.max(1.0 + area + h4 + area * h4, 1e-6))
-            at = LAW + NOTED * q
+            at = LAW + PointRecord.SIZE * q
             for i in ti.static(range(5)):
-                s[at + GRADIENT + i] = F[i]
-            s[at + ROOT] = root
+                s[at + PointRecord.GRADIENT + i] = F[i]
+            s[at + PointRecord.ROOT] = root
             if ti.static(remembers):
-                kept, f = (b * points + q) * KEPT, past[PastColumn.FACTOR]
+                kept, f = (b * points + q) * KeptRecord.SIZE, past[PastColumn.FACTOR]
                 W, P, A = law_of(F, root, coefficients)
-                s[at + ENERGY] = f * W
+                s[at + PointRecord.ENERGY] = f * W
                 for i in ti.static(range(5)):
-                    s[at + STRESS + i] = f * P[i]
-                    s[at + SOFT_STRESS + i] = f * P[i]
+                    s[at + PointRecord.STRESS + i] = f * P[i]
+                    s[at + PointRecord.SOFT_STRESS + i] = f * P[i]
                 for n in ti.static(range(15)):
-                    to = kept + (KEPT_SOFT_TANGENT + n) * one
+                    to = kept + (KeptRecord.SOFT_TANGENT + n) * one
                     law[to] = f * A[n]
                 if past[PastColumn.LOSS] != 0.0:
                     P1, A1 = soften(f * W, at_lanes(largest, elements, b, q), past[PastColumn.LOSS],
@@ -145,25 +200,26 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
                                     [f * P[i] for i in ti.static(range(5))],
                                     [f * A[n] for n in ti.static(range(15))])
                     for i in ti.static(range(5)):
-                        s[at + SOFT_STRESS + i] = P1[i]
+                        s[at + PointRecord.SOFT_STRESS + i] = P1[i]
                     for n in ti.static(range(15)):
-                        to = kept + (KEPT_SOFT_TANGENT + n) * one
+                        to = kept + (KeptRecord.SOFT_TANGENT + n) * one
                         law[to] = A1[n]
                 left = pushed(F, [component(inherited, elements, b, q, i) for i in ti.static(range(4))])
                 for i in ti.static(range(5)):
-                    s[at + RELAXED_STRESS + i] = past[PastColumn.INSTANT] * s[at + SOFT_STRESS + i] + left[i]
-                    to = kept + (KEPT_GRADIENT + i) * one
+                    s[at + PointRecord.RELAXED_STRESS + i] = (
+                        past[PastColumn.INSTANT] * s[at + PointRecord.SOFT_STRESS + i] + left[i])
+                    to = kept + (KeptRecord.GRADIENT + i) * one
                     law[to] = F[i]
-                    to1 = kept + (KEPT_STRESS + i) * one
-                    law[to1] = s[at + STRESS + i]
-                S = pulled_back(F, [s[at + SOFT_STRESS + i] for i in ti.static(range(5))])
+                    to1 = kept + (KeptRecord.STRESS + i) * one
+                    law[to1] = s[at + PointRecord.STRESS + i]
+                S = pulled_back(F, [s[at + PointRecord.SOFT_STRESS + i] for i in ti.static(range(5))])
                 for i in ti.static(range(4)):
-                    to2 = kept + (KEPT_SECOND + i) * one
+                    to2 = kept + (KeptRecord.SECOND + i) * one
                     law[to2] = S[i]
-            elif which[LAYERED] + which[REFINES] > 0:
+            elif which[Switch.LAYERED] + which[Switch.REFINES] > 0:
                 W, P, A = law_of(F, root, coefficients)
                 for i in ti.static(range(5)):
-                    s[at + RELAXED_STRESS + i] = P[i]
+                    s[at + PointRecord.RELAXED_STRESS + i] = P[i]
                 p = vec(0.0)
                 for m in range(modes):
                     amplitude = ti.Vector([x[pressures + modes * elements[b, l] + m] for l in ti.static(range(LANES))])
@@ -179,7 +235,7 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
     def recall(b, which: ti.template(), elements: ti.template(), stresses: ti.template(), before: ti.template(),
                internal: ti.template(), recent: ti.template()):
         """Note the internal stresses of a batch, and the stress of the step before and how it changed."""
-        one, terms = which[ONE], which[TERMS]
+        one, terms = which[Switch.ONE], which[Switch.TERMS]
         for q in range(points):
             for i in ti.static(range(4)):
                 s[BEFORE + 4 * q + i] = component(before, elements, b, q, i)
@@ -197,15 +253,15 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
                         gain_rates: ti.template(), relaxes: ti.template()):
         """Go on from the rate of the law's stress that is noted to that of the stress in time, modulus 1; energy and
         softened stress go to their rates."""
-        at, noted, terms, one = RATE + 5 * q, LAW + NOTED * q, which[TERMS], which[ONE]
+        at, noted, terms, one = RATE + 5 * q, LAW + PointRecord.SIZE * q, which[Switch.TERMS], which[Switch.ONE]
         f, df = past[PastColumn.FACTOR], past_rates[k, PastColumn.FACTOR] / past[PastColumn.FACTOR]
-        F = [s[noted + GRADIENT + i] for i in ti.static(range(5))]
-        W = s[noted + ENERGY]
+        F = [s[noted + PointRecord.GRADIENT + i] for i in ti.static(range(5))]
+        W = s[noted + PointRecord.ENERGY]
         dW = f * s[ENERGY_RATE + q] + df * W
         for i in ti.static(range(5)):
-            s[at + i] = f * s[at + i] + df * s[noted + STRESS + i]
+            s[at + i] = f * s[at + i] + df * s[noted + PointRecord.STRESS + i]
         own = (b * points + q) * parameters + k
-        if which[SOFTENS] == 1:
+        if which[Switch.SOFTENS] == 1:
             L, dL = at_lanes(largest, elements, b, q), largest_rates[own]
             width = ti.max(past[PastColumn.LOSS_MODULUS] + past[PastColumn.LOSS_SHARE] * L, 1e-300)
             width_rate = (past_rates[k, PastColumn.LOSS_MODULUS] + past_rates[k, PastColumn.LOSS_SHARE] * L
@@ -215,7 +271,8 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
             eta_rate = ti.select(W < L, -past_rates[k, PastColumn.LOSS] * bend
                                  - past[PastColumn.LOSS] * (1.0 - bend * bend) * argument_rate, 0.0 * W)
             for i in ti.static(range(5)):
-                s[at + i] = (1.0 - past[PastColumn.LOSS] * bend) * s[at + i] + eta_rate * s[noted + STRESS + i]
+                s[at + i] = ((1.0 - past[PastColumn.LOSS] * bend) * s[at + i]
+                             + eta_rate * s[noted + PointRecord.STRESS + i])
         energy_rates[own] = dW
         S = pulled_back(F, [s[at + i] for i in ti.static(range(5))])
         for i in ti.static(range(4)):
@@ -232,7 +289,7 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
         left = pushed(F, [s[PAST + i] for i in ti.static(range(4))])
         for i in ti.static(range(5)):
             s[at + i] = (past[PastColumn.INSTANT] * s[at + i]
-                         + past_rates[k, PastColumn.INSTANT] * s[noted + SOFT_STRESS + i] + left[i])
+                         + past_rates[k, PastColumn.INSTANT] * s[noted + PointRecord.SOFT_STRESS + i] + left[i])
 
     @ti.func
     def push(b, k, kappa, parameters, batches, pressures, which: ti.template(), acts: ti.template(), directions:
@@ -251,10 +308,10 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
         own = k * batches + b
         modulus, modulus_rate = moduli[b], moduli_rates[own]
         for q in range(points):
-            at, noted = RATE + 5 * q, LAW + NOTED * q
+            at, noted = RATE + 5 * q, LAW + PointRecord.SIZE * q
             if acts[k] == 1:
-                F = [s[noted + GRADIENT + i] for i in ti.static(range(5))]
-                W, P, _A = stress_rate(F, s[noted + ROOT], direction)
+                F = [s[noted + PointRecord.GRADIENT + i] for i in ti.static(range(5))]
+                W, P, _A = stress_rate(F, s[noted + PointRecord.ROOT], direction)
                 s[ENERGY_RATE + q] = W
                 for i in ti.static(range(5)):
                     s[at + i] = P[i]
@@ -269,9 +326,9 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
             w = weights[b * points + q]
             for i in ti.static(range(5)):
                 s[at + i] = (w * modulus) * s[at + i]
-            if which[LAYERED] == 1:
+            if which[Switch.LAYERED] == 1:
                 for i in ti.static(range(5)):
-                    s[at + i] = s[at + i] + (w * modulus_rate) * s[noted + RELAXED_STRESS + i]
+                    s[at + i] = s[at + i] + (w * modulus_rate) * s[noted + PointRecord.RELAXED_STRESS + i]
         # The pressure at which the volume keeps to the bulk modulus, over that: what it asks for now is not enough.
         share = (kappa_rates[k] * modulus + kappa * modulus_rate) / (kappa * modulus)
         for a in range(nodes):
@@ -312,7 +369,7 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
                  decay: ti.template(), gain: ti.template(), decay_rates: ti.template(), gain_rates: ti.template(),
                  relaxes: ti.template(), centre_r: ti.template(), centre_z: ti.template()):
         """Take over what the motion `dx` with parameter k does to the memory of a batch."""
-        in_batch, terms, one = k * batches + b, which[TERMS], which[ONE]
+        in_batch, terms, one = k * batches + b, which[Switch.TERMS], which[Switch.ONE]
         for a in range(nb):
             i = b * nodes + a
             s[UR + a] = ti.Vector([dx[k, dofs[i, l]] for l in ti.static(range(LANES))])
@@ -325,26 +382,26 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
                 cz = cz - (rows_zr[at] * s[UR + a] + rows_zz[at] * s[UZ + a])
             s[UR + centre], s[UZ + centre] = cr, cz
         for q in range(points):
-            own, kept = (b * points + q) * parameters + k, (b * points + q) * KEPT
+            own, kept = (b * points + q) * parameters + k, (b * points + q) * KeptRecord.SIZE
             h0, h1, h2, h3, h4 = gradient(b, q, gradient_r, gradient_z, value_r)
             H = [h0, h1, h2, h3, h4]
             F = [1.0 * h0 for _i in ti.static(range(5))]
             second = [1.0 * h0 for _i in ti.static(range(4))]
             dW = energy_rates[own]
             for i in ti.static(range(5)):
-                of = kept + (KEPT_GRADIENT + i) * one
+                of = kept + (KeptRecord.GRADIENT + i) * one
                 F[i] = law[of]
-                of1 = kept + (KEPT_STRESS + i) * one
+                of1 = kept + (KeptRecord.STRESS + i) * one
                 dW = dW + law[of1] * H[i]
             for i in ti.static(range(4)):
-                of2 = kept + (KEPT_SECOND + i) * one
+                of2 = kept + (KeptRecord.SECOND + i) * one
                 second[i] = law[of2]
             # The rate of F S is that of S, pushed, and what the motion makes of S as it is.
             lost = pushed(H, second)
             rate = [-1.0 * lost[i] for i in ti.static(range(5))]
             for i in ti.static(range(5)):
                 for n in ti.static(range(5)):
-                    of = kept + ti.static(KEPT_SOFT_TANGENT + row[i][n]) * one
+                    of = kept + ti.static(KeptRecord.SOFT_TANGENT + row[i][n]) * one
                     rate[i] = rate[i] + law[of] * H[n]
             S_rate = pulled_back(F, rate)
             most = at_lanes(largest, elements, b, q)

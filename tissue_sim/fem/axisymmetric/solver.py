@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissue_sim.fem.axisymmetric import newton
-from tissue_sim.fem.axisymmetric.contact import STAYS, Contact
+from tissue_sim.fem.axisymmetric.contact import Contact, SpanColumn
 from tissue_sim.fem.axisymmetric.creep import creep
 from tissue_sim.fem.axisymmetric.equations import Equations
 from tissue_sim.fem.axisymmetric.fields import Fields
@@ -80,7 +80,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         self._sensitivity: Sensitivity | None = None
         # Where the last iteration was meant to end, and its linear solves.
         self._tried, self._iterated, self._pose = 0.0, 0, Pose.at_depth(0.0)
-        self.datum = equations.settings[newton.TOUCH] = 0.0 if contact is None else bring_down(
+        self.datum = equations.settings[newton.Setting.TOUCH] = 0.0 if contact is None else bring_down(
             mesh, contact, equations.surface, equations.start.reshape(-1, 2))
         self.committed.note_bonds()
         self._deepest = DEEPEST * float(np.ptp(mesh.nodes[:, 1]))
@@ -128,14 +128,14 @@ class AxisymmetricSolver(KernelOwner, Solver):
             equations.predict(extrapolation(state.times, dt, predictor_order) if swings
                               else extrapolation(state.depths, depth, predictor_order))
         equations.prepare(dt)
-        equations.settings[newton.INERTIA] = rate
+        equations.settings[newton.Setting.INERTIA] = rate
         self._iterated *= resumes
         equations.solve(depth, tolerance, max_iterations, goes_on_from=self._tried if resumes else None,
                         iterated=self._iterated)
         self._tried = depth
-        self._iterated += int(equations.report[newton.ITERATIONS])
+        self._iterated += int(equations.report[newton.Report.ITERATIONS])
         status, iterations, residual, force, violation, slipping, stiffness = equations.report.tolist()
-        asked = bool(equations.counts[newton.STIFFNESS_ASKED])
+        asked = bool(equations.counts[newton.Count.STIFFNESS_ASKED])
         result = Step.axial(_STATUSES[int(status)], int(iterations), residual, force, violation, int(slipping),
                             stiffness if asked else None)
         if result.status is StepStatus.CONVERGED and asked and inertial:
@@ -162,7 +162,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         """Let the tissue have a mass (kg/m3) from now on, for steps that are inertial; it has one."""
         equations = self.equations
         self.committed.motion = Motion(equations.masses, equations.rest, density * equations.node_masses)
-        equations.settings[newton.DENSITY] = density
+        equations.settings[newton.Setting.DENSITY] = density
         self._masses = density * equations.all_masses()
         return True
 
@@ -183,7 +183,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
 
     def ask_for_stiffness(self) -> None:
         """Let every step answer how the force grows with depth."""
-        self.equations.counts[newton.STIFFNESS_ASKED] = 1
+        self.equations.counts[newton.Count.STIFFNESS_ASKED] = 1
 
     @classmethod
     def realtime_levels(cls, model: Model) -> Sequence[ResolutionLevel]:
@@ -217,7 +217,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         equations, surface = self.equations, self.equations.surface
         own, contact = surface.moves, equations.contact
         if (contact is None or contact.laws or self._holds or not own.any() or surface.anchors[own, 0].any()
-                or surface.spans[own, STAYS].any()):
+                or surface.spans[own, SpanColumn.STAYS].any()):
             return None
         place = surface.positions(self.committed.latest[: 2 * len(self.mesh.nodes)].reshape(-1, 2))
         place[own, 1] += pose.depth - self.datum
@@ -229,7 +229,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
 
     def approach(self, pose: Pose) -> bool:
         """See `FreeTool.approach`."""
-        tolerance = AT_REST * float(self.equations.settings[newton.CONTACT_TOLERANCE])
+        tolerance = AT_REST * float(self.equations.settings[newton.Setting.CONTACT_TOLERANCE])
         begins = not self.relaxes and self.committed.is_at_rest(2 * len(self.mesh.nodes), tolerance)
         if begins:
             self.committed.lift_off()

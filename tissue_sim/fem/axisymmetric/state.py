@@ -81,9 +81,9 @@ class State:
         self.memory.commit()
         self.effects.commit()
         surface = self.surface
-        surface.anchors[:], surface.slipped[:] = surface.held, surface.ways
+        surface.anchors[:], surface.slipped[:] = surface.held, surface.slip_signs
         if watched:
-            touching = surface.forces.any(axis=-1).tobytes(), surface.ways.tobytes()
+            touching = surface.forces.any(axis=-1).tobytes(), surface.slip_signs.tobytes()
             self.unchanged = self.unchanged + 1 if touching == self._touching else 0
             self._touching = touching
 

@@ -8,15 +8,32 @@ round the nodes one after the other (Jean, ibid. 177 (1999) 235) takes a thousan
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.fem.condensed.flat_kernel import ENOUGH, FLAT, SHARE, flat_kernel
+from tissue_sim.fem.condensed.flat_kernel import FLAT_COLUMNS, Limit, flat_kernel
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 
-#: Linear solutions, and halvings of each; and by how much of what was hoped for a step has to be better.
-_MOST, _HALVINGS, _BETTER = 12, 6, 0.1
+
+@dataclass(frozen=True)
+class FlatContactSettings:
+    """Settings of the semismooth Newton method.
+
+    Attributes:
+        max_iterations: maximum number of linear solves.
+        max_halvings: maximum number of halvings of the step length in each line search.
+        sufficient_decrease: fraction of the predicted decrease of the residual that a step must reach (Armijo rule).
+    """
+
+    max_iterations: int = 12
+    max_halvings: int = 6
+    sufficient_decrease: float = 0.1
+
+
+#: Settings of every `FlatContact`.
+_SETTINGS = FlatContactSettings()
 
 
 class FlatContact:
@@ -33,8 +50,8 @@ class FlatContact:
         self._floor, self._found = floor, np.zeros(4)
         self._matrix, self._right = np.zeros(9 * n * n), np.zeros(3 * n)
         self._limits = np.array([near, 0.0, floor, 0.0])
-        own = {"found": self._found, "limits": self._limits, "flat": np.zeros((n, FLAT)), "matrix": self._matrix,
-               "right": self._right}
+        own = {"found": self._found, "limits": self._limits, "flat": np.zeros((n, FLAT_COLUMNS)),
+               "matrix": self._matrix, "right": self._right}
         with LOCK:
             self._kernel = BoundKernel.of(flat_kernel(), arrays | own)
 
@@ -42,9 +59,9 @@ class FlatContact:
         """Find the forces of the nodes; whether what is left of the equation is less than a share of them."""
         from scipy.linalg import lapack
 
-        self._limits[ENOUGH] = tolerance
+        self._limits[Limit.TOLERANCE] = tolerance
         left, k = self._look(0.0)
-        for _ in range(_MOST):
+        for _ in range(_SETTINGS.max_iterations):
             if left <= tolerance:
                 return True
             if k:
@@ -55,12 +72,12 @@ class FlatContact:
                 if failed or not math.isfinite(right @ right):
                     return False
             share = 1.0
-            for halving in range(_HALVINGS + 1):
+            for halving in range(_SETTINGS.max_halvings + 1):
                 now, k = self._look(share)
-                if now <= (1.0 - _BETTER * share) * left:
+                if now <= (1.0 - _SETTINGS.sufficient_decrease * share) * left:
                     break
                 share *= 0.5
-                if halving == _HALVINGS:
+                if halving == _SETTINGS.max_halvings:
                     return False
             left = now
         return left <= tolerance
@@ -68,7 +85,7 @@ class FlatContact:
     def _look(self, share: float) -> tuple[float, int]:
         """Go a share of the way to the linear solution; what is left of the equation there, over the size of the
         forces, and how many unknowns the next one has."""
-        self._limits[SHARE] = share
+        self._limits[Limit.STEP_LENGTH] = share
         with LOCK:
             self._kernel()
         left, forces, _, unknowns = self._found.tolist()

@@ -4,66 +4,239 @@ The method is that of `tissue_sim.fem.solid.contact`, node by node, with the sam
 equations hold the nodes that are pressed only.
 """
 
+from enum import IntEnum
 from functools import cache
 
+from tissue_sim.fem.condensed.model import Bond
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.scratch import LANES, VECTORS, scratch
 
-#: Stiffness of a held node over that of the springs; see `tissue_sim.fem.solid.contact`.
-HOLD = 3.0
-#: Places in `settings`: number of nodes, whether states may change, negligible friction, tolerance, whether the tool
-#: is where it touched or deeper, whether pulling nodes are let go, whether equations are wanted anew, shear modulus, of
-#: how many nodes the forces follow the tool first, how many are looked at (0: all, which finds how many the next looks
-#: need), how near the others are not, m; then rotation (9) and place (3) of the tool, its motion from the pose of the
-#: model (6), and from that of the last step (6).
-(COUNT, CHANGEABLE, NEGLIGIBLE, TOLERANCE, PRESSED_IN, RELEASE, ANEW, MODULUS, FOLLOWS, LOOKED, APART) = range(11)
-ROTATION, ORIGIN, MOTION, STEP = 11, 20, 23, 29
-SETTINGS = 35
-#: Places in `results`; the last: how far nodes near the tool have gone against it since all were looked at, m.
-VIOLATION, PULLING, UNBALANCED, SIZE, ACTIVE, REBUILT, SLIPPING, GONE = range(8)
-RESULTS = 8
-# Taichi takes a third of a microsecond for each array to start a kernel: what is known of nodes is in few.
-#: Columns of `surface`, of each node of the surface: its place; over the shear modulus its spring; friction with the
-#: tool's face and shaft.
-PLACE, SPRING, FRICTION = 0, 3, 4
-#: Columns of `carried`, of each node of the surface: force; where it is bound to the tool, and where it has met it now.
-FORCE, ANCHOR, MET_AT = 0, 3, 6
-CARRIED = 9
-#: Columns of `states`, of each node of the surface: how it is bound, and would be by what it has met now; whether it is
-#: pressed, and slips; which outline it meets.
-BOUND, MET, PRESSED, SLIPS, OUTLINE = range(5)
-STATES = 5
-#: Columns of `lists`: numbers of the model's nodes in the surface, and their states in the equations; then numbers of
-#: the nodes that have equations, that have forces, that are near the tool, and that the flat contact has equations of;
-#: which of these is the first of each, and how many it has.
-NODE, SIGNATURE, ACTIVE_NODE, LOADED, NEAR_TOOL, UNKNOWN_NODE, FIRST_ROW, ROWS = range(8)
-LISTS = 8
-#: Columns of `local`, of each node of the model: force at the beginning of a look; normal, slip, gap and friction that
-#: it found; rates of the force with the node's place, and with itself; force where nothing is missing; lever; where it
-#: was against the tool when all were looked at.
-GUESS, NORMAL, SLIP, GAP, ROUGH, RATE, TURN, INTERCEPT, LEVER, THEN = 0, 3, 6, 9, 10, 11, 20, 29, 32, 35
-LOCAL = 38
-#: Displacements of nodes at most, three of each.
-MOST_FREEDOMS = LANES * VECTORS
-#: Right-hand sides: of the iteration, and of the six motions of the tool.
-COLUMNS = 7
-#: No linear solution changes forces by more than this share of the largest: it would lead elsewhere.
-_FORESEEN = 0.5
+#: Penalty stiffness of a held node over that of the contact; see `tissue_sim.fem.solid.contact`.
+STICK_STIFFNESS_FACTOR = 3.0
+
+
+class Setting(IntEnum):
+    """Indices of `settings`: inputs of the contact kernel, and the switches that the kernel resets.
+
+    Attributes:
+        COUNT: number of nodes of the model.
+        CHANGEABLE: positive if nodes may change their contact state.
+        NEGLIGIBLE: largest friction force that is neglected, N.
+        TOLERANCE: largest violation of a contact condition, m.
+        PRESSED_IN: 1 if the tool is at or below its height at the first touch, else 0.
+        RELEASE: positive if held nodes under tension are released.
+        REBUILDS: positive if the matrix of the linear equations must be assembled.
+        MODULUS: shear modulus of the material, Pa.
+        PREDICTED: number of nodes whose forces are first extrapolated with the motion of the tool.
+        NEAR_COUNT: number of leading nodes that are evaluated; 0 evaluates all and determines this number.
+        NEAR_GAP: gap below which a node belongs to the evaluated nodes, m.
+        ROTATION: rotation matrix of the tool, 9 numbers by rows.
+        ORIGIN: position of the tool in the frame of the mesh, 3 numbers, m.
+        MOTION: translation (m) and rotation vector of the tool from the pose of the model, 6 numbers.
+        STEP: the same from the last step.
+    """
+
+    COUNT = 0
+    CHANGEABLE = 1
+    NEGLIGIBLE = 2
+    TOLERANCE = 3
+    PRESSED_IN = 4
+    RELEASE = 5
+    REBUILDS = 6
+    MODULUS = 7
+    PREDICTED = 8
+    NEAR_COUNT = 9
+    NEAR_GAP = 10
+    ROTATION = 11
+    ORIGIN = 20
+    MOTION = 23
+    STEP = 29
+
+
+#: Size of `settings`.
+SETTING_COUNT = 35
+
+
+class Result(IntEnum):
+    """Indices of `results`: outputs of one iteration of the contact kernel.
+
+    Attributes:
+        VIOLATION: largest violation of a contact condition, m.
+        PULLING: number of held nodes under tension.
+        UNBALANCED: square of the norm of the change of the forces, N2.
+        SIZE: square of the norm of the forces, N2.
+        ACTIVE: number of nodes in the linear equations.
+        REBUILT: positive if the matrix was assembled.
+        SLIPPING: number of slipping nodes.
+        TRAVEL: largest displacement component of a node relative to the tool since all nodes were evaluated, m.
+    """
+
+    VIOLATION = 0
+    PULLING = 1
+    UNBALANCED = 2
+    SIZE = 3
+    ACTIVE = 4
+    REBUILT = 5
+    SLIPPING = 6
+    TRAVEL = 7
+
+
+#: Size of `results`.
+RESULT_COUNT = len(Result)
+
+
+# Taichi takes 0.3 us for each array argument when a kernel starts, so the data of the nodes are packed in few arrays.
+class SurfaceColumn(IntEnum):
+    """Columns of `surface`, constants of the nodes of the surface.
+
+    Attributes:
+        POSITION: undeformed position, 3 numbers, m.
+        PENALTY: penalty stiffness over the shear modulus, m.
+        FRICTION: coefficients of friction of the tool's face and of its shaft, 2 numbers.
+    """
+
+    POSITION = 0
+    PENALTY = 3
+    FRICTION = 4
+
+
+class NodeColumn(IntEnum):
+    """Columns of `carried`, the state of the nodes of the surface that continues from step to step.
+
+    Attributes:
+        FORCE: force on the tool, 3 numbers, N.
+        ANCHOR: position in the frame of the tool where the node is bound, 3 numbers, m.
+        NEW_ANCHOR: `ANCHOR` of the next step if this step converges, 3 numbers, m.
+    """
+
+    FORCE = 0
+    ANCHOR = 3
+    NEW_ANCHOR = 6
+
+
+#: Number of columns of `carried`.
+NODE_COLUMNS = 9
+
+
+class StateColumn(IntEnum):
+    """Columns of `states`, the contact states of the nodes of the surface.
+
+    Attributes:
+        BOND: bond to the tool, a `tissue_sim.fem.condensed.model.Bond`.
+        NEW_BOND: `BOND` of the next step if this step converges.
+        PRESSED: 1 if the node is in contact.
+        SLIPS: 1 if the node slips against friction.
+        OUTLINE: index of the outline that the node meets.
+    """
+
+    BOND = 0
+    NEW_BOND = 1
+    PRESSED = 2
+    SLIPS = 3
+    OUTLINE = 4
+
+
+#: Number of columns of `states`.
+STATE_COLUMNS = len(StateColumn)
+
+
+class ListColumn(IntEnum):
+    """Columns of `lists`: index lists with one row for each node of the model.
+
+    Attributes:
+        NODE: index of the node in the surface.
+        STATUS: the node's `ContactStatus` in the last linear equations; -1: none yet.
+        ACTIVE: list of the nodes in the linear equations.
+        LOADED: list of the nodes that carry a force.
+        NEAR: list of the nodes near the tool.
+        UNKNOWN: list of the nodes in the equations of a `FlatContact`.
+        FIRST_ROW: first equation of each node of `UNKNOWN`.
+        ROWS: number of equations of each node of `UNKNOWN`.
+    """
+
+    NODE = 0
+    STATUS = 1
+    ACTIVE = 2
+    LOADED = 3
+    NEAR = 4
+    UNKNOWN = 5
+    FIRST_ROW = 6
+    ROWS = 7
+
+
+#: Number of columns of `lists`.
+LIST_COLUMNS = len(ListColumn)
+
+
+class ContactStatus(IntEnum):
+    """Contact status of a node in the linear equations.
+
+    Attributes:
+        SEPARATED: no contact, no equation.
+        FRICTIONLESS: normal force only.
+        SLIPPING: normal force and Coulomb friction along the slip.
+        HELD: no motion relative to the tool.
+        STICKING: normal force and tangential force below the limit of friction.
+    """
+
+    SEPARATED = 0
+    FRICTIONLESS = 1
+    SLIPPING = 2
+    HELD = 3
+    STICKING = 4
+
+
+class LocalColumn(IntEnum):
+    """Columns of `local`, the linearised contact of the nodes of the model.
+
+    Attributes:
+        FORCE: force at the beginning of the evaluation, 3 numbers, N.
+        NORMAL: outward unit normal of the tool, 3 numbers.
+        SLIP: displacement from the anchor, 3 numbers, m.
+        GAP: signed distance from the tool, m.
+        FRICTION: coefficient of the active friction.
+        STIFFNESS: derivative of the force with respect to the position of the node, 3 x 3 by rows, N/m.
+        ROTATION: derivative of the force with respect to its previous value (rotation of the slip direction), 3 x 3.
+        INTERCEPT: force of the linearised contact at zero displacement increment, 3 numbers, N.
+        ARM: position of the node relative to the tool, 3 numbers, m.
+        REFERENCE: position in the frame of the tool when all nodes were evaluated, 3 numbers, m.
+    """
+
+    FORCE = 0
+    NORMAL = 3
+    SLIP = 6
+    GAP = 9
+    FRICTION = 10
+    STIFFNESS = 11
+    ROTATION = 20
+    INTERCEPT = 29
+    ARM = 32
+    REFERENCE = 35
+
+
+#: Number of columns of `local`.
+LOCAL_COLUMNS = 38
+#: Maximum number of displacement components, three for each node.
+MAX_FREEDOMS = LANES * VECTORS
+#: Number of right-hand sides: one of the iteration and six of the motions of the tool.
+RIGHT_HAND_SIDES = 7
+#: The extrapolation of the forces is discarded if a force changes by more than this fraction of the largest force.
+_MAX_PREDICTED_CHANGE = 0.5
 
 
 @cache
-def eases_function():
+def own_compliance_function():
     """How far a node of a compliance gives way to a force of its own along a normal, and aside, on average, m/N."""
     ti = initialise()
 
     @ti.func
-    def eases(i, n, compliance: ti.template()):
+    def own_compliance(i, n, compliance: ti.template()):
         C = ti.Matrix([[compliance[3 * i + a, 3 * i + b] for b in ti.static(range(3))] for a in ti.static(range(3))])
         # Of a tissue that would buckle without the tool they need not be positive.
         least, along = 1e-2 * ti.abs(C.trace()), n.dot(C @ n)
         return ti.Vector([ti.max(along, least), ti.max(0.5 * (C.trace() - along), least)])
 
-    return eases
+    return own_compliance
 
 
 @cache
@@ -73,28 +246,30 @@ def contact_kernel():
     real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
     int2 = ti.types.ndarray(ti.i32, ndim=2)
     vector1 = ti.types.ndarray(ti.types.vector(LANES, ti.f64), ndim=1)
-    eases = eases_function()
-    move = scratch(LANES, MOST_FREEDOMS // LANES)
+    own_compliance = own_compliance_function()
+    move = scratch(LANES, MAX_FREEDOMS // LANES)
 
     @ti.func
     def follow(settings: ti.template(), lists: ti.template(), carried: ti.template(), columns: ti.template(),
                local: ti.template()):
         """Forces of the nodes that had equations, as they change linearly with the tool's motion."""
-        most, largest, many = 0.0, 0.0, ti.cast(settings[FOLLOWS], ti.i32)
+        most, largest, many = 0.0, 0.0, ti.cast(settings[Setting.PREDICTED], ti.i32)
         for p in range(many):
-            i = lists[p, ACTIVE_NODE]
+            i = lists[p, ListColumn.ACTIVE]
             for a in ti.static(range(3)):
                 more = 0.0
                 for c in ti.static(range(6)):
-                    more = more + columns[3 * p + a, c] * settings[STEP + c]
-                local[i, GUESS + a] = more
-                most, largest = ti.max(most, ti.abs(more)), ti.max(largest, ti.abs(carried[lists[i, NODE], FORCE + a]))
-        if most < _FORESEEN * largest:
+                    more = more + columns[3 * p + a, c] * settings[Setting.STEP + c]
+                local[i, LocalColumn.FORCE + a] = more
+                force = carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a]
+                most, largest = ti.max(most, ti.abs(more)), ti.max(largest, ti.abs(force))
+        if most < _MAX_PREDICTED_CHANGE * largest:
             for p in range(many):
-                i = lists[p, ACTIVE_NODE]
+                i = lists[p, ListColumn.ACTIVE]
                 for a in ti.static(range(3)):
-                    carried[lists[i, NODE], FORCE + a] = carried[lists[i, NODE], FORCE + a] + local[i, GUESS + a]
-        settings[FOLLOWS] = 0.0
+                    force = carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a]
+                    carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a] = force + local[i, LocalColumn.FORCE + a]
+        settings[Setting.PREDICTED] = 0.0
 
     @ti.func
     def displace(n, many, settings: ti.template(), lists: ti.template(), carried: ti.template(), middle: ti.template(),
@@ -106,10 +281,10 @@ def contact_kernel():
         for q in range(used):
             move[q] = ti.Vector.zero(ti.f64, LANES)
         for l in range(many):
-            j = lists[l, LOADED]
-            s = lists[j, NODE]
+            j = lists[l, ListColumn.LOADED]
+            s = lists[j, ListColumn.NODE]
             for m in range(3):
-                force = carried[s, FORCE + m]
+                force = carried[s, NodeColumn.FORCE + m]
                 for q in range(used):
                     at = (3 * j + m) * width + q
                     move[q] = move[q] - rows[at] * force
@@ -120,7 +295,7 @@ def contact_kernel():
             for k in range(3):
                 value = middle[i, k]
                 for a in ti.static(range(6)):
-                    value = value + drive[3 * i + k, a] * settings[MOTION + a]
+                    value = value + drive[3 * i + k, a] * settings[Setting.MOTION + a]
                 u[3 * i + k] = u[3 * i + k] + value
 
     @ti.func
@@ -128,13 +303,15 @@ def contact_kernel():
              surface: ti.template(), states: ti.template(), carried: ti.template(), lists: ti.template(),
              u: ti.template(), local: ti.template(), compliance: ti.template()):
         """Where a node is against the tool, what state it takes, and its force."""
-        R = ti.Matrix([[settings[ROTATION + 3 * a + b] for b in ti.static(range(3))] for a in ti.static(range(3))])
-        arm = ti.Vector([surface[s, PLACE + a] + u[3 * i + a] - settings[ORIGIN + a] for a in ti.static(range(3))])
+        R = ti.Matrix([[settings[Setting.ROTATION + 3 * a + b] for b in ti.static(range(3))]
+                       for a in ti.static(range(3))])
+        arm = ti.Vector([surface[s, SurfaceColumn.POSITION + a] + u[3 * i + a] - settings[Setting.ORIGIN + a]
+                         for a in ti.static(range(3))])
         at = R.transpose() @ arm
         # The nearest place of the outline.
-        body = states[s, OUTLINE]
+        body = states[s, StateColumn.OUTLINE]
         rounding, shaft, lines = shapes[body, 0], shapes[body, 1], ti.cast(shapes[body, 3], ti.i32)
-        closed = shapes[body, 2] * settings[PRESSED_IN]
+        closed = shapes[body, 2] * settings[Setting.PRESSED_IN]
         r = ti.sqrt(at[0] * at[0] + at[1] * at[1])
         best, distance, front, along, share, arrow_r, arrow_z = 0, 1e30, 0.0, 0.0, 0.0, 0.0, 0.0
         for line in range(lines):
@@ -166,91 +343,93 @@ def contact_kernel():
         n_tool = n_r * out + n_z * up
         n = R @ n_tool
         gap = sign * distance - rounding
-        mu = surface[s, FRICTION]
+        mu = surface[s, SurfaceColumn.FRICTION]
         if best >= shaft and not (beyond and rounding > 0.0):
-            mu = surface[s, FRICTION + 1]
+            mu = surface[s, SurfaceColumn.FRICTION + 1]
         # How far the nodes near the tool have gone against it since all were looked at: others may have come near.
         for a in ti.static(range(3)):
-            if settings[LOOKED] == 0.0:
-                local[i, THEN + a] = at[a]
-            results[GONE] = ti.max(results[GONE], ti.abs(at[a] - local[i, THEN + a]))
+            if settings[Setting.NEAR_COUNT] == 0.0:
+                local[i, LocalColumn.REFERENCE + a] = at[a]
+            results[Result.TRAVEL] = ti.max(results[Result.TRAVEL], ti.abs(at[a] - local[i, LocalColumn.REFERENCE + a]))
         # States and forces.
-        k = surface[s, SPRING] * settings[MODULUS]
-        F = ti.Vector([carried[s, FORCE + a] for a in ti.static(range(3))])
+        k = surface[s, SurfaceColumn.PENALTY] * settings[Setting.MODULUS]
+        F = ti.Vector([carried[s, NodeColumn.FORCE + a] for a in ti.static(range(3))])
         normal = ti.min(F.dot(n), 0.0)
         tangential = F - F.dot(n) * n
-        give = eases(i, n, compliance)
-        held = states[s, BOUND] == 1
-        changeable = settings[CHANGEABLE] > 0.0
-        if held and settings[RELEASE] > 0.0 and F.dot(n) > 0.0:
-            states[s, BOUND] = 0
+        give = own_compliance(i, n, compliance)
+        held = states[s, StateColumn.BOND] == Bond.HELD
+        changeable = settings[Setting.CHANGEABLE] > 0.0
+        if held and settings[Setting.RELEASE] > 0.0 and F.dot(n) > 0.0:
+            states[s, StateColumn.BOND] = Bond.FREE
             held = False
         if changeable and not held:
-            states[s, PRESSED] = 1 if normal + gap / give[0] < 0.0 else 0
-        is_pressed = states[s, PRESSED] == 1 and not held
-        anchor = ti.Vector([carried[s, ANCHOR + a] for a in ti.static(range(3))])
+            states[s, StateColumn.PRESSED] = 1 if normal + gap / give[0] < 0.0 else 0
+        is_pressed = states[s, StateColumn.PRESSED] == 1 and not held
+        anchor = ti.Vector([carried[s, NodeColumn.ANCHOR + a] for a in ti.static(range(3))])
         slip = R @ (at - anchor)
         aside = slip - slip.dot(n) * n
         length = aside.norm()
         nn, eye = n.outer_product(n), ti.Matrix.identity(ti.f64, 3)
         A, T, missing, found = (ti.Matrix.zero(ti.f64, 3, 3), ti.Matrix.zero(ti.f64, 3, 3), ti.Vector.zero(ti.f64, 3),
                                 ti.Vector.zero(ti.f64, 3))
-        state, sticks, violation = 0, False, 0.0
+        state, sticks, violation = ContactStatus.SEPARATED, False, 0.0
         if held:
             violation = slip.norm()
-            A, missing, found, state = HOLD * k * eye, HOLD * k * slip, F, 3
+            A, missing = STICK_STIFFNESS_FACTOR * k * eye, STICK_STIFFNESS_FACTOR * k * slip
+            found, state = F, ContactStatus.HELD
             if F.dot(n) > 0.0:
-                results[PULLING] = results[PULLING] + 1.0
+                results[Result.PULLING] = results[Result.PULLING] + 1.0
         elif is_pressed:
-            violation, state = ti.abs(gap), 1
+            violation, state = ti.abs(gap), ContactStatus.FRICTIONLESS
             A = k * nn + normal * (bent * meridian.outer_product(meridian) + hoop * around.outer_product(around))
             missing, found = k * gap * n, normal * n
             rough = mu * ti.max(-normal - gap / give[0], 0.0)
-            if mu > 0.0 and states[s, BOUND] == 2 and rough > settings[NEGLIGIBLE]:
+            if mu > 0.0 and states[s, StateColumn.BOND] == Bond.TOUCHED and rough > settings[Setting.NEGLIGIBLE]:
                 limit = mu * ti.max(-normal, 0.0)
                 tried = tangential + aside / give[1]
                 size = tried.norm()
                 if changeable:
-                    states[s, SLIPS] = 1 if size > rough else 0
-                if states[s, SLIPS] == 1:
-                    state = 2
+                    states[s, StateColumn.SLIPS] = 1 if size > rough else 0
+                if states[s, StateColumn.SLIPS] == 1:
+                    state = ContactStatus.SLIPPING
                     way = tried / ti.max(size, 1e-300)
                     T = limit / ti.max(size, 1e-300) * (eye - nn - way.outer_product(way))
                     A = A - mu * k * way.outer_product(n) + T / give[1]
                     missing, found = missing - mu * k * gap * way, found + limit * way
-                    results[SLIPPING] = results[SLIPPING] + 1.0
+                    results[Result.SLIPPING] = results[Result.SLIPPING] + 1.0
                 else:
-                    sticks, state = True, 4
+                    sticks, state = True, ContactStatus.STICKING
                     violation = ti.max(violation, length)
-                    A, missing, found = A + HOLD * k * (eye - nn), missing + HOLD * k * aside, found + tangential
+                    A = A + STICK_STIFFNESS_FACTOR * k * (eye - nn)
+                    missing, found = missing + STICK_STIFFNESS_FACTOR * k * aside, found + tangential
         else:
             violation = ti.max(-gap, 0.0)
-        results[VIOLATION] = ti.max(results[VIOLATION], violation)
-        touches = is_pressed or (mu > 0.0 and gap <= 1e-3 * settings[TOLERANCE])
-        states[s, MET] = 0
+        results[Result.VIOLATION] = ti.max(results[Result.VIOLATION], violation)
+        touches = is_pressed or (mu > 0.0 and gap <= 1e-3 * settings[Setting.TOLERANCE])
+        states[s, StateColumn.NEW_BOND] = Bond.FREE
         if mu < 0.0 and is_pressed:
-            states[s, MET] = 1
+            states[s, StateColumn.NEW_BOND] = Bond.HELD
         elif touches and mu > 0.0:
-            states[s, MET] = 2
-        keeps = sticks or (touches and not is_pressed and states[s, BOUND] == 2)
+            states[s, StateColumn.NEW_BOND] = Bond.TOUCHED
+        keeps = sticks or (touches and not is_pressed and states[s, StateColumn.BOND] == Bond.TOUCHED)
         for a in ti.static(range(3)):
-            carried[s, MET_AT + a] = anchor[a] if keeps else at[a] - gap * n_tool[a]
-            local[i, LEVER + a] = arm[a]
-            local[i, NORMAL + a], local[i, SLIP + a] = n[a], slip[a]
-            local[i, INTERCEPT + a] = found[a] + missing[a]
-            change = found[a] - local[i, GUESS + a]
-            results[UNBALANCED] = results[UNBALANCED] + change * change
-            results[SIZE] = results[SIZE] + found[a] * found[a]
-            carried[s, FORCE + a] = found[a]
+            carried[s, NodeColumn.NEW_ANCHOR + a] = anchor[a] if keeps else at[a] - gap * n_tool[a]
+            local[i, LocalColumn.ARM + a] = arm[a]
+            local[i, LocalColumn.NORMAL + a], local[i, LocalColumn.SLIP + a] = n[a], slip[a]
+            local[i, LocalColumn.INTERCEPT + a] = found[a] + missing[a]
+            change = found[a] - local[i, LocalColumn.FORCE + a]
+            results[Result.UNBALANCED] = results[Result.UNBALANCED] + change * change
+            results[Result.SIZE] = results[Result.SIZE] + found[a] * found[a]
+            carried[s, NodeColumn.FORCE + a] = found[a]
             for b in ti.static(range(3)):
-                local[i, RATE + 3 * a + b] = A[a, b]
-                local[i, TURN + 3 * a + b] = T[a, b]
-        local[i, GAP] = gap
-        local[i, ROUGH] = ti.max(mu, 0.0) if states[s, BOUND] == 2 else 0.0
+                local[i, LocalColumn.STIFFNESS + 3 * a + b] = A[a, b]
+                local[i, LocalColumn.ROTATION + 3 * a + b] = T[a, b]
+        local[i, LocalColumn.GAP] = gap
+        local[i, LocalColumn.FRICTION] = ti.max(mu, 0.0) if states[s, StateColumn.BOND] == Bond.TOUCHED else 0.0
         # Equations of other states of the same nodes do for a while.
-        if (lists[i, SIGNATURE] > 0) != (state > 0) or lists[i, SIGNATURE] < 0:
-            settings[ANEW] = 1.0
-        lists[i, SIGNATURE] = state
+        if (lists[i, ListColumn.STATUS] > 0) != (state > 0) or lists[i, ListColumn.STATUS] < 0:
+            settings[Setting.REBUILDS] = 1.0
+        lists[i, ListColumn.STATUS] = state
 
     @ti.kernel
     def iterate(settings: real1, results: real1, chains: real3, shapes: real2, surface: real2, states: int2,
@@ -258,64 +437,66 @@ def contact_kernel():
                 local: real2, columns: real2, matrix: real1, right: real1):
         ti.loop_config(serialize=True)
         for _ in range(1):
-            if settings[FOLLOWS] > 0.0:
+            if settings[Setting.PREDICTED] > 0.0:
                 follow(settings, lists, carried, columns, local)
-            n, many = ti.cast(settings[COUNT], ti.i32), 0
+            n, many = ti.cast(settings[Setting.COUNT], ti.i32), 0
             for i in range(n):
-                s = lists[i, NODE]
+                s = lists[i, ListColumn.NODE]
                 size = 0.0
                 for a in ti.static(range(3)):
-                    local[i, GUESS + a] = carried[s, FORCE + a]
-                    size = size + ti.abs(carried[s, FORCE + a])
+                    local[i, LocalColumn.FORCE + a] = carried[s, NodeColumn.FORCE + a]
+                    size = size + ti.abs(carried[s, NodeColumn.FORCE + a])
                 if size > 0.0:
-                    lists[many, LOADED] = i
+                    lists[many, ListColumn.LOADED] = i
                     many = many + 1
-            for k in range(RESULTS):
+            for k in range(RESULT_COUNT):
                 results[k] = 0.0
             # Nodes that are apart carry nothing, and are not displaced.
-            all_nodes = settings[LOOKED] == 0.0
+            all_nodes = settings[Setting.NEAR_COUNT] == 0.0
             if not all_nodes:
-                n = ti.cast(settings[LOOKED], ti.i32)
+                n = ti.cast(settings[Setting.NEAR_COUNT], ti.i32)
             displace(n, many, settings, lists, carried, middle, drive, rows, u)
             for i in range(n):
-                meet(i, lists[i, NODE], settings, results, chains, shapes, surface, states, carried, lists, u, local,
+                meet(i, lists[i, ListColumn.NODE], settings, results, chains, shapes, surface, states, carried, lists,
+                     u, local,
                      compliance)
             count, near = 0, 1
             for i in range(n):
-                if lists[i, SIGNATURE] > 0:
-                    lists[count, ACTIVE_NODE] = i
+                if lists[i, ListColumn.STATUS] > 0:
+                    lists[count, ListColumn.ACTIVE] = i
                     count = count + 1
-                if lists[i, SIGNATURE] > 0 or local[i, GAP] < settings[APART]:
+                if lists[i, ListColumn.STATUS] > 0 or local[i, LocalColumn.GAP] < settings[Setting.NEAR_GAP]:
                     near = i + 1
             if all_nodes:
                 # What carried a force may be pressed again once others have let go.
                 if many > 0:
-                    near = ti.max(near, lists[many - 1, LOADED] + 1)
-                settings[LOOKED] = ti.min(near, n)
+                    near = ti.max(near, lists[many - 1, ListColumn.LOADED] + 1)
+                settings[Setting.NEAR_COUNT] = ti.min(near, n)
             k = 3 * count
-            results[ACTIVE] = count
-            rebuilt = settings[ANEW] > 0.0
-            results[REBUILT] = settings[ANEW]
-            settings[ANEW] = 0.0
+            results[Result.ACTIVE] = count
+            rebuilt = settings[Setting.REBUILDS] > 0.0
+            results[Result.REBUILT] = settings[Setting.REBUILDS]
+            settings[Setting.REBUILDS] = 0.0
             for p in range(count):
-                i = lists[p, ACTIVE_NODE]
+                i = lists[p, ListColumn.ACTIVE]
                 # What the nodes that were let go no longer push away.
                 e = ti.Vector.zero(ti.f64, 3)
                 for l in range(many):
-                    j = lists[l, LOADED]
-                    if lists[j, SIGNATURE] == 0:
+                    j = lists[l, ListColumn.LOADED]
+                    if lists[j, ListColumn.STATUS] == 0:
                         for a in ti.static(range(3)):
                             for b in ti.static(range(3)):
-                                e[a] = e[a] + compliance[3 * i + a, 3 * j + b] * local[j, GUESS + b]
-                x, y, z = local[i, LEVER], local[i, LEVER + 1], local[i, LEVER + 2]
-                f = ti.Vector([local[i, INTERCEPT], local[i, INTERCEPT + 1], local[i, INTERCEPT + 2]])
+                                e[a] = e[a] + compliance[3 * i + a, 3 * j + b] * local[j, LocalColumn.FORCE + b]
+                x, y, z = local[i, LocalColumn.ARM], local[i, LocalColumn.ARM + 1], local[i, LocalColumn.ARM + 2]
+                f = ti.Vector([local[i, LocalColumn.INTERCEPT], local[i, LocalColumn.INTERCEPT + 1],
+                               local[i, LocalColumn.INTERCEPT + 2]])
                 turning = ti.Matrix([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
                 turned = ti.Matrix([[0.0, f[2], -f[1]], [-f[2], 0.0, f[0]], [f[1], -f[0], 0.0]])
                 for a in ti.static(range(3)):
                     row = 3 * p + a
-                    value = local[i, INTERCEPT + a] - local[i, GUESS + a]
+                    value = local[i, LocalColumn.INTERCEPT + a] - local[i, LocalColumn.FORCE + a]
                     for b in ti.static(range(3)):
-                        value = value + local[i, RATE + 3 * a + b] * e[b]
+                        value = value + local[i, LocalColumn.STIFFNESS + 3 * a + b] * e[b]
                     right[row] = value
                     for c in ti.static(range(6)):
                         value = 0.0
@@ -327,17 +508,17 @@ def contact_kernel():
                                 way = way - turning[b, ti.static(c - 3)]
                             elif ti.static(c == b):
                                 way = way - 1.0
-                            value = value + local[i, RATE + 3 * a + b] * way
+                            value = value + local[i, LocalColumn.STIFFNESS + 3 * a + b] * way
                         right[(c + 1) * k + row] = value
             # Column by column, as it lies in memory; the compliance is symmetric.
             for q in range(count if rebuilt else 0):
-                j = lists[q, ACTIVE_NODE]
+                j = lists[q, ListColumn.ACTIVE]
                 start = 3 * q * k
                 for p in range(count):
-                    i = lists[p, ACTIVE_NODE]
+                    i = lists[p, ListColumn.ACTIVE]
                     C = ti.Matrix([[compliance[3 * j + b, 3 * i + c] for b in ti.static(range(3))]
                                    for c in ti.static(range(3))])
-                    A = ti.Matrix([[local[i, RATE + 3 * a + c] for c in ti.static(range(3))]
+                    A = ti.Matrix([[local[i, LocalColumn.STIFFNESS + 3 * a + c] for c in ti.static(range(3))]
                                    for a in ti.static(range(3))])
                     value = A @ C
                     for b in ti.static(range(3)):
@@ -346,6 +527,6 @@ def contact_kernel():
                 for b in ti.static(range(3)):
                     for a in ti.static(range(3)):
                         at = start + b * k + 3 * q + a
-                        matrix[at] = matrix[at] - local[j, TURN + 3 * a + b] + (1.0 if a == b else 0.0)
+                        matrix[at] = matrix[at] - local[j, LocalColumn.ROTATION + 3 * a + b] + (1.0 if a == b else 0.0)
 
     return iterate

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,8 +15,21 @@ from tissue_sim.model import Model
 from tissue_sim.pose import Pose
 from tissue_sim.registry import Registry
 
-#: How a node is bound to the tool, as in `tissue_sim.fem.solid.contact`.
-FREE, HELD, TOUCHED = range(3)
+
+class Bond(IntEnum):
+    """Bond of a contact node to the tool, as in `tissue_sim.fem.solid.contact`.
+
+    Attributes:
+        FREE: the node has not touched the tool.
+        HELD: an interface without slip holds the node at its anchor.
+        TOUCHED: the node touches the tool with friction; the anchor is the origin of the elastic slip.
+    """
+
+    FREE = 0
+    HELD = 1
+    TOUCHED = 2
+
+
 #: Numbers before the arrays of a packed model.
 _MODEL_HEAD = 17
 #: Numbers before the arrays of a packed state.

@@ -9,76 +9,77 @@ from typing import cast
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.answer_kernel import (
-    ANSWER,
-    ANSWERED,
-    HELD_STIFFNESS,
-    HELD_WRENCH,
-    RATES,
-    WRENCH,
-    answer_kernel,
-)
+from tissue_sim.fem.condensed.answer_kernel import ANSWER_SIZE, Answer, answer_kernel
 from tissue_sim.fem.condensed.flat_contact import FlatContact
 from tissue_sim.fem.condensed.kernel import (
-    ACTIVE_NODE,
-    ANCHOR,
-    ANEW,
-    APART,
-    CARRIED,
-    CHANGEABLE,
-    COLUMNS,
-    COUNT,
-    FOLLOWS,
-    FORCE,
-    GUESS,
-    LISTS,
-    LOCAL,
-    LOOKED,
-    MODULUS,
-    MOST_FREEDOMS,
-    MOTION,
-    NEGLIGIBLE,
-    NODE,
-    ORIGIN,
-    PRESSED_IN,
-    RELEASE,
-    RESULTS,
-    ROTATION,
-    SETTINGS,
-    SIGNATURE,
-    STATES,
-    STEP,
-    TOLERANCE,
+    LIST_COLUMNS,
+    LOCAL_COLUMNS,
+    MAX_FREEDOMS,
+    NODE_COLUMNS,
+    RESULT_COUNT,
+    RIGHT_HAND_SIDES,
+    SETTING_COUNT,
+    STATE_COLUMNS,
+    ListColumn,
+    LocalColumn,
+    NodeColumn,
+    Setting,
     contact_kernel,
 )
-from tissue_sim.fem.condensed.model import FREE, HELD, CondensedContact, ContactState, ContactSurface
+from tissue_sim.fem.condensed.model import Bond, CondensedContact, ContactState, ContactSurface
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.tool_force import Matrix
 
-#: Looks at the tool in a step, and in an exact one; and up to which states that the flat contact has decided about are
-#: gone on with by the curved one, which with other states leads elsewhere.
-_MOST, _MOST_EXACT, _CURVED = 10, 24, 5
-#: Nodes that are nearer to the tool than this share of its radius take part in the flat contact, and what is left of
-#: its equation over its forces.
-_NEAR, _FLAT = 0.06, 1e-6
-#: Nodes that are farther from the tool are not looked at until it, or the tissue, has gone a third of that way; share
-#: of the contact's radius.
-_APART = 0.2
-#: A force is found where it changes by less than this share; an exact one by less than this share of that, where no
-#: condition is violated by more than that share of the tolerance. Friction below another share of the floor is none.
-_SETTLED, _EXACT, _CLOSE, _NO_FRICTION = 1e-4, 1e-6, 1e-4, 1e-6
-#: A node's force follows the tool by no more than this many times the largest stiffness of one alone.
-_STIFFEST = 10.0
-#: Steps that the same derivatives serve for, where the same nodes are pressed.
-_STEPS = 8
-#: A step is made in parts of no more than this share of the contact's radius, which are cut down to the other share of
-#: it where they fail; that no part is made for.
-LARGEST, _SHORTEST, _ROUNDING = 0.03, 2.0**-1, 1e-9
-#: Share of the surface's tolerance: that is for longer steps.
-_FINER = 0.5
+
+@dataclass(frozen=True)
+class StepperSettings:
+    """Settings of `CondensedStepper`.
+
+    Attributes:
+        max_iterations: maximum number of contact iterations of an increment.
+        max_exact_iterations: the same if the stiffness must belong to the pose (`exact`).
+        max_flat_iterations: number of iterations in which the linear equations keep the contact states that
+            `FlatContact` found.
+        flat_gap: nodes with a gap below this fraction of the contact radius take part in the flat contact.
+        flat_tolerance: relative residual of the flat contact.
+        near_gap: nodes with a gap above this fraction of the contact radius are not evaluated until the tool or the
+            tissue has moved by a third of this gap.
+        force_tolerance: relative change of the forces at which an iteration has converged.
+        exact_factor: factor of `force_tolerance` in an exact step.
+        exact_violation: factor of the tolerance of the contact conditions in an exact step.
+        negligible_friction: friction below this fraction of the surface's smallest force is neglected.
+        max_stiffness_factor: derivatives of forces above this multiple of the largest stiffness of a single node are
+            discarded.
+        reassembly_interval: number of increments that use the same derivatives if the same nodes are in contact.
+        max_increment: largest increment of the tool, as a fraction of the contact radius.
+        min_increment: smallest increment after failures, as a fraction of `max_increment`.
+        rounding: an increment that ends closer to the end of the step than this fraction of the step ends at the step.
+        violation_factor: tolerance of the contact conditions over that of the surface.
+    """
+
+    max_iterations: int = 10
+    max_exact_iterations: int = 24
+    max_flat_iterations: int = 5
+    flat_gap: float = 0.06
+    flat_tolerance: float = 1e-6
+    near_gap: float = 0.2
+    force_tolerance: float = 1e-4
+    exact_factor: float = 1e-6
+    exact_violation: float = 1e-4
+    negligible_friction: float = 1e-6
+    max_stiffness_factor: float = 10.0
+    reassembly_interval: int = 8
+    max_increment: float = 0.03
+    min_increment: float = 0.5
+    rounding: float = 1e-9
+    violation_factor: float = 0.5
+
+
+#: Settings of every `CondensedStepper`.
+_SETTINGS = StepperSettings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,39 +127,40 @@ class CondensedStepper:
         forces: of the nodes on the tool, N, shape (s, 3).
     """
 
-    def __init__(self, surface: ContactSurface, largest: float = LARGEST):
+    def __init__(self, surface: ContactSurface, largest: float = _SETTINGS.max_increment):
         self.surface = surface
         s, n = len(surface.places), surface.candidates
-        self._carried, self._states = np.zeros((s, CARRIED)), np.zeros((s, STATES), dtype=np.int32)
-        self.forces, self._anchors = (self._carried[:, at:at + 3] for at in (FORCE, ANCHOR))
+        self._carried, self._states = np.zeros((s, NODE_COLUMNS)), np.zeros((s, STATE_COLUMNS), dtype=np.int32)
+        self.forces, self._anchors = (self._carried[:, at:at + 3] for at in (NodeColumn.FORCE, NodeColumn.ANCHOR))
         self._bound, self._met, self._pressed, self._slips, outlines = self._states.T
         outlines[:] = surface.outlines
-        self._settings, self._results = np.zeros(SETTINGS), np.zeros(RESULTS)
-        self._matrix, self._right = np.zeros(9 * n * n), np.zeros(3 * n * COLUMNS)
+        self._settings, self._results = np.zeros(SETTING_COUNT), np.zeros(RESULT_COUNT)
+        self._matrix, self._right = np.zeros(9 * n * n), np.zeros(3 * n * RIGHT_HAND_SIDES)
         self._drive, self._columns = np.zeros((2, 3 * n, 6))
         # Rows of whole vectors.
         width = -(-3 * n // LANES) * LANES
-        if width > MOST_FREEDOMS:
+        if width > MAX_FREEDOMS:
             raise InputError(f"a tool that may touch {n} nodes at a time is more than two rates take "
-                             f"({MOST_FREEDOMS // 3}); use a coarser mesh", field="resolution")
+                             f"({MAX_FREEDOMS // 3}); use a coarser mesh", field="resolution")
         self._compliance, self._middle = np.zeros((3 * n, width)), np.zeros((n, 3))
-        lists, local = np.zeros((n, LISTS), dtype=np.int32), np.zeros((n, LOCAL))
-        self._nodes, self._active, self._signature = (lists[:, at] for at in (NODE, ACTIVE_NODE, SIGNATURE))
-        self._guess = local[:, GUESS:GUESS + 3]
+        lists, local = np.zeros((n, LIST_COLUMNS), dtype=np.int32), np.zeros((n, LOCAL_COLUMNS))
+        self._nodes, self._active, self._signature = (lists[:, at]
+                                                      for at in (ListColumn.NODE, ListColumn.ACTIVE, ListColumn.STATUS))
+        self._guess = local[:, LocalColumn.FORCE:LocalColumn.FORCE + 3]
         arrays = {
             "settings": self._settings, "results": self._results, "chains": surface.chains, "shapes": surface.shapes,
             "surface": np.column_stack([surface.places, surface.springs, surface.friction]), "states": self._states,
             "carried": self._carried, "lists": lists, "middle": self._middle, "drive": self._drive,
             "compliance": self._compliance, "rows": self._compliance.reshape(-1, LANES), "u": np.zeros(width),
             "local": local, "columns": self._columns, "matrix": self._matrix, "right": self._right}
-        self._sum = np.zeros(ANSWER)
+        self._sum = np.zeros(ANSWER_SIZE)
         with LOCK:
             self._kernel = BoundKernel(contact_kernel(), arrays)
             self._sum_up = BoundKernel.of(answer_kernel(), arrays | {"answer": self._sum})
-        self._flat = FlatContact(arrays, _NEAR * surface.radius, surface.floor)
-        self._tolerance, self._stiffest = _FINER * surface.tolerance, math.inf
-        self._settings[[TOLERANCE, NEGLIGIBLE, APART]] = (
-            self._tolerance, _NO_FRICTION * surface.floor, _APART * surface.radius)
+        self._flat = FlatContact(arrays, _SETTINGS.flat_gap * surface.radius, surface.floor)
+        self._tolerance, self._stiffest = _SETTINGS.violation_factor * surface.tolerance, math.inf
+        self._settings[[Setting.TOLERANCE, Setting.NEGLIGIBLE, Setting.NEAR_GAP]] = (
+            self._tolerance, _SETTINGS.negligible_friction * surface.floor, _SETTINGS.near_gap * surface.radius)
         self._widest = float((surface.chains[:, :, 0] + surface.shapes[:, :1]).max())
         self._others = surface.places[:0]
         self._largest = largest * surface.radius
@@ -181,7 +183,7 @@ class CondensedStepper:
     def rise(self) -> None:
         """Place the tool in the air above an undeformed tissue: no node is bound to it."""
         self.reset()
-        self._bound[:] = FREE
+        self._bound[:] = Bond.FREE
 
     def bring_down(self, pose: Pose) -> None:
         """Place the tool at a pose of first touch; the next step continues from there.
@@ -191,14 +193,14 @@ class CondensedStepper:
         """
         self.reset()
         if self.distance(motion(self.surface.start, pose)) > self.surface.tolerance:
-            self._bound[:] = FREE
+            self._bound[:] = Bond.FREE
         self._pose = pose
 
     def _forget(self) -> None:
         """The equations of the last step are none of the next one."""
         #: Nodes whose forces' derivatives with the tool's motion are known, the first of `_active`.
         self._followed = 0
-        self._settings[ANEW] = 1.0
+        self._settings[Setting.REBUILDS] = 1.0
         #: Where the tool was when all nodes were looked at; None: they are next.
         self._looked_at: Pose | None = None
 
@@ -225,21 +227,22 @@ class CondensedStepper:
             dropped = places < 0
             self.forces[dropped], self._pressed[dropped], self._met[dropped], self._slips[dropped] = 0.0, 0, 0, 0
             self._others = self.surface.places[dropped]
-            self._bound[dropped & (self._bound != HELD)] = 0
+            self._bound[dropped & (self._bound != Bond.HELD)] = 0
             self._nodes[:n], self._drive[:3 * n], self._compliance[:3 * n, :3 * n] = (
                 model.nodes, model.drive, model.compliance)
             self._signature[:] = -1
-            self._settings[COUNT] = n
-            self._stiffest = _STIFFEST / float(np.abs(np.diag(model.compliance)).min(initial=math.inf))
-            self._sum[HELD_STIFFNESS:HELD_STIFFNESS + 36] = model.stiffness.ravel()
+            self._settings[Setting.COUNT] = n
+            smallest_compliance = float(np.abs(np.diag(model.compliance)).min(initial=math.inf))
+            self._stiffest = _SETTINGS.max_stiffness_factor / smallest_compliance
+            self._sum[Answer.HELD_STIFFNESS:Answer.HELD_STIFFNESS + 36] = model.stiffness.ravel()
             self._forget()
             if not dropped[followed].any():
                 # Their forces go with the tool once more as on the model before, which is nearer than not at all.
                 self._followed = len(followed)
                 self._active[:self._followed] = places[followed]
-        self._sum[HELD_WRENCH:HELD_WRENCH + 6] = model.wrench
+        self._sum[Answer.HELD_WRENCH:Answer.HELD_WRENCH + 6] = model.wrench
         self._middle[:n], self._looked_at = model.middle, None
-        self._settings[MODULUS] = model.modulus
+        self._settings[Setting.MODULUS] = model.modulus
         self.model = model
 
     def step(self, pose: Pose, exact: bool = False) -> ContactStep:
@@ -267,7 +270,7 @@ class CondensedStepper:
             share = min(1.0, self._largest / length)
         while True:
             # The last part ends where the tool is, without rounding.
-            end = 1.0 if done + share > 1.0 - _ROUNDING else done + share
+            end = 1.0 if done + share > 1.0 - _SETTINGS.rounding else done + share
             step = self._part(between(start, pose, end), exact)
             if step.converged:
                 done, share = end, 1.0 if length == 0.0 else min(2.0 * share, self._largest / length)
@@ -275,7 +278,7 @@ class CondensedStepper:
                     return step
             else:
                 share *= 0.5
-                if share * length < _SHORTEST * self._largest or length == 0.0:
+                if share * length < _SETTINGS.min_increment * self._largest or length == 0.0:
                     return step
 
     def _part(self, pose: Pose, exact: bool) -> ContactStep:
@@ -288,23 +291,26 @@ class CondensedStepper:
         self._place(pose, way)
         carried, states = self._carried.copy(), self._states.copy()
         if self._followed and self._pose is not None:
-            settings[FOLLOWS], settings[STEP:STEP + 6] = self._followed, motion(self._pose, pose)
+            settings[Setting.PREDICTED] = self._followed
+            settings[Setting.STEP:Setting.STEP + 6] = motion(self._pose, pose)
         self._steps += 1
-        if exact or self._steps % _STEPS == 0:
-            settings[ANEW] = 1.0
-        if self._looked_at is None or self.distance(motion(self._looked_at, pose)) > _APART / 3.0 * self.surface.radius:
-            self._looked_at, settings[LOOKED] = pose, 0.0
-        settings[RELEASE], settings[CHANGEABLE] = 0.0, 1.0
+        if exact or self._steps % _SETTINGS.reassembly_interval == 0:
+            settings[Setting.REBUILDS] = 1.0
+        if self._looked_at is None or self.distance(motion(self._looked_at,
+                                                           pose)) > _SETTINGS.near_gap / 3.0 * self.surface.radius:
+            self._looked_at, settings[Setting.NEAR_COUNT] = pose, 0.0
+        settings[Setting.RELEASE], settings[Setting.CHANGEABLE] = 0.0, 1.0
+        max_iterations = _SETTINGS.max_exact_iterations if exact else _SETTINGS.max_iterations
         converged, fresh, decided, iterations, solution = False, False, False, 0, None
         while True:
             with LOCK:
                 self._kernel()
             violation, pulling, unbalanced, size, active, rebuilt, slipping, gone = results.tolist()
-            settings[RELEASE], settings[CHANGEABLE], k = 0.0, 1.0, 3 * int(active)
-            if stale := gone > _APART / 3.0 * self.surface.radius:
-                settings[LOOKED] = 0.0
-            change, enough = math.sqrt(unbalanced), _SETTLED * max(math.sqrt(size), self.surface.floor)
-            if not math.isfinite(unbalanced + size) or iterations >= (_MOST_EXACT if exact else _MOST):
+            settings[Setting.RELEASE], settings[Setting.CHANGEABLE], k = 0.0, 1.0, 3 * int(active)
+            if stale := gone > _SETTINGS.near_gap / 3.0 * self.surface.radius:
+                settings[Setting.NEAR_COUNT] = 0.0
+            change, enough = math.sqrt(unbalanced), _SETTINGS.force_tolerance * max(math.sqrt(size), self.surface.floor)
+            if not math.isfinite(unbalanced + size) or iterations >= max_iterations:
                 break
             iterations += 1
             if k and rebuilt:
@@ -313,11 +319,12 @@ class CondensedStepper:
             usable = fresh and self._factor is not None and len(self._factor[0]) == k
             settles = change < enough and violation <= self._tolerance
             done = settles and not stale and (
-                not exact or (change < _EXACT * enough and violation <= _CLOSE * self._tolerance))
+                not exact or (change < _SETTINGS.exact_factor * enough
+                              and violation <= _SETTINGS.exact_violation * self._tolerance))
             if done and pulling:
-                settings[RELEASE] = 1.0
+                settings[Setting.RELEASE] = 1.0
             elif done and k and not usable and 3 * self._followed != k:
-                settings[ANEW] = 1.0
+                settings[Setting.REBUILDS] = 1.0
             elif done:
                 solution = self._solved(k) if k and usable else None
                 converged = True
@@ -326,10 +333,10 @@ class CondensedStepper:
                 chosen, step = self._active[:k // 3], self._solved(k)[:, 0]
                 self.forces[self._nodes[chosen]] = self._guess[chosen] + step.reshape(-1, 3)
                 decided = False
-                settings[CHANGEABLE], settings[ANEW] = 0.0 if settles else 1.0, 1.0
+                settings[Setting.CHANGEABLE], settings[Setting.REBUILDS] = 0.0 if settles else 1.0, 1.0
             else:
-                decided = self._flat.solve(_FLAT) and iterations <= _CURVED
-                settings[CHANGEABLE], settings[ANEW] = 0.0, 1.0
+                decided = self._flat.solve(_SETTINGS.flat_tolerance) and iterations <= _SETTINGS.max_flat_iterations
+                settings[Setting.CHANGEABLE], settings[Setting.REBUILDS] = 0.0, 1.0
         if converged:
             if solution is not None:
                 self._columns[:k] = solution[:, 1:]
@@ -345,7 +352,8 @@ class CondensedStepper:
         from scipy.linalg import lapack
 
         assert self._factor is not None
-        solution, _ = lapack.dgetrs(*self._factor, self._right[:COLUMNS * k].reshape(COLUMNS, k).T, overwrite_b=1)
+        solution, _ = lapack.dgetrs(*self._factor, self._right[:RIGHT_HAND_SIDES * k].reshape(RIGHT_HAND_SIDES, k).T,
+                                    overwrite_b=1)
         # Where all nodes are about to slip or to stick, there may be none.
         if not (math.isfinite(solution.sum()) and np.abs(solution[:, 1:4]).max() < self._stiffest):
             solution[:] = 0.0
@@ -358,7 +366,8 @@ class CondensedStepper:
             return False
         # Within the largest radius of the tool, at most; nodes that far off are hardly displaced.
         self._place(pose, motion(model.pose, pose))
-        at = (self._others - self._settings[ORIGIN:ORIGIN + 3]) @ self._settings[ROTATION:ROTATION + 9].reshape(3, 3)
+        at = (self._others - self._settings[Setting.ORIGIN:Setting.ORIGIN
+                                            + 3]) @ self._settings[Setting.ROTATION:Setting.ROTATION + 9].reshape(3, 3)
         return bool(np.hypot(at[:, 0], at[:, 1]).min() < self._widest)
 
     def distance(self, way: Screw) -> float:
@@ -368,26 +377,26 @@ class CondensedStepper:
     def _place(self, pose: Pose, way: Screw) -> None:
         """Tell the kernel where the tool is."""
         settings, (w, x, y, z) = self._settings, pose.orientation
-        settings[ROTATION:ROTATION + 9] = (
+        settings[Setting.ROTATION:Setting.ROTATION + 9] = (
             1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
             2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
             2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
         x, y, z = pose.position
-        settings[ORIGIN:ORIGIN + 3] = x, y, z + self.surface.datum
-        settings[MOTION:MOTION + 6] = way
-        settings[PRESSED_IN] = float(z <= self._first_height)
+        settings[Setting.ORIGIN:Setting.ORIGIN + 3] = x, y, z + self.surface.datum
+        settings[Setting.MOTION:Setting.MOTION + 6] = way
+        settings[Setting.PRESSED_IN] = float(z <= self._first_height)
 
     def _answer(self, way: Screw, iterations: int, change: float, slipping: int) -> ContactStep:
         """What the step came to, which the nodes remember from now on."""
         count = self._followed
-        self._sum[ANSWERED] = count
+        self._sum[Answer.COUNT] = count
         with LOCK:
             self._sum_up()
         answer = self._sum.tolist()
-        x, y, z, u, v, w = answer[WRENCH:WRENCH + 6]
+        x, y, z, u, v, w = answer[Answer.WRENCH:Answer.WRENCH + 6]
         if count and not self._columns[:3 * count].any():
             stiffness = self._last.stiffness_matrix  # the equations had no sane solution
         else:
             stiffness = cast("Matrix", tuple(tuple(-rate for rate in answer[row:row + 6])
-                                             for row in range(RATES, ANSWER, 6)))
+                                             for row in range(Answer.RATES, ANSWER_SIZE, 6)))
         return ContactStep(True, iterations, (x, y, z, u, v, w), stiffness, self.distance(way), change, count, slipping)
