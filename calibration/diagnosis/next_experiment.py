@@ -76,7 +76,7 @@ def next_experiments(before: Evidence, proposals: Proposals, judgement: Judgemen
 def plans(before: Evidence) -> list[Plan]:
     """Tests like those that were done, each with one thing changed."""
     found = []
-    for test in before.situation.simulated():
+    for test in before.situation.simulated_tests():
         curve = before.measured[test.name][0]
         experiment = test.experiment
         if curve.time is None or experiment is None:
@@ -144,7 +144,7 @@ def _expected(test: Test, curves: tuple[MeasuredCurve, ...], before: Evidence,
     zero, mesh and the rival's parameters, shape (N, m)."""
     candidate = _everywhere(rival.proposal.candidate, test)
     campaign: Campaign = replace(before.campaign, tests=(*before.campaign.tests, test))
-    changed = candidate.added_to(campaign, free=True)
+    changed = candidate.add_to(campaign, free=True)
     asked = changed.tests[-1]
     problem = rival.problem
     forward = build_test(asked, curves, changed.fit, problem.jitter.contact)

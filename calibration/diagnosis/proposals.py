@@ -66,7 +66,7 @@ class Proposal:
 
     def sizes(self, factor: float | None = None) -> dict[str, float]:
         """Path -> value of its numbers at a multiple of the size at which it was tried; None: by the score."""
-        return self.candidate.sizes_at(self.absent, self.factor if factor is None else factor)
+        return self.candidate.scaled_sizes(self.absent, self.factor if factor is None else factor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ def propose(evidence: Evidence, steps: Steps, words: str = "effects, one at a ti
     candidates: list[Candidate] = []
     for name, kind in CATALOGUE.items() if only is None else [(only, CATALOGUE[only])]:
         effects[name] = effect = kind()
-        if effect.like_moduli and any(each.is_modulus for each in evidence.problem.space.varied):
+        if effect.scales_all_forces and any(each.is_modulus for each in evidence.problem.space.varied):
             silent[name] = "no force tells it from the moduli"
             continue
         try:
@@ -231,6 +231,6 @@ def _one_sided(candidate: Candidate, evidence: Evidence) -> bool:
         return False
     (path, size), = candidate.sizes.items()
     absent = candidate.absent_value(evidence.campaign, path)
-    prepared = candidate.prepared(evidence.campaign)
+    prepared = candidate.with_prepared_tests(evidence.campaign)
     low, high = candidate.bounds.get(path, candidate.declaration(prepared, path).bounds)
     return (low >= absent - 1e-12 * abs(absent)) if size > absent else (high <= absent + 1e-12 * abs(absent))

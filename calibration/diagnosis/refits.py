@@ -203,7 +203,7 @@ def refit_one(problem: Problem, campaign: Campaign, proposal: Proposal, values: 
               samples: float) -> Refit | None:
     """The minimum with one effect, from the size that its score says; None where no test has its numbers."""
     candidate = proposal.candidate
-    prepared = candidate.prepared(campaign)
+    prepared = candidate.with_prepared_tests(campaign)
     start = {}
     for path, size in proposal.sizes().items():
         low, high = candidate.bounds.get(path, candidate.declaration(prepared, path).bounds)

@@ -96,7 +96,7 @@ def _as_often_as_needed(best: Refit, evidence: Evidence, steps: Steps) -> tuple[
     """The best effect, and more terms of it while they are needed and can be seen."""
     effect, added = best.proposal.candidate.effect, [best]
     after = settled(best.evidence(evidence))
-    while not after.adequate and len(added) < effect.times:
+    while not after.adequate and len(added) < effect.max_instances:
         more = propose(after, steps, f"more of {effect.title}", only=effect.name)
         fits = refit(after, more, steps, f"fits with more of {effect.title}", list(more.seen)[:1])
         if not fits or fits[0].gain < LEAST_GAIN or fits[0].absent:

@@ -183,20 +183,20 @@ def test_toml_is_read_back():
 def test_sentences():
     region = RegionGap(test="plates", segment="hold", before_N=0.1, largest_before_N=-0.1, before_sigma=9.0,
                        adequate_before=False, sentence="plates hold: the force falls by 0.1 N, the model's by nothing")
-    compliance = FoundEffect(name="machine_compliance", room="rig", title="machine compliance", parameters=[
+    compliance = FoundEffect(name="machine_compliance", category="rig", title="machine compliance", parameters=[
         Number(path="rig.compliance", symbol="c", unit="m/N", value=2e-5, standard_error=1e-6, absent=0.0)])
     named = message("NAMED", [compliance], ["machine compliance"], [region], (0.1, 0.01, 0.02), 3)
     assert named == ("Machine compliance (c = 0.02 ± 0.001 mm/N) was missing. The gap falls from 0.1 to 0.01 N "
                      "(5 to 0.5 of the noise).")
     several = message("SET", [compliance], ["machine compliance", "height"], [region], (0.1, 0.01, 0.02), 3)
     assert several.startswith("Machine compliance or height is missing, and these tests do not tell which")
-    softening = CandidateStatement(name="softening", effect="softening", room="tissue", title="softening",
+    softening = CandidateStatement(name="softening", effect="softening", category="tissue", title="softening",
                                    testable=True, explained_percent=49.0)
     unknown = message("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=softening)
     assert "the force falls by 0.1 N" in unknown and "Softening comes nearest and explains 49 % of it." in unknown
     train = CandidateStatement(
-        name="machine_compliance", effect="machine_compliance", room="rig", title="machine compliance", testable=True,
-        explained_percent=100.0, separated_by="pressing on steel", parameters=[Number(
+        name="machine_compliance", effect="machine_compliance", category="rig", title="machine compliance",
+        testable=True, explained_percent=100.0, separated_by="pressing on steel", parameters=[Number(
             path="rig.compliance", symbol="c", unit="m/N", value=2e-3, standard_error=1e-6, absent=0.0, bound=2e-3)])
     bounded = message("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=train)
     assert ("Machine compliance comes nearest and explains 100 % of it, but its size ran to its bound, c = 2 mm/N, the "
