@@ -101,8 +101,9 @@ def _simulated_like(held: Problem, other: Problem) -> Problem | None:
     def like(test: ForwardTest, of: ForwardTest) -> ForwardTest:
         if not (isinstance(test, SimulatedTest) and isinstance(of, SimulatedTest)):
             return test
-        along = test.placed(held.space, np.zeros(0)) and not of.placed(other.space, np.zeros(0))
-        return replace(test, along=True) if along else test
+        along = test.uses_position_curve(held.space, np.zeros(0)) and not of.uses_position_curve(
+            other.space, np.zeros(0))
+        return replace(test, full_motion=True) if along else test
 
     tests = tuple(map(like, held.tests, other.tests))
     if all(one is test for one, test in zip(tests, held.tests, strict=True)):

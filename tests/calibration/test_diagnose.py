@@ -14,7 +14,7 @@ from calibration.diagnosis.diagnosis import CandidateStatement, NextExperiment, 
 from calibration.diagnosis.words import message
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
-from calibration.fit.steps import Steps
+from calibration.fit.run_context import RunContext
 from calibration.report.diagnosis_page import diagnosis_page
 from calibration.report.diagnosis_tables import number_in_words, sizes_in_words
 from calibration.report.drawing import Pictures
@@ -81,7 +81,7 @@ def diagnosed(campaign, two_effects):
     """The parts of a diagnosis of it, and its recordings."""
     asked, measured = read_for_diagnosis(campaign)
     with open_tasks(Workers()) as tasks:
-        return diagnose_campaign(asked, measured, Steps(asked.name, tasks)), measured
+        return diagnose_campaign(asked, measured, RunContext(asked.name, tasks)), measured
 
 
 def test_nothing_hidden_is_nothing_missing(diagnosed):
@@ -117,7 +117,7 @@ bulk_ratio = 1000.0
 """, encoding="utf-8")
     campaign, measured = read_for_diagnosis(path)
     with open_tasks(Workers()) as tasks:
-        found = diagnose_campaign(campaign, measured, Steps("preload", tasks)).diagnosis
+        found = diagnose_campaign(campaign, measured, RunContext("preload", tasks)).diagnosis
     assert found.verdict == "NONE" and all(region.adequate_before for region in found.regions)
     assert "contact lies 0.40 mm before the zero of the displacement" in found.message
     assert found.fit_before.parameters["C10"] == pytest.approx(10e3, rel=0.01)
@@ -235,7 +235,8 @@ def test_pages_of_verdicts(diagnosed, tmp_path):
 ])
 def test_sizes_are_in_units_that_people_use(path, unit, absent, value, words):
     candidate = CandidateStatement(name="x", effect="x", category="rig", title="x", testable=True,
-                                   seen_from={path: value}, symbols={path: "c"}, units={path: unit}, absent={path: absent})
+                                   seen_from={path: value}, symbols={path: "c"}, units={path: unit},
+                                   absent={path: absent})
     assert sizes_in_words(candidate, UNITS) == words
 
 

@@ -21,7 +21,7 @@ from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.plate_friction import PlateFriction
 from calibration.effects.sensor_drift import SensorDrift
 from calibration.effects.viscoelasticity import Viscoelasticity
-from calibration.fit.steps import Steps
+from calibration.fit.run_context import RunContext
 from calibration.report.additions import to_toml, write_additions
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import InputError
@@ -148,14 +148,14 @@ def test_a_plan_needs_no_recording(tmp_path):
     (tmp_path / "plan.toml").write_text(PLAN + "[noise]\nforce_N = 0.01\n", encoding="utf-8")
     campaign = whole_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
     with open_tasks(Workers()) as tasks:
-        found = design(campaign, read_planned(campaign, replicates=3, samples=121), Steps("plan", tasks))
+        found = design(campaign, read_planned(campaign, replicates=3, samples=121), RunContext("plan", tasks))
     rows = {row.name: row for row in found.candidates}
     assert rows["viscoelasticity"].testable and rows["viscoelasticity"].seen_from["viscoelastic.terms[0].g"] < 0.02
     assert 0 < found.standard_errors["C10"] < 20 and [test.recordings for test in found.tests] == [3]
     shorter = whole_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
     shorter = replace(shorter, tests=(replace(shorter.tests[0], protocol="ramp 3mm @0.2mm/s"),))
     with open_tasks(Workers()) as tasks:
-        ramp = design(shorter, read_planned(shorter, replicates=3, samples=121), Steps("plan", tasks))
+        ramp = design(shorter, read_planned(shorter, replicates=3, samples=121), RunContext("plan", tasks))
     row = next(row for row in ramp.candidates if row.name == "viscoelasticity")
     assert not row.testable or row.seen_from["viscoelastic.terms[0].g"] > 3 * rows["viscoelasticity"].seen_from[
         "viscoelastic.terms[0].g"], "a ramp alone says little of relaxation"
