@@ -27,8 +27,8 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameters import SHARED, Named
 from calibration.campaign_fit import ESTIMATORS
 from calibration.fit.curves import TestCurves, draw_curves
-from calibration.fit.steps import Steps
-from calibration.forward.solves import Solves
+from calibration.fit.run_context import RunContext
+from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.sensor_noise import SensorNoise
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.material.parts import find_declaration
@@ -129,9 +129,9 @@ def draw_case(case: Case, rng: np.random.Generator) -> tuple[TestCurves, list[Me
     campaign = make_campaign(case)
     record = recorder(case, campaign.tests[0], rng)
     measured = {"plates": tuple(record(number) for number in range(case.replicates))}
-    estimator = ESTIMATORS[case.method](campaign, measured, Solves())
+    estimator = ESTIMATORS[case.method](campaign, measured, SimulationCache())
     with open_tasks(Workers()) as tasks:
-        _, estimate = estimator.estimate([case.law], Steps("bands", tasks))[case.law]
+        _, estimate = estimator.estimate([case.law], RunContext("bands", tasks))[case.law]
     if isinstance(estimate, str):
         raise RuntimeError(estimate)
     spread = estimator.uncertainty(estimate.problem, estimate.evaluation)

@@ -48,12 +48,12 @@ import tissue_sim as ts
 from calibration.campaign.campaign import Noise
 from calibration.fit.campaign_problem import build_problem
 from calibration.fit.estimate import settle
-from calibration.fit.levenberg_marquardt import descend
 from calibration.fit.problem import Problem
 from calibration.fit.profiles import profile_side
+from calibration.fit.trust_region import descend
 from calibration.fit.uncertainty import assess_uncertainty
-from calibration.forward.forms import REMAINDERS
-from calibration.forward.solves import Solves
+from calibration.forward.forms import ACCURATE_MESH_ERRORS
+from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import Jitter
 from calibration.tasks.executors import Workers, open_tasks
 
@@ -67,7 +67,7 @@ FEWEST = 200
 #: What the curves are made with.
 DATA = ("accurate", "drawn", "reference")
 #: Relative error of the accurate mesh in each test, as the calibration has it.
-MESH_ERROR = {"lubricated": 0.0, "bonded": REMAINDERS["plate"], "needle": REMAINDERS["flat"]}
+MESH_ERROR = {"lubricated": 0.0, "bonded": ACCURATE_MESH_ERRORS["plate"], "needle": ACCURATE_MESH_ERRORS["flat"]}
 #: Jitter that is stated, m and N; None: estimated.
 STATED = {"jitter stated": Noise(NOISE, contact_jitter=CONTACT, zero_jitter=ZERO, correlation_time=0.0),
           "jitter estimated": Noise(NOISE, contact_jitter=None, zero_jitter=None, correlation_time=0.0)}
@@ -114,7 +114,7 @@ def run_campaign(number: int, seed: int, truth: Truth, drawn: bool, profiled: bo
     campaigns = {method: make_campaign(tuple(truth), stated)
                  for method, stated in STATED.items() if method in methods}
     measured = make_recordings(next(iter(campaigns.values())), force, generator, CONTACT, ZERO)
-    solves, found = Solves(), {}
+    solves, found = SimulationCache(), {}
     for method, campaign in campaigns.items():
         began = time.process_time()
         problem = build_problem(LAW, campaign, measured, solves)

@@ -23,7 +23,7 @@ from hidden_effects_truth import PROTOCOLS, VirtualTest, plain
 from calibration.campaign_diagnosis import Diagnosed, diagnose_campaign, read_for_diagnosis
 from calibration.diagnosis import proposals
 from calibration.effects.catalogue import CATALOGUE
-from calibration.fit.steps import Steps
+from calibration.fit.run_context import RunContext
 from calibration.tasks.executors import Tasks
 from tissue_sim.errors import ConvergenceError, InputError
 
@@ -166,7 +166,7 @@ def run_one(planned: Planned, digest: str = "", with_peers: bool = True) -> dict
         recorded = [(test, np.array([_on(test, curve) for curve in measured[test.name]])) for test in tests]
         try:
             with _without(taken):
-                done = diagnose_campaign(campaign, measured, Steps(campaign.name, Tasks()))
+                done = diagnose_campaign(campaign, measured, RunContext(campaign.name, Tasks()))
         except (ConvergenceError, InputError) as failure:
             # As a user would see it: no verdict.
             return answer | {"failure": str(failure), "wall_s": time.monotonic() - began}

@@ -21,7 +21,7 @@ from calibration.fit.curves import draw_curves
 from calibration.fit.ordinary import Ordinary, fit_law
 from calibration.fit.population import find_specimens
 from calibration.fit.predictor import Predictor, predictor_of_held_out
-from calibration.forward.solves import Solves
+from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.population import estimate_population
 from calibration.statistics.sensor_noise import SensorNoise
 from tissue_sim.material.material import law_declaration
@@ -82,7 +82,7 @@ def held_out_coverage(name: str, specimens: int, rng) -> np.ndarray:
              for path, deviation in zip(law.parameters, spread, strict=True) if deviation}
     campaign = Campaign(Path("synthetic.toml"), {test.specimen.name: test.specimen for test in tests}, tuple(tests),
                         FitSettings((name,), named=named), Noise(NOISE), "")
-    estimator = Ordinary(campaign, measured, Solves())
+    estimator = Ordinary(campaign, measured, SimulationCache())
     _, estimate = fit_law(estimator.problem(name))
     spread_of = estimator.uncertainty(estimate.problem, estimate.evaluation)
     own = Predictor.of(estimate.problem.space, estimate.theta, spread_of)

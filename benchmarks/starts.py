@@ -31,9 +31,9 @@ from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.campaign_problem import build_problem
 from calibration.fit.estimate import settle
-from calibration.fit.levenberg_marquardt import ENOUGH_OF_A_START, descend
+from calibration.fit.trust_region import ENOUGH_OF_A_START, descend
 from calibration.fit.uncertainty import assess_uncertainty
-from calibration.forward.solves import Solves
+from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.sensor_noise import SensorNoise
 from calibration.tasks.executors import Workers, open_tasks
 
@@ -139,7 +139,7 @@ def run_start(scenes: Sequence[str], start: np.ndarray, settled: bool) -> dict:
         estimate parameters, standard errors, mesh difference, simulations on both meshes, CPU seconds.
     """
     campaign = make_campaign(scenes, Noise(NOISE, contact_jitter=None, zero_jitter=None, correlation_time=0.0))
-    problem = build_problem(LAW, campaign, reference_recordings(campaign), Solves())
+    problem = build_problem(LAW, campaign, reference_recordings(campaign), SimulationCache())
     descent = descend(problem, np.array(start), enough=ENOUGH_OF_A_START)
     found = {"start": list(start), "end": descent.theta.tolist(), "error": descent.error,
              "converged": descent.converged, "problem": descent.failure, "cpu_s": descent.cpu_s,

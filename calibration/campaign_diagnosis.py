@@ -32,15 +32,15 @@ from calibration.effects.catalogue import CATALOGUE
 from calibration.fit.assess import assess
 from calibration.fit.fit import Fit
 from calibration.fit.generalised import Generalised
-from calibration.fit.steps import Steps
+from calibration.fit.run_context import RunContext
 from calibration.fit.uncertainty import assess_uncertainty
-from calibration.forward.solves import Solves, content_key
+from calibration.forward.simulation_cache import SimulationCache, content_key
 from calibration.output_folder import SOLVES
 from calibration.report.diagnosis_outputs import write_diagnosis
 from calibration.tasks.executors import Workers, open_tasks
 
 if TYPE_CHECKING:
-    from calibration.fit.steps import Progress
+    from calibration.fit.run_context import Progress
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class Diagnosed:
 class _Clock:
     """What took how long."""
 
-    solves: Solves
+    solves: SimulationCache
     stages: list[Stage] = field(default_factory=list)
 
     @contextmanager
@@ -78,7 +78,8 @@ class _Clock:
         return self.solves.counts.total() if folder is None else sum(1 for _ in folder.glob("*.msgpack"))
 
 
-def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solves: Solves | None = None) -> Diagnosed:
+def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
+                      solves: SimulationCache | None = None) -> Diagnosed:
     """Diagnose one campaign that has been read; nothing is written.
 
     Args:
@@ -88,7 +89,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solv
     Raises:
         ConvergenceError: no start gets through the data.
     """
-    solves = solves or Solves()
+    solves = solves or SimulationCache()
     campaign = scale_offsets(campaign, measured)
     clock = _Clock(solves)
     with clock.stage("fit without any effect"):
@@ -99,7 +100,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solv
         judgement = judge(before, proposals, steps)
     after: Evidence | None = None
     with clock.stage("last fit and unseen data"):
-        steps.say("the last fit, and data that the fits have not seen")
+        steps.report_progress("the last fit, and data that the fits have not seen")
         if judgement.added:
             after = judgement.evidence
         held_out = [*unseen_replicates(before, after), *unseen_tests(before, after)]
@@ -109,7 +110,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solv
         effects = [] if after is None else found_effects(judgement, before, after)
         regions = region_gaps(before, after)
     with clock.stage("the next experiment"):
-        steps.say("what to measure next")
+        steps.report_progress("what to measure next")
         further = next_experiments(before, proposals, judgement)
     gaps = gap(before), None if after is None else gap(after)
     noises = [curve.noise for curve in before.problem.measured]
@@ -160,7 +161,7 @@ def diagnose_file(path: str | Path, *, law: str | None = None, workers: Workers 
     """
     campaign, measured = read_for_diagnosis(path, law)
     with open_tasks(workers or Workers()) as tasks:
-        return diagnose_campaign(campaign, measured, Steps(campaign.name, tasks, progress))
+        return diagnose_campaign(campaign, measured, RunContext(campaign.name, tasks, progress))
 
 
 class CampaignDiagnosis:
@@ -175,12 +176,12 @@ class CampaignDiagnosis:
             and the source of solver and calibration.
     """
 
-    def __init__(self, campaign: Campaign, measured: Measured, folder: Path, steps: Steps):
+    def __init__(self, campaign: Campaign, measured: Measured, folder: Path, steps: RunContext):
         self.campaign, self.measured, self.folder, self.steps = campaign, measured, folder, steps
         self.recordings = [curve for curves in measured.values() for curve in curves]
         self.digest = content_key("diagnosis", digest_of(campaign, self.recordings), campaign.fit.laws[0],
                                   sorted(CATALOGUE), _source())
-        self.solves = Solves()
+        self.solves = SimulationCache()
         self._clock = _Clock(self.solves)
 
     def check(self) -> None:
@@ -190,7 +191,7 @@ class CampaignDiagnosis:
             InputError: with file and field.
         """
         self.solves.read_from(self.folder / SOLVES)
-        self.steps.say("looking at the start")
+        self.steps.report_progress("looking at the start")
         campaign = scale_offsets(self.campaign, self.measured)
         with self._clock.stage("look at the start"):
             estimator, law = Generalised(campaign, self.measured, self.solves), campaign.fit.laws[0]
@@ -207,7 +208,7 @@ class CampaignDiagnosis:
         """
         self.solves.move_to(self.folder / SOLVES)
         found = diagnose_campaign(self.campaign, self.measured, self.steps, self.solves)
-        self.steps.say("writing the report")
+        self.steps.report_progress("writing the report")
         diagnosis = replace(found.diagnosis, stages=[*self._clock.stages, *found.diagnosis.stages])
         return write_diagnosis(DiagnosisResult(self.campaign, diagnosis, self.folder, self.digest), found.before,
                                found.after, found.proposals.effects, self.measured, figures=figures,

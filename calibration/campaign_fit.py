@@ -22,7 +22,6 @@ from calibration.fit.failure import Failure, attempt
 from calibration.fit.fit import SensorStatement
 from calibration.fit.generalised import Generalised
 from calibration.fit.influence import add_influence
-from calibration.fit.levenberg_marquardt import Descent
 from calibration.fit.ordinary import Ordinary
 from calibration.fit.predictor import Predictor, predictor_of_held_out
 from calibration.fit.preload_cover import notes_after_fit
@@ -30,10 +29,11 @@ from calibration.fit.profiles import ProfileSide, profile_side
 from calibration.fit.ranking import Fitted, rank, rank_message
 from calibration.fit.replicates import find_disagreements
 from calibration.fit.result import CalibrationResult
-from calibration.fit.steps import Steps
+from calibration.fit.run_context import RunContext
+from calibration.fit.trust_region import Descent
 from calibration.fit.validation import LeftOut, leave_out, predict_held_out
 from calibration.forward.geometry import check_geometry
-from calibration.forward.solves import Solves
+from calibration.forward.simulation_cache import SimulationCache
 from calibration.output_folder import SOLVES
 from calibration.report.outputs import write_campaign, write_failure
 from calibration.statistics.uncertainty import Uncertainty
@@ -55,12 +55,12 @@ class CampaignFit:
     """
 
     def __init__(self, campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]], folder: Path,
-                 steps: Steps):
+                 steps: RunContext):
         self.campaign = campaign = scale_offsets(campaign, measured)
         self.measured, self.folder, self.steps = measured, folder, steps
         self.recordings = [curve for curves in measured.values() for curve in curves]
         self.digest = digest_of(campaign, self.recordings)
-        self.solves = Solves()
+        self.solves = SimulationCache()
         self.estimator: Estimator = ESTIMATORS[campaign.fit.method](campaign, self.measured, self.solves)
         #: Law -> simulations that the check of its start took.
         self.checked: dict[str, int] = {}
@@ -77,7 +77,7 @@ class CampaignFit:
             check_geometry(self.campaign)
         for number, law in enumerate(self.campaign.fit.laws):
             if self.estimator.explores:
-                self.steps.say(f"looking at the start of {law}")
+                self.steps.report_progress(f"looking at the start of {law}")
             before = self.solves.counts.total()
             self.estimator.check(law, number)
             self.checked[law] = self.solves.counts.total() - before
@@ -123,7 +123,7 @@ class CampaignFit:
             self.estimator.pooled_noise, sources.pop() if len(sources) == 1 else "mixed",
             noise if self.estimator.explores else (), failures=failures)
         if self.estimator.explores:
-            self.steps.say("writing the report")
+            self.steps.report_progress("writing the report")
         write_campaign(result, curves, self.measured, self.estimator.words, figures=figures,
                        figures_format=figures_format)
         return result
@@ -146,7 +146,7 @@ class CampaignFit:
         answers: list[Fitted] = []
         for law, estimate in estimates.items():
             if self.estimator.explores:
-                self.steps.say(f"what {law} tells")
+                self.steps.report_progress(f"what {law} tells")
             answer = attempt(self._answer, estimate, spreads[law], ends[law][0], sides_of[law], left_of[law])
             if isinstance(answer, Failure):
                 failures[law] = answer.reason
@@ -197,7 +197,7 @@ class CampaignFit:
                          for number in range(len(estimate.problem.tests))]
         for function, tasks, words, found in ((profile_side, sides, "profiles", sides_of),
                                               (leave_out, left, "tests left out, one at a time", left_of)):
-            answers = self.steps.all_of(partial(attempt, function), [arguments for _, arguments in tasks], words) \
+            answers = self.steps.run_all(partial(attempt, function), [arguments for _, arguments in tasks], words) \
                 if tasks else []
             for (law, _), answer in zip(tasks, answers, strict=True):
                 # A profile or a left-out test without a result leaves the fit as it is.
@@ -209,7 +209,7 @@ class CampaignFit:
         """Recordings that disagree, in words and announced before they are pooled."""
         found = [each.describe() for each in find_disagreements(self.measured)]
         for sentence in found:
-            self.steps.say(sentence)
+            self.steps.report_progress(sentence)
         return found
 
 

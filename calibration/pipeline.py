@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from calibration.diagnosis.design import Design
     from calibration.diagnosis.result import DiagnosisResult
     from calibration.fit.result import CalibrationResult
-    from calibration.fit.steps import IterationListener, Progress
+    from calibration.fit.run_context import IterationListener, Progress
 
 
 def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool = False,
@@ -56,12 +56,12 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
     # On use: what is wrong in a file is said at once, before the fit and all of scipy are there.
     from calibration.campaign_fit import CampaignFit
     from calibration.fit.result import read_back
-    from calibration.fit.steps import Steps
+    from calibration.fit.run_context import RunContext
     from calibration.report.outputs import write_summary
 
     with open_tasks(workers or Workers()) as tasks:
         fits = [CampaignFit(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
-                            Steps(campaign.name, tasks, progress, listen))
+                            RunContext(campaign.name, tasks, progress, listen))
                 for campaign, curves in zip(campaigns, measured, strict=True)]
         results, failures = _run(fits, output, read_back, overwrite, figures, figures_format)
     if len(campaigns) > 1:
@@ -98,12 +98,12 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
     measured = [read_measured(campaign) for campaign in campaigns]
     from calibration.campaign_diagnosis import CampaignDiagnosis
     from calibration.diagnosis.result import read_diagnosis
-    from calibration.fit.steps import Steps
+    from calibration.fit.run_context import RunContext
     from calibration.report.diagnosis_outputs import files_of_diagnosis
 
     with open_tasks(workers or Workers()) as tasks:
         parts = [CampaignDiagnosis(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
-                                   Steps(campaign.name, tasks, progress, announce=announce))
+                                   RunContext(campaign.name, tasks, progress, announce=announce))
                  for campaign, curves in zip(campaigns, measured, strict=True)]
         results, failures = _run(parts, output, read_diagnosis, overwrite, figures, figures_format, files_of_diagnosis)
     if failures:
@@ -161,10 +161,10 @@ def design_experiments(path: str | Path, *, law: str | None = None, replicates: 
     campaign = whole_campaign(load_campaign(path, planned=True), law)
     measured = read_planned(campaign, replicates, samples)
     from calibration.diagnosis.design import design
-    from calibration.fit.steps import Steps
+    from calibration.fit.run_context import RunContext
 
     with open_tasks(workers or Workers()) as tasks:
-        return design(campaign, measured, Steps(campaign.name, tasks, progress))
+        return design(campaign, measured, RunContext(campaign.name, tasks, progress))
 
 
 def _check_format(figures_format: str | None) -> None:

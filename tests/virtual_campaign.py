@@ -12,9 +12,9 @@ from calibration.diagnosis.extended import change_of
 from calibration.effects.effect import Candidate, Situation
 from calibration.fit.campaign_problem import build_problem
 from calibration.fit.problem import Evaluation, Problem
-from calibration.fit.steps import Steps
-from calibration.forward.solves import Solves
-from calibration.statistics.adequacy import span
+from calibration.fit.run_context import RunContext
+from calibration.forward.simulation_cache import SimulationCache
+from calibration.statistics.adequacy import orthonormal_basis
 from calibration.statistics.scores import Direction
 from calibration.tasks.executors import Workers, open_tasks
 
@@ -57,8 +57,8 @@ class Fitted:
         """What the data say of it, in standard deviations, with the sign of the trial size."""
         residual, design = self.evaluation.design
         column = self.change(candidate)
-        direction = Direction.of(np.vstack([column, np.zeros((residual.size - len(column), column.shape[1]))]),
-                                 span(design), positive=True)
+        direction = Direction.project(np.vstack([column, np.zeros((residual.size - len(column), column.shape[1]))]),
+                                 orthonormal_basis(design), positive=True)
         return float(direction.score(residual)[0]) if direction.freedom else 0.0
 
 
@@ -93,7 +93,7 @@ def situation_of(path):
 
 def fitted(path):
     situation = situation_of(path)
-    problem = build_problem(situation.law, situation.campaign, situation.measured, Solves())
+    problem = build_problem(situation.law, situation.campaign, situation.measured, SimulationCache())
     theta = np.array([TRUTH[name] for name in problem.space.free])
     return Fitted(situation, problem, problem.evaluate(theta))
 
@@ -134,4 +134,4 @@ def diagnosed_plates(folder, *, terms=(), rig=None, friction="frictionless", rip
     (folder / "study.toml").write_text(PLATES, encoding="utf-8")
     campaign, recordings = read_for_diagnosis(folder / "study.toml")
     with open_tasks(Workers()) as tasks:
-        return diagnose_campaign(campaign, recordings, Steps("study", tasks))
+        return diagnose_campaign(campaign, recordings, RunContext("study", tasks))

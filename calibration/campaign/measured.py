@@ -14,7 +14,7 @@ from calibration.campaign.loading import check_motion, elastic_samples, require_
 from calibration.campaign.schema import PRISM
 from calibration.campaign.screened import check_left_out, cleaned, notes_of, with_control, with_preload
 from calibration.campaign.segmented import SegmentedRecording, from_elsewhere, segment_recording, with_air_noted
-from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_stamps
+from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_time_stamps
 from calibration.statistics.statistics import estimate_noise, resolution
 from tissue_sim.errors import InputError
 from tissue_sim.material.material import Material
@@ -251,7 +251,7 @@ def _curve(recording: Recording, screening: Screening, name: str, path: Path, te
                              "time column", field="speed_mm_s")
         if campaign.fit.method != "analytical":
             # A clock that is coarser than the sampling.
-            time = spread_stamps(time, time.size)
+            time = spread_time_stamps(time, time.size)
         labels = number_runs(label_motion(time, displacement[places]) if labels is None else labels[places])
     used = np.isin(np.arange(displacement.size), places)
     curve = MeasuredCurve(name, test, time, displacement[places], force[places], labels if remembering else None, path,

@@ -16,7 +16,7 @@ from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.recording.segmentation import label_motion, number_runs
 
 #: A recording with a hold and a return has at least so many.
-FEWEST_SAMPLES = 20
+MIN_SAMPLES = 20
 #: Recordings of a planned test, and samples of each, where nobody says.
 REPLICATES, SAMPLES = 3, 500
 
@@ -43,7 +43,7 @@ def read_planned(campaign: Campaign, replicates: int = REPLICATES,
         InputError: a protocol that is none or goes through the specimen, no stated noise, no recording or too few
             samples of one, what `read_measured` refuses.
     """
-    for name, count, least in (("replicates", replicates, 1), ("samples", samples, FEWEST_SAMPLES)):
+    for name, count, least in (("replicates", replicates, 1), ("samples", samples, MIN_SAMPLES)):
         if count < least:
             raise InputError(f"{count} {name} are too few; give at least {least}", field=name)
     planned = [test for test in campaign.tests if not test.recordings]

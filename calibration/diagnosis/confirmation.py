@@ -15,10 +15,10 @@ from calibration.diagnosis.refits import with_own_corrections
 from calibration.fit.estimate import Estimate, settle
 from calibration.fit.fit import Region
 from calibration.fit.generalised import Generalised
-from calibration.fit.levenberg_marquardt import descend
 from calibration.fit.predictor import Predictor
 from calibration.fit.problem import Problem
 from calibration.fit.regions import judge_regions
+from calibration.fit.trust_region import descend
 from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.contract import InfeasibleError
 from tissue_sim.errors import InputError

@@ -21,12 +21,12 @@ from calibration.fit.campaign_problem import build_problem, first_jitter
 from calibration.fit.estimate import Estimate
 from calibration.fit.identifiability import not_identifiable
 from calibration.fit.problem import Problem
-from calibration.fit.steps import Steps
+from calibration.fit.run_context import RunContext
 from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.contract import ForwardTest, InfeasibleError
-from calibration.forward.forms import remainder
-from calibration.forward.meshes import FAST_REMAINDERS, REMAINDERS
-from calibration.forward.solves import Solves
+from calibration.forward.forms import mesh_uncertainty
+from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FAST_MESH_ERRORS
+from calibration.forward.simulation_cache import SimulationCache
 from tissue_sim.errors import InputError
 
 
@@ -68,7 +68,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def expected_evidence(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]],
-                      solves: Solves) -> Evidence:
+                      solves: SimulationCache) -> Evidence:
     """The evidence of recordings that a plain material at the stated start would give, without their noise.
 
     Args:
@@ -104,18 +104,18 @@ def expected_evidence(campaign: Campaign, measured: Mapping[str, tuple[MeasuredC
     return Evidence(campaign, {**measured, **known}, estimate)
 
 
-def _left_by_meshes(test: ForwardTest, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
-    """What a fit would not know of the error of its meshes, see `calibration.forward.forms.remainder`."""
+def _left_by_meshes(test: ForwardTest, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> float:
+    """What a fit would not know of the error of its meshes, see `calibration.forward.forms.mesh_uncertainty`."""
     corrected = replace(test)
     try:
-        corrected.refine(space, theta, solves)
+        corrected.update_correction(space, theta, solves)
     except InfeasibleError:
-        return remainder(test, FAST_REMAINDERS)
-    return remainder(corrected, REMAINDERS)
+        return mesh_uncertainty(test, FAST_MESH_ERRORS)
+    return mesh_uncertainty(corrected, ACCURATE_MESH_ERRORS)
 
 
-def design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]], steps: Steps,
-           solves: Solves | None = None) -> Design:
+def design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]], context: RunContext,
+           solves: SimulationCache | None = None) -> Design:
     """What these experiments could tell.
 
     Args:
@@ -124,8 +124,8 @@ def design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]]
     Raises:
         InputError: as `expected_evidence`.
     """
-    evidence = expected_evidence(campaign, measured, solves or Solves())
-    proposals = propose(evidence, steps)
+    evidence = expected_evidence(campaign, measured, solves or SimulationCache())
+    proposals = propose(evidence, context)
     nothing = Judgement("NONE", [], (), [], evidence)
     rows = [msgspec.structs.replace(row, score=None, p=None, estimate={})
             for row in candidate_statements(proposals, nothing, evidence)]

@@ -50,7 +50,7 @@ class FoundEffect(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     name: str
-    room: str
+    category: str = msgspec.field(name="room")
     title: str
     tests: list[str] = []
     parameters: list[Number] = []
@@ -77,7 +77,7 @@ class CandidateStatement(msgspec.Struct, frozen=True, kw_only=True):
 
     name: str
     effect: str
-    room: str
+    category: str = msgspec.field(name="room")
     title: str
     testable: bool
     reason: str = ""

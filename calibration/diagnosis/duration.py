@@ -10,7 +10,7 @@ from calibration.fit.problem import Problem
 from calibration.fit.starts import starts
 from calibration.forward.meshes import meshes_of
 from calibration.forward.simulated import SimulatedTest
-from calibration.forward.solves import simulate_curve
+from calibration.forward.simulation_cache import simulate_curve
 from tissue_sim.errors import InputError
 from tissue_sim.model import Model
 from tissue_sim.rig.rig import Rig

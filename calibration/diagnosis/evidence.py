@@ -16,14 +16,14 @@ from calibration.effects.effect import Situation
 from calibration.fit.estimate import Estimate
 from calibration.fit.fit import Region
 from calibration.fit.generalised import Generalised
-from calibration.fit.levenberg_marquardt import descend
 from calibration.fit.problem import Evaluation, Problem
 from calibration.fit.regions import judge_regions
-from calibration.fit.steps import Steps
-from calibration.forward.solves import Solves
-from calibration.statistics.adequacy import span
+from calibration.fit.run_context import RunContext
+from calibration.fit.trust_region import descend
+from calibration.forward.simulation_cache import SimulationCache
+from calibration.statistics.adequacy import orthonormal_basis
+from calibration.statistics.common_signal import CommonSignal, find_common_signal, variance_ratio
 from calibration.statistics.jitter import Jitter
-from calibration.statistics.repetition import Repetition, repetition, variance_ratio
 from tissue_sim.errors import ConvergenceError, InputError
 
 #: A region disagrees where chance makes it, or any other of the tests, look so with less than this probability.
@@ -96,7 +96,7 @@ class Evidence:
     @cached_property
     def fitted(self) -> np.ndarray:
         """Orthonormal columns that span all that is fitted, nuisances included, shape (M, k)."""
-        return span(self.evaluation.design[1])
+        return orthonormal_basis(self.evaluation.design[1])
 
     @cached_property
     def regions(self) -> list[Region]:
@@ -126,17 +126,17 @@ class Evidence:
 
     @cached_property
     def coherence(self) -> dict[str, tuple[float, int, int]]:
-        """Test -> `calibration.statistics.repetition.variance_ratio` of its recordings; of those with several."""
+        """Test -> `calibration.statistics.common_signal.variance_ratio` of its recordings; of those with several."""
         return {name: variance_ratio(left) for name, (_, left) in self._left.items()}
 
     @cached_property
-    def repetitions(self) -> dict[str, Repetition]:
+    def repetitions(self) -> dict[str, CommonSignal]:
         """Test -> what its recordings leave behind in common, of those where it is more than chance: perhaps too rough
         for the shapes of the regions, and for the estimate of the noise, which takes what is rough for noise."""
         found = {}
         for name, (curve, left) in self._left.items():
             segments = _runs(curve.segment, left.shape[1])
-            most = repetition(left, segments)
+            most = find_common_signal(left, segments)
             if len(self._left) * most.p < REPEATED:
                 found[name] = most
         return found
@@ -188,7 +188,7 @@ def _runs(labels: np.ndarray | None, size: int) -> list[slice]:
     return list(map(slice, ends[:-1], ends[1:]))
 
 
-def gather(campaign: Campaign, measured: Measured, solves: Solves, steps: Steps) -> Evidence:
+def gather(campaign: Campaign, measured: Measured, solves: SimulationCache, context: RunContext) -> Evidence:
     """Fit a campaign without any effect.
 
     Args:
@@ -199,7 +199,7 @@ def gather(campaign: Campaign, measured: Measured, solves: Solves, steps: Steps)
     """
     law = campaign.fit.laws[0]
     estimator = Generalised(campaign, measured, solves)
-    _, estimate = estimator.estimate((law,), steps)[law]
+    _, estimate = estimator.estimate((law,), context)[law]
     if not isinstance(estimate, Estimate):
         raise ConvergenceError(f"{campaign.path}: no start of {law} gets through the data ({estimate}); state another "
                                "one in fit.start, or take a smaller max_strain")

@@ -29,7 +29,7 @@ def extend(problem: Problem, campaign: Campaign, candidate: Candidate, values: M
     Raises:
         NotTestableError: no test has the numbers of the effect.
     """
-    changed = candidate.added_to(campaign, values, free=free)
+    changed = candidate.add_to(campaign, values, free=free)
     names = {test.name: [curve.name for curve in test.measured] for test in problem.tests}
     space = ParameterSpace.of(changed.fit.laws[0], changed, names)
     by_name = {test.name: test for test in changed.tests}
@@ -77,9 +77,10 @@ def change_of(problem: Problem, evaluation: Evaluation, campaign: Campaign, cand
 
     try:
         absent = {path: candidate.absent_value(campaign, path) for path in candidate.sizes}
-        with_it = held(extend(problem, campaign, candidate, candidate.sizes_at(absent, share), free=False)[0])
+        with_it = held(extend(problem, campaign, candidate, candidate.scaled_sizes(absent, share), free=False)[0])
         # What another mesh, or another way to the force at a sample, changes is no effect.
-        without = held(extend(problem, campaign, candidate, absent, free=False)[0]) if candidate.remeshes(campaign) \
+        without = held(extend(problem, campaign, candidate, absent, free=False)[0]) if candidate.changes_mesh(
+            campaign) \
             else _simulated_like(held(problem), with_it)
         change = _residual(with_it, nuisances)
         # As it is, it is known already.
@@ -100,8 +101,9 @@ def _simulated_like(held: Problem, other: Problem) -> Problem | None:
     def like(test: ForwardTest, of: ForwardTest) -> ForwardTest:
         if not (isinstance(test, SimulatedTest) and isinstance(of, SimulatedTest)):
             return test
-        along = test.placed(held.space, np.zeros(0)) and not of.placed(other.space, np.zeros(0))
-        return replace(test, along=True) if along else test
+        along = test.uses_position_curve(held.space, np.zeros(0)) and not of.uses_position_curve(
+            other.space, np.zeros(0))
+        return replace(test, full_motion=True) if along else test
 
     tests = tuple(map(like, held.tests, other.tests))
     if all(one is test for one, test in zip(tests, held.tests, strict=True)):

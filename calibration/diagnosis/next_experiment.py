@@ -20,8 +20,8 @@ from calibration.effects.effect import Candidate
 from calibration.fit.problem import Problem
 from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.forms import build_test, remainder
-from calibration.forward.meshes import REMAINDERS
+from calibration.forward.forms import build_test, mesh_uncertainty
+from calibration.forward.meshes import ACCURATE_MESH_ERRORS
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.parameters import declared, with_values
@@ -76,7 +76,7 @@ def next_experiments(before: Evidence, proposals: Proposals, judgement: Judgemen
 def plans(before: Evidence) -> list[Plan]:
     """Tests like those that were done, each with one thing changed."""
     found = []
-    for test in before.situation.simulated():
+    for test in before.situation.simulated_tests():
         curve = before.measured[test.name][0]
         experiment = test.experiment
         if curve.time is None or experiment is None:
@@ -144,13 +144,14 @@ def _expected(test: Test, curves: tuple[MeasuredCurve, ...], before: Evidence,
     zero, mesh and the rival's parameters, shape (N, m)."""
     candidate = _everywhere(rival.proposal.candidate, test)
     campaign: Campaign = replace(before.campaign, tests=(*before.campaign.tests, test))
-    changed = candidate.added_to(campaign, free=True)
+    changed = candidate.add_to(campaign, free=True)
     asked = changed.tests[-1]
     problem = rival.problem
     forward = build_test(asked, curves, changed.fit, problem.jitter.contact)
     names = {each.name: [curve.name for curve in each.measured] for each in problem.tests}
     space = type(problem.space).of(changed.fit.laws[0], changed, {**names, asked.name: [c.name for c in curves]})
-    planned = Problem(space, (forward,), problem.solves, problem.jitter, (remainder(forward, REMAINDERS),))
+    error = mesh_uncertainty(forward, ACCURATE_MESH_ERRORS)
+    planned = Problem(space, (forward,), problem.solves, problem.jitter, (error,))
     theta = np.array([problem.space.values(rival.theta)[name] for name in space.free])
     answers = [forward.solve(space, theta, problem.solves)]
     residual, rates, columns, _ = planned._linearise(answers, np.zeros(planned.nuisances))

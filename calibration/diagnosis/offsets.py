@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from calibration.diagnosis.evidence import Evidence, gather
 from calibration.fit.generalised import SUSPECT
-from calibration.fit.steps import Steps
+from calibration.fit.run_context import RunContext
 from calibration.statistics.jitter import Jitter
 from tissue_sim.errors import ConvergenceError
 
@@ -15,7 +15,7 @@ _MOST_FITS = 4
 #: A contact is settled within this many standard deviations of its prior.
 _SETTLED = 0.2
 
-def settle_contacts(evidence: Evidence, steps: Steps) -> tuple[Evidence, list[str]]:
+def settle_contacts(evidence: Evidence, context: RunContext) -> tuple[Evidence, list[str]]:
     """The evidence with displacements from the contacts found, and a sentence on each contact far from its prior.
 
     A contact beyond the prior is biased by the prior and by the straight continuation of the simulated path, and both
@@ -37,7 +37,7 @@ def settle_contacts(evidence: Evidence, steps: Steps) -> tuple[Evidence, list[st
         measured = {test: tuple(replace(curve, displacement=curve.displacement - shifts.get(curve.name, 0.0))
                                 for curve in curves) for test, curves in evidence.measured.items()}
         try:
-            found = gather(evidence.campaign, measured, evidence.problem.solves, steps)
+            found = gather(evidence.campaign, measured, evidence.problem.solves, context)
         except ConvergenceError:
             return evidence, []
     if not found.explained:

@@ -10,8 +10,8 @@ import numpy as np
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.proposals import Proposal, Proposals, beside, rescored
 from calibration.diagnosis.refits import ODDS, Refit, odds, refit
-from calibration.fit.steps import Steps
-from calibration.statistics.scores import alike
+from calibration.fit.run_context import RunContext
+from calibration.statistics.scores import largest_cosine
 
 #: Weakest evidence of a second effect: the Schwarz criterion must be better by this with both than with either, and
 #: chance make any effect score so beside the first with less than this probability. Two effects together make almost
@@ -43,7 +43,7 @@ class Pair:
         return self.first.gain + self.second.gain
 
 
-def pairs_of(evidence: Evidence, good: Sequence[Refit], proposals: Proposals, steps: Steps) -> list[Pair]:
+def pairs_of(evidence: Evidence, good: Sequence[Refit], proposals: Proposals, context: RunContext) -> list[Pair]:
     """Pairs that are as likely as the best, it first; empty where one effect is enough.
 
     Args:
@@ -58,7 +58,7 @@ def pairs_of(evidence: Evidence, good: Sequence[Refit], proposals: Proposals, st
         # A number can be in the model once.
         likely = [name for name, each in others.seen.items() if each.p <= SECOND_LEVEL
                   and not each.candidate.paths & first.proposal.candidate.paths][:_SECONDS]
-        fits = refit(with_first, others, steps, f"fits beside {first.proposal.candidate.effect.title}",
+        fits = refit(with_first, others, context, f"fits beside {first.proposal.candidate.effect.title}",
                      likely) if likely else []
         found += [Pair(first, second, with_first) for second in fits if second.gain >= SECOND
                   and not second.absent and not second.beyond and _both_needed(first, second, good, evidence)]
@@ -79,7 +79,7 @@ def _both_needed(first: Refit, second: Refit, good: Sequence[Refit], evidence: E
     alone_it_shows, beside_first = rescored(second.proposal, evidence), second.proposal.strength
     if not alone_it_shows.direction.freedom or alone_it_shows.strength * beside_first < STEADY * beside_first**2:
         return False
-    return alike(first.proposal.direction, alone_it_shows.direction) < DIFFERENT
+    return largest_cosine(first.proposal.direction, alone_it_shows.direction) < DIFFERENT
 
 
 def acts_in(proposal: Proposal, evidence: Evidence, most: int = 2) -> list[str]:

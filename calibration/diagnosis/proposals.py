@@ -13,8 +13,8 @@ from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.extended import change_of
 from calibration.effects.catalogue import CATALOGUE
 from calibration.effects.effect import Candidate, Effect, NotTestableError
-from calibration.fit.steps import Steps
-from calibration.statistics.scores import Direction, alike, family_probability
+from calibration.fit.run_context import RunContext
+from calibration.statistics.scores import Direction, familywise_p_values, largest_cosine
 
 #: An effect is seen where chance alone makes any of the catalogue score as it does with less than this probability.
 LEVEL = 0.01
@@ -66,7 +66,7 @@ class Proposal:
 
     def sizes(self, factor: float | None = None) -> dict[str, float]:
         """Path -> value of its numbers at a multiple of the size at which it was tried; None: by the score."""
-        return self.candidate.sizes_at(self.absent, self.factor if factor is None else factor)
+        return self.candidate.scaled_sizes(self.absent, self.factor if factor is None else factor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,12 +107,12 @@ class Proposals:
         found: dict[str, float] = {}
         for other in self.all:
             if other.candidate.effect.name != mine[0].candidate.effect.name:
-                likeness = max(alike(one.direction, other.direction) for one in mine)
+                likeness = max(largest_cosine(one.direction, other.direction) for one in mine)
                 found[other.candidate.name] = max(found.get(other.candidate.name, 0.0), likeness)
         return [other for other, likeness in sorted(found.items(), key=lambda pair: -pair[1]) if likeness > TWINS]
 
 
-def propose(evidence: Evidence, steps: Steps, words: str = "effects, one at a time",
+def propose(evidence: Evidence, context: RunContext, words: str = "effects, one at a time",
             only: str | None = None) -> Proposals:
     """Try every effect of the catalogue at a usual size, and score its direction.
 
@@ -125,7 +125,7 @@ def propose(evidence: Evidence, steps: Steps, words: str = "effects, one at a ti
     candidates: list[Candidate] = []
     for name, kind in CATALOGUE.items() if only is None else [(only, CATALOGUE[only])]:
         effects[name] = effect = kind()
-        if effect.like_moduli and any(each.is_modulus for each in evidence.problem.space.varied):
+        if effect.scales_all_forces and any(each.is_modulus for each in evidence.problem.space.varied):
             silent[name] = "no force tells it from the moduli"
             continue
         try:
@@ -133,14 +133,14 @@ def propose(evidence: Evidence, steps: Steps, words: str = "effects, one at a ti
         except NotTestableError as reason:
             silent[name] = str(reason)
     problem, evaluation = evidence.problem, evidence.evaluation
-    changes = steps.all_of(change_of, [(problem, evaluation, evidence.campaign, each) for each in candidates], words,
+    changes = context.run_all(change_of, [(problem, evaluation, evidence.campaign, each) for each in candidates], words,
                            names=[each.title for each in candidates])
     columns = {number: change for number, change in enumerate(changes) if not isinstance(change, str)}
     failures = {candidates[number].name: change for number, change in enumerate(changes) if isinstance(change, str)}
     directions = {number: _direction(candidates[number], change, evidence) for number, change in columns.items()}
     # Where the fit takes nearly all of it up, what is left may be how the change bends with the size.
     bent = [number for number, direction in directions.items() if direction.reach < _BENT * direction.length]
-    halves = steps.all_of(change_of, [(problem, evaluation, evidence.campaign, candidates[number], 0.5)
+    halves = context.run_all(change_of, [(problem, evaluation, evidence.campaign, candidates[number], 0.5)
                                       for number in bent], words,
                           names=[candidates[number].title for number in bent]) if bent else []
     for number, half in zip(bent, halves, strict=True):
@@ -183,7 +183,7 @@ def _scored(asked: Sequence[tuple[Candidate, np.ndarray, Direction]], evidence: 
     return tuple(Proposal(candidate, change, direction, score, float(p), {
         path: candidate.absent_value(evidence.campaign, path) for path in candidate.sizes})
         for (candidate, change, direction), score, p in zip(
-            left, scores, family_probability(directions, scores), strict=True))
+            left, scores, familywise_p_values(directions, scores), strict=True))
 
 
 def sharpened(proposal: Proposal, evidence: Evidence) -> Proposal:
@@ -222,7 +222,7 @@ def step_of(curves: Sequence[MeasuredCurve]) -> float:
 def _direction(candidate: Candidate, change: np.ndarray, evidence: Evidence) -> Direction:
     rows = evidence.residual.size - evidence.problem.samples
     columns = np.vstack([change, np.zeros((rows, change.shape[1]))])
-    return Direction.of(columns, evidence.fitted, positive=_one_sided(candidate, evidence))
+    return Direction.project(columns, evidence.fitted, positive=_one_sided(candidate, evidence))
 
 
 def _one_sided(candidate: Candidate, evidence: Evidence) -> bool:
@@ -231,6 +231,6 @@ def _one_sided(candidate: Candidate, evidence: Evidence) -> bool:
         return False
     (path, size), = candidate.sizes.items()
     absent = candidate.absent_value(evidence.campaign, path)
-    prepared = candidate.prepared(evidence.campaign)
+    prepared = candidate.with_prepared_tests(evidence.campaign)
     low, high = candidate.bounds.get(path, candidate.declaration(prepared, path).bounds)
     return (low >= absent - 1e-12 * abs(absent)) if size > absent else (high <= absent + 1e-12 * abs(absent))

@@ -14,12 +14,12 @@ from calibration.diagnosis.extended import extend, unknowns
 from calibration.diagnosis.proposals import Proposal, Proposals, sharpened, step_of
 from calibration.effects.effect import Candidate, NotTestableError
 from calibration.fit.estimate import Estimate
-from calibration.fit.levenberg_marquardt import Descent, descend
 from calibration.fit.problem import Problem
-from calibration.fit.steps import Steps
+from calibration.fit.run_context import RunContext
+from calibration.fit.trust_region import Descent, descend
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.forms import remainder
-from calibration.forward.meshes import REMAINDERS
+from calibration.forward.forms import mesh_uncertainty
+from calibration.forward.meshes import ACCURATE_MESH_ERRORS
 from tissue_sim.errors import InputError
 
 #: How many effects are fitted, and at most where the scores of more are this near to the best; and from which value of
@@ -125,7 +125,7 @@ def bound_met(space: ParameterSpace, theta: np.ndarray, name: str, absent: float
     return None
 
 
-def refit(evidence: Evidence, proposals: Proposals, steps: Steps, words: str = "fits with an effect",
+def refit(evidence: Evidence, proposals: Proposals, context: RunContext, words: str = "fits with an effect",
           names: Sequence[str] | None = None) -> list[Refit]:
     """Fit the effects that the data show most, best first.
 
@@ -149,7 +149,8 @@ def refit(evidence: Evidence, proposals: Proposals, steps: Steps, words: str = "
         tasks += [(evidence.problem, evidence.campaign, way, evidence.values, error, evidence.samples)
                   for way in ways[:2] if way.improbability < ways[0].improbability + 0.5 * AS_GOOD]
     titles = [way.candidate.title for *_, way, _, _, _ in tasks]
-    fits = [each for each in steps.all_of(refit_one, tasks, words, names=titles) if each is not None] if tasks else []
+    found = context.run_all(refit_one, tasks, words, names=titles) if tasks else []
+    fits = [each for each in found if each is not None]
     best: dict[str, Refit] = {}
     for each in sorted(fits, key=lambda one: -one.gain):
         # Tasks of other processes come with copies of what has been simulated.
@@ -162,7 +163,7 @@ def refit(evidence: Evidence, proposals: Proposals, steps: Steps, words: str = "
     near = [each for each in best.values() if each.gain >= limit]
     if len(near) > 1:
         # What the accurate mesh has more depends on the effect, and may decide between two that are alike.
-        again = steps.all_of(corrected, [(each, evidence.problem, error, evidence.samples) for each in near],
+        again = context.run_all(corrected, [(each, evidence.problem, error, evidence.samples) for each in near],
                              "their mesh corrections", names=[each.proposal.candidate.title for each in near])
         for each in again:
             each.problem.solves = evidence.problem.solves
@@ -180,10 +181,10 @@ def corrected(fitted: Refit, plain: Problem, error: float, samples: float) -> Re
     problem = with_own_corrections(fitted.problem)
     try:
         for test in problem.tests:
-            test.refine(problem.space, fitted.theta, problem.solves)
+            test.update_correction(problem.space, fitted.theta, problem.solves)
     except InfeasibleError:
         return fitted
-    problem.mesh_error = tuple(remainder(test, REMAINDERS) for test in problem.tests)
+    problem.mesh_error = tuple(mesh_uncertainty(test, ACCURATE_MESH_ERRORS) for test in problem.tests)
     problem.forget()
     descent = descend(problem, fitted.theta, corrected=True, enough=_ENOUGH, tolerance=_TOLERANCE)
     if not np.isfinite(descent.error):
@@ -203,7 +204,7 @@ def refit_one(problem: Problem, campaign: Campaign, proposal: Proposal, values: 
               samples: float) -> Refit | None:
     """The minimum with one effect, from the size that its score says; None where no test has its numbers."""
     candidate = proposal.candidate
-    prepared = candidate.prepared(campaign)
+    prepared = candidate.with_prepared_tests(campaign)
     start = {}
     for path, size in proposal.sizes().items():
         low, high = candidate.bounds.get(path, candidate.declaration(prepared, path).bounds)

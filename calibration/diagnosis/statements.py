@@ -28,7 +28,7 @@ def found_effects(judgement: Judgement, before: Evidence, after: Evidence) -> li
             # One more term of it.
             numbers = [*found[candidate.name].parameters, *numbers]
         found[candidate.name] = FoundEffect(
-            name=effect.name, room=effect.room, title=effect.title,
+            name=effect.name, category=effect.category, title=effect.title,
             tests=list(candidate.tests or ()) if candidate.mark else [], parameters=numbers,
             acts_in=acts_in(each.proposal, before))
     return list(found.values())
@@ -62,7 +62,7 @@ def candidate_statements(proposals: Proposals, judgement: Judgement, before: Evi
     rows.sort(key=lambda row: (row.delta_BIC is None, -(row.delta_BIC or 0.0)))
     for name, reason in proposals.silent.items():
         effect = proposals.effects[name.partition("@")[0]]
-        rows.append(CandidateStatement(name=name, effect=effect.name, room=effect.room, title=effect.title,
+        rows.append(CandidateStatement(name=name, effect=effect.name, category=effect.category, title=effect.title,
                                        testable=False, reason=reason, separated_by=effect.separated_by))
     return rows
 
@@ -75,9 +75,10 @@ def _testable(name: str, proposal: Proposal, proposals: Proposals, fitted: Refit
     plainest = max(mine, key=lambda each: each.direction.reach)
     smallest = plainest.sizes(SEEN / plainest.direction.reach)
     after = fitted.evidence(before) if fitted is not None and finite else None
-    prepared, symbols = plainest.candidate.prepared(before.campaign), plainest.candidate.symbols(before.campaign)
+    prepared = plainest.candidate.with_prepared_tests(before.campaign)
+    symbols = plainest.candidate.symbols(before.campaign)
     return CandidateStatement(
-        name=name, effect=effect.name, room=effect.room, title=effect.title, testable=True, seen_from=smallest,
+        name=name, effect=effect.name, category=effect.category, title=effect.title, testable=True, seen_from=smallest,
         symbols={path: symbols[path] for path in smallest}, absent=plainest.absent,
         units={path: plainest.candidate.declaration(prepared, path).unit for path in smallest},
         twins=proposals.twins(name), separated_by=effect.separated_by,

@@ -14,7 +14,7 @@ from calibration.diagnosis.pairs import SECOND, pairs_of
 from calibration.diagnosis.proposals import LEVEL, Proposals, beside, propose
 from calibration.diagnosis.refits import LEAST_GAIN, ODDS, Refit, odds, refit
 from calibration.fit.fit import Region
-from calibration.fit.steps import Steps
+from calibration.fit.run_context import RunContext
 
 #: An effect whose form is not confirmed explains at least this share of the gap, or the lesser one where every other
 #: effect gains no more than so much of what it does: two that explain alike much of a gap explain nothing.
@@ -43,7 +43,7 @@ class Judgement:
     evidence: Evidence
 
 
-def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
+def judge(evidence: Evidence, proposals: Proposals, context: RunContext) -> Judgement:
     """Fit what the data show, and say what can be said.
 
     Args:
@@ -51,7 +51,7 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
     """
     if not proposals.seen and evidence.adequate:
         return Judgement("NONE" if evidence.explained else "UNKNOWN", [], (), [], evidence)
-    refits = refit(evidence, proposals, steps)
+    refits = refit(evidence, proposals, context)
     sound = [each for each in refits if not each.absent and not each.beyond]
     good = [each for each in sound if each.gain >= LEAST_GAIN
             and (each.proposal.p <= LEVEL or not evidence.adequate)]
@@ -60,10 +60,10 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
     best = good[0]
     rivals = (each.gain for each in good if each.proposal.candidate.effect.name != best.proposal.candidate.effect.name)
     needed = MOSTLY if next(rivals, 0.0) < RIVALLED * best.gain else NEARLY_ALL
-    added, after = _as_often_as_needed(best, evidence, steps)
+    added, after = _as_often_as_needed(best, evidence, context)
     rest = beside(proposals, after, [best.name]).seen
     if rest or not after.adequate:
-        pairs = pairs_of(evidence, good, proposals, steps)
+        pairs = pairs_of(evidence, good, proposals, context)
         if pairs and pairs[0].gain > sum(each.gain for each in added) + SECOND:
             together = settled(pairs[0].second.evidence(pairs[0].beside))
             # Two effects whose form is not confirmed could be anything.
@@ -92,13 +92,13 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
     return Judgement("NAMED" if alone else "LOOKS_LIKE", refits, added, names, after)
 
 
-def _as_often_as_needed(best: Refit, evidence: Evidence, steps: Steps) -> tuple[tuple[Refit, ...], Evidence]:
+def _as_often_as_needed(best: Refit, evidence: Evidence, context: RunContext) -> tuple[tuple[Refit, ...], Evidence]:
     """The best effect, and more terms of it while they are needed and can be seen."""
     effect, added = best.proposal.candidate.effect, [best]
     after = settled(best.evidence(evidence))
-    while not after.adequate and len(added) < effect.times:
-        more = propose(after, steps, f"more of {effect.title}", only=effect.name)
-        fits = refit(after, more, steps, f"fits with more of {effect.title}", list(more.seen)[:1])
+    while not after.adequate and len(added) < effect.max_instances:
+        more = propose(after, context, f"more of {effect.title}", only=effect.name)
+        fits = refit(after, more, context, f"fits with more of {effect.title}", list(more.seen)[:1])
         if not fits or fits[0].gain < LEAST_GAIN or fits[0].absent:
             break
         added.append(fits[0])

@@ -1,1 +1,1 @@
-"""What a rig and a tissue do that a plain model does not: a file an effect."""
+"""Effects of tissue, contact, specimen and rig that a basic model omits; one module per effect."""

@@ -1,4 +1,4 @@
-"""Tissue that sticks to a tool that leaves it."""
+"""Adhesion between tissue and a receding tool."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -6,45 +6,54 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.campaign.campaign import Test
-from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
 from tissue_sim.experiment.adhesion import Adhesion as Pull
 from tissue_sim.model import Model
 
-#: Share of the largest force that is tried first; lengths that are tried, in largest displacements. The finite elements
-#: lose much smaller pulls at the touch, and those that fall about as steeply as the tissue is stiff (shares alike).
-_SHARE, _LENGTHS = 0.02, (0.05, 0.1, 0.2, 0.4)
-#: A plate leaves beyond where it touched, a tip before, by these shares of the largest displacement.
-_BEYOND, _BEFORE = -0.002, 0.05
-_FORCE, _LENGTH = "experiment.adhesion.force", "experiment.adhesion.length"
+#: Trial pull-off force as a fraction of the largest force. The finite elements do not resolve much smaller pulls at
+#: first contact.
+_TRIAL_FRACTION = 0.02
+#: Trial ranges of the adhesive force as fractions of the largest displacement. A shorter range would make the adhesive
+#: force fall about as steeply as the tissue is stiff, which the finite elements do not resolve either.
+_TRIAL_LENGTHS = (0.05, 0.1, 0.2, 0.4)
+#: Displacement below which a plate separates, as a fraction of the largest displacement: above the undeformed surface.
+_PLATE_SEPARATION = -0.002
+#: Displacement below which the rim of a tip separates, as a fraction of the largest displacement.
+_TIP_SEPARATION = 0.05
+#: Path of the pull-off force, N.
+_FORCE = "experiment.adhesion.force"
+#: Path of the range of the adhesive force, m.
+_LENGTH = "experiment.adhesion.length"
 
 
 class Adhesion(Effect):
-    """A pull of the tool that lifts off, over each of some lengths."""
+    """Adhesive pull-off force of a tool that lifts off; one candidate per trial range."""
 
     name = "adhesion"
-    room = "contact"
+    category = "contact"
     title = "adhesion"
-    signature = "the last millimetre of the return is too low, and the force may turn negative before it is gone"
+    signature = "the force is too low in the last millimetre of unloading, and it may become negative before lift-off"
     separated_by = "pulling the tool back past the contact"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        free = require_tests(situation.simulated(lambda test: experiment_of(test).friction != "bonded"
+        free = require_tests(situation.simulated_tests(lambda test: experiment_of(test).friction != "bonded"
                                                  and experiment_of(test).adhesion is None),
-                             "no face can lift off: they are bonded")
-        tests = require_tests([test for test in free if _leaves(situation, test)],
-                              "no tool comes back past where it touched, and a pull shows nowhere else")
+                             "no face can lift off, because all faces are bonded")
+        tests = require_tests([test for test in free if _lifts_off(situation, test)],
+                              "no tool returns past the first contact, and adhesion shows only there")
         deepest = max(map(situation.depth, tests))
-        size = _SHARE * min(map(situation.force, tests))
+        trial_force = _TRIAL_FRACTION * min(map(situation.force, tests))
 
-        def prepared(length: float):
+        def add_adhesion(length: float):
             return lambda test: replace(test, experiment=replace(test.experiment, adhesion=Pull(0.0, length)))
 
         found = []
-        for length in (share * deepest for share in _LENGTHS):
-            ready = prepared(length)
-            found += beside_material(self, situation, _FORCE, [ready(test) for test in tests], lambda _: size,
-                                     both_ways=False, prepare=ready, shape={_LENGTH: length})
+        for length in (fraction * deepest for fraction in _TRIAL_LENGTHS):
+            prepare = add_adhesion(length)
+            found += rig_parameter_candidates(self, situation, _FORCE, [prepare(test) for test in tests],
+                                              lambda _: trial_force, two_sided=False, prepare=prepare,
+                                              shape={_LENGTH: length})
         return found
 
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
@@ -54,11 +63,15 @@ class Adhesion(Effect):
         return super().apply(model, values)
 
 
-def _leaves(situation: Situation, test: Test) -> bool:
-    """Whether the tool comes back to where it lifts off: a plate past the touch, a tip from its rim on."""
-    near = _BEYOND if experiment_of(test).tool.is_plate else _BEFORE
+def _lifts_off(situation: Situation, test: Test) -> bool:
+    """Return whether the tool separates from the tissue during unloading in any recording of a test.
+
+    A plate separates as a whole, above the undeformed surface. A tip separates from its rim inwards, below the
+    surface.
+    """
+    limit = _PLATE_SEPARATION if experiment_of(test).tool.is_plate else _TIP_SEPARATION
     for curve in situation.measured[test.name]:
         deepest = int(np.argmax(curve.displacement))
-        if curve.displacement[deepest:].min() < near * curve.displacement[deepest]:
+        if curve.displacement[deepest:].min() < limit * curve.displacement[deepest]:
             return True
     return False

@@ -1,23 +1,25 @@
-"""Play between screw and nut."""
+"""Backlash: play between lead screw and nut."""
 
-from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Play that is tried first, in largest displacements.
-_SHARE = 0.01
+#: Trial backlash as a fraction of the largest displacement.
+_TRIAL_FRACTION = 0.01
 
 
 class Backlash(Effect):
-    """Lost motion at a reversal."""
+    """Lost motion of the drive at a reversal of its direction, m."""
 
     name = "backlash"
-    room = "rig"
+    category = "rig"
     title = "backlash"
-    signature = "after the reversal the force stands still for a while, and is too high by a constant way from there on"
+    signature = "after the reversal the force stays constant for a while, and the unloading curve is shifted by a " \
+                "constant displacement"
     separated_by = "unloading; a ramp alone does not show it"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        tests = require_tests(situation.simulated(situation.returns),
-                              "no tool comes back, and only a reversal shows it")
-        return beside_material(self, situation, "rig.backlash", tests,
-                               lambda group: _SHARE * min(map(situation.depth, group)), both_ways=False)
+        tests = require_tests(situation.simulated_tests(situation.has_unloading),
+                              "no recording has an unloading, and backlash shows only after a reversal")
+        return rig_parameter_candidates(self, situation, "rig.backlash", tests,
+                                        lambda group: _TRIAL_FRACTION * min(map(situation.depth, group)),
+                                        two_sided=False)

@@ -1,54 +1,79 @@
-"""The candidates that many effects have: one number beside the material, of all tests or of each."""
+"""Construction of the candidates that most effects share: one parameter of the experiment or the rig."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from calibration.campaign.campaign import Test
 from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
 from tissue_sim.parameters import parameters
 
-#: A refit may go so many times as far from absence as what is tried first, to a fifth of what is measured: a sensor, a
-#: drive or a load train that errs by more would not have been used, and takes the place of the tissue.
-REACH = 20.0
+#: Largest deviation from the stated value that a refit may find, in units of the trial deviation. A trial deviation is
+#: about 1 % of the measured range, so the bound is a fifth of that range: a sensor, drive or load train with a larger
+#: error would not have been used, and a larger bound would let the rig replace the tissue in the fit.
+MAX_TRIAL_DEVIATIONS = 20.0
 
 
 def require_tests(tests: Sequence[Test], reason: str) -> Sequence[Test]:
-    """The tests, of which there must be one.
+    """Return the tests unchanged if there is at least one.
+
+    Args:
+        tests: tests that can show an effect.
+        reason: why there is no such test, as the end of a sentence.
 
     Raises:
-        NotTestableError: there is none; with the reason.
+        NotTestableError: with `reason`, if `tests` is empty.
     """
     if not tests:
         raise NotTestableError(reason)
     return tests
 
 
-def per_test(effect: Effect, tests: Sequence[Test], sizes: Callable[[Test], Mapping[str, float]],
-             **options) -> list[Candidate]:
-    """A candidate for each test alone, of an effect that every test has a size of its own of."""
+def candidates_per_test(effect: Effect, tests: Sequence[Test], sizes: Callable[[Test], Mapping[str, float]],
+                        **options: Any) -> list[Candidate]:
+    """Return one candidate per test, each of which acts in its test only.
+
+    Args:
+        effect: effect of the candidates.
+        tests: tests that get a candidate each.
+        sizes: function that returns the trial values of a test: path -> value, SI.
+        options: further arguments of `Candidate`.
+    """
     return [Candidate(effect, sizes(test), tests=(test.name,), mark=test.name, **options) for test in tests]
 
 
 def stated_value(test: Test, path: str) -> float:
-    """What a test with a tool states of a number beside the material, SI."""
+    """Return the value that a test states for a parameter of its experiment or rig, SI.
+
+    Args:
+        test: test with a tool.
+        path: path that begins with ``experiment.`` or ``rig.``.
+    """
     part, _, inside = path.partition(".")
     return parameters(getattr(test, part))[inside].value
 
 
-def beside_material(effect: Effect, situation: Situation, path: str, tests: Sequence[Test],
-                    size: Callable[[Sequence[Test]], float], *, each: bool = False, both_ways: bool = True,
-                    **options) -> list[Candidate]:
-    """The candidates of one number of the experiment or the rig, counted from what the tests state of it.
+def rig_parameter_candidates(effect: Effect, situation: Situation, path: str, tests: Sequence[Test],
+                             size: Callable[[Sequence[Test]], float], *, each: bool = False, two_sided: bool = True,
+                             **options: Any) -> list[Candidate]:
+    """Return the candidates of an effect that has one parameter of the experiment or the rig.
+
+    Deviations are counted from the stated value, so that a known rig error is kept and its remaining error is tried.
 
     Args:
-        effect, situation: as the candidates have them. path: of the number. tests: that have it.
-        size: what is tried first, beyond what is stated, of tests that share the number.
-        each: whether each test has a number of its own; else those share it that state the same.
-        both_ways: whether it may be less than stated. options: of `Candidate`.
+        effect: effect of the candidates.
+        situation: campaign and recordings in which the effect is tested.
+        path: path of the parameter; begins with ``experiment.`` or ``rig.``.
+        tests: tests that have the parameter.
+        size: function that returns the trial deviation from the stated value, SI, for tests that share the parameter.
+        each: whether each test has its own value; otherwise tests that state the same value share one candidate.
+        two_sided: whether the value may be smaller than stated.
+        options: further arguments of `Candidate`.
 
     Raises:
-        NotTestableError: the campaign fits it already.
+        NotTestableError: the campaign fits or fixes the parameter already.
     """
     situation.require_new(path)
     groups: dict[object, list[Test]] = {}
@@ -59,9 +84,23 @@ def beside_material(effect: Effect, situation: Situation, path: str, tests: Sequ
         stated, step = stated_value(group[0], path), size(group)
         part, _, inside = path.partition(".")
         low, high = parameters(getattr(group[0], part))[inside].declaration.bounds
-        least = stated - REACH * step if both_ways else stated
+        least = stated - MAX_TRIAL_DEVIATIONS * step if two_sided else stated
         found.append(Candidate(
             effect, {path: stated + step}, absent={path: stated},
-            bounds={path: (max(low, least), min(high, stated + REACH * step))},
+            bounds={path: (max(low, least), min(high, stated + MAX_TRIAL_DEVIATIONS * step))},
             tests=tuple(test.name for test in group), mark=group[0].name if each or len(groups) > 1 else "", **options))
     return found
+
+
+def _beside_material(*args: Any, both_ways: bool = True, **options: Any) -> list[Candidate]:
+    """Call `rig_parameter_candidates` with its former keyword ``both_ways`` for ``two_sided``."""
+    return rig_parameter_candidates(*args, two_sided=both_ways, **options)
+
+
+def __getattr__(name: str) -> Any:
+    """Provide the former name of `rig_parameter_candidates` for one release."""
+    if name == "beside_material":
+        warnings.warn("calibration.effects.candidates.beside_material is deprecated; use rig_parameter_candidates, "
+                      "whose both_ways is named two_sided", DeprecationWarning, stacklevel=2)
+        return _beside_material
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

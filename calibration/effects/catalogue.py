@@ -1,4 +1,4 @@
-"""The effects that are known, by name."""
+"""Registry of the effects that a diagnosis tests, by name."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from calibration.effects.effect import Effect
 from tissue_sim.registry import Registry
 
 
-def _at(name: str) -> str:
-    """Where the class of an effect is: a file of its name, a class of its name."""
+def _class_path(name: str) -> str:
+    """Return the import path ``module:class`` of an effect: module and class are named after the effect."""
     return f"calibration.effects.{name}:{''.join(part.capitalize() for part in name.split('_'))}"
 
 
-#: Name -> class, in the order of rooms: tissue, contact, geometry, rig, population.
+#: Name -> class, ordered by category: tissue, contact, geometry, rig, population.
 CATALOGUE: Registry[type[Effect]] = Registry(
-    "effect", "tissue_sim.diagnosis_effects", {name: _at(name) for name in (
+    "effect", "tissue_sim.diagnosis_effects", {name: _class_path(name) for name in (
         "strain_stiffening", "i2_term", "compressibility", "viscoelasticity", "poroelasticity", "softening", "layer",
         "puncture", "session_scale",
         "plate_friction", "partial_slip", "adhesion",

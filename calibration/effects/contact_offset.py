@@ -1,22 +1,22 @@
-"""A touch that is elsewhere than it was taken for."""
+"""Error of the displacement at which the tool first touches the specimen."""
 
-from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Shift that is tried first, in largest displacements.
-_SHARE = 0.005
+#: Trial offset as a fraction of the largest displacement.
+_TRIAL_FRACTION = 0.005
 
 
 class ContactOffset(Effect):
-    """A shift of the displacement, of each test its own."""
+    """Constant shift of the displacement, separate for each test."""
 
     name = "contact_offset"
-    room = "rig"
+    category = "rig"
     title = "contact offset"
-    signature = "the force is off by its slope times a constant way, to the same side on the way in and back"
-    separated_by = "an approach in air, whose kink shows the touch"
+    signature = "the force curve is shifted by a constant displacement, equally in loading and unloading"
+    separated_by = "an approach through air, in which a kink of the force shows the first contact"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        tests = require_tests(situation.simulated(), "no test was recorded as force and displacement")
-        return beside_material(self, situation, "rig.contact_offset", tests,
-                               lambda group: _SHARE * situation.depth(group[0]), each=True)
+        tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
+        return rig_parameter_candidates(self, situation, "rig.contact_offset", tests,
+                                        lambda group: _TRIAL_FRACTION * situation.depth(group[0]), each=True)

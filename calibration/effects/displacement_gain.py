@@ -1,21 +1,21 @@
-"""A lead screw of another pitch than it is taken for."""
+"""Scale error of the displacement, such as a wrong pitch of the lead screw."""
 
-from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Relative error that is tried first.
-_ERROR = 0.01
+#: Trial relative error.
+_TRIAL_ERROR = 0.01
 
 
 class DisplacementGain(Effect):
-    """A relative error of every displacement."""
+    """Relative error that all displacements share."""
 
     name = "displacement_gain"
-    room = "rig"
+    category = "rig"
     title = "error of the displacement's scale"
-    signature = "the axis of displacement is stretched alike in every test, whatever its stiffness"
+    signature = "the displacement axis is scaled by the same factor in every test, independently of the stiffness"
     separated_by = "a dial gauge, or a deeper ramp"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        tests = require_tests(situation.simulated(), "no test was recorded as force and displacement")
-        return beside_material(self, situation, "rig.displacement_gain", tests, lambda _: _ERROR)
+        tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
+        return rig_parameter_candidates(self, situation, "rig.displacement_gain", tests, lambda _: _TRIAL_ERROR)

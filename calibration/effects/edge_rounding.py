@@ -1,24 +1,25 @@
-"""A needle whose edge is rounder than stated."""
+"""Edge radius of a needle above the stated one."""
 
-from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
 from tissue_sim.parameters import declared
 
-#: Rounding that is tried first, in radii of the needle.
-_SHARE = 0.1
+#: Trial increase of the edge radius as a fraction of the radius of the needle.
+_TRIAL_FRACTION = 0.1
 
 
 class EdgeRounding(Effect):
-    """A rounding between face and shaft, beyond what is stated."""
+    """Radius of the edge between face and shaft, larger than stated."""
 
     name = "edge_rounding"
-    room = "geometry"
+    category = "geometry"
     title = "rounding of the tip's edge"
-    signature = "the needle starts too softly and catches up with depth; plates agree"
+    signature = "the needle is too soft at first contact and agrees at larger depth; plates agree at all depths"
     separated_by = "a microscope, or a second tip"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        needles = require_tests(situation.simulated(
+        needles = require_tests(situation.simulated_tests(
             lambda test: "edge_radius" in declared(type(experiment_of(test).tool))), "no test has a tool with an edge")
-        return beside_material(self, situation, "experiment.tool.edge_radius", needles,
-                               lambda tests: _SHARE * experiment_of(tests[0]).tool.require_radius(), both_ways=False)
+        return rig_parameter_candidates(self, situation, "experiment.tool.edge_radius", needles,
+                                        lambda tests: _TRIAL_FRACTION * experiment_of(tests[0]).tool.require_radius(),
+                                        two_sided=False)

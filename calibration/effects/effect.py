@@ -1,18 +1,19 @@
-"""Effects that a plain model leaves out: what each is called, where it acts, and how a model gets it.
+"""Base classes of effects that a diagnosis tests: `Effect`, its `Candidate`s, and the `Situation` of the tests.
 
-An effect is a class with a name, a room and two sentences; its `candidates` are the ways in which it could be in the
-tests of a campaign. Everything else (score, refit, files that carry it) follows from the paths of the parameters that a
-candidate names. Adding one is one file and one line in `calibration.effects.catalogue`, or an entry point of the group
-``tissue_sim.diagnosis_effects`` of somebody else's package.
+An effect is a class with a name, a category and two sentences for reports. Its method `Effect.candidates` returns the
+parametrisations of the effect in the tests of a campaign. Score, refit and output files follow from the parameter paths
+of a candidate. A new effect needs one module and one line in `calibration.effects.catalogue`; another package registers
+its effects through the entry point group ``tissue_sim.diagnosis_effects``.
 """
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -27,26 +28,28 @@ from tissue_sim.material.parts import find_declaration, with_parts
 from tissue_sim.model import Model
 from tissue_sim.parameters import Declaration, parameters, symbol_at, with_values
 
-Room = Literal["tissue", "contact", "geometry", "rig", "population"]
-#: What writes an effect down: material file, campaign, rig file, or nothing (scatter between specimens is no effect of
-#: a model).
-ROOMS: tuple[Room, ...] = ("tissue", "contact", "geometry", "rig", "population")
+#: Part of the model that an effect belongs to.
+Category = Literal["tissue", "contact", "geometry", "rig", "population"]
+#: All categories in the order of reports. The category determines the output file of a found effect: tissue -> material
+#: file, contact and geometry -> campaign, rig -> rig file, population -> none.
+CATEGORIES: tuple[Category, ...] = ("tissue", "contact", "geometry", "rig", "population")
 
-
-#: A tool has come back where it went this share of its largest displacement against its way.
-RETURNED = 0.05
+#: Smallest decrease of the displacement that counts as unloading, as a fraction of the largest displacement.
+UNLOADING_FRACTION = 0.05
 
 
 class NotTestableError(Exception):
-    """These tests cannot hold an effect; the text says why, as the end of a sentence."""
+    """Raised if no test of a campaign can show an effect; the message gives the reason as the end of a sentence."""
 
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """What an effect has to know of the tests in which it is looked for.
+    """Tests and recordings in which a diagnosis tests an effect, with estimates for trial values.
 
     Attributes:
-        campaign: what is asked, only tests that are fitted. measured: test -> its recordings. law: that is fitted.
+        campaign: campaign with the fitted tests.
+        measured: name of a test -> its recordings.
+        law: name of the fitted law.
     """
 
     campaign: Campaign
@@ -55,39 +58,48 @@ class Situation:
 
     @cached_property
     def tests(self) -> tuple[Test, ...]:
-        """The tests that are fitted."""
+        """Fitted tests: all tests that are not held out."""
         return tuple(test for test in self.campaign.tests if not test.hold_out)
 
-    def simulated(self, keep: Callable[[Test], bool] = lambda _: True) -> tuple[Test, ...]:
-        """Tests with a specimen and a tool, that the finite elements simulate, and that `keep` takes."""
+    def simulated_tests(self, condition: Callable[[Test], bool] = lambda _: True) -> tuple[Test, ...]:
+        """Return the fitted tests that finite elements simulate: those with a specimen, a tool, and recorded forces.
+
+        Args:
+            condition: function that selects among these tests.
+        """
         return tuple(test for test in self.tests if test.experiment is not None
-                     and not self.measured[test.name][0].stressed and keep(test))
+                     and not self.measured[test.name][0].stressed and condition(test))
+
+    def simulated(self, keep: Callable[[Test], bool] = lambda _: True) -> tuple[Test, ...]:
+        """Call `simulated_tests`; deprecated name."""
+        warnings.warn("Situation.simulated is renamed to simulated_tests", DeprecationWarning, stacklevel=2)
+        return self.simulated_tests(keep)
 
     def curves(self, tests: Iterable[Test] | None = None) -> list[MeasuredCurve]:
-        """All recordings of some tests; None: of all."""
+        """Return the recordings of some tests, or of all fitted tests for None."""
         return [curve for test in (self.tests if tests is None else tests) for curve in self.measured[test.name]]
 
     def depth(self, test: Test) -> float:
-        """Largest displacement in a test, m (strain of one that was recorded as strain)."""
+        """Return the largest displacement in a test, m; the largest strain if the test was recorded as strain."""
         return max(float(np.abs(curve.displacement).max()) for curve in self.measured[test.name])
 
     def force(self, test: Test) -> float:
-        """Largest force in a test, N."""
+        """Return the largest force in a test, N."""
         return max(float(np.abs(curve.force).max()) for curve in self.measured[test.name])
 
     @cached_property
-    def timed(self) -> bool:
-        """Whether every recording has a time that advances."""
+    def has_time(self) -> bool:
+        """Whether every recording has a time channel that advances."""
         return all(curve.time is not None and np.ptp(curve.time) > 0 for curve in self.curves())
 
     @cached_property
-    def times(self) -> tuple[float, float]:
-        """The usual step and the length of the longest recording, s.
+    def step_and_duration(self) -> tuple[float, float]:
+        """Median sampling interval and duration of the longest recording, s.
 
         Raises:
             NotTestableError: a recording has no time.
         """
-        if not self.timed:
+        if not self.has_time:
             raise NotTestableError("the recordings have no time")
         clocks = [curve.clock for curve in self.curves()]
         return float(np.median([np.median(np.diff(clock)) for clock in clocks])), \
@@ -95,8 +107,12 @@ class Situation:
 
     @cached_property
     def modulus(self) -> float:
-        """About the shear modulus of the tissue, Pa, for the size of what is tried first: the middle one of those that
-        the largest force of each test gives in linear elasticity."""
+        """Estimate of the shear modulus mu for trial values, Pa.
+
+        The estimate is the median over the tests of the modulus that linear elasticity assigns to the largest force F
+        at the largest displacement d: mu = F h / (3 A d) for plates on a specimen of height h and area A, and mu = F /
+        (8 a d) for an indenter with contact radius a, both for an incompressible material.
+        """
         found = []
         for test in self.tests:
             force, depth = self.force(test), self.depth(test)
@@ -112,45 +128,56 @@ class Situation:
         return float(np.median(found))
 
     def contact_radius(self, test: Test) -> float:
-        """About how wide the contact of a test with a tool is at its largest displacement, m."""
+        """Return an estimate of the contact radius of a tool at the largest displacement of a test, m."""
         experiment = experiment_of(test)
         return experiment.tool.contact_radius(self.depth(test), experiment.specimen.margin())
 
     def strain(self, test: Test) -> float:
-        """About how much a test with a tool strains the tissue: its depth over the height, or the width of a needle."""
+        """Return an estimate of the largest strain in a test with a tool.
+
+        The estimate is the displacement divided by the specimen's height (plates) or by the contact diameter (needles).
+        """
         experiment = experiment_of(test)
         size = experiment.specimen.height if experiment.tool.is_plate else 2.0 * self.contact_radius(test)
         return self.depth(test) / size
 
-    def returns(self, test: Test) -> bool:
-        """Whether the tool comes back in any recording of a test."""
+    def has_unloading(self, test: Test) -> bool:
+        """Return whether any recording of a test has an unloading above `UNLOADING_FRACTION`."""
         return any(float(np.max(np.maximum.accumulate(curve.displacement) - curve.displacement))
-                   > RETURNED * self.depth(test) for curve in self.measured[test.name])
+                   > UNLOADING_FRACTION * self.depth(test) for curve in self.measured[test.name])
 
-    def fastest(self, tests: Iterable[Test]) -> float:
-        """Speed of the fastest loading, m/s.
+    def fastest_speed(self, tests: Iterable[Test]) -> float:
+        """Return the largest loading speed in some tests, m/s.
 
         Raises:
             NotTestableError: the recordings have no time.
         """
-        speeds = [curve.speed for curve in self.curves(tests) if self.timed and curve.speed]
+        speeds = [curve.speed for curve in self.curves(tests) if self.has_time and curve.speed]
         if not speeds:
             raise NotTestableError("the recordings have no time")
         return max(speeds)
 
     def require_new(self, path: str) -> None:
-        """Refuse a number that the campaign fits or holds.
+        """Check that the campaign neither fits nor fixes a parameter.
+
+        Args:
+            path: path of the parameter in the model.
 
         Raises:
-            NotTestableError: it does.
+            NotTestableError: the campaign fits or fixes the parameter.
         """
         if path in self.campaign.fit.start or path in self.campaign.fit.fixed:
-            raise NotTestableError("the campaign names it already, so it is fitted, or held where it was put")
+            raise NotTestableError("the campaign fits or fixes this parameter already")
 
     def relaxation_times(self, per_decade: float = 2.0) -> list[float]:
-        """Times that these recordings could resolve, s, evenly on a logarithmic axis: from three samples to the
-        longest recording."""
-        step, longest = self.times
+        """Return relaxation times that the recordings can resolve, s, evenly spaced on a logarithmic axis.
+
+        The times extend from three sampling intervals to the duration of the longest recording.
+
+        Args:
+            per_decade: number of times per decade.
+        """
+        step, longest = self.step_and_duration
         shortest = min(3.0 * step, 0.1 * longest)
         count = max(2, int(np.ceil(per_decade * np.log10(longest / shortest))) + 1)
         return np.geomspace(shortest, longest, count).tolist()
@@ -158,25 +185,27 @@ class Situation:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One way in which an effect could be in the tests: its numbers, and the campaign that has them.
+    """One parametrisation of an effect: parameters, trial values, and the tests in which they act.
 
     Attributes:
-        effect: it belongs to.
-        sizes: path in the model -> value at which it is tried first, SI: a usual size, for which the change of the
-            force is far above the rounding of a simulation. These numbers have a value at which the effect is absent.
-        absent: path -> that value, where it is not the one that the path declares.
-        shape: path -> value, SI, of numbers that mean nothing where the effect is absent (a relaxation time); other
-            candidates try other values, and a refit lets them free.
-        bounds: path -> lowest and highest value that a refit may take, where they are narrower than declared.
-        tests: names of those that have the numbers; None: all that could.
-        scope: ``per_specimen`` or ``per_test`` where each of them has numbers of its own; else they share them.
-        law: the wider law that has the numbers; None: the one that is fitted.
-        prepare: a test -> the same with the part that the numbers belong to (an adhesion of no force).
-        mark: what tells it from the effect's other candidates where that is no number: the name of a test.
-        inverse: whether the change of the force is in proportion to one over the number, as it is to one over a
-            stiffness.
-        jump: path in `shape` of the displacement, m, at which the force jumps: no descent moves it, so that it is
-            sought between the values of the other candidates before a refit.
+        effect: effect that the candidate belongs to.
+        sizes: path in the model -> trial value, SI. The value is of typical size, and the change of the force is far
+            above the rounding error of a simulation. Each of these parameters has a value at which the effect is
+            absent.
+        absent: path -> value at which the effect is absent, SI, if it differs from the declared one.
+        shape: path -> trial value, SI, of parameters without influence while the effect is absent, such as a relaxation
+            time. Other candidates try other values; a refit frees these parameters.
+        bounds: path -> lowest and highest value in a refit, SI, if narrower than the declared bounds.
+        tests: names of the tests in which the effect acts; None: all tests that have the parameters.
+        scope: ``per_specimen`` or ``per_test`` if each specimen or test has its own values; otherwise the tests share
+            them.
+        law: name of the wider law that has the parameters; None: the fitted law.
+        prepare: function that adds to a test the part which the parameters belong to, such as an adhesion with force 0.
+        mark: name of the test or specimen that distinguishes the candidate from others of its effect; empty if the
+            parameters distinguish it.
+        inverse: whether the change of the force is proportional to the inverse of the parameter, as for a stiffness.
+        jump: path in `shape` of the displacement, m, at which the force jumps. Gradient descent cannot move a jump, so
+            a search between the values of the other candidates precedes the refit.
     """
 
     effect: Effect
@@ -192,38 +221,46 @@ class Candidate:
     inverse: bool = False
     jump: str = ""
 
-    def sizes_at(self, absent: Mapping[str, float], factor: float) -> dict[str, float]:
-        """Path -> value at which the change of the force is about `factor` times that of the size tried first.
+    def scaled_sizes(self, absent: Mapping[str, float], factor: float) -> dict[str, float]:
+        """Return the values at which the change of the force is about `factor` times that of the trial values.
 
         Args:
-            absent: path -> value at which it is absent, SI.
+            absent: path -> value at which the effect is absent, SI.
+            factor: dimensionless amplitude of the effect; 0 is absence, 1 the trial values.
+
+        Returns:
+            Path -> value, SI.
         """
         if self.inverse:
             inverses = {path: (1.0 / absent[path], 1.0 / size) for path, size in self.sizes.items()}
-            # Beyond its absence it would run away, and become negative.
+            # The lower limit keeps the inverse positive for negative factors.
             return {path: 1.0 / max(zero + factor * (one - zero), 0.5 * zero) for path, (zero, one) in inverses.items()}
         return {path: absent[path] + factor * (size - absent[path]) for path, size in self.sizes.items()}
 
     @property
     def name(self) -> str:
-        """Of the effect, with the test where it acts in one only."""
+        """Name of the effect; followed by ``@`` and the test or specimen if the candidate acts in only one."""
         return f"{self.effect.name}@{self.mark}" if self.mark else self.effect.name
 
     @property
     def title(self) -> str:
-        """Of the effect, for people, with the test where it acts in one only."""
+        """Title of the effect for reports, with the test or specimen if the candidate acts in only one."""
         return f"{self.effect.title} in {self.mark}" if self.mark else self.effect.title
 
     @property
     def paths(self) -> frozenset[str]:
-        """Of all of its numbers."""
+        """Paths of all parameters of the candidate."""
         return frozenset({**self.sizes, **self.shape})
 
     def declaration(self, campaign: Campaign, path: str) -> Declaration:
-        """What a number of it is.
+        """Return the declaration of a parameter: symbol, unit, bounds.
+
+        Args:
+            campaign: campaign whose tests have the parameter.
+            path: path of the parameter.
 
         Raises:
-            NotTestableError: no test has it.
+            NotTestableError: no test of the candidate has the parameter.
         """
         if not path.startswith(("experiment.", "rig.")):
             law = None if self.law is None else find_law(self.law)
@@ -234,127 +271,172 @@ class Candidate:
             found = declared_around(test.experiment, test.rig).get(path)
             if found is not None and (self.tests is None or test.name in self.tests):
                 return found
-        raise NotTestableError("no test has it")
+        raise NotTestableError(f"no test has the parameter {path}")
 
     def absent_value(self, campaign: Campaign, path: str) -> float:
-        """The value at which it is absent, SI."""
-        if path in self.absent:
-            return self.absent[path]
-        stated = self.declaration(self.prepared(campaign), path).absent
-        if stated is None:
-            raise TypeError(f"{self.effect.name}: {path} declares no value at which it is absent; give one")
-        return stated
-
-    def remeshes(self, campaign: Campaign) -> bool:
-        """Whether its shape makes another mesh, even where it is absent."""
-        campaign = self.prepared(campaign)
-        return any(self.declaration(campaign, path).shapes_mesh for path in self.shape)
-
-    def prepared(self, campaign: Campaign) -> Campaign:
-        """The campaign whose tests have the parts that its numbers belong to."""
-        if self.prepare is None:
-            return campaign
-        having = self.having(campaign)
-        return replace(campaign, tests=tuple(
-            self.prepare(test) if having is None or test.name in having else test for test in campaign.tests))
-
-    def having(self, campaign: Campaign) -> tuple[str, ...] | None:
-        """Names of the tests that have the numbers; None: all that could. Beside its own, where it belongs to no
-        single one of them, those that the campaign holds out and that state the same: one rig, one specimen."""
-        if self.tests is None or self.mark or not all(path.startswith(("experiment.", "rig.")) for path in self.sizes):
-            return self.tests
-        # Those of its own are alike in it; the first stands for them.
-        stands = next(test for test in campaign.tests if test.name == self.tests[0])
-        return (*self.tests, *(test.name for test in campaign.tests if test.hold_out and test.name not in self.tests
-                               and test.experiment is not None and all(
-                                   _stated(test, path) == _stated(stands, path) for path in self.sizes)))
-
-    def added_to(self, campaign: Campaign, values: Mapping[str, float] | None = None, *,
-                 free: bool) -> Campaign:
-        """The campaign with the effect.
-
-        Args:
-            campaign: what is asked. values: path -> value, SI, of its numbers; None: those at which it is tried.
-            free: whether a fit varies them, or holds them.
+        """Return the value of a parameter at which the effect is absent, SI.
 
         Raises:
-            NotTestableError: no test has its numbers.
+            TypeError: neither the candidate nor the parameter's declaration gives this value.
         """
-        tests = self.having(campaign)
-        campaign = self.prepared(campaign)
+        if path in self.absent:
+            return self.absent[path]
+        stated = self.declaration(self.with_prepared_tests(campaign), path).absent
+        if stated is None:
+            raise TypeError(f"{self.effect.name}: absent must give the value of {path} without the effect; got no "
+                            "value. Declare it at the parameter or in Candidate.absent.")
+        return stated
+
+    def changes_mesh(self, campaign: Campaign) -> bool:
+        """Return whether a shape parameter changes the mesh even while the effect is absent."""
+        campaign = self.with_prepared_tests(campaign)
+        return any(self.declaration(campaign, path).shapes_mesh for path in self.shape)
+
+    def with_prepared_tests(self, campaign: Campaign) -> Campaign:
+        """Return the campaign after `prepare` has added the parts which the parameters belong to."""
+        if self.prepare is None:
+            return campaign
+        names = self.acting_tests(campaign)
+        return replace(campaign, tests=tuple(
+            self.prepare(test) if names is None or test.name in names else test for test in campaign.tests))
+
+    def acting_tests(self, campaign: Campaign) -> tuple[str, ...] | None:
+        """Return the names of the tests in which the effect acts; None: all tests that have the parameters.
+
+        An effect of a rig or specimen also acts in held-out tests that state the same values, because they share this
+        rig or specimen. Candidates of a single test (`mark`) act in this test only.
+        """
+        if self.tests is None or self.mark or not all(path.startswith(("experiment.", "rig.")) for path in self.sizes):
+            return self.tests
+        # All tests of the candidate state the same values, so the first represents them.
+        first = next(test for test in campaign.tests if test.name == self.tests[0])
+        return (*self.tests, *(test.name for test in campaign.tests if test.hold_out and test.name not in self.tests
+                               and test.experiment is not None and all(
+                                   _stated(test, path) == _stated(first, path) for path in self.sizes)))
+
+    def add_to(self, campaign: Campaign, values: Mapping[str, float] | None = None, *, free: bool) -> Campaign:
+        """Return the campaign with the parameters of the candidate.
+
+        Args:
+            campaign: campaign without the effect.
+            values: path -> value, SI; parameters without a value get their trial value.
+            free: whether a fit varies the parameters or holds them fixed.
+
+        Raises:
+            NotTestableError: no test has the parameters.
+        """
+        tests = self.acting_tests(campaign)
+        campaign = self.with_prepared_tests(campaign)
         values = {**self.sizes, **self.shape, **(values or {})}
         settings, everywhere = campaign.fit, tuple(test.name for test in campaign.tests)
         named, bounds = dict(settings.named), dict(settings.bounds)
         wider = {} if self.law is None else dict.fromkeys(find_law(self.law).parameters, 0.0)
         for path in values:
-            what = self.declaration(campaign, path)
+            declaration = self.declaration(campaign, path)
             of_law = path in wider
-            having = everywhere if not path.startswith(("experiment.", "rig.")) else tuple(
+            names = everywhere if not path.startswith(("experiment.", "rig.")) else tuple(
                 test.name for test in campaign.tests if path in declared_around(test.experiment, test.rig))
             if tests is not None:
-                having = tuple(name for name in tests if name in having)
-            scope = self.scope if self.tests is None or self.scope != SHARED else having
-            named[path] = Named(path, what, of_law, scope, having)
+                names = tuple(name for name in tests if name in names)
+            scope = self.scope if self.tests is None or self.scope != SHARED else names
+            named[path] = Named(path, declaration, of_law, scope, names)
             if path in self.bounds:
                 bounds[path] = self.bounds[path]
-        # A wider law holds what neither it nor the campaign's own law has.
+        # Parameters of the wider law that belong neither to the candidate nor to the fitted law stay 0.
         held = {name: 0.0 for name in wider if name not in find_law(settings.laws[0]).parameters and name not in values}
         for name in held:
             named[name] = Named(name, law_declaration(find_law(str(self.law)), name), True, SHARED, everywhere)
         start, fixed = dict(settings.start), {**settings.fixed, **held}
         for path, value in values.items():
-            here, elsewhere = (start, fixed) if free and path != self.jump else (fixed, start)
-            here[path] = value
-            elsewhere.pop(path, None)
+            target, other = (start, fixed) if free and path != self.jump else (fixed, start)
+            target[path] = value
+            other.pop(path, None)
         laws = settings.laws if self.law is None else (self.law,)
         changed: FitSettings = replace(settings, laws=laws, named=read_only(named), start=read_only(start),
                                        fixed=read_only(fixed), bounds=read_only(bounds))
         return replace(campaign, fit=changed)
 
     def symbols(self, campaign: Campaign) -> dict[str, str]:
-        """Path -> symbol, of all of its numbers."""
-        campaign = self.prepared(campaign)
+        """Return path -> symbol for all parameters of the candidate."""
+        campaign = self.with_prepared_tests(campaign)
         return {path: symbol_at(path, self.declaration(campaign, path)) for path in {**self.sizes, **self.shape}}
 
 
+class _FormerAttribute:
+    """Class attribute that reads another attribute and warns that the name is deprecated.
+
+    Args:
+        current: new name of the attribute.
+    """
+
+    def __init__(self, current: str):
+        self._current = current
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, instance: object, owner: type) -> Any:
+        warnings.warn(f"{owner.__name__}.{self._name} is renamed to {self._current}", DeprecationWarning, stacklevel=2)
+        return getattr(owner, self._current)
+
+
 class Effect(ABC):
-    """An effect by name.
+    """Effect that a diagnosis can test and add to a model.
+
+    Subclasses that name their category ``room`` are accepted with a `DeprecationWarning`.
 
     Attributes:
-        name: in files, JSON and reports. room: where it belongs, one of `ROOMS`. title: for people.
-        signature: sentence, what it leaves in a recording. separated_by: sentence, what tells it from others.
-        known_twins: names of effects that no force and displacement tell from it.
-        times: how often it may be added, each time with numbers of its own (terms of a series).
-        like_moduli: whether it is a factor of every force, which no force tells from the moduli.
+        name: name in files, JSON and reports.
+        category: part of the model that the effect belongs to, one of `CATEGORIES`.
+        title: name in reports.
+        signature: sentence: change of a recording by the effect.
+        separated_by: phrase: test or measurement that separates the effect from others.
+        known_twins: names of effects that force and displacement cannot separate from this one.
+        max_instances: how often the effect may be added, each time with its own parameters (terms of a series).
+        scales_all_forces: whether the effect is a common factor of all forces, which forces cannot separate from the
+            moduli.
+        law: name of the wider law that has the parameters; None: the parameters belong to no law.
     """
 
     name: ClassVar[str]
-    room: ClassVar[Room]
+    category: ClassVar[Category]
+    room: ClassVar[Any] = _FormerAttribute("category")
     title: ClassVar[str]
     signature: ClassVar[str]
     separated_by: ClassVar[str]
     known_twins: ClassVar[tuple[str, ...]] = ()
-    times: ClassVar[int] = 1
-    like_moduli: ClassVar[bool] = False
-    #: The wider law that its numbers belong to; None: they belong to no law.
+    max_instances: ClassVar[int] = 1
+    scales_all_forces: ClassVar[bool] = False
     law: ClassVar[str | None] = None
+
+    def __init_subclass__(cls, **options: Any):
+        super().__init_subclass__(**options)
+        if "room" in cls.__dict__:
+            warnings.warn(f"{cls.__name__}.room is deprecated; name the attribute category", DeprecationWarning,
+                          stacklevel=2)
+            cls.category = cls.__dict__["room"]
+            del cls.room
 
     @abstractmethod
     def candidates(self, situation: Situation) -> list[Candidate]:
-        """The ways in which it could be in these tests; one a value of what means nothing in its absence.
+        """Return the candidates of the effect in the tests, one for each trial value of the shape parameters.
+
+        Args:
+            situation: campaign and recordings.
 
         Raises:
-            NotTestableError: these tests cannot hold it, and why.
+            NotTestableError: no test can show the effect; the message gives the reason.
         """
 
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
-        """The model with the effect; parts that it does not have are made.
+        """Return the model with the effect; missing parts of the model are created.
 
         Args:
-            model: without it. values: path -> value, SI, all numbers of a part that is to be made.
+            model: model without the effect.
+            values: path -> value, SI; for a missing part all of its parameters.
 
         Raises:
-            InputError: a path that no model has, or numbers that the parts refuse.
+            InputError: a path does not exist in the model, or a part refuses its values.
         """
         around = {path: value for path, value in values.items() if path.startswith(("experiment.", "rig."))}
         within = {path.removeprefix("material."): value for path, value in values.items() if path not in around}
@@ -367,13 +449,13 @@ class Effect(ABC):
 
 
 def _stated(test: Test, path: str) -> float | None:
-    """What a test with a tool states of a number, SI; None where it has none."""
+    """Return the value that a test with a tool states for a parameter, SI; None if the test lacks the parameter."""
     part, _, inside = path.partition(".")
     stated = parameters(getattr(test, part)).get(inside)
     return None if stated is None else stated.value
 
 
 def experiment_of(test: Test) -> Experiment:
-    """What is done in a test with a tool."""
+    """Return the experiment of a test that has a tool."""
     assert test.experiment is not None, test.name
     return test.experiment

@@ -1,23 +1,24 @@
-"""A specimen that is higher or lower than stated."""
+"""Error of the stated height of a specimen."""
 
 from calibration.effects.candidates import require_tests
 from calibration.effects.effect import Candidate, Effect, Situation
-from calibration.effects.specimen_size import sizes_of_specimens
+from calibration.effects.specimen_size import specimen_size_candidates
 
-#: Relative error that is tried first.
-_ERROR = 0.01
+#: Trial relative error.
+_TRIAL_ERROR = 0.01
 
 
 class HeightError(Effect):
-    """An error of the height, of each specimen its own."""
+    """Relative error of the height, separate for each specimen."""
 
     name = "height_error"
-    room = "geometry"
+    category = "geometry"
     title = "error of the height"
-    signature = "the strain of plates is off by one share, so both their level and their curvature; the needle agrees"
+    signature = "the strain under plates is wrong by a constant factor, which changes the slope and the curvature of " \
+                "their curves; the needle agrees"
     separated_by = "a caliper, or a deeper ramp"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        tests = require_tests(situation.simulated(lambda test: test.specimen is not None),
-                              "no test has a specimen of a size")
-        return sizes_of_specimens(self, situation, "experiment.specimen.height", tests, _ERROR)
+        tests = require_tests(situation.simulated_tests(lambda test: test.specimen is not None),
+                              "no test has a specimen with stated dimensions")
+        return specimen_size_candidates(self, situation, "experiment.specimen.height", tests, _TRIAL_ERROR)

@@ -1,53 +1,57 @@
-"""Mass of the tool."""
+"""Inertia of the tool between force sensor and tissue."""
 
 from collections.abc import Mapping
 from dataclasses import replace
 
 from calibration.campaign.campaign import Test
-from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
 from tissue_sim.model import Model
 from tissue_sim.rig.inertia import Inertia as Mass
+from tissue_sim.rig.rig import Rig
 
-#: Mass of a tool that could be there, kg, which is tried first.
-_MASS = 0.1
-#: It shows where it moves the force by this share of the noise.
-_SEEN = 0.1
+#: Trial mass of the tool, kg: a typical mass of a small tool.
+_TRIAL_MASS = 0.1
+#: Smallest inertial force that is worth a test, as a fraction of the noise.
+_DETECTABLE_FRACTION = 0.1
+#: Path of the mass, kg.
 _PATH = "rig.faults.inertia.mass"
 
 
 class Inertia(Effect):
-    """The mass between sensor and tissue."""
+    """Mass between force sensor and tissue; its inertial force adds to the reading."""
 
     name = "inertia"
-    room = "rig"
+    category = "rig"
     title = "inertia of the tool"
-    signature = "the force is off where the tool is accelerated, and right at even speed"
-    separated_by = "motion as fast as a hand's, in air"
+    signature = "the force is wrong while the tool accelerates, and correct at constant speed"
+    separated_by = "motion in air at the speed of a hand"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        tests = require_tests(situation.simulated(lambda test: "inertia" not in test.rig.faults),
-                              "the rig has a tool with a mass already")
-        fastest = situation.fastest(tests)
-        # To be up to speed within a hundredth of the way.
+        tests = require_tests(situation.simulated_tests(lambda test: "inertia" not in test.rig.faults),
+                              "the rig states the mass of its tool already")
+        fastest = situation.fastest_speed(tests)
+        # Acceleration from rest to the largest speed v within 1 % of the displacement d: a = v^2 / (2 * 0.01 d).
         acceleration = fastest**2 / (0.02 * min(map(situation.depth, tests)))
         quietest = min(curve.noise.deviation for curve in situation.curves(tests))
-        if _MASS * acceleration < _SEEN * quietest:
-            raise NotTestableError(f"the tests are quasi-static: at {fastest * 1e3:.3g} mm/s a tool of {_MASS:g} kg "
-                                   f"moves the force by {_MASS * acceleration:.1g} N, in a noise of {quietest:.1g} N")
-        return beside_material(self, situation, _PATH, [_with_mass(test) for test in tests], lambda _: _MASS,
-                               both_ways=False, prepare=_with_mass)
+        if _TRIAL_MASS * acceleration < _DETECTABLE_FRACTION * quietest:
+            raise NotTestableError(
+                f"the tests are quasi-static: at {fastest * 1e3:.3g} mm/s a tool of {_TRIAL_MASS:g} kg changes the "
+                f"force by {_TRIAL_MASS * acceleration:.1g} N, and the noise is {quietest:.1g} N")
+        return rig_parameter_candidates(self, situation, _PATH, [_with_mass(test) for test in tests],
+                                        lambda _: _TRIAL_MASS, two_sided=False, prepare=_with_mass)
 
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
         if "inertia" not in model.rig.faults:
-            model = replace(model, rig=_massive(model.rig))
+            model = replace(model, rig=_with_inertia(model.rig))
         return super().apply(model, values)
 
 
 def _with_mass(test: Test) -> Test:
-    return replace(test, rig=_massive(test.rig))
+    """Return a test whose rig has a tool with mass 0."""
+    return replace(test, rig=_with_inertia(test.rig))
 
 
-def _massive(rig):
-    """The rig with a tool of no mass yet."""
+def _with_inertia(rig: Rig) -> Rig:
+    """Return a rig with the additional fault `tissue_sim.rig.inertia.Inertia` of mass 0."""
     return replace(rig, faults=[*rig.faults.values(), Mass(0.0)])

@@ -1,23 +1,23 @@
-"""Force that is read later than displacement."""
+"""Latency of the force channel relative to the displacement channel."""
 
-from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Delay that is tried first, in times of the fastest loading.
-_SHARE = 0.01
+#: Trial latency as a fraction of the duration of the fastest loading.
+_TRIAL_FRACTION = 0.01
 
 
 class Latency(Effect):
-    """A delay of the force."""
+    """Time by which the force is recorded later than the displacement, s."""
 
     name = "latency"
-    room = "rig"
+    category = "rig"
     title = "latency of the force"
-    signature = "the force is that of a moment before: low on the way in, high on the way back, the faster the more"
+    signature = "the force lags: it is too low in loading and too high in unloading, in proportion to the speed"
     separated_by = "a second speed"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        tests = require_tests(situation.simulated(), "no test was recorded as force and displacement")
-        fastest = situation.fastest(tests)
-        size = _SHARE * min(map(situation.depth, tests)) / fastest
-        return beside_material(self, situation, "rig.latency", tests, lambda _: size, both_ways=False)
+        tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
+        fastest = situation.fastest_speed(tests)
+        size = _TRIAL_FRACTION * min(map(situation.depth, tests)) / fastest
+        return rig_parameter_candidates(self, situation, "rig.latency", tests, lambda _: size, two_sided=False)

@@ -1,23 +1,23 @@
-"""A load train that gives way."""
+"""Elastic compliance of the load train."""
 
-from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Share of the largest displacement that the load train takes up, which is tried first.
-_SHARE = 0.01
+#: Trial deflection of the load train at the largest force, as a fraction of the largest displacement.
+_TRIAL_FRACTION = 0.01
 
 
 class MachineCompliance(Effect):
-    """Displacement that the load train takes up, in proportion to the force."""
+    """Deflection of the load train per unit force, m/N."""
 
     name = "machine_compliance"
-    room = "rig"
+    category = "rig"
     title = "machine compliance"
-    signature = "the displacement is too large in proportion to the force, so stiff tests look softer than soft ones"
+    signature = "the displacement is too large in proportion to the force, so stiff tests appear too soft"
     separated_by = "pressing on steel, or a deeper ramp"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        tests = require_tests(situation.simulated(), "no test was recorded as force and displacement")
+        tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
         stiffest = max(tests, key=lambda test: situation.force(test) / situation.depth(test))
-        size = _SHARE * situation.depth(stiffest) / situation.force(stiffest)
-        return beside_material(self, situation, "rig.compliance", tests, lambda _: size, both_ways=False)
+        size = _TRIAL_FRACTION * situation.depth(stiffest) / situation.force(stiffest)
+        return rig_parameter_candidates(self, situation, "rig.compliance", tests, lambda _: size, two_sided=False)

@@ -1,31 +1,33 @@
-"""Faces that do not hold the tissue as they should."""
+"""Partial slip of bonded faces."""
 
 from calibration.campaign.campaign import Test
-from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
 from tissue_sim.errors import InputError
 
-#: Share of the face that is tried first.
-_SHARE = 0.05
+#: Trial slip fraction: 0 is a bonded face, 1 a frictionless face.
+_TRIAL_FRACTION = 0.05
 
 
 class PartialSlip(Effect):
-    """A share of bonded faces that slips, of each test its own."""
+    """Fraction of the bonded faces that slips, separate for each test."""
 
     name = "partial_slip"
-    room = "contact"
+    category = "contact"
     title = "partial slip of a bonded face"
-    signature = "every force of one test with bonded faces is too low by about the same share"
+    signature = "all forces of one test with bonded faces are too low by about the same factor"
     separated_by = "the other bonded test, or ink and sandpaper on the faces"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        tests = require_tests(situation.simulated(_slips), "no test is done with bonded faces that could slip; tissue "
-                              "that slides round the sharp edge of a needle cannot be simulated")
-        return beside_material(self, situation, "experiment.slip", tests, lambda _: _SHARE, each=True, both_ways=False)
+        tests = require_tests(situation.simulated_tests(_can_slip),
+                              "no test has bonded faces that can slip; tissue that slides round the sharp edge of a "
+                              "needle cannot be simulated")
+        return rig_parameter_candidates(self, situation, "experiment.slip", tests, lambda _: _TRIAL_FRACTION, each=True,
+                                        two_sided=False)
 
 
-def _slips(test: Test) -> bool:
-    """Whether a face is bonded, and the same without friction can be simulated."""
+def _can_slip(test: Test) -> bool:
+    """Return whether a test has bonded faces and the same test with frictionless faces can be simulated."""
     if experiment_of(test).friction != "bonded":
         return False
     try:

@@ -1,35 +1,36 @@
-"""Plates that are not as smooth as they should be."""
+"""Friction of plates that are assumed to be frictionless."""
 
 from dataclasses import replace
 
 from calibration.campaign.campaign import Test
-from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
 from tissue_sim.experiment.interfaces import AS_TOOL
 
-#: Coefficient of friction that is tried first.
-_FIRST = 0.02
+#: Trial coefficient of friction.
+_TRIAL_COEFFICIENT = 0.02
 
 
 class PlateFriction(Effect):
-    """Coulomb friction of frictionless plates, alike on both."""
+    """Coefficient of Coulomb friction, the same at both plates."""
 
     name = "plate_friction"
-    room = "contact"
+    category = "contact"
     title = "friction of the plates"
-    signature = "lubricated plates press too hard on the way in, too little on the way back, with a jump between"
-    separated_by = "unloading, and tests whose faces hold the tissue"
+    signature = "the force between lubricated plates is too high in loading and too low in unloading, with a jump at " \
+                "the reversal"
+    separated_by = "unloading, and tests with bonded faces"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        tests = require_tests(situation.simulated(lambda test: experiment_of(test).tool.is_plate
+        tests = require_tests(situation.simulated_tests(lambda test: experiment_of(test).tool.is_plate
                                                   and experiment_of(test).friction == "frictionless"),
                               "no test is done between frictionless plates")
-        return beside_material(self, situation, "experiment.friction", tests, lambda _: _FIRST, both_ways=False,
-                               prepare=_alike)
+        return rig_parameter_candidates(self, situation, "experiment.friction", tests, lambda _: _TRIAL_COEFFICIENT,
+                                        two_sided=False, prepare=_with_equal_friction)
 
 
-def _alike(test: Test) -> Test:
-    """With a base that holds the tissue as the tool does."""
+def _with_equal_friction(test: Test) -> Test:
+    """Return a test whose base has the friction of the tool."""
     if test.experiment is None:
         return test
     return replace(test, experiment=replace(test.experiment, friction_base=AS_TOOL))

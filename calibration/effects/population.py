@@ -1,29 +1,31 @@
-"""Specimens that differ."""
+"""Differences in stiffness between specimens."""
 
 from calibration.campaign.parameters import PER_SPECIMEN
 from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
 
-#: Relative change of the stiffness that is tried first, and the largest factor that a refit may find.
-_CHANGE, _LARGEST = 0.02, 5.0
+#: Trial relative change of the stiffness.
+_TRIAL_CHANGE = 0.02
+#: Largest factor of the stiffness, and largest inverse factor, that a refit may find.
+_MAX_FACTOR = 5.0
 
 
 class Population(Effect):
-    """A stiffness of its own of each specimen. The first one is what the others are compared with."""
+    """Stiffness factor of each specimen relative to the first specimen."""
 
     name = "population"
-    room = "population"
+    category = "population"
     title = "scatter between specimens"
-    signature = "every force of one specimen is too high, or too low, by the same share in all of its tests"
-    separated_by = "all tests on each specimen, and more specimens"
+    signature = "all forces of one specimen are too high, or too low, by the same factor in all of its tests"
+    separated_by = "all tests on every specimen, and more specimens"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         path = "effects.stiffness_scale.ratio"
         situation.require_new(path)
-        tests = situation.simulated(lambda test: test.specimen is not None)
+        tests = situation.simulated_tests(lambda test: test.specimen is not None)
         specimens = list(dict.fromkeys(test.specimen.name for test in tests if test.specimen is not None))
         if len(specimens) < 2:
-            raise NotTestableError("all tests are of one specimen")
+            raise NotTestableError("all tests use one specimen")
         others = tuple(test.name for test in tests
                        if test.specimen is not None and test.specimen.name != specimens[0])
-        return [Candidate(self, {path: 1.0 + _CHANGE}, bounds={path: (1.0 / _LARGEST, _LARGEST)}, tests=others,
-                          scope=PER_SPECIMEN)]
+        return [Candidate(self, {path: 1.0 + _TRIAL_CHANGE}, bounds={path: (1.0 / _MAX_FACTOR, _MAX_FACTOR)},
+                          tests=others, scope=PER_SPECIMEN)]

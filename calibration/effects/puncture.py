@@ -1,30 +1,32 @@
-"""A surface that gives way under the needle."""
+"""Puncture of the tissue by a needle."""
 
 from calibration.effects.candidates import require_tests
 from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation, experiment_of
 
-#: Share of the force that is tried first, and the largest that a refit may find.
-_SHARE, _LARGEST = 0.05, 0.95
-#: Depths that are tried, in largest depths of a needle.
-_DEPTHS = tuple(0.05 * step for step in range(1, 20))
+#: Trial drop as a fraction of the force.
+_TRIAL_FRACTION = 0.05
+#: Largest drop, as a fraction of the force, that a refit may find.
+_MAX_FRACTION = 0.95
+#: Trial depths as fractions of the largest depth of a needle.
+_TRIAL_DEPTHS = tuple(0.05 * step for step in range(1, 20))
 
 
 class Puncture(Effect):
-    """A drop of the needle's force that stays, at each of some depths."""
+    """Permanent drop of the needle force beyond a depth; one candidate per trial depth."""
 
     name = "puncture"
-    room = "tissue"
+    category = "tissue"
     title = "puncture"
-    signature = "the force of the needle drops at once at one depth and stays lower; plates feel nothing"
-    separated_by = "a repeat at a new site"
+    signature = "the force of the needle drops suddenly at one depth and stays lower; plates show no drop"
+    separated_by = "a repetition at a new site"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         if situation.campaign.fit.material.puncture is not None:
-            raise NotTestableError("the material that is fitted is punctured already")
-        needles = require_tests(situation.simulated(lambda test: not experiment_of(test).tool.is_plate),
+            raise NotTestableError("the fitted material has a puncture already")
+        needles = require_tests(situation.simulated_tests(lambda test: not experiment_of(test).tool.is_plate),
                                 "no test has a needle")
         deepest = max(map(situation.depth, needles))
         drop, depth = "puncture.drop", "puncture.depth"
-        return [Candidate(self, {drop: _SHARE}, shape={depth: share * deepest},
-                          bounds={drop: (0.0, _LARGEST), depth: (0.01 * deepest, deepest)}, jump=depth)
-                for share in _DEPTHS]
+        return [Candidate(self, {drop: _TRIAL_FRACTION}, shape={depth: fraction * deepest},
+                          bounds={drop: (0.0, _MAX_FRACTION), depth: (0.01 * deepest, deepest)}, jump=depth)
+                for fraction in _TRIAL_DEPTHS]

@@ -1,24 +1,24 @@
-"""A specimen that is wider or thinner than stated."""
+"""Error of the stated radius of a specimen."""
 
 from calibration.effects.candidates import require_tests
 from calibration.effects.effect import Candidate, Effect, Situation
-from calibration.effects.specimen_size import sizes_of_specimens
+from calibration.effects.specimen_size import specimen_size_candidates
 
-#: Relative error that is tried first.
-_ERROR = 0.01
+#: Trial relative error.
+_TRIAL_ERROR = 0.01
 
 
 class RadiusError(Effect):
-    """An error of the radius, of each specimen its own."""
+    """Relative error of the radius, separate for each specimen."""
 
     name = "radius_error"
-    room = "geometry"
+    category = "geometry"
     title = "error of the radius"
-    signature = "plates are off by one share, and the needle is not"
-    separated_by = "a caliper; no force tells it from another stiffness of the session"
+    signature = "forces under plates are wrong by a constant factor, and forces of the needle are correct"
+    separated_by = "a caliper; no force separates it from a change of stiffness between sessions"
     known_twins = ("session_scale",)
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        tests = require_tests(situation.simulated(lambda test: test.specimen is not None),
-                              "no test has a specimen of a size")
-        return sizes_of_specimens(self, situation, "experiment.specimen.radius", tests, _ERROR)
+        tests = require_tests(situation.simulated_tests(lambda test: test.specimen is not None),
+                              "no test has a specimen with stated dimensions")
+        return specimen_size_candidates(self, situation, "experiment.specimen.radius", tests, _TRIAL_ERROR)

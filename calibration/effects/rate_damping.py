@@ -1,23 +1,24 @@
-"""A drag that grows with the speed."""
+"""Viscous damping of the rig."""
 
-from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Share of the smallest test's largest force at the fastest loading, which is tried first.
-_SHARE = 0.005
+#: Trial damping force at the largest speed, as a fraction of the smallest of the tests' largest forces.
+_TRIAL_FRACTION = 0.005
 
 
 class RateDamping(Effect):
-    """A force in proportion to the speed."""
+    """Force of the rig in proportion to the speed, N s/m."""
 
     name = "rate_damping"
-    room = "rig"
+    category = "rig"
     title = "damping of the rig"
-    signature = "the force is off in proportion to the speed, and right in holds"
+    signature = "the force is wrong in proportion to the speed, and correct in holds"
     separated_by = "a second speed"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        tests = require_tests(situation.simulated(), "no test was recorded as force and displacement")
-        fastest = situation.fastest(tests)
-        return beside_material(self, situation, "rig.rate_damping", tests,
-                               lambda group: _SHARE * min(map(situation.force, group)) / fastest, both_ways=False)
+        tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
+        fastest = situation.fastest_speed(tests)
+        return rig_parameter_candidates(self, situation, "rig.rate_damping", tests,
+                                        lambda group: _TRIAL_FRACTION * min(map(situation.force, group)) / fastest,
+                                        two_sided=False)

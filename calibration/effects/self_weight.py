@@ -1,4 +1,4 @@
-"""A specimen that sags under its own weight."""
+"""Self-weight of the specimen."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -9,36 +9,42 @@ from calibration.effects.effect import Candidate, Effect, Situation, experiment_
 from tissue_sim.model import Model
 from tissue_sim.specimen import STANDARD_GRAVITY
 
-#: Of a specimen whose density nobody stated, kg/m3: that of water.
-DENSITY = 1000.0
+#: Density of a specimen without a stated density, kg/m3: the density of water.
+DEFAULT_DENSITY = 1000.0
+#: Path of the acceleration of gravity, m/s2.
 _GRAVITY = "experiment.specimen.gravity"
 
 
 class SelfWeight(Effect):
-    """Gravity; a density that nobody stated is that of water, and its error is in the number that is found."""
+    """Gravity that acts on the specimen, m/s2.
+
+    Only density times gravity is observable. A specimen without a stated density gets that of water, so an error of
+    the density appears as an error of the gravity that a refit finds.
+    """
 
     name = "self_weight"
-    room = "geometry"
+    category = "geometry"
     title = "self-weight"
-    signature = "plates and punch press harder than the tissue is stiff, most where the specimen is soft and high"
-    separated_by = "the weight, and the height before and after placing; or turning the axis"
+    signature = "forces of plates and punch are higher than the stiffness explains, most for soft and high specimens"
+    separated_by = "weighing the specimen and measuring its height before and after placing, or a horizontal test axis"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         situation.require_new(_GRAVITY)
-        tests = require_tests(situation.simulated(lambda test: not experiment_of(test).specimen.gravity),
-                              "the specimens weigh already")
+        tests = require_tests(situation.simulated_tests(lambda test: not experiment_of(test).specimen.gravity),
+                              "the specimens have self-weight already")
         return [Candidate(self, {_GRAVITY: STANDARD_GRAVITY}, bounds={_GRAVITY: (0.0, 1.5 * STANDARD_GRAVITY)},
                           tests=tuple(test.name for test in tests), prepare=_with_density)]
 
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
         specimen = model.experiment.specimen
         if specimen.density is None:
-            specimen = replace(specimen, density=model.material.density or DENSITY)
+            specimen = replace(specimen, density=model.material.density or DEFAULT_DENSITY)
         return super().apply(replace(model, experiment=replace(model.experiment, specimen=specimen)), values)
 
 
 def _with_density(test: Test) -> Test:
+    """Return a test whose specimen has a density, `DEFAULT_DENSITY` unless stated."""
     if test.experiment is None or experiment_of(test).specimen.density is not None:
         return test
-    specimen = replace(experiment_of(test).specimen, density=DENSITY)
+    specimen = replace(experiment_of(test).specimen, density=DEFAULT_DENSITY)
     return replace(test, experiment=replace(test.experiment, specimen=specimen))

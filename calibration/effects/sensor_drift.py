@@ -1,23 +1,23 @@
-"""A sensor whose zero wanders."""
+"""Drift of the force sensor's zero."""
 
-from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Share of the smallest test's largest force by which the zero wanders in the longest recording, tried first.
-_SHARE = 0.01
+#: Trial drift over the longest recording, as a fraction of the smallest of the tests' largest forces.
+_TRIAL_FRACTION = 0.01
 
 
 class SensorDrift(Effect):
-    """A zero that goes on evenly with time."""
+    """Constant rate of change of the sensor's zero, N/s."""
 
     name = "sensor_drift"
-    room = "rig"
+    category = "rig"
     title = "drift of the sensor"
-    signature = "the force is off in proportion to the time, also in holds and in the air"
-    separated_by = "a hold, and unloading"
+    signature = "the error of the force grows in proportion to time, also in holds and in air"
+    separated_by = "a hold and an unloading"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        _, longest = situation.times
-        tests = require_tests(situation.simulated(), "no test was recorded as force and displacement")
-        return beside_material(self, situation, "rig.sensor_drift", tests,
-                               lambda group: _SHARE * min(map(situation.force, group)) / longest)
+        _, longest = situation.step_and_duration
+        tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
+        return rig_parameter_candidates(self, situation, "rig.sensor_drift", tests,
+                                        lambda group: _TRIAL_FRACTION * min(map(situation.force, group)) / longest)

@@ -1,23 +1,23 @@
-"""A sensor whose every reading is off by one share."""
+"""Scale error of the force sensor."""
 
-from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Relative error that is tried first.
-_ERROR = 0.01
+#: Trial relative error.
+_TRIAL_ERROR = 0.01
 
 
 class SensorGain(Effect):
-    """A relative error of every force: another stiffness, by force and displacement alone."""
+    """Relative error that all forces share; force and displacement alone cannot separate it from the moduli."""
 
     name = "sensor_gain"
-    room = "rig"
+    category = "rig"
     title = "error of the sensor's scale"
-    signature = "every force is off by one share, as if the tissue were stiffer"
-    separated_by = "dead weights; no test on tissue tells it from the moduli"
+    signature = "all forces are wrong by the same factor, as if the tissue had another stiffness"
+    separated_by = "dead weights; no test on tissue separates it from the moduli"
     known_twins = ("session_scale", "radius_error")
-    like_moduli = True
+    scales_all_forces = True
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        tests = require_tests(situation.simulated(), "no test was recorded as force and displacement")
-        return beside_material(self, situation, "rig.sensor_gain", tests, lambda _: _ERROR)
+        tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
+        return rig_parameter_candidates(self, situation, "rig.sensor_gain", tests, lambda _: _TRIAL_ERROR)

@@ -1,25 +1,28 @@
-"""A test on a warmer or colder day."""
+"""Change of stiffness between sessions, for example by temperature."""
 
-from calibration.effects.candidates import per_test, require_tests
+from calibration.effects.candidates import candidates_per_test, require_tests
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Relative change of the stiffness that is tried first, and the largest factor that a refit may find.
-_CHANGE, _LARGEST = 0.02, 5.0
+#: Trial relative change of the stiffness.
+_TRIAL_CHANGE = 0.02
+#: Largest factor of the stiffness, and largest inverse factor, that a refit may find.
+_MAX_FACTOR = 5.0
 
 
 class SessionScale(Effect):
-    """All of the material of one test times a number. The first test is what the others are compared with."""
+    """Stiffness factor of one test relative to the first test."""
 
     name = "session_scale"
-    room = "tissue"
+    category = "tissue"
     title = "stiffness of one session (temperature)"
-    signature = "every force of one test is too high, or too low, by the same share"
-    separated_by = "a thermometer, or repeating the first test after the last"
+    signature = "all forces of one test are too high, or too low, by the same factor"
+    separated_by = "a thermometer, or a repetition of the first test after the last test"
     known_twins = ("radius_error",)
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         path = "effects.stiffness_scale.ratio"
         situation.require_new(path)
-        others = require_tests(situation.simulated()[1:],
-                               "there is one test with a tool, and nothing to compare it with")
-        return per_test(self, others, lambda _: {path: 1.0 + _CHANGE}, bounds={path: (1.0 / _LARGEST, _LARGEST)})
+        others = require_tests(situation.simulated_tests()[1:],
+                               "only one test has a tool, so its stiffness has no reference")
+        return candidates_per_test(self, others, lambda _: {path: 1.0 + _TRIAL_CHANGE},
+                                   bounds={path: (1.0 / _MAX_FACTOR, _MAX_FACTOR)})

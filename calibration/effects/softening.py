@@ -1,29 +1,33 @@
-"""Tissue that is weaker below the largest load it has seen."""
+"""Stress softening below the largest previous load (Mullins effect)."""
 
 from calibration.effects.candidates import require_tests
 from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
 
-#: Share of the stress that is tried first, and the largest that a refit may find.
-_SHARE, _LARGEST = 0.1, 0.95
-#: How much of the largest energy has to be given back until the tissue has softened: shapes of the return.
-_SCALES = (0.15, 0.4, 1.0, 3.0)
+#: Trial loss of stress, as a fraction of the stress.
+_TRIAL_LOSS = 0.1
+#: Largest loss of stress that a refit may find.
+_MAX_LOSS = 0.95
+#: Trial fractions of the largest strain energy that must be released until the tissue has softened; each gives another
+#: shape of the unloading curve.
+_TRIAL_ENERGY_FRACTIONS = (0.15, 0.4, 1.0, 3.0)
 
 
 class Softening(Effect):
-    """Softening on first load (the Mullins effect)."""
+    """Loss of stress below the largest previous strain energy; one candidate per shape of the unloading curve."""
 
     name = "softening"
-    room = "tissue"
+    category = "tissue"
     title = "softening on first load (Mullins)"
-    signature = "the return, and a second loading, are lower than the way in, the more the farther back, at every speed"
+    signature = "unloading and reloading are below the first loading, more so at smaller displacement, at every speed"
     separated_by = "unloading and loading again"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         if situation.campaign.fit.material.softening is not None:
-            raise NotTestableError("the material that is fitted softens already")
-        require_tests(situation.simulated(situation.returns),
-                      "no tool comes back, and it leaves the first loading alone")
-        loss, share = "softening.loss", "softening.share"
-        return [Candidate(self, {loss: _SHARE}, shape={share: scale},
-                          bounds={loss: (0.0, _LARGEST), share: (0.1 * _SCALES[0], 10.0 * _SCALES[-1])})
-                for scale in _SCALES]
+            raise NotTestableError("the fitted material has softening already")
+        require_tests(situation.simulated_tests(situation.has_unloading),
+                      "no recording has an unloading, and softening does not change the first loading")
+        loss, energy = "softening.loss", "softening.share"
+        limits = 0.1 * _TRIAL_ENERGY_FRACTIONS[0], 10.0 * _TRIAL_ENERGY_FRACTIONS[-1]
+        return [Candidate(self, {loss: _TRIAL_LOSS}, shape={energy: fraction},
+                          bounds={loss: (0.0, _MAX_LOSS), energy: limits})
+                for fraction in _TRIAL_ENERGY_FRACTIONS]

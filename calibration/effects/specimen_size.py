@@ -1,4 +1,4 @@
-"""Errors of what was measured at a specimen."""
+"""Candidates for errors of the stated dimensions of specimens."""
 
 from collections.abc import Sequence
 
@@ -7,20 +7,23 @@ from calibration.campaign.parameters import declared_around
 from calibration.effects.candidates import require_tests, stated_value
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Largest error that a refit may find, as a share.
-_LARGEST = 0.2
+#: Largest relative error that a refit may find.
+_MAX_ERROR = 0.2
 
 
-def sizes_of_specimens(effect: Effect, situation: Situation, path: str, tests: Sequence[Test],
-                       error: float) -> list[Candidate]:
-    """A candidate for each specimen whose size is off.
+def specimen_size_candidates(effect: Effect, situation: Situation, path: str, tests: Sequence[Test],
+                             error: float) -> list[Candidate]:
+    """Return one candidate per specimen for the error of one dimension.
 
     Args:
-        effect, situation: as the candidates have them. path: of the size. tests: with a specimen. error: relative,
-            that is tried first.
+        effect: effect of the candidates.
+        situation: campaign and recordings in which the effect is tested.
+        path: path of the dimension, such as ``experiment.specimen.height``.
+        tests: tests with a specimen.
+        error: trial relative error.
 
     Raises:
-        NotTestableError: the campaign fits it already, or no specimen has it.
+        NotTestableError: the campaign fits or fixes the dimension already, or no specimen has it.
     """
     situation.require_new(path)
     size_name = path.rpartition(".")[2]
@@ -34,6 +37,6 @@ def sizes_of_specimens(effect: Effect, situation: Situation, path: str, tests: S
         size = stated_value(group[0], path)
         found.append(Candidate(
             effect, {path: (1.0 + error) * size}, absent={path: size},
-            bounds={path: ((1.0 - _LARGEST) * size, (1.0 + _LARGEST) * size)},
+            bounds={path: ((1.0 - _MAX_ERROR) * size, (1.0 + _MAX_ERROR) * size)},
             tests=tuple(test.name for test in group), mark=name if len(groups) > 1 else ""))
     return found

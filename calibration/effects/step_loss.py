@@ -1,27 +1,29 @@
-"""A motor that loses steps."""
+"""Lost steps of a stepper motor."""
 
-from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Loss that is tried first, in largest displacements; and depths at which it may happen, likewise.
-_SHARE, _DEPTHS = 0.01, tuple(0.05 * step for step in range(2, 20))
+#: Trial loss as a fraction of the largest displacement.
+_TRIAL_FRACTION = 0.01
+#: Trial depths of the loss as fractions of the largest displacement.
+_TRIAL_DEPTHS = tuple(0.05 * step for step in range(2, 20))
 
 
 class StepLoss(Effect):
-    """A way that is lost for good at one depth, of each test its own."""
+    """Displacement that is lost permanently at one depth; one candidate per test and trial depth."""
 
     name = "step_loss"
-    room = "rig"
+    category = "rig"
     title = "step loss"
-    signature = "the force of one test drops at once at one depth, as if the tool had been set back, and stays so"
-    separated_by = "counting the steps back to zero"
+    signature = "the force of one test drops suddenly at one depth, as if the tool had moved back, and stays low"
+    separated_by = "counting the steps on the return to zero"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        tests = require_tests(situation.simulated(), "no test was recorded as force and displacement")
+        tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
         loss, depth, found = "rig.step_loss", "rig.step_loss_depth", []
-        for share in _DEPTHS:
+        for fraction in _TRIAL_DEPTHS:
             for test in tests:
-                found += beside_material(self, situation, loss, [test],
-                                         lambda group: _SHARE * situation.depth(group[0]), each=True, both_ways=False,
-                                         shape={depth: share * situation.depth(test)}, jump=depth)
+                found += rig_parameter_candidates(
+                    self, situation, loss, [test], lambda group: _TRIAL_FRACTION * situation.depth(group[0]), each=True,
+                    two_sided=False, shape={depth: fraction * situation.depth(test)}, jump=depth)
         return found

@@ -1,26 +1,30 @@
-"""A tissue that stiffens more than the law can."""
+"""Strain stiffening beyond the fitted law."""
 
 from calibration.effects.effect import Candidate, Effect, Situation
 from calibration.effects.wider_law import WIDER, absent_order
 
-#: Share by which the new term changes the stress at the largest strain, which is tried first, and the largest that a
-#: refit may find, in units of it: it grows so fast that most of the tissue knows little of it.
-_SHARE, _LARGEST = 0.2, 500.0
+#: Trial contribution of the new term to the stress at the largest strain, as a fraction of the stress.
+_TRIAL_FRACTION = 0.2
+#: Largest coefficient that a refit may find, in units of the trial coefficient. The bound is wide because the term
+#: grows so steeply with strain that it is small in most of the tissue.
+_MAX_TRIAL_COEFFICIENTS = 500.0
 
 
 class StrainStiffening(Effect):
-    """The next power of I1 - 3."""
+    """Strain energy term in the lowest power of I1 - 3 that the fitted law lacks."""
 
     name = "strain_stiffening"
-    room = "tissue"
+    category = "tissue"
     title = "strain stiffening"
-    signature = "the force rises more steeply at the end of the ramp than the law can, at every speed, in all tests"
+    signature = "the force rises more steeply at the end of the ramp than the law allows, in all tests at every speed"
     separated_by = "any second test, or a deeper ramp"
     law = WIDER
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         path, order = absent_order(situation.law)
-        largest = max((situation.strain(test) for test in situation.simulated()), default=0.1)
-        # Of C10 (I1 - 3) + Cn0 (I1 - 3)^n, whose I1 is about 3 + 3 strain^2.
-        size = _SHARE * 0.5 * situation.modulus / (order * (3.0 * largest**2) ** (order - 1))
-        return [Candidate(self, {path: size}, absent={path: 0.0}, bounds={path: (0.0, _LARGEST * size)}, law=WIDER)]
+        largest = max((situation.strain(test) for test in situation.simulated_tests()), default=0.1)
+        # Ratio of the stresses of Cn0 (I1 - 3)^n and C10 (I1 - 3), with C10 = mu / 2 and I1 = 3 + 3 strain^2 to lowest
+        # order.
+        size = _TRIAL_FRACTION * 0.5 * situation.modulus / (order * (3.0 * largest**2) ** (order - 1))
+        return [Candidate(self, {path: size}, absent={path: 0.0}, bounds={path: (0.0, _MAX_TRIAL_COEFFICIENTS * size)},
+                          law=WIDER)]

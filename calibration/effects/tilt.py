@@ -1,22 +1,24 @@
-"""A face that leans."""
+"""Tilt of the tool's face relative to the specimen."""
 
-from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Height difference that is tried first, in largest displacements.
-_SHARE = 0.03
+#: Trial height difference across the face, as a fraction of the largest displacement.
+_TRIAL_FRACTION = 0.03
 
 
 class Tilt(Effect):
-    """A face that touches on one side first, of each test its own."""
+    """Height difference across the face, m, separate for each test; a tilted face touches on one side first."""
 
     name = "tilt"
-    room = "geometry"
+    category = "geometry"
     title = "tilt of a face"
-    signature = "the force begins with a toe of some tenths of a millimetre and lags by a constant way from there on"
+    signature = "the force begins with a toe region of some tenths of a millimetre, and the rest of the curve is " \
+                "shifted by a constant displacement"
     separated_by = "denser samples in the first millimetre, or turning the specimen"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        tests = require_tests(situation.simulated(), "no test has a tool")
-        return beside_material(self, situation, "experiment.tilt", tests,
-                               lambda group: _SHARE * situation.depth(group[0]), each=True, both_ways=False)
+        tests = require_tests(situation.simulated_tests(), "no test has a tool")
+        return rig_parameter_candidates(self, situation, "experiment.tilt", tests,
+                                        lambda group: _TRIAL_FRACTION * situation.depth(group[0]), each=True,
+                                        two_sided=False)

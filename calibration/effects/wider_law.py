@@ -1,40 +1,49 @@
-"""What the law of Biderman adds to those that it contains."""
+"""Extension of polynomial laws to Biderman's law, which contains them."""
 
 import numpy as np
 
 from calibration.effects.effect import NotTestableError
 from tissue_sim.laws import InvariantLaw, find_law
 
-#: Name of the law with all numbers that are looked for.
+#: Name of the law that has the terms in C10, C01, C20 and C30.
 WIDER = "biderman"
 
 
 def require_contained(name: str) -> set[str]:
-    """Parameters of a law that Biderman's contains.
+    """Return the parameters of a law that is a special case of Biderman's law.
+
+    Args:
+        name: name of the fitted law.
 
     Raises:
-        NotTestableError: it does not.
+        NotTestableError: the law is not a special case of Biderman's law.
     """
     law, wider = find_law(name), find_law(WIDER)
     if isinstance(law, InvariantLaw) and set(law.parameters) <= set(wider.parameters):
-        trial = {parameter: 1.0 + place for place, parameter in enumerate(law.parameters)}
+        trial = {parameter: 1.0 + index for index, parameter in enumerate(law.parameters)}
         same = law.kernel_energy.key == wider.kernel_energy.key and np.array_equal(
             law.kernel_coefficients(trial),
             wider.kernel_coefficients(dict.fromkeys(wider.parameters, 0.0) | trial))
         if same:
             return set(law.parameters)
-    raise NotTestableError(f"the law that is fitted, {law.title}, is no polynomial of the invariants with a term that "
-                           "could be added; fit a reduced polynomial or Mooney-Rivlin")
+    raise NotTestableError(f"the fitted law, {law.title}, cannot be extended by a polynomial term in the invariants; "
+                           "fit a reduced polynomial or Mooney-Rivlin")
 
 
 def absent_order(name: str) -> tuple[str, int]:
-    """The first power of I1 - 3 that a law does not have: its parameter and the power.
+    """Return the lowest power of I1 - 3 that a law lacks.
+
+    Args:
+        name: name of the fitted law.
+
+    Returns:
+        Name of the coefficient, such as ``C20``, and the power.
 
     Raises:
-        NotTestableError: it has all that Biderman's has, or is not contained in it.
+        NotTestableError: the law has all powers of Biderman's law, or it is not a special case of Biderman's law.
     """
     known = require_contained(name)
     for order in (2, 3):
         if f"C{order}0" not in known:
             return f"C{order}0", order
-    raise NotTestableError("the law that is fitted has the third power of I1 - 3 already, and no law here has a fourth")
+    raise NotTestableError("the fitted law has the third power of I1 - 3 already, and no available law has the fourth")

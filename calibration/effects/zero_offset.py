@@ -1,27 +1,29 @@
-"""A sensor that was not set to zero."""
+"""Zero offset of the force sensor."""
 
-from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Share of the smallest test's largest force that is tried first.
-_SHARE = 0.01
+#: Trial offset as a fraction of the smallest of the tests' largest forces.
+_TRIAL_FRACTION = 0.01
 
 
 class ZeroOffset(Effect):
-    """A constant reading: one of all tests, and one of each test alone."""
+    """Constant error of the force, N; one candidate for all tests together and one for each test."""
 
     name = "zero_offset"
-    room = "rig"
+    category = "rig"
     title = "zero offset"
-    signature = "the force is off by a constant, also in the air"
-    separated_by = "unloading, or an approach in air"
+    signature = "the force is wrong by a constant, also in air"
+    separated_by = "unloading, or an approach through air"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        tests = require_tests(situation.simulated(), "no test was recorded as force and displacement")
+        tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
         path = "rig.zero_offset"
 
-        def size(group):
-            return _SHARE * min(map(situation.force, group))
+        def trial_offset(group):
+            return _TRIAL_FRACTION * min(map(situation.force, group))
 
-        alone = beside_material(self, situation, path, tests, size, each=True) if len(tests) > 1 else []
-        return [*beside_material(self, situation, path, tests, size), *alone]
+        shared = rig_parameter_candidates(self, situation, path, tests, trial_offset)
+        if len(tests) < 2:
+            return shared
+        return [*shared, *rig_parameter_candidates(self, situation, path, tests, trial_offset, each=True)]

@@ -14,12 +14,12 @@ from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.fit import Covariance, Fit, Profile
 from calibration.fit.identifiability import not_identifiable
-from calibration.fit.levenberg_marquardt import Descent
 from calibration.fit.population import differing_specimens, find_specimens
 from calibration.fit.profiles import ProfileSide
 from calibration.fit.self_weight import sags
+from calibration.fit.trust_region import Descent
 from calibration.fit.usability import Evidence, judge, losses, test_misfits
-from calibration.forward.contract import Reached
+from calibration.forward.contract import StretchRange
 from calibration.statistics.statistics import correlation, information_criteria
 from calibration.statistics.uncertainty import Uncertainty
 from tissue_sim.laws import Stability, check_stability, find_law
@@ -41,7 +41,7 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
     free = slice(0, len(space.free))
     specimens = find_specimens(space, theta, spread.covariance[free, free], spread.standard_errors[free])
     moduli = space.of_law(specimens.typical(space, values))
-    reached = {test.name: test.reached(space, theta) for test in problem.tests}
+    reached = {test.name: test.stretch_range(space, theta) for test in problem.tests}
     stretches = (min(one.principal[0] for one in reached.values()), max(one.principal[1] for one in reached.values()))
     stability = check_stability(law, law.as_array(moduli), (min(STRETCH_RANGE[0], stretches[0]),
                                                             max(STRETCH_RANGE[1], stretches[1])))
@@ -100,11 +100,12 @@ def _derivatives(estimate: Estimate, theta: np.ndarray) -> dict[str, str]:
     """Free parameter -> ``"exact"``, or ``"difference"`` where it is one in any test."""
     problem, names = estimate.problem, set()
     for test in problem.tests:
-        names |= test.differences(test.solve(problem.space, theta, problem.solves))
+        names |= test.differenced_parameters(test.solve(problem.space, theta, problem.solves))
     return {name: "difference" if name in names else "exact" for name in problem.space.free}
 
 
-def _other_losses(stability: Stability, reached: Mapping[str, Reached], stretches: tuple[float, float]) -> list[str]:
+def _other_losses(stability: Stability, reached: Mapping[str, StretchRange],
+                  stretches: tuple[float, float]) -> list[str]:
     """A warning where loading that was not measured is unstable inside the stretches of the data."""
     measured = {one.mode for one in reached.values()}
     found = [loss for mode in stability.limits if mode not in measured

@@ -10,9 +10,9 @@ from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve, usual_contact
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.problem import Problem
-from calibration.forward.forms import build_test, remainder
-from calibration.forward.meshes import FAST_REMAINDERS
-from calibration.forward.solves import Solves
+from calibration.forward.forms import build_test, mesh_uncertainty
+from calibration.forward.meshes import FAST_MESH_ERRORS
+from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import Jitter
 
 #: Standard deviation of the zero with which an estimate of the jitter begins, and which is assumed where no test has
@@ -21,7 +21,7 @@ FIRST_ZERO = 0.002
 
 
 def build_problem(law: str, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]],
-                  solves: Solves) -> Problem:
+                  solves: SimulationCache) -> Problem:
     """The least-squares problem of one law over all tests that are not held out.
 
     Args:
@@ -33,7 +33,7 @@ def build_problem(law: str, campaign: Campaign, measured: Mapping[str, Sequence[
     jitter = first_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
     tests = tuple(build_test(test, measured[test.name], campaign.fit, jitter.contact) for test in fitted)
     # What the fast mesh is off is no misfit that offsets should make up for.
-    return Problem(space, tests, solves, jitter, tuple(remainder(test, FAST_REMAINDERS) for test in tests))
+    return Problem(space, tests, solves, jitter, tuple(mesh_uncertainty(test, FAST_MESH_ERRORS) for test in tests))
 
 
 def first_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> Jitter:

@@ -65,7 +65,7 @@ def _check_stable(problem: Problem, theta: np.ndarray, campaign: Campaign, key: 
     for test in problem.tests:
         if not test.homogeneous or not test.closed_form.rest:
             continue
-        reached = test.reached(space, theta)
+        reached = test.stretch_range(space, theta)
         low, high = reached.low, reached.high
         lower, upper = check_stability(law, own, (min(low, 0.99), max(high, 1.01))).limits[test.closed_form.mode]
         if lower > low or upper < high:

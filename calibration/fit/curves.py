@@ -13,8 +13,8 @@ from calibration.fit.deviations import Deviations, assess_deviations
 from calibration.fit.estimate import Estimate
 from calibration.fit.predictor import Predictor
 from calibration.forward.contract import ForwardTest, InfeasibleError
-from calibration.forward.solves import Solves
-from calibration.statistics.bands import CERTAIN, Scatter, prediction_bands
+from calibration.forward.simulation_cache import SimulationCache
+from calibration.statistics.bands import KNOWN_VARIANCE, Scatter, prediction_bands
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.uncertainty import Uncertainty
 
@@ -70,7 +70,7 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
     fitted = {curve.name: along[rows] for curve, rows in zip(problem.measured, problem.rows, strict=True)}
     for test, mesh_error in tests:
         path = _path(test)
-        time = path.time if test.timed else None
+        time = path.time if test.is_path_dependent else None
         try:
             predictor = others.get(test.name, own)
             answer = test.solve(predictor.space, predictor.theta, problem.solves)
@@ -93,7 +93,7 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
     return found
 
 
-def _along(solves: Solves, predictor: Predictor, test: ForwardTest, path: MeasuredCurve, mesh_error: float,
+def _along(solves: SimulationCache, predictor: Predictor, test: ForwardTest, path: MeasuredCurve, mesh_error: float,
            scatter: Jitter | None, deviations: Deviations | None):
     """Force along the path, its standard error, and half widths of the bands of a new recording."""
     # The path is that of a recording without scatter, seen by the same test.
@@ -107,7 +107,7 @@ def _along(solves: Solves, predictor: Predictor, test: ForwardTest, path: Measur
     # The mean of the recordings, as far as the curve is off, says what the parameters err by; it errs itself.
     mean_errs = np.sqrt(1.0 + 1.0 / count) if scatters else 1.0
     if scatter is not None:
-        freedom = float(scatter.freedom or CERTAIN)
+        freedom = float(scatter.freedom or KNOWN_VARIANCE)
         scatters += [Scatter(mean_errs * scatter.contact * contact[:, None], freedom),
                      Scatter(np.full((force.size, 1), mean_errs * scatter.zero), freedom)]
     bias = found.bias
@@ -127,7 +127,7 @@ def _path(test: ForwardTest) -> MeasuredCurve:
     first, segment = test.measured[0], None
     time: np.ndarray | None = None
     reached = np.concatenate([curve.displacement for curve in test.measured])
-    if test.timed:
+    if test.is_path_dependent:
         even = np.linspace(first.clock[0], first.clock[-1], 4 * POINTS)
         time, displacement = even, np.interp(even, first.clock, first.displacement)
         segment = np.full(displacement.size, "")

@@ -9,11 +9,11 @@ import numpy as np
 
 from calibration.campaign.campaign import Noise
 from calibration.fit.fit import Iteration, Minimum
-from calibration.fit.levenberg_marquardt import Descent, Listener, descend
 from calibration.fit.problem import Evaluation, Problem
+from calibration.fit.trust_region import Descent, Listener, descend
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.forms import remainder
-from calibration.forward.meshes import FAST_REMAINDERS, REMAINDERS
+from calibration.forward.forms import mesh_uncertainty
+from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FAST_MESH_ERRORS
 from calibration.statistics.jitter import Jitter, estimate_jitter
 
 #: The difference of the meshes is computed again until that moves no parameter by more than this share of its size;
@@ -95,12 +95,12 @@ def _refine(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[f
     found, errors = [], []
     for test in problem.tests:
         try:
-            found.append(test.refine(problem.space, theta, problem.solves))
-            errors.append(remainder(test, REMAINDERS))
+            found.append(test.update_correction(problem.space, theta, problem.solves))
+            errors.append(mesh_uncertainty(test, ACCURATE_MESH_ERRORS))
         except InfeasibleError:
-            test.forget()
+            test.drop_correction()
             found.append(float("nan"))
-            errors.append(remainder(test, FAST_REMAINDERS))
+            errors.append(mesh_uncertainty(test, FAST_MESH_ERRORS))
             warning = f"{test.name}: the accurate mesh does not get through, so the fast one's error is carried"
             if warning not in warnings:
                 warnings.append(warning)

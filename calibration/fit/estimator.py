@@ -10,12 +10,12 @@ from typing import Any
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.estimate import Estimate
-from calibration.fit.levenberg_marquardt import Descent
 from calibration.fit.predictor import Predictor
 from calibration.fit.problem import Evaluation
-from calibration.fit.steps import Steps
+from calibration.fit.run_context import RunContext
+from calibration.fit.trust_region import Descent
 from calibration.forward.contract import ForwardTest
-from calibration.forward.solves import Solves
+from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.uncertainty import Uncertainty
 
@@ -51,7 +51,7 @@ class Estimator(ABC):
     explores: bool
     words: str
 
-    def __init__(self, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]], solves: Solves):
+    def __init__(self, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]], solves: SimulationCache):
         self.campaign, self.measured, self.solves = campaign, measured, solves
 
     @property
@@ -68,7 +68,7 @@ class Estimator(ABC):
         """
 
     @abstractmethod
-    def estimate(self, laws: Sequence[str], steps: Steps) -> dict[str, tuple[list[Descent], Estimate | str]]:
+    def estimate(self, laws: Sequence[str], context: RunContext) -> dict[str, tuple[list[Descent], Estimate | str]]:
         """Law -> its descents and its estimate, or why it has none."""
 
     @property

@@ -16,16 +16,16 @@ from calibration.fit.estimate import Estimate, settle
 from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.fit import JitterStatement, MeshCorrection, Minimum, Nuisance
 from calibration.fit.identifiability import condition, suggest_tests, weak_directions
-from calibration.fit.levenberg_marquardt import ENOUGH_OF_A_START, Descent, Listener, descend, distinct
 from calibration.fit.predictor import Predictor
 from calibration.fit.problem import Evaluation, Problem
 from calibration.fit.regions import judge_regions, name_misfits
+from calibration.fit.run_context import RunContext
 from calibration.fit.starts import starts
-from calibration.fit.steps import Steps
+from calibration.fit.trust_region import ENOUGH_OF_A_START, Descent, Listener, descend, distinct
 from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.contract import ForwardTest, InfeasibleError
-from calibration.forward.forms import build_test, remainder
-from calibration.forward.meshes import FAST_REMAINDERS, REMAINDERS
+from calibration.forward.forms import build_test, mesh_uncertainty
+from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FAST_MESH_ERRORS
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.statistics import MODEL_ERROR_RATIO, r_squared
 from calibration.statistics.uncertainty import Uncertainty
@@ -52,21 +52,21 @@ class Generalised(Estimator):
         """Refuse a start that the law or the tests do not bear, or a parameter that no test can see."""
         check_start(self.problem(law), self.campaign, number)
 
-    def estimate(self, laws: Sequence[str], steps: Steps) -> dict[str, tuple[list[Descent], Estimate | str]]:
+    def estimate(self, laws: Sequence[str], context: RunContext) -> dict[str, tuple[list[Descent], Estimate | str]]:
         """As `Estimator.estimate`: all starts of all laws at once, then all mesh differences."""
         problems = {law: self.problem(law) for law in laws}
         keys = [(law, number, theta) for law in laws
                 for number, theta in enumerate(starts(problems[law].space, self.campaign.fit.starts), 1)]
-        ends = steps.descents(run_start, [law for law, *_ in keys],
+        ends = context.run_descents(run_start, [law for law, *_ in keys],
                               [(problems[law], number, theta) for law, number, theta in keys],
                               f"{len(keys)} start{'s' if len(keys) > 1 else ''}")
         descents: dict[str, list[Descent]] = {law: [] for law in laws}
         for (law, *_), end in zip(keys, ends, strict=True):
             descents[law].append(end)
-        self._add_mirrored(laws, problems, descents, steps)
+        self._add_mirrored(laws, problems, descents, context)
         best = {law: _best_of(descents[law], problems[law]) for law in laws}
         usable = [law for law in laws if np.isfinite(best[law].error)]
-        settled = steps.descents(run_settle, usable, [(problems[law], best[law], self.stated(problems[law]))
+        settled = context.run_descents(run_settle, usable, [(problems[law], best[law], self.stated(problems[law]))
                                                       for law in usable], "the difference of the accurate mesh")
         found: dict[str, tuple[list[Descent], Estimate | str]] = {
             law: (descents[law], best[law].failure) for law in laws}
@@ -77,7 +77,7 @@ class Generalised(Estimator):
         return found
 
     def _add_mirrored(self, laws: Sequence[str], problems: Mapping[str, Problem], descents: dict[str, list[Descent]],
-                      steps: Steps) -> None:
+                      context: RunContext) -> None:
         """Descents in the basins of the other signs of the exponents, from the best minimum of each law."""
         keys = []
         for law in laws:
@@ -86,8 +86,9 @@ class Generalised(Estimator):
                 keys += [(law, len(descents[law]) + number, theta, PROMISING * max(best.error, problems[law].samples))
                          for number, theta in enumerate(mirrored_starts(problems[law].space, best.theta), 1)]
         if keys:
-            ends = steps.descents(run_mirrored, [law for law, *_ in keys], [(problems[law], *rest) for law, *rest in
-                                                                            keys], "other signs of the exponents")
+            ends = context.run_descents(run_mirrored, [law for law, *_ in keys],
+                                        [(problems[law], *rest) for law, *rest in keys],
+                                        "other signs of the exponents")
             for (law, *_), end in zip(keys, ends, strict=True):
                 descents[law].append(end)
 
@@ -146,12 +147,12 @@ class Generalised(Estimator):
         problem = estimate.problem
         found = build_test(test, self.measured[test.name], self.campaign.fit, problem.jitter.contact)
         try:
-            found.refine(predictor.space, predictor.theta, self.solves)
-            error = REMAINDERS
+            found.update_correction(predictor.space, predictor.theta, self.solves)
+            error = ACCURATE_MESH_ERRORS
         except InfeasibleError:
-            found.forget()
-            error = FAST_REMAINDERS
-        return found, remainder(found, error)
+            found.drop_correction()
+            error = FAST_MESH_ERRORS
+        return found, mesh_uncertainty(found, error)
 
     def scatter(self, estimate: Estimate) -> Jitter | None:
         """The jitter that was marginalised."""

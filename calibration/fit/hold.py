@@ -13,7 +13,7 @@ from calibration.campaign.parameters import SHARED, Named
 from calibration.fit.assess import assess
 from calibration.fit.estimate import Estimate
 from calibration.fit.ordinary import Ordinary, fit_law
-from calibration.forward.solves import Solves
+from calibration.forward.simulation_cache import SimulationCache
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.material.parts import find_declaration
@@ -85,7 +85,8 @@ def fit_hold(recording: Recording, terms: int = 1, ramp: float = 0.0) -> HoldFit
     named = {path: Named(path, find_declaration(path)[1], False, SHARED, (test.name,)) for path in start}
     campaign = Campaign(Path("hold"), {}, (test,), FitSettings((_LAW,), named=named, start=start), Noise(), "")
     curve = MeasuredCurve(test.name, test, time, strain, force, np.full(force.size, "hold"), Path("hold"), "", True)
-    estimator = Ordinary(campaign, {test.name: (replace(curve, noise=with_noise(curve, campaign).noise),)}, Solves())
+    noisy = replace(curve, noise=with_noise(curve, campaign).noise)
+    estimator = Ordinary(campaign, {test.name: (noisy,)}, SimulationCache())
     descents, estimate = fit_law(estimator.problem(_LAW))
     if not isinstance(estimate, Estimate):
         raise ConvergenceError("no start gives a finite force over the hold; check the units of force and time")

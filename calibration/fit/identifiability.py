@@ -12,7 +12,7 @@ from calibration.fit.fit import Direction, Suggestion
 from calibration.fit.problem import Problem
 from calibration.forward.contract import ForwardTest
 from calibration.forward.meshes import meshes_of
-from calibration.forward.motion import offset_rate
+from calibration.forward.motion import offset_derivative
 from calibration.forward.simulated import SimulatedTest
 from calibration.statistics.uncertainty import Uncertainty
 from tissue_sim.differentiation import sensitivities
@@ -146,6 +146,6 @@ def _information(problem: Problem, theta: np.ndarray, experiment: Experiment, te
     rates = np.zeros((recording.force.size, len(space.free)))
     rates[:, own] = weight * answer.values * spread.sizes[own]
     contact, zero = jitter
-    columns = weight * np.column_stack([contact * offset_rate(recording), zero * np.ones_like(recording.force)])
+    columns = weight * np.column_stack([contact * offset_derivative(recording), zero * np.ones_like(recording.force)])
     inner = np.linalg.inv(np.eye(2) + columns.T @ columns)
     return _REPLICATES * (rates.T @ rates - rates.T @ columns @ inner @ columns.T @ rates)

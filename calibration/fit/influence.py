@@ -9,8 +9,8 @@ from msgspec.structs import replace
 from scipy import special
 
 from calibration.fit.fit import Fit, Window
-from calibration.fit.levenberg_marquardt import descend
 from calibration.fit.problem import Evaluation, LeastSquares
+from calibration.fit.trust_region import descend
 from calibration.statistics.uncertainty import inverse_root
 from tissue_sim.recording.recording import MIN_POINTS
 
@@ -110,7 +110,7 @@ def narrow_windows(problem: LeastSquares, theta: np.ndarray) -> list[Window]:
 
     Empty where a force depends on how it came about: a part of a history is another test.
     """
-    if any(test.timed for test in problem.tests):
+    if any(test.is_path_dependent for test in problem.tests):
         return []
     free = len(problem.space.free)
 

@@ -52,7 +52,7 @@ def lack_of_fit(problem: LeastSquares, gap: np.ndarray, number: int) -> LackOfFi
         squares = float(np.mean(mine[moving]**2)) - curve.noise.deviation**2
         variance = float(np.var(curve.force[moving]))
     else:
-        squares, variance = _of_mean(parts, problem.tests[number].timed)
+        squares, variance = _of_mean(parts, problem.tests[number].is_path_dependent)
     squares = max(squares, 0.0)
     R2 = 1.0 - squares / variance if variance > 0 else None
     return LackOfFit(R2, float(np.sqrt(squares)) / largest)

@@ -18,18 +18,18 @@ from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.failure import Failure, attempt
 from calibration.fit.fit import Minimum, Nuisance
-from calibration.fit.levenberg_marquardt import Descent, descend, distinct
 from calibration.fit.ordinary_problem import OrdinaryProblem, feasible
 from calibration.fit.predictor import Predictor
 from calibration.fit.problem import Evaluation
-from calibration.fit.steps import Steps
-from calibration.forward.closed import ClosedTest
+from calibration.fit.run_context import RunContext
+from calibration.fit.trust_region import Descent, descend, distinct
+from calibration.forward.closed import ClosedFormTest
 from calibration.forward.contract import ForwardTest
-from calibration.forward.forms import analytical_test
-from calibration.forward.solves import Solves
+from calibration.forward.forms import build_analytical_test
+from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.statistics import CURVATURE_RATIO, MODEL_ERROR_RATIO, r_squared
-from calibration.statistics.uncertainty import Uncertainty, sandwich
+from calibration.statistics.uncertainty import Uncertainty, sandwich_covariance
 from tissue_sim.errors import InputError
 
 #: Starts are refined on a thinned curve, its best distinct minima on all samples.
@@ -49,7 +49,7 @@ class Ordinary(Estimator):
     explores = False
     words = "analytical: least squares on nominal stress"
 
-    def __init__(self, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]], solves: Solves):
+    def __init__(self, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]], solves: SimulationCache):
         super().__init__(campaign, measured, solves)
         self.fitted = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
 
@@ -67,8 +67,8 @@ class Ordinary(Estimator):
         return ParameterSpace.of(law, self.campaign, {name: [curve.name for curve in curves]
                                                       for name, curves in self.measured.items()})
 
-    def _test(self, test: Test) -> ClosedTest:
-        return analytical_test(test, self.measured[test.name], self.campaign.fit)
+    def _test(self, test: Test) -> ClosedFormTest:
+        return build_analytical_test(test, self.measured[test.name], self.campaign.fit)
 
     def check(self, law: str, number: int) -> None:
         """Refuse laws with more parameters than the tests have samples."""
@@ -78,11 +78,12 @@ class Ordinary(Estimator):
             raise InputError(f"{law} has {unknowns} parameters and the tests only {samples} points; widen max_strain "
                              "or take a simpler law", file=self.campaign.path, field=f"fit.laws[{number}]")
 
-    def estimate(self, laws: Sequence[str], steps: Steps) -> dict[str, tuple[list[Descent], Estimate | str]]:
+    def estimate(self, laws: Sequence[str], context: RunContext) -> dict[str, tuple[list[Descent], Estimate | str]]:
         """As `Estimator.estimate`; one law after the other in this process."""
         found: dict[str, tuple[list[Descent], Estimate | str]] = {}
         for law in laws:
-            steps.say(f"fitting {law} to {len(self.fitted)} recording{'s' if len(self.fitted) != 1 else ''}")
+            plural = "s" if len(self.fitted) != 1 else ""
+            context.report_progress(f"fitting {law} to {len(self.fitted)} recording{plural}")
             answer = attempt(fit_law, self.problem(law))
             found[law] = ([], answer.reason) if isinstance(answer, Failure) else answer
         return found
@@ -205,9 +206,10 @@ def assess_sandwich(problem: OrdinaryProblem, evaluation: Evaluation, stated: No
     correlation = neighbour_correlation(problem, evaluation)
     # A smooth model error repeats itself: fewer samples than there are tell anything new (Bayley, Hammersley 1946).
     repeats = (1.0 + max(correlation, 0.0)) / (1.0 - min(correlation, 0.999)) if problem.remembers else 1.0
-    spread = sandwich(evaluation.rates * problem.noise, evaluation.residual * problem.noise, problem.index, noise,
-                      1.0 / problem.prior_deviation**2, problem.jitter_columns(theta, stated),
-                      [curve.interpolation for curve in problem.measured], on_bound, repeats)
+    spread = sandwich_covariance(
+        evaluation.rates * problem.noise, evaluation.residual * problem.noise, problem.index, noise,
+        1.0 / problem.prior_deviation**2, problem.jitter_columns(theta, stated),
+        [curve.interpolation for curve in problem.measured], on_bound, repeats)
     squares, samples = spread.criteria
     priors = float(evaluation.prior_residual @ evaluation.prior_residual)
     return replace(spread, sizes=np.abs(theta), criteria=(squares + priors, samples))

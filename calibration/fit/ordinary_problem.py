@@ -12,9 +12,9 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.problem import Evaluation, LeastSquares
 from calibration.fit.variables import LongTerm, Variables
-from calibration.forward.closed import ClosedTest
+from calibration.forward.closed import ClosedFormTest
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.solves import Solves
+from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.statistics import pooled_noise
 from tissue_sim.laws import find_law
 from tissue_sim.material.viscoelasticity import MOST_TERMS
@@ -36,7 +36,7 @@ class OrdinaryProblem(LeastSquares):
         shifted: numbers of the recordings that have an offset and a zero.
     """
 
-    tests: tuple[ClosedTest, ...]
+    tests: tuple[ClosedFormTest, ...]
     settings: FitSettings
     noise: float
     force_noise: float
@@ -58,8 +58,8 @@ class OrdinaryProblem(LeastSquares):
                                          np.tile([self.settings.offset_prior, zero_prior], count))
 
     @classmethod
-    def of(cls, space: ParameterSpace, tests: Sequence[ClosedTest], settings: FitSettings,
-           solves: Solves) -> OrdinaryProblem:
+    def of(cls, space: ParameterSpace, tests: Sequence[ClosedFormTest], settings: FitSettings,
+           solves: SimulationCache) -> OrdinaryProblem:
         """The problem with the noise of its recordings."""
         pairs = [(curve, test.area) for test in tests for curve in test.measured]
         index = np.repeat(np.arange(len(pairs)), [curve.force.size for curve, _ in pairs])

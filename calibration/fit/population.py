@@ -11,8 +11,8 @@ from scipy import special
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.estimate import Estimate
 from calibration.fit.fit import Covariance, PopulationStatement
-from calibration.statistics.adequacy import span
-from calibration.statistics.population import FEWEST_SPECIMENS, estimate_population
+from calibration.statistics.adequacy import orthonormal_basis
+from calibration.statistics.population import MIN_SPECIMENS, estimate_population
 
 #: Specimens differ where so large a share of the squares that are left is theirs, and chance has this probability.
 _SHARE, _CHANCE = 0.3, 1e-3
@@ -40,7 +40,7 @@ class Specimens:
     @property
     def missing_population(self) -> str | None:
         """Why several specimens have no mean, for people; None where they have one, or there are not several."""
-        if self.population is not None or len(self.names) < FEWEST_SPECIMENS:
+        if self.population is not None or len(self.names) < MIN_SPECIMENS:
             return None
         first = self.material_of[0]
         alone = "" if first in self.left_out else f", or fit {first} in a campaign of its own"
@@ -85,7 +85,7 @@ def find_specimens(space: ParameterSpace, theta: np.ndarray, covariance: np.ndar
     left_out = {specimen: "; ".join(reasons) for specimen, row in rows.items()
                 if (reasons := _lacking(space, theta, errors, row))}
     told = [specimen for specimen in rows if specimen not in left_out]
-    if len(told) < FEWEST_SPECIMENS:
+    if len(told) < MIN_SPECIMENS:
         return Specimens(None, tuple(told or list(rows)[:1]), left_out)
     table = np.array([rows[specimen] for specimen in told])
     # Beside numbers that are shared each specimen errs by itself only where these stand still.
@@ -138,7 +138,7 @@ def differing_specimens(estimate: Estimate) -> list[str]:
     problem, evaluation, space = estimate.problem, estimate.evaluation, estimate.problem.space
     shared = [place for place, each in enumerate(space.varied) if each.of_law and each.tests is None]
     specimens = [None if curve.test.specimen is None else curve.test.specimen.name for curve in problem.measured]
-    if not shared or None in specimens or len(set(specimens)) < FEWEST_SPECIMENS:
+    if not shared or None in specimens or len(set(specimens)) < MIN_SPECIMENS:
         return []
     residual, design = evaluation.design
     modes = np.zeros((residual.size, len(set(specimens)) * len(shared)))
@@ -146,9 +146,9 @@ def differing_specimens(estimate: Estimate) -> list[str]:
         for rows, specimen in zip(problem.rows, specimens, strict=True):
             if specimen == name:
                 modes[rows, k * len(shared):(k + 1) * len(shared)] = evaluation.rates[rows][:, shared]
-    fitted = span(design)
+    fitted = orthonormal_basis(design)
     modes -= fitted @ (fitted.T @ modes)
-    found = span(modes)
+    found = orthonormal_basis(modes)
     theirs, left = float(np.sum((found.T @ residual)**2)), float(residual @ residual)
     if theirs < _SHARE * left or special.chdtrc(found.shape[1], theirs) > _CHANCE:
         return []

@@ -12,7 +12,7 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.variables import Scaled, Variables
 from calibration.forward.contract import ForwardTest, InfeasibleError
-from calibration.forward.solves import Solves
+from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import Jitter, WhitenedReplicate
 from calibration.statistics.sensor_noise import whiten
 from tissue_sim.errors import InputError
@@ -106,7 +106,7 @@ class LeastSquares(ABC):
 
     space: ParameterSpace
     tests: tuple[ForwardTest, ...]
-    solves: Solves
+    solves: SimulationCache
     _last: Evaluation | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self):
@@ -266,7 +266,7 @@ class Problem(LeastSquares):
             test, measured = self.tests[t], self.tests[t].measured[r]
             if not hasattr(test, "scan"):
                 continue
-            gaps = test.scan(answers[t], r, places * self.jitter.contact) - measured.force[:, None]
+            gaps = test.forces_at_offsets(answers[t], r, places * self.jitter.contact) - measured.force[:, None]
             white = whiten(np.column_stack([gaps, np.full(measured.force.size, self.jitter.zero)]), measured.time,
                            measured.noise)
             gaps, zero = white[:, :-1], white[:, -1]

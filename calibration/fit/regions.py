@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from calibration.fit.fit import Region
 from calibration.fit.problem import Evaluation, Problem
-from calibration.statistics.adequacy import cosine_modes, holm, misfit
+from calibration.statistics.adequacy import adjust_holm, cosine_modes, score_test
 from calibration.statistics.sensor_noise import whiten
 
 #: Parts of a single loading, by displacement, and cosine modes in each and in a whole segment.
@@ -35,7 +35,7 @@ def judge_regions(problem: Problem, evaluation: Evaluation) -> list[Region]:
             waves[inside] = cosine_modes(along[inside], modes)
             shapes.append(waves[inside])
             columns[rows] = whiten(waves, curve.time, curve.noise)
-        answer = misfit(residual, design, columns)
+        answer = score_test(residual, design, columns)
         # Model minus data, of what is smooth.
         smooth = -np.concatenate(shapes) @ answer.amplitudes
         factor = 1.0 if test.measured[0].test.specimen is None else 1e3
@@ -46,7 +46,7 @@ def judge_regions(problem: Problem, evaluation: Evaluation) -> list[Region]:
             test=test.name, segment=segment, start=float(displacement.min()), end=float(displacement.max()), p=answer.p,
             statistic=answer.statistic, freedom=answer.freedom, misfit_N=float(np.sqrt(np.mean(smooth**2))),
             largest_N=float(smooth[worst]), at=float(displacement[worst]), adequate=True))
-    adjusted = holm(np.array([region.p for region in found]))
+    adjusted = adjust_holm(np.array([region.p for region in found]))
     return [replace(region, p=float(p), adequate=bool(p > LEVEL))
             for region, p in zip(found, adjusted, strict=True)]
 

@@ -25,7 +25,7 @@ from calibration.fit.population import Specimens
 from calibration.fit.preload_cover import covers_preload, fitted_contacts
 from calibration.fit.replicates import find_disagreements
 from calibration.fit.usability_records import Alternative, Clause
-from calibration.forward.contract import Reached
+from calibration.forward.contract import StretchRange
 from calibration.statistics.statistics import MODEL_ERROR_RATIO
 from tissue_sim.laws import Stability
 
@@ -65,7 +65,7 @@ class Evidence:
     """Data on which the clauses are evaluated.
 
     Attributes:
-        estimate: the minimum. stability, reached, mu0: of the law there; see `check_stability` and `Reached`.
+        estimate: the minimum. stability, reached, mu0: of the law there; see `check_stability` and `StretchRange`.
         specimens: of the population. alternatives: other parameters that fit as well.
         determination: of the shear modulus by the tests; None where there is no such modulus.
         symbols, units: of the parameters, for sentences.
@@ -73,7 +73,7 @@ class Evidence:
 
     estimate: Estimate
     stability: Stability
-    reached: Mapping[str, Reached]
+    reached: Mapping[str, StretchRange]
     mu0: float
     specimens: Specimens
     alternatives: Sequence[Alternative]

@@ -11,9 +11,9 @@ import numpy as np
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.fit import Prediction
 from calibration.fit.identifiability import not_identifiable
-from calibration.fit.levenberg_marquardt import descend
 from calibration.fit.predictor import Predictor, predictor_without
 from calibration.fit.problem import Evaluation, LeastSquares
+from calibration.fit.trust_region import descend
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.uncertainty import Uncertainty

@@ -1,1 +1,1 @@
-"""What a test's force is, as a function of the parameters."""
+"""Forward models of tests: force as a function of the model parameters."""

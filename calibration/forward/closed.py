@@ -1,4 +1,4 @@
-"""A homogeneous test of an incompressible material: its closed form, with exact derivatives, and its histories."""
+"""Closed-form forward model of homogeneous tests on incompressible materials, with derivatives."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.forward.contract import InfeasibleError, Reached
-from calibration.forward.solves import Solves
+from calibration.forward.contract import InfeasibleError, StretchRange
+from calibration.forward.simulation_cache import SimulationCache
 from tissue_sim.closed_form.histories import LARGEST_STEP, HomogeneousHistory
 from tissue_sim.closed_form.homogeneous import ClosedForm
 from tissue_sim.errors import InputError
@@ -20,18 +20,22 @@ from tissue_sim.material.material import Material
 from tissue_sim.parameters import tokens
 from tissue_sim.specimen import Specimen
 
-#: Half width of a difference with a parameter of a history, in its size, and with the contact offset, in the height.
-_RATE_WIDTH = 1e-6
+#: Half step of central differences, relative to the size of a parameter, or to the height for the contact offset.
+_RELATIVE_STEP = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class ClosedAnswer:
-    """Parameters that `ClosedTest.evaluate` takes.
+class ClosedFormSolution:
+    """Parameter values for `ClosedFormTest.evaluate`.
 
     Attributes:
-        space: of the parameters. law, values: the strain energy and its parameters, shape (m,).
-        free: places of the free parameters of the law in `values` and among the free ones.
-        named: all parameters. recording: whose they are; None: those of all. material: None where only the law counts.
+        space: parameter space.
+        law: strain energy.
+        values: parameters of the law, SI, shape (m,).
+        free: for each free parameter of the law its index in `values` and its index among the free parameters.
+        named: name -> value of all parameters, SI.
+        recording: name of the recording that has these values; None: all recordings.
+        material: material with memory (relaxation, softening, ...); None: the law alone determines the stress.
     """
 
     space: ParameterSpace
@@ -44,13 +48,17 @@ class ClosedAnswer:
 
 
 @dataclass(eq=False)
-class ClosedTest:
+class ClosedFormTest:
     """Lubricated compression, tension or shear of an incompressible material.
 
     Attributes:
-        name: of the test. kind: what it is; a plate feels nothing before it has arrived.
-        height, area: m and m2. measured: the recordings.
-        largest_step: of divided histories, see `HomogeneousHistory`. specimen: that weighs; None here.
+        name: name of the test.
+        kind: kind of the test. The force of a plate that is not gripped is zero before contact.
+        height: height of the specimen, m.
+        area: cross-section, m2.
+        measured: recordings of the test.
+        largest_step: largest strain step of a history, see `HomogeneousHistory`.
+        specimen: specimen with self-weight; None in this class.
     """
 
     name: str
@@ -67,16 +75,17 @@ class ClosedTest:
     mesh: ClassVar[str] = ""
 
     @property
-    def timed(self) -> bool:
+    def is_path_dependent(self) -> bool:
+        """Whether any recording has more than one segment, such as a hold after a ramp."""
         return any(curve.segment is not None and np.unique(curve.segment).size > 1 for curve in self.measured)
 
     @property
     def radius(self) -> float:
-        """Of a round specimen of this cross-section, m."""
+        """Radius of a round specimen with this cross-section, m."""
         return float(np.sqrt(self.area / np.pi))
 
     @property
-    def weightless(self) -> ClosedTest:
+    def weightless(self) -> ClosedFormTest:
         """The test without self-weight."""
         return self
 
@@ -84,18 +93,19 @@ class ClosedTest:
     def closed_form(self) -> ClosedForm:
         return self.kind.require_closed_form()
 
-    def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> list[ClosedAnswer]:
-        """As `ForwardTest.solve`; nothing is computed yet."""
-        values, answers = space.values(theta), {}
+    def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> list[ClosedFormSolution]:
+        """Return the parameter values of each recording; `evaluate` computes the forces. See `ForwardTest.solve`."""
+        values, solutions = space.values(theta), {}
         marks = [space.mark(self.name, curve.name) for curve in self.measured]
         for mark in marks:
-            if mark not in answers:
-                answers[mark] = self._answer(space, values, mark)
-        return [answers[mark] for mark in marks]
+            if mark not in solutions:
+                solutions[mark] = self._solution(space, values, mark)
+        return [solutions[mark] for mark in marks]
 
-    def _answer(self, space: ParameterSpace, values: dict[str, float], recording: str | None) -> ClosedAnswer:
+    def _solution(self, space: ParameterSpace, values: dict[str, float], recording: str | None) -> ClosedFormSolution:
+        """Return the parameter values of one recording; None: of recordings without own parameters."""
         law = find_law(space.law)
-        free = [(law.parameters.index(each.path), place) for place, each in enumerate(space.varied)
+        free = [(law.parameters.index(each.path), column) for column, each in enumerate(space.varied)
                 if each.of_law and each.acts_in(self.name, recording)]
         material = None
         if set(space.names) != set(law.parameters):
@@ -104,20 +114,27 @@ class ClosedTest:
             except InputError as error:
                 raise InfeasibleError(f"{self.name}: {error}") from None
         numbers = values if material is None else material.parameters
-        return ClosedAnswer(space, law, np.array([numbers[name] for name in law.parameters]), free, values, recording,
-                            material if material is not None and material.remembers else None)
+        return ClosedFormSolution(space, law, np.array([numbers[name] for name in law.parameters]), free, values,
+                                  recording, material if material is not None and material.remembers else None)
 
-    def evaluate(self, answers: list[ClosedAnswer], recording: int, offset: float, contact: bool = True):
-        """As `ForwardTest.evaluate`; without `contact` the derivative with the offset is None."""
+    def evaluate(self, answers: list[ClosedFormSolution], recording: int, offset: float, contact: bool = True):
+        """Evaluate force and derivatives; see `ForwardTest.evaluate`.
+
+        Args:
+            answers: solutions of the recordings from `solve`.
+            recording: index in `measured`.
+            offset: contact offset, m.
+            contact: whether the derivative with the contact offset is computed; otherwise it is None.
+        """
         answer = answers[recording]
         force, rates, rate = self._elastic(answer, self.measured[recording].displacement - offset, contact) \
-            if answer.material is None else self._remembering(answer, answer.material, recording, offset, contact)
+            if answer.material is None else self._with_memory(answer, answer.material, recording, offset, contact)
         if not (np.isfinite(force).all() and np.isfinite(rates).all()):
             raise InfeasibleError(f"{self.name}: {answer.law.name} gives no finite stress")
         return force, rates, rate
 
-    def differences(self, answers: list[ClosedAnswer]) -> frozenset[str]:
-        """As `ForwardTest.differences`."""
+    def differenced_parameters(self, answers: list[ClosedFormSolution]) -> frozenset[str]:
+        """Return the names of parameters whose derivatives are finite differences."""
         names: set[str] = set()
         for i, answer in enumerate(answers):
             if answer.material is not None:
@@ -125,34 +142,45 @@ class ClosedTest:
                 names |= {name for name in answer.space.free if name not in exact or name.endswith(".tau")}
         return frozenset(names)
 
-    def _elastic(self, answer: ClosedAnswer, displacement: np.ndarray, contact: bool):
-        """Force, its derivatives with the free parameters, and with the contact offset."""
+    def _elastic(self, answer: ClosedFormSolution, displacement: np.ndarray, contact: bool):
+        """Return force (n,), derivatives with the free parameters (n, p) and with the contact offset (n,).
+
+        The material is elastic; `displacement` is counted from contact, m, shape (n,).
+        """
         law, values, closed_form = answer.law, answer.values, self.closed_form
         strain = self.strain(displacement)
-        # Wild trial values overflow; the optimiser turns back from what is not finite.
+        # Trial values of the optimiser may overflow; the optimiser rejects forces that are not finite.
         with np.errstate(all="ignore"):
             stress = closed_form.stress(law, strain, values)
             derivatives = closed_form.derivatives(law, strain, values)
             slope = -self.kind.sign * closed_form.slope(law, strain, values) / self.height if contact else None
         if not self.kind.gripped:
-            apart = self.kind.strain(strain) < 0.0
-            stress[apart], derivatives[apart] = 0.0, 0.0
+            separated = self.kind.strain(strain) < 0.0
+            stress[separated], derivatives[separated] = 0.0, 0.0
             if slope is not None:
-                slope[apart] = 0.0
+                slope[separated] = 0.0
         return self._as_force(answer, stress, derivatives, slope)
 
-    def _as_force(self, answer: ClosedAnswer, stress: np.ndarray, derivatives: np.ndarray, slope: np.ndarray | None):
-        """Force and derivatives of nominal stress, its derivatives with the law's parameters and with the offset."""
+    def _as_force(self, answer: ClosedFormSolution, stress: np.ndarray, derivatives: np.ndarray,
+                  slope: np.ndarray | None):
+        """Multiply nominal stress and its derivatives by the signed cross-section.
+
+        Args:
+            answer: parameter values.
+            stress: nominal stress, Pa, shape (n,).
+            derivatives: derivatives of the stress with the parameters of the law, shape (n, m).
+            slope: derivative of the stress with the contact offset, Pa/m, shape (n,), or None.
+        """
         rates = np.zeros((stress.size, len(answer.space.free)))
         if answer.free:
-            ours, theirs = zip(*answer.free, strict=True)
-            rates[:, theirs] = derivatives[:, ours]
+            of_law, of_fit = zip(*answer.free, strict=True)
+            rates[:, of_fit] = derivatives[:, of_law]
         factor = self.kind.sign * self.area
         return factor * stress, factor * rates, None if slope is None else factor * slope
 
-    def _remembering(self, answer: ClosedAnswer, material: Material, recording: int, offset: float,
+    def _with_memory(self, answer: ClosedFormSolution, material: Material, recording: int, offset: float,
                      contact: bool):
-        """As `_elastic`, of a history."""
+        """Return the same quantities as `_elastic` for a material with memory."""
         try:
             force = self._history_force(material, recording, offset)
         except InputError as error:
@@ -163,25 +191,29 @@ class ClosedTest:
             rates[:, k] = exact[name] if name in exact else self._difference(answer, recording, offset, k, force)
         if not contact:
             return force, rates, None
-        width = _RATE_WIDTH * self.height
-        later, earlier = (self._history_force(material, recording, offset + step) for step in (width, -width))
-        return force, rates, (later - earlier) / (2 * width)
+        step = _RELATIVE_STEP * self.height
+        above, below = (self._history_force(material, recording, offset + change) for change in (step, -step))
+        return force, rates, (above - below) / (2 * step)
 
-    def _exact_rates(self, answer: ClosedAnswer, material: Material, recording: int,
+    def _exact_rates(self, answer: ClosedFormSolution, material: Material, recording: int,
                      offset: float) -> dict[str, np.ndarray]:
-        """Derivatives of P = (1 - sum g) elastic + sum g_i relaxing_i, which is linear in moduli and shares.
+        """Return derivatives of the force of a law with a Prony series; empty for other materials.
 
-        None where more than a Prony series acts beside the law. Those with the times are central differences of
-        `relaxing` alone; of exponents there are none.
+        The nominal stress P = (1 - sum g_i) P_elastic + sum g_i P_relaxing(tau_i) is linear in the moduli and in g_i,
+        which gives exact derivatives. Derivatives with tau_i are central differences of P_relaxing. Derivatives with
+        exponents are not included.
+
+        Returns:
+            Name of the parameter -> derivative, shape (n,).
         """
         prony = material.viscoelastic
-        if prony is None or not self._divides or not answer.space.of_material_alone or material.effects or (
+        if prony is None or not self._has_history or not answer.space.of_material_alone or material.effects or (
                 material.softening is not None or material.poroelasticity is not None) or (
                 material.instantaneous_factor != 1.0):
             return {}
         law, history = answer.law, self.history(recording, offset)
         count, factor = prony.tau.size, self.kind.sign * self.area
-        step = _RATE_WIDTH * prony.tau
+        step = _RELATIVE_STEP * prony.tau
         rates = {}
         with np.errstate(all="ignore"):
             elastic, relaxing = history.parts(law, answer.values, np.concatenate([prony.tau, prony.tau + step,
@@ -198,26 +230,30 @@ class ClosedTest:
                         factor * prony.g[i] * (relaxing[:, count + i] - relaxing[:, 2 * count + i]) / (2 * step[i])
         return rates
 
-    def _difference(self, answer: ClosedAnswer, recording: int, offset: float, place: int,
+    def _difference(self, answer: ClosedFormSolution, recording: int, offset: float, index: int,
                     force: np.ndarray) -> np.ndarray:
-        """Derivative of a history's force with one free parameter."""
-        space, values, name = answer.space, answer.named, answer.space.free[place]
-        size, ends = float(space.sizes(values)[place]), []
-        for step in (_RATE_WIDTH * size, -_RATE_WIDTH * size):
+        """Return the finite difference of the force with one free parameter, shape (n,).
+
+        The difference is one-sided if the material is invalid on one side, and NaN if it is invalid on both sides.
+        """
+        space, values, name = answer.space, answer.named, answer.space.free[index]
+        size, ends = float(space.sizes(values)[index]), []
+        for step in (_RELATIVE_STEP * size, -_RELATIVE_STEP * size):
             try:
                 material = space.material(values | {name: values[name] + step}, test=self.name,
                                           recording=answer.recording)
                 ends.append((self._history_force(material, recording, offset), step))
             except InputError:
-                # At the end of what a material may have: to one side.
+                # The value is at a bound of the material: the difference is one-sided.
                 ends.append((force, 0.0))
-        (more, high), (less, low) = ends
-        return (more - less) / (high - low) if high > low else np.full(force.size, np.nan)
+        (above, high), (below, low) = ends
+        return (above - below) / (high - low) if high > low else np.full(force.size, np.nan)
 
     def _history_force(self, material: Material, recording: int, offset: float) -> np.ndarray:
+        """Return the force of a material with memory at the samples of a recording, N, shape (n,)."""
         measured, factor = self.measured[recording], self.kind.sign * self.area
         with np.errstate(all="ignore"):
-            if not self._divides or material.effects:
+            if not self._has_history or material.effects:
                 strain = self.strain(measured.displacement - offset)
                 return factor * self.closed_form.history(material, measured.clock, strain, self.radius)
             return factor * self.history(recording, offset).nominal_stress(
@@ -225,12 +261,12 @@ class ClosedTest:
                 material.instantaneous_factor)
 
     @property
-    def _divides(self) -> bool:
-        """Whether its histories are those of `HomogeneousHistory`."""
+    def _has_history(self) -> bool:
+        """Whether `HomogeneousHistory` can compute the stress: uniaxial loading or simple shear."""
         return type(self.closed_form) is ClosedForm and self.closed_form.law_mode in ("uniaxial", "simple_shear")
 
     def history(self, recording: int, offset: float = 0.0) -> HomogeneousHistory:
-        """How a recording deformed the specimen."""
+        """Return the deformation history of the specimen in a recording."""
         if offset == 0.0 and recording in self._histories:
             return self._histories[recording]
         measured = self.measured[recording]
@@ -241,21 +277,21 @@ class ClosedTest:
         return found
 
     def strain(self, displacement: np.ndarray) -> np.ndarray:
-        """Stretch, or shear strain."""
+        """Return stretch or shear strain at displacements, m, any shape."""
         return self.kind.abscissa(displacement / self.height)
 
-    def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
-        """The closed form needs no correction."""
+    def update_correction(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> float:
+        """Return 0: a closed form has no mesh error."""
         return 0.0
 
-    def forget(self) -> None:
-        """There is none."""
+    def drop_correction(self) -> None:
+        """Do nothing: a closed form has no mesh correction."""
 
-    def reached(self, space: ParameterSpace, theta: np.ndarray) -> Reached:
-        """As `ForwardTest.reached`."""
+    def stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
+        """Return the range of stretches; see `ForwardTest.stretch_range`."""
         strain = np.concatenate([self.strain(curve.displacement) for curve in self.measured])
         low, high, closed_form = float(strain.min()), float(strain.max()), self.closed_form
         if not closed_form.rest:
-            return Reached(closed_form.mode, *closed_form.extremes(low, high), closed_form.extremes(low, high))
+            return StretchRange(closed_form.mode, *closed_form.extremes(low, high), closed_form.extremes(low, high))
         low, high = min(low, 1.0), 1.0 if not self.kind.gripped else max(high, 1.0)
-        return Reached(closed_form.mode, low, high, closed_form.extremes(low, high))
+        return StretchRange(closed_form.mode, low, high, closed_form.extremes(low, high))

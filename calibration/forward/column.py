@@ -1,4 +1,4 @@
-"""Lubricated compression of a specimen that settled under its own weight: a column whose slices differ."""
+"""Closed form of lubricated compression with self-weight: a column whose stretch varies with height."""
 
 from __future__ import annotations
 
@@ -8,20 +8,23 @@ from typing import ClassVar
 import numpy as np
 
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.forward.closed import ClosedAnswer, ClosedTest
-from calibration.forward.contract import InfeasibleError, Reached
+from calibration.forward.closed import ClosedFormSolution, ClosedFormTest
+from calibration.forward.contract import InfeasibleError, StretchRange
 from tissue_sim.closed_form.column import Column
 from tissue_sim.laws import find_law
 from tissue_sim.specimen import Specimen
 
 
 @dataclass(eq=False)
-class ColumnTest(ClosedTest):
-    """The displacement counts from the settled state, the height is the stated one.
+class ColumnTest(ClosedFormTest):
+    """Lubricated compression of a specimen that has settled under its own weight.
+
+    The displacement counts from the settled state; the height is the stated height.
 
     Attributes:
-        specimen: that weighs. reserve: the curve is solved that much beyond the deepest sample, m: as far as a contact
-            offset may move it, so that the curve is the same for all recordings and offsets.
+        specimen: specimen with density and gravity.
+        reserve: displacement beyond the deepest sample up to which the curve is solved, m. It equals the largest
+            contact offset, so that all recordings and offsets use the same curve.
     """
 
     specimen: Specimen = field(kw_only=True)
@@ -30,25 +33,26 @@ class ColumnTest(ClosedTest):
     proportional: ClassVar[bool] = False
 
     @property
-    def weightless(self) -> ClosedTest:
-        return ClosedTest(self.name, self.kind, self.height, self.area, self.measured)
+    def weightless(self) -> ClosedFormTest:
+        return ClosedFormTest(self.name, self.kind, self.height, self.area, self.measured)
 
-    def _elastic(self, answer: ClosedAnswer, displacement: np.ndarray, contact: bool):
+    def _elastic(self, answer: ClosedFormSolution, displacement: np.ndarray, contact: bool):
         column, law, values = Column(self.specimen), answer.law, answer.values
         deepest = max(float(curve.displacement.max()) for curve in self.measured) + self.reserve
-        # The deepest point stays, so that the curve is sampled alike.
+        # With the deepest point appended, the column is solved at the same states for every offset.
         moved = np.append(displacement, deepest)
         stress = column.nominal_stress(law, moved, values)[:-1]
         slope = -column.nominal_stress_slope(law, moved, values)[:-1] if contact else None
         derivatives = column.nominal_stress_derivatives(law, moved, values)[:-1]
         if not np.isfinite(stress).all():
-            raise InfeasibleError(f"{self.name}: {law.name} does not carry the specimen so far")
+            raise InfeasibleError(f"{self.name}: {law.name} has no equilibrium of the specimen under its weight at the "
+                                  "largest displacement")
         return self._as_force(answer, stress, derivatives, slope)
 
-    def reached(self, space: ParameterSpace, theta: np.ndarray) -> Reached:
-        """The base at the deepest state, and the top at rest."""
+    def stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
+        """Return the stretches between the base in the deepest state and the unloaded top."""
         law, values = find_law(space.law), space.of_law(space.values(theta), self.name)
         displacement = np.concatenate([curve.displacement for curve in self.measured])
         base = Column(self.specimen).base_stretch(law, displacement, law.as_array(values))
         low = float(np.nanmin(base))
-        return Reached(self.closed_form.mode, low, 1.0, self.closed_form.extremes(low, 1.0))
+        return StretchRange(self.closed_form.mode, low, 1.0, self.closed_form.extremes(low, 1.0))

@@ -1,7 +1,7 @@
-"""What a fit asks of a test: its force as a function of the parameters.
+"""Interface between a fit and the forward model of a test (`ForwardTest`).
 
-The forms are closed (a homogeneous test in closed form), column (the same under its own weight) and simulated (finite
-elements). A fit knows no other difference between them.
+Three classes implement the interface: `ClosedFormTest` (homogeneous deformation), `ColumnTest` (the same with
+self-weight) and `SimulatedTest` (finite elements).
 """
 
 from __future__ import annotations
@@ -13,23 +13,24 @@ import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.forward.solves import Solves
+from calibration.forward.simulation_cache import SimulationCache
 from tissue_sim.closed_form.homogeneous import ClosedForm
 from tissue_sim.specimen import Specimen
 
 
 class InfeasibleError(RuntimeError):
-    """No force at these parameters: no such material, or the test does not get through."""
+    """Raised if a test has no force at these parameters: the material is invalid, or the solver does not converge."""
 
 
 @dataclass(frozen=True)
-class Reached:
-    """Principal stretches along the load that the data reach, rest included.
+class StretchRange:
+    """Range of the principal stretches in a test, including the undeformed state.
 
     Attributes:
-        mode: of `Stability.limits`; None where the deformation is not homogeneous.
-        low, high: the extreme stretches.
-        principal: extremes of all principal stretches, those across the load included.
+        mode: mode of loading, a key of `Stability.limits`; None if the deformation is not homogeneous.
+        low: smallest stretch along the load.
+        high: largest stretch along the load.
+        principal: smallest and largest principal stretch in any direction.
     """
 
     mode: str | None
@@ -39,19 +40,22 @@ class Reached:
 
 
 class ForwardTest(Protocol):
-    """One test of a campaign, at any parameters.
+    """Forward model of one test of a campaign.
 
     Attributes:
-        name: of the test. measured: its recordings.
-        proportional: whether force is proportional to the moduli. homogeneous: whether every mesh is exact.
-        mesh: what its mesh is known by; tests with one name have one error of it. Empty: of its own, or none.
-        timed: whether the force depends on the way that led to a displacement.
-        area: cross-section that a nominal stress refers to, m2 (1 where stress was recorded); None where the stress
-            is not homogeneous.
-        specimen: None of a closed form without weight. closed_form: where it is homogeneous.
+        name: name of the test.
+        measured: recordings of the test.
+        proportional: whether the force is proportional to the moduli.
+        homogeneous: whether the deformation is homogeneous, so that every mesh is exact.
+        mesh: key of the mesh. Tests with the same key have the same mesh error; empty: no other test shares the mesh.
+        is_path_dependent: whether the force depends on the path that led to a displacement.
+        area: reference cross-section of the nominal stress, m2 (1 if stress was recorded); None if the stress is not
+            homogeneous.
+        specimen: specimen; None for a closed form without self-weight.
+        closed_form: closed form of a homogeneous test.
     """
 
-    #: A test is a dataclass, so that `dataclasses.replace` gives another one.
+    #: Implementations are dataclasses, so that `dataclasses.replace` can change single fields.
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
     @property
@@ -70,7 +74,7 @@ class ForwardTest(Protocol):
     def mesh(self) -> str: ...
 
     @property
-    def timed(self) -> bool: ...
+    def is_path_dependent(self) -> bool: ...
 
     @property
     def area(self) -> float | None: ...
@@ -81,35 +85,49 @@ class ForwardTest(Protocol):
     @property
     def closed_form(self) -> ClosedForm: ...
 
-    def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> Any:
-        """The answer at the free parameters `theta`, SI, shape (p,), for `evaluate`; `solves` remembers simulations.
+    def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> Any:
+        """Solve the test at given parameters.
+
+        Args:
+            space: parameter space.
+            theta: free parameters, SI, shape (p,).
+            solves: cache of simulations.
+
+        Returns:
+            Solution for `evaluate`.
 
         Raises:
-            InfeasibleError: no such material, or no convergence.
+            InfeasibleError: the material is invalid, or the solver does not converge.
         """
 
     def evaluate(self, answer: Any, recording: int, offset: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Force (n,), derivatives with the free parameters (n, p) and with the contact offset (n,), N and SI.
+        """Evaluate the force at the samples of a recording.
 
         Args:
-            answer: of `solve`. recording: number in `measured`. offset: of the contact, m.
-
-        Raises:
-            InfeasibleError: the force is not a finite number.
-        """
-
-    def differences(self, answer: Any) -> frozenset[str]:
-        """Names of the free parameters whose derivatives are differences, and not exact."""
-
-    def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
-        """Correct the answers from here on by what the accurate mesh has more at `theta`.
+            answer: solution from `solve`.
+            recording: index in `measured`.
+            offset: contact offset, m.
 
         Returns:
-            The largest correction, relative to the largest force; 0 where every mesh is exact.
+            Force, N, shape (n,); its derivatives with the free parameters, shape (n, p); its derivative with the
+            contact offset, N/m, shape (n,).
+
+        Raises:
+            InfeasibleError: the force is not finite.
         """
 
-    def forget(self) -> None:
-        """Take the correction back."""
+    def differenced_parameters(self, answer: Any) -> frozenset[str]:
+        """Return the names of the free parameters whose derivatives are finite differences."""
 
-    def reached(self, space: ParameterSpace, theta: np.ndarray) -> Reached:
-        """What the recordings reach with these parameters."""
+    def update_correction(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> float:
+        """Compute the difference of the accurate and the fast mesh at `theta`; later solutions add this difference.
+
+        Returns:
+            The largest difference relative to the largest force; 0 if every mesh is exact.
+        """
+
+    def drop_correction(self) -> None:
+        """Remove the mesh correction."""
+
+    def stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
+        """Return the range of stretches that the recordings reach with these parameters."""

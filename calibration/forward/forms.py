@@ -1,4 +1,4 @@
-"""Which form of forward model answers a test."""
+"""Construction of the forward model of a test: closed form or finite elements."""
 
 from __future__ import annotations
 
@@ -9,48 +9,57 @@ import numpy as np
 
 from calibration.campaign.campaign import FitSettings, Test
 from calibration.campaign.measured import MeasuredCurve, remembers
-from calibration.forward.closed import ClosedTest
+from calibration.forward.closed import ClosedFormTest
 from calibration.forward.column import ColumnTest
 from calibration.forward.contract import ForwardTest
 from calibration.forward.meshes import (
-    COARSEST_REMAINDER,
-    FINEST_REMAINDERS,
-    LEFT_OF_DIFFERENCE,
-    LEFT_OF_ORDER,
-    REMAINDERS,
+    ACCURATE_MESH_ERRORS,
+    FILE_MESH_ERROR_FRACTION,
+    FINEST_MESH_ERRORS,
+    FINEST_MESH_FRACTION,
+    MAX_FILE_MESH_ERROR,
     meshes_of,
 )
-from calibration.forward.motion import Loading, Timed
+from calibration.forward.motion import Loading, TimedMotion
 from calibration.forward.simulated import SimulatedTest
-from calibration.forward.solves import content_key
+from calibration.forward.simulation_cache import content_key
 from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
 
-#: Of an analytical fit: histories are divided less finely than for a prediction, 1e-4 of the largest stress, below what
-#: is measured.
+#: Largest strain step of histories in an analytical fit, coarser than in a prediction. Its error of 1e-4 of the largest
+#: stress is below measurement errors.
 FITTED_STEP = 0.01
-#: Tests on one mesh may differ in their motion.
+#: Motion in the key of a mesh, which does not depend on the motion of the test.
 _ANY_MOTION = Protocol(np.array([0.0, 1.0]), np.array([0.0, 1e-9]))
-#: The simulated way goes on for so many standard deviations of the contact offset, but for this share at least.
-_MARGIN, _LEAST_MARGIN = 4.0, 1e-3
+#: Depth that is simulated beyond the deepest sample, in standard deviations of the contact offset.
+_OFFSET_DEVIATIONS = 4.0
+#: Smallest depth that is simulated beyond the deepest sample, as a fraction of the largest displacement.
+_MIN_MARGIN = 1e-3
 
 
 def build_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSettings,
-               contact: float) -> SimulatedTest | ClosedTest:
-    """A test and how it is simulated; `contact` is the standard deviation of the contact offset, m."""
+               contact: float) -> SimulatedTest | ClosedFormTest:
+    """Return the forward model of a test in an inverse fit.
+
+    Args:
+        test: test of the campaign.
+        curves: recordings of the test.
+        settings: settings of the fit.
+        contact: standard deviation of the contact offset, m.
+    """
     material = settings.material
     curves = tuple(curves)
     if test.experiment is None or curves[0].stressed:
-        return closed_test(test, curves)
+        return build_closed_form_test(test, curves)
     layered = bool(material.layers)
     mesh = content_key(replace(test.experiment, protocol=_ANY_MOTION), test.solver)
-    one_way = all(set(curve.segment.tolist()) == {"ramp"} for curve in curves if curve.segment is not None)
+    ramps_only = all(set(curve.segment.tolist()) == {"ramp"} for curve in curves if curve.segment is not None)
     timed = settings.whole and all(curve.time is not None for curve in curves)
-    if timed or material.ages or (remembers(test, material) and not one_way):
-        motions: list[Timed] = []
+    if timed or material.ages or (remembers(test, material) and not ramps_only):
+        motions: list[TimedMotion] = []
         motion_of = []
         for curve in curves:
-            motion = Timed.of(curve.clock, curve.displacement)
-            same = [i for i, other in enumerate(motions) if other.like(motion)]
+            motion = TimedMotion.from_recording(curve.clock, curve.displacement)
+            same = [i for i, other in enumerate(motions) if other.is_equivalent(motion)]
             if not same:
                 motions.append(motion)
             motion_of.append(same[0] if same else len(motions) - 1)
@@ -58,24 +67,28 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSetting
                              mesh=mesh, solver=test.solver)
     deepest = max(curve.displacement.max() for curve in curves)
     height = test.experiment.specimen.height
-    depth = min(deepest + max(_MARGIN * contact, _LEAST_MARGIN * deepest), 0.999 * test.experiment.thickness)
+    depth = min(deepest + max(_OFFSET_DEVIATIONS * contact, _MIN_MARGIN * deepest), 0.999 * test.experiment.thickness)
     speed = float(np.median([curve.speed or STUDY_SPEED for curve in curves]))
     tool = test.experiment.tool
     smooth = tool.is_plate or (tool.sharp_edge and not test.experiment.is_path_dependent)
-    way = Loading.to(float(depth), max(speed, 1e-9), smooth=smooth, strain=float(depth / height))
-    return SimulatedTest(test.name, test.experiment, test.rig, (way,), (0,) * len(curves), curves, layered, mesh=mesh,
+    ramp = Loading.to_depth(float(depth), max(speed, 1e-9), smooth=smooth, strain=float(depth / height))
+    return SimulatedTest(test.name, test.experiment, test.rig, (ramp,), (0,) * len(curves), curves, layered, mesh=mesh,
                          solver=test.solver)
 
 
-def closed_test(test: Test, curves: Sequence[MeasuredCurve]) -> ClosedTest:
-    """A homogeneous test; a cube of 1 m where the recordings are stretch and stress."""
+def build_closed_form_test(test: Test, curves: Sequence[MeasuredCurve]) -> ClosedFormTest:
+    """Return the closed form of a homogeneous test without self-weight.
+
+    Recordings of stretch and stress belong to a cube of 1 m, for which force equals stress and displacement equals
+    strain.
+    """
     size = (1.0, 1.0) if test.specimen is None else (test.specimen.height, test.specimen.area)
-    return ClosedTest(test.name, test.kind, *size, tuple(curves))
+    return ClosedFormTest(test.name, test.kind, *size, tuple(curves))
 
 
-def analytical_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSettings) -> ClosedTest:
-    """The closed form of a test, that of a column where the specimen weighs."""
-    plain = closed_test(test, curves)
+def build_analytical_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSettings) -> ClosedFormTest:
+    """Return the closed form of a test in an analytical fit; a `ColumnTest` if the specimen has self-weight."""
+    plain = build_closed_form_test(test, curves)
     if test.specimen is not None and test.specimen.specific_weight:
         reserve = settings.offset_bound if settings.offset == "fit" else 0.0
         return ColumnTest(plain.name, plain.kind, plain.height, plain.area, plain.measured, specimen=test.specimen,
@@ -83,16 +96,21 @@ def analytical_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSe
     return replace(plain, largest_step=FITTED_STEP)
 
 
-def remainder(test: ForwardTest, of: Mapping[str, float]) -> float:
-    """Relative standard deviation of what a mesh is off in this test; 0 where every mesh is exact."""
+def mesh_uncertainty(test: ForwardTest, errors: Mapping[str, float]) -> float:
+    """Return the relative standard deviation of the force by the error of the mesh; 0 if every mesh is exact.
+
+    Args:
+        test: forward model, after `ForwardTest.update_correction` if `errors` are those of the accurate mesh.
+        errors: `ACCURATE_MESH_ERRORS` or `FAST_MESH_ERRORS`.
+    """
     if test.homogeneous or not isinstance(test, SimulatedTest):
         return 0.0
     shape, error = test.experiment.tool.shape, test.mesh_error
-    known = meshes_of(test.solver).remainder * of[shape if shape in of else "other"]
+    known = meshes_of(test.solver).error_factor * errors[shape if shape in errors else "other"]
     if test.specimen.from_file:
         largest = max(float(np.abs(curve.force).max()) for curve in test.measured)
         added = max((float(np.abs(each).max(initial=0.0)) for each in test.correction), default=np.inf)
-        return max(known, min(LEFT_OF_ORDER * added / largest, COARSEST_REMAINDER))
-    if of is REMAINDERS and error is not None and shape in FINEST_REMAINDERS:
-        return min(known, max(FINEST_REMAINDERS[shape], LEFT_OF_DIFFERENCE * error.largest))
+        return max(known, min(FILE_MESH_ERROR_FRACTION * added / largest, MAX_FILE_MESH_ERROR))
+    if errors is ACCURATE_MESH_ERRORS and error is not None and shape in FINEST_MESH_ERRORS:
+        return min(known, max(FINEST_MESH_ERRORS[shape], FINEST_MESH_FRACTION * error.largest))
     return known

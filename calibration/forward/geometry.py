@@ -1,4 +1,4 @@
-"""What a solver makes of the specimens and tools of a campaign, asked before anything is fitted."""
+"""Check that the solvers accept the specimens and tools of a campaign before a fit."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from tissue_sim.model import Model
 
 
 def check_geometry(campaign: Campaign) -> None:
-    """Build the solvers of all tests in space once, with a material of whatever law.
+    """Build the solver of each three-dimensional test once, with the first material of the campaign.
 
     Raises:
-        InputError: what a mesh or a contact cannot be made of; with file and field.
+        InputError: the mesh or the contact cannot be built; with file and field.
     """
     for number, test in enumerate(campaign.tests):
         if test.experiment is None or test.solver == ROUND_SOLVER:
@@ -25,4 +25,4 @@ def check_geometry(campaign: Campaign) -> None:
         except InputError as error:
             raise InputError(error.problem, file=campaign.path, field=f"test[{number}]") from None
         except ConvergenceError:
-            continue  # with another material it may stand
+            continue  # the specimen may be in equilibrium under its weight with another material

@@ -1,4 +1,4 @@
-"""Which meshes a fit uses of each solver."""
+"""Meshes that a fit uses with each solver, and the errors of these meshes."""
 
 from __future__ import annotations
 
@@ -15,101 +15,120 @@ from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
 from tissue_sim.specimen.block import Block
 
-#: Standard deviation of the accurate mesh's own error relative to the force: what is left against independent
-#: solvers, see docs/simulation.md. Between plates, under a flat needle, under a round or pointed one.
-REMAINDERS = {"plate": 0.0005, "flat": 0.001, "other": 0.002}
-#: The same of the fast mesh, where the accurate one does not get through.
-FAST_REMAINDERS = {"plate": 0.003, "flat": 0.008, "other": 0.01}
-#: Of the finest mesh, where the accurate one's error was found and taken off: at least this, and this share of it.
-FINEST_REMAINDERS = {"plate": 0.0002, "flat": 0.0005}
-LEFT_OF_DIFFERENCE = 0.5
-#: Of a mesh from a file, whose elements nobody makes smaller: what those of second order err by, as a share of what
-#: they differ from those of first order; and at most, which is allowed where they do not get through.
-LEFT_OF_ORDER, COARSEST_REMAINDER = 0.1, 0.1
-#: A force below this share of the largest is too small to be divided by; knots that a course of shares needs.
-_FELT, _FEWEST = 1e-3, 4
-#: Longer than any specimen, m: an element of this size is cut to what there is.
-_WHOLE = 10.0
+#: Shape of the tool -> standard deviation of the error of the accurate mesh, relative to the force. The values are
+#: differences to independent solvers, see docs/simulation.md; "other" are round and pointed tips.
+ACCURATE_MESH_ERRORS = {"plate": 0.0005, "flat": 0.001, "other": 0.002}
+#: Shape of the tool -> the same error of the fast mesh, which is used if the accurate mesh does not converge.
+FAST_MESH_ERRORS = {"plate": 0.003, "flat": 0.008, "other": 0.01}
+#: Shape of the tool -> smallest relative error after correction by the finest mesh.
+FINEST_MESH_ERRORS = {"plate": 0.0002, "flat": 0.0005}
+#: Error after correction by the finest mesh, as a fraction of the correction.
+FINEST_MESH_FRACTION = 0.5
+#: Error of second-order elements on a mesh from a file, as a fraction of their difference to first-order elements. Such
+#: a mesh is never refined, so only the order of the elements can be compared.
+FILE_MESH_ERROR_FRACTION = 0.1
+#: Largest relative error of a mesh from a file; the value if second-order elements do not converge.
+MAX_FILE_MESH_ERROR = 0.1
+#: Smallest force at which a relative mesh error is computed, as a fraction of the largest force.
+_MIN_FORCE_FRACTION = 1e-3
+#: Smallest number of knots of a curve of relative mesh errors.
+_MIN_KNOTS = 4
+#: Element size larger than any specimen, m; the mesh generator cuts elements to the size of the specimen.
+_SPECIMEN_SIZE = 10.0
 
 
 class Meshes(NamedTuple):
-    """Resolutions of a solver that a fit uses, and how large their errors are.
+    """Resolutions of a solver in a fit, and their errors.
 
     Attributes:
-        fast: on which parameters move. accurate: whose difference to it is added. finest: by which the accurate one's
-            own error is found once, at the first parameters; None: it is not. finest_under: tools under which it is.
-        elements: what they are, in words.
-        remainder: error of either against that of the axisymmetric solver, see `REMAINDERS`.
-        slow: whether a simulation takes so long that derivatives by differences are one-sided, and the finest mesh
-            takes fewer steps.
+        fast: resolution during the iterations of the fit.
+        accurate: resolution whose difference to the fast one is added as a correction.
+        finest: resolution that determines the error of the accurate one, once, at the first parameters; None: none.
+        error_factor: error of these meshes relative to those of the axisymmetric solver, see `ACCURATE_MESH_ERRORS`.
+        finest_under: shapes of tools for which `finest` is used.
+        elements: description of the elements for reports.
+        slow: whether simulations are so slow that finite differences are one-sided and the finest mesh uses fewer
+            steps.
     """
 
     fast: str
     accurate: str
     finest: str | None = None
-    remainder: float = 1.0
-    finest_under: tuple[str, ...] = tuple(FINEST_REMAINDERS)
+    error_factor: float = 1.0
+    finest_under: tuple[str, ...] = tuple(FINEST_MESH_ERRORS)
     elements: str = "axisymmetric nine-node finite elements"
     slow: bool = False
 
     def shows_error(self, experiment: Experiment) -> bool:
-        """Whether the finest mesh tells the accurate one's error; the elements of a file stay as large as they are."""
+        """Return whether the finest mesh determines the error of the accurate mesh; never for a mesh from a file."""
         return (self.finest is not None and experiment.tool.shape in self.finest_under
                 and not experiment.specimen.from_file)
 
 
-#: By the name of the solver; of another one as of the axisymmetric.
+#: Name of the solver -> its meshes; other solvers use the entry of the axisymmetric solver.
 MESHES = {"axisymmetric": Meshes("fast", "accurate", "finest"),
-          "solid": Meshes("realtime", "fast", "accurate", remainder=3.0, finest_under=("plate",),
+          "solid": Meshes("realtime", "fast", "accurate", error_factor=3.0, finest_under=("plate",),
                            elements="finite elements in space of first order, corrected by ones of second order",
                            slow=True)}
 
 
 def meshes_of(solver: str) -> Meshes:
-    """What is used of a solver, by its name."""
+    """Return the meshes of a solver by its name."""
     return MESHES.get(solver, MESHES["axisymmetric"])
 
 
 def exact_mesh(model: Model, solver: str) -> SolidMesh | None:
-    """Eight elements where every mesh of a block is exact; None where the deformation is not homogeneous."""
+    """Return a mesh of eight elements for a block in homogeneous deformation, where every mesh is exact; else None."""
     experiment = model.experiment
     if (solver != "solid" or not isinstance(experiment.specimen, Block) or not experiment.homogeneous
             or experiment.acting_laws or experiment.tilt or experiment.slip or model.material.layers):
         return None
-    return experiment.specimen.solid_mesh(Grading(HEX8P0, _WHOLE, 1.0, _WHOLE, 1))
+    return experiment.specimen.solid_mesh(Grading(HEX8P0, _SPECIMEN_SIZE, 1.0, _SPECIMEN_SIZE, 1))
 
 
 @dataclass(frozen=True, eq=False)
 class MeshError:
-    """By how much the accurate mesh errs along a loading, as the finest one shows: a share of the force, which hardly
-    depends on the parameters.
+    """Relative error of the accurate mesh along a loading, from the finest mesh.
+
+    The relative error depends little on the material parameters, so one evaluation serves the whole fit.
 
     Attributes:
-        depth: of its knots, m, shape (k,). share: force of the finest mesh over that of the accurate one, less 1, (k,).
+        depth: depth of the knots, m, shape (k,).
+        relative: force of the finest mesh divided by that of the accurate mesh, minus 1, shape (k,).
     """
 
     depth: np.ndarray
-    share: np.ndarray
+    relative: np.ndarray
 
     @classmethod
-    def between(cls, depth: np.ndarray, accurate: np.ndarray, finest: np.ndarray) -> MeshError:
-        """From the forces of both meshes at the knots of one loading, N, shape (k,)."""
-        felt = np.abs(accurate) > _FELT * np.abs(accurate).max(initial=0.0)
-        share = finest[felt] / accurate[felt] - 1.0
-        return cls(depth[felt], share) if felt.sum() >= _FEWEST else cls.unknown()
+    def from_forces(cls, depth: np.ndarray, accurate: np.ndarray, finest: np.ndarray) -> MeshError:
+        """Return the error from the forces of both meshes at the knots of one loading.
+
+        Args:
+            depth: depth of the knots, m, shape (k,).
+            accurate: force of the accurate mesh, N, shape (k,).
+            finest: force of the finest mesh, N, shape (k,).
+        """
+        large = np.abs(accurate) > _MIN_FORCE_FRACTION * np.abs(accurate).max(initial=0.0)
+        relative = finest[large] / accurate[large] - 1.0
+        return cls(depth[large], relative) if large.sum() >= _MIN_KNOTS else cls.unknown()
 
     @classmethod
     def unknown(cls) -> MeshError:
-        """Where the finest mesh does not get through."""
+        """Return an unknown error, for a finest mesh that does not converge."""
         return cls(np.zeros(0), np.zeros(0))
 
     @property
     def largest(self) -> float:
-        """Largest share; infinite where it is not known."""
-        return float(np.abs(self.share).max(initial=0.0)) if self.share.size else float("inf")
+        """Largest relative error; infinite if unknown."""
+        return float(np.abs(self.relative).max(initial=0.0)) if self.relative.size else float("inf")
 
     def factor(self, depth: np.ndarray) -> np.ndarray:
-        """What makes the force of the accurate mesh that of the finest, at places of the tool, m, any shape."""
-        if not self.share.size:
+        """Return the factor that corrects the force of the accurate mesh; 1 if the error is unknown.
+
+        Args:
+            depth: positions of the tool, m, any shape.
+        """
+        if not self.relative.size:
             return np.ones(np.shape(depth))
-        return 1.0 + spline(self.depth, self.share)(np.clip(depth, self.depth[0], self.depth[-1]))
+        return 1.0 + spline(self.depth, self.relative)(np.clip(depth, self.depth[0], self.depth[-1]))

@@ -1,4 +1,4 @@
-"""The few points of a tool's motion at which a test is simulated, and the samples of its recordings between them."""
+"""Knots of a tool's motion at which a test is simulated, and interpolation of the force between the knots."""
 
 from __future__ import annotations
 
@@ -14,42 +14,53 @@ from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segmentation import STRAIGHT, corners_of
 from tissue_sim.rig.rig import Rig
 
-#: Where the force is smooth: fewest steps to the largest depth, and largest nominal strain of one. A cubic through them
-#: errs by 7e-6 of the largest force between plates and by 9e-5 under a flat needle.
-SMOOTH_STEPS, SMOOTH_STRAIN = 8, 0.018
-#: Steps where tissue slides or rolls onto the tool, and how they grow: knots at shares^power of the depth. Friction
-#: remembers its way, and its first part needs the shorter steps.
-SLIDING_STEPS, SLIDING_POWER = 20, 1.5
-#: Steps of a motion in several directions, to its travel.
+#: Smallest number of steps of a smooth force curve. With `SMOOTH_STRAIN` the error of the cubic spline is 7e-6 of the
+#: largest force between plates and 9e-5 under a flat needle.
+SMOOTH_STEPS = 8
+#: Largest nominal strain of one step of a smooth force curve.
+SMOOTH_STRAIN = 0.018
+#: Number of steps if tissue slides along the tool or rolls onto it.
+SLIDING_STEPS = 20
+#: Exponent p of the knots d (i/n)^p of a sliding contact: friction is path-dependent, and its first part needs shorter
+#: steps.
+SLIDING_POWER = 1.5
+#: Number of steps per travel of a motion with reversals.
 TIMED_STEPS = 20
-#: Straight parts shorter than this share of the travel are holds, which tremble and creep.
-HELD = 0.01
-#: Of a hold: the first step as a part of it, and how much longer each step is than the one before.
-_HOLD_FIRST, _HOLD_GROWTH = 0.01, 1.6
-#: Rounding of the corner of the force at the touch, as a part of the depth: it raises the force there by what it is
-#: after a quarter of this.
-_TOUCH_WIDTH = 1e-3
-#: Width of a difference with the contact offset, as a part of the travel.
-_OFFSET_WIDTH = 1e-3
+#: Largest displacement of a hold as a fraction of the travel: recorded holds have noise and creep.
+HOLD_FRACTION = 0.01
+#: First time step of a hold as a fraction of its duration.
+_FIRST_HOLD_STEP = 0.01
+#: Ratio of successive time steps of a hold.
+_HOLD_STEP_RATIO = 1.6
+#: Width of the rounded corner of the force at first contact, as a fraction of the depth. The force at first contact is
+#: that of a sharp corner at a quarter of this width.
+_CORNER_WIDTH = 1e-3
+#: Step of the finite difference with the contact offset, as a fraction of the travel.
+_OFFSET_STEP = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Loading:
-    """A test in which force depends on depth alone: one way in, at any speed.
+    """Monotonic loading of a test whose force depends on depth alone.
 
     Attributes:
-        depth: of the knots, from 0, m, shape (k,). speed: m/s, typical of the recordings.
+        depth: depth of the knots from 0 on, m, shape (k,).
+        speed: typical speed of the recordings, m/s.
     """
 
     depth: np.ndarray
     speed: float
 
     @classmethod
-    def to(cls, depth: float, speed: float, *, smooth: bool, strain: float = 0.0) -> Loading:
-        """Knots from rest to `depth`, m; few where the force is `smooth`, closer at the touch where it is not.
+    def to_depth(cls, depth: float, speed: float, *, smooth: bool, strain: float = 0.0) -> Loading:
+        """Return a loading from rest to a depth.
 
         Args:
-            depth: m. speed: m/s. strain: depth over the height of the specimen.
+            depth: largest depth, m.
+            speed: speed, m/s.
+            smooth: whether the force is a smooth function of depth, so that few equal steps suffice; otherwise the
+                steps are shorter near first contact.
+            strain: depth divided by the specimen's height.
         """
         if smooth:
             steps = max(SMOOTH_STEPS, int(np.ceil(strain / SMOOTH_STRAIN)))
@@ -61,70 +72,92 @@ class Loading:
         return Protocol(self.depth / self.speed, self.depth)
 
     @property
-    def even(self) -> Loading:
-        """The same way in even steps."""
+    def with_equal_steps(self) -> Loading:
+        """Loading to the same depth with the same number of equal steps."""
         return replace(self, depth=np.linspace(self.depth[0], self.depth[-1], self.depth.size))
 
     def with_fewer_steps(self) -> tuple[Loading, np.ndarray]:
-        """The same way in about `SMOOTH_STEPS` steps, for what changes more slowly than the force, and the numbers of
-        the knots that it keeps."""
+        """Return a loading with about `SMOOTH_STEPS` steps, for quantities that vary more slowly than the force.
+
+        Returns:
+            The loading, and the indices of the knots that it keeps.
+        """
         last = self.depth.size - 1
         kept = np.unique([*range(0, last, max(last // SMOOTH_STEPS, 1)), last])
         return replace(self, depth=self.depth[kept]), kept
 
-    def at_knots(self, course: Course) -> np.ndarray:
-        """A course at the knots, shape (k, m)."""
-        # The rounded touch would leave something at rest.
-        return course(None, self.depth, 0.0)[0] - course(None, self.depth[:1], 0.0)[0]
+    def at_knots(self, curve: ForceCurve) -> np.ndarray:
+        """Return the columns of a curve at the knots, shape (k, m)."""
+        # The rounded corner makes the force at rest slightly positive; the difference removes this value.
+        return curve(None, self.depth, 0.0)[0] - curve(None, self.depth[:1], 0.0)[0]
 
-    def through(self, columns: np.ndarray) -> Course:
-        """The course of force and what else belongs to it, given at the knots, shape (k, m)."""
-        return _LoadingCourse(self.depth, columns)
+    def interpolate(self, columns: np.ndarray) -> ForceCurve:
+        """Return the curve through values at the knots.
+
+        Args:
+            columns: force and its derivatives, force first, shape (k, m).
+        """
+        return _LoadingCurve(self.depth, columns)
 
 
-class _LoadingCourse:
-    """Force, and what else belongs to it, along a loading. Nothing is felt before the touch.
+class _LoadingCurve:
+    """Force and its derivatives as functions of depth; the force is zero before first contact.
 
-    The corner there is rounded, so that an offset which lets a sample pass it to and fro still has a best value.
+    The corner of the force at first contact is rounded. The sum of squares is then differentiable with the contact
+    offset also if the offset moves a sample across first contact.
+
+    Args:
+        depth: depth of the knots, m, shape (k,).
+        columns: force and derivatives at the knots, force first, shape (k, m).
     """
 
     def __init__(self, depth: np.ndarray, columns: np.ndarray):
-        self._end, self._width = depth[-1], _TOUCH_WIDTH * depth[-1]
+        self._end, self._width = depth[-1], _CORNER_WIDTH * depth[-1]
         self._spline = spline(depth, columns)
         self._slope = self._spline.derivative()
         self._force = spline(depth, columns[:, 0])
 
     def __call__(self, time: np.ndarray | None, displacement: np.ndarray,
                  offset: float) -> tuple[np.ndarray, np.ndarray]:
-        """Columns at samples, shape (n, m), and the derivative of the first with the contact offset, shape (n,).
+        """Evaluate the curve at samples.
 
         Args:
-            time: s, displacement: m, of the samples, shape (n,). offset: m.
+            time: unused; the force depends on depth alone.
+            displacement: displacement of the samples, m, shape (n,).
+            offset: contact offset, m.
+
+        Returns:
+            Columns, shape (n, m), and the derivative of the force with the contact offset, shape (n,).
         """
-        inside, known, share = self._inside(displacement - offset)
-        rate = self._slope(known)
-        # Beyond what was simulated the curve goes on straight.
-        return self._spline(known) + rate * (inside - known)[:, None], -rate[:, 0] * share
+        inside, simulated, derivative = self._depth_in_tissue(displacement - offset)
+        rate = self._slope(simulated)
+        # The curve is extrapolated linearly beyond the simulated depth.
+        return self._spline(simulated) + rate * (inside - simulated)[:, None], -rate[:, 0] * derivative
 
     def forces(self, time: np.ndarray | None, displacement: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-        """The first column at these contact offsets, m, shape (n, offsets)."""
-        inside, known, _ = self._inside(displacement[:, None] - offsets)
-        return self._force(known) + self._force(self._end, 1) * (inside - known)
+        """Return the force at samples for several contact offsets, m; shape (n, offsets)."""
+        inside, simulated, _ = self._depth_in_tissue(displacement[:, None] - offsets)
+        return self._force(simulated) + self._force(self._end, 1) * (inside - simulated)
 
-    def _inside(self, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Depth in the tissue, the part of it that was simulated, and its derivative with `depth`."""
+    def _depth_in_tissue(self, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the rounded positive part of a depth, its value limited to the simulated depth, and its derivative.
+
+        The positive part max(d, 0) is replaced by (d + sqrt(d^2 + w^2)) / 2 with the width w of the corner.
+        """
         root = np.hypot(depth, self._width)
         inside = 0.5 * (depth + root)
         return inside, np.minimum(inside, self._end), inside / root
 
 
 @dataclass(frozen=True, eq=False)
-class Timed:
-    """A motion in time, as it was recorded.
+class TimedMotion:
+    """Recorded motion as a sequence of straight parts in time.
 
     Attributes:
-        time, displacement: of the knots, s and m, shape (k,). legs: first and last knot of each straight part.
-        sampled_from: time of the first sample of the recording whose motion it is, s.
+        time: time of the knots, s, shape (k,).
+        displacement: displacement of the knots, m, shape (k,).
+        legs: index of the first and last knot of each straight part.
+        sampled_from: time of the first sample of the recording, s.
     """
 
     time: np.ndarray
@@ -133,135 +166,179 @@ class Timed:
     sampled_from: float
 
     @classmethod
-    def of(cls, time: np.ndarray, displacement: np.ndarray, *, steps: int = TIMED_STEPS) -> Timed:
-        """Knots of a recorded motion, shapes (n,): its straight parts, in steps of 1/`steps` of the travel.
+    def from_recording(cls, time: np.ndarray, displacement: np.ndarray, *, steps: int = TIMED_STEPS) -> TimedMotion:
+        """Return the knots of a recorded motion.
 
-        The time of the touch is extrapolated where the recording starts below it.
+        If a recording begins below the surface, its first straight part is extrapolated to first contact.
+
+        Args:
+            time: time of the samples, s, shape (n,).
+            displacement: displacement of the samples, m, shape (n,).
+            steps: number of steps per travel.
         """
         travel = float(np.ptp(displacement))
         corners = corners_of(time, displacement, STRAIGHT * travel)
-        corners = np.array(_without_trembling(displacement, corners, HELD * travel))
+        corners = np.array(_without_hold_corners(displacement, corners, HOLD_FRACTION * travel))
         t, d = time[corners].astype(float), displacement[corners].astype(float)
         if d[0] > STRAIGHT * travel and d.size > 1 and d[1] > d[0]:
             t, d = np.append(t[0] - d[0] * (t[1] - t[0]) / (d[1] - d[0]), t), np.append(0.0, d)
         knots_t, knots_d, legs = [t[:1]], [d[:1]], []
         for i in range(t.size - 1):
-            way, duration = d[i + 1] - d[i], t[i + 1] - t[i]
-            share: np.ndarray
-            if abs(way) > HELD * travel:
-                share = np.linspace(0.0, 1.0, int(np.ceil(steps * abs(way) / travel - 1e-9)) + 1)[1:]
-                # From the touch as in `Loading`: friction remembers its first part.
-                share = share**SLIDING_POWER if i == 0 else share
+            change, duration = d[i + 1] - d[i], t[i + 1] - t[i]
+            fraction: np.ndarray
+            if abs(change) > HOLD_FRACTION * travel:
+                fraction = np.linspace(0.0, 1.0, int(np.ceil(steps * abs(change) / travel - 1e-9)) + 1)[1:]
+                # Shorter steps at first contact, as in `Loading`: friction is path-dependent.
+                fraction = fraction**SLIDING_POWER if i == 0 else fraction
             else:
-                count = int(np.ceil(np.log1p((_HOLD_GROWTH - 1) / _HOLD_FIRST) / np.log(_HOLD_GROWTH)))
-                share = (_HOLD_GROWTH ** np.arange(1, count + 1) - 1) / (_HOLD_GROWTH**count - 1)
+                ratio = _HOLD_STEP_RATIO
+                count = int(np.ceil(np.log1p((ratio - 1) / _FIRST_HOLD_STEP) / np.log(ratio)))
+                fraction = (ratio ** np.arange(1, count + 1) - 1) / (ratio**count - 1)
             first = sum(part.size for part in knots_t) - 1
-            legs.append((first, first + share.size))
-            knots_t.append(t[i] + share * duration)
-            knots_d.append(d[i] + share * way)
+            legs.append((first, first + fraction.size))
+            knots_t.append(t[i] + fraction * duration)
+            knots_d.append(d[i] + fraction * change)
         return cls(np.concatenate(knots_t), np.concatenate(knots_d), tuple(legs), float(time[0]))
 
-    def moves(self, first: int, last: int) -> bool:
-        """Whether the tool moves between two knots, and does not hold."""
-        way = abs(self.displacement[last] - self.displacement[first])
-        return bool(way > HELD * np.ptp(self.displacement))
+    def is_moving(self, first: int, last: int) -> bool:
+        """Return whether the tool moves between two knots; otherwise the straight part is a hold."""
+        change = abs(self.displacement[last] - self.displacement[first])
+        return bool(change > HOLD_FRACTION * np.ptp(self.displacement))
 
     @cached_property
     def protocol(self) -> Protocol:
         return Protocol(self.time - self.time[0], self.displacement)
 
     @property
-    def even(self) -> Timed:
-        """The same motion with even steps from the touch."""
+    def with_equal_steps(self) -> TimedMotion:
+        """Motion with equal steps in its first straight part."""
         first, last = self.legs[0]
         time, displacement = self.time.copy(), self.displacement.copy()
         for values in (time, displacement):
             values[first:last + 1] = np.linspace(values[first], values[last], last + 1 - first)
         return replace(self, time=time, displacement=displacement)
 
-    def at_knots(self, course: Course) -> np.ndarray:
-        """A course at the knots, shape (k, m)."""
-        return course(self.time, self.displacement, 0.0)[0]
+    def at_knots(self, curve: ForceCurve) -> np.ndarray:
+        """Return the columns of a curve at the knots, shape (k, m)."""
+        return curve(self.time, self.displacement, 0.0)[0]
 
-    def like(self, other: Timed) -> bool:
-        """Whether it is the same motion, within what is straight."""
+    def is_equivalent(self, other: TimedMotion) -> bool:
+        """Return whether two motions agree within the tolerance of straight parts (`STRAIGHT`)."""
         if self.legs != other.legs:
             return False
-        near = STRAIGHT * np.ptp(self.displacement)
+        tolerance = STRAIGHT * np.ptp(self.displacement)
         speed = np.abs(np.diff(self.displacement) / np.diff(self.time)).max()
-        return bool(np.abs(self.displacement - other.displacement).max() <= near
-                    and np.abs(self.time - self.time[0] - other.time + other.time[0]).max() <= near / speed)
+        return bool(np.abs(self.displacement - other.displacement).max() <= tolerance
+                    and np.abs(self.time - self.time[0] - other.time + other.time[0]).max() <= tolerance / speed)
 
-    def through(self, columns: np.ndarray, *, place: np.ndarray | None = None, leaves: bool = False) -> Course:
-        """As `Loading.through`; times are those of the clock of the recording whose motion it is.
+    def interpolate(self, columns: np.ndarray, *, position: np.ndarray | None = None,
+                    separates: bool = False) -> ForceCurve:
+        """Return the curve through values at the knots, as a function of the recording's time.
 
         Args:
-            columns: as there. place: of the tool at the knots, m, where a rig takes it elsewhere.
-            leaves: whether a tool that goes back past its touch leaves the tissue; else it pulls.
+            columns: force and its derivatives, force first, shape (k, m).
+            position: true position of the tool at the knots, m, shape (k,); None: the reported displacement.
+            separates: whether a tool that retracts past first contact separates from the tissue; otherwise the tissue
+                pulls.
         """
-        # What creeps or trembles in a hold is no loading curve: the force falls there while the tool stays.
+        # Holds are no part of a loading curve: their force relaxes at constant displacement.
         labels = np.full(self.time.size, "ramp", dtype="<U4")
         for first, last in self.legs:
-            if not self.moves(first, last):
+            if not self.is_moving(first, last):
                 labels[first + 1:last + 1] = "hold"
         recording = Recording({"time": self.time, "displacement": self.displacement, "force": columns[:, 0]},
                               labels={"segment": labels})
-        return _TimedCourse(self, np.column_stack([columns, offset_rate(recording)]),
-                            self.displacement if place is None else place, leaves)
+        return _TimedCurve(self, np.column_stack([columns, offset_derivative(recording)]),
+                           self.displacement if position is None else position, separates)
 
 
-class _TimedCourse:
-    """As `_LoadingCourse`, along a motion in time; the last column is the derivative of the force with the offset."""
+class _TimedCurve:
+    """Force and its derivatives along a recorded motion.
 
-    def __init__(self, motion: Timed, columns: np.ndarray, place: np.ndarray, leaves: bool):
-        self._motion, self._size, self._leaves = motion, columns.shape[1], leaves
-        self._away = place - motion.displacement
+    Args:
+        motion: recorded motion with k knots.
+        columns: force, its derivatives, and the derivative of the force with the contact offset as the last column,
+            shape (k, m + 1).
+        position: true position of the tool at the knots, m, shape (k,).
+        separates: see `TimedMotion.interpolate`.
+    """
+
+    def __init__(self, motion: TimedMotion, columns: np.ndarray, position: np.ndarray, separates: bool):
+        self._motion, self._size, self._separates = motion, columns.shape[1], separates
+        self._position_error = position - motion.displacement
         self._parts = []
         for first, last in motion.legs:
             part = slice(first, last + 1)
-            interpolate = spline if motion.moves(first, last) else PchipInterpolator
+            interpolate = spline if motion.is_moving(first, last) else PchipInterpolator
             self._parts.append(interpolate(motion.time[part], columns[part]))
         self._ends = motion.time[[last for _, last in motion.legs[:-1]]]
 
-    def __call__(self, time, displacement, offset):
+    def __call__(self, time: np.ndarray, displacement: np.ndarray, offset: float) -> tuple[np.ndarray, np.ndarray]:
+        """Evaluate the curve at samples.
+
+        Args:
+            time: time of the samples, s, shape (n,).
+            displacement: displacement of the samples, m, shape (n,).
+            offset: contact offset, m.
+
+        Returns:
+            Columns, shape (n, m), and the derivative of the force with the contact offset, shape (n,).
+        """
         motion, values = self._motion, np.empty((time.size, self._size))
         leg_of = np.searchsorted(self._ends, time, side="left")
         for number, ((first, last), interpolant) in enumerate(zip(motion.legs, self._parts, strict=True)):
-            mine = leg_of == number
-            values[mine] = interpolant(np.clip(time[mine], motion.time[first], motion.time[last]))
+            samples = leg_of == number
+            values[samples] = interpolant(np.clip(time[samples], motion.time[first], motion.time[last]))
         rate = values[:, -1]
-        # Where the tool was a little off the straight lines, it was as if the touch were elsewhere.
+        # A deviation of the displacement from the straight parts acts as a contact offset, to first order.
         values[:, 0] += (offset - displacement + np.interp(time, motion.time, motion.displacement)) * rate
-        # Nothing is felt before the first touch, nor by a tool that has left.
-        place = displacement + np.interp(time, motion.time, self._away)
-        values[((leg_of == 0) | self._leaves) & (place < offset)] = 0.0
+        # The force is zero before first contact, and after separation.
+        position = displacement + np.interp(time, motion.time, self._position_error)
+        values[((leg_of == 0) | self._separates) & (position < offset)] = 0.0
         return values[:, :-1], values[:, -1]
 
-    def forces(self, time, displacement, offsets):
+    def forces(self, time: np.ndarray, displacement: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+        """Return the force at samples for several contact offsets, m; shape (n, offsets)."""
         return np.column_stack([self(time, displacement, offset)[0][:, 0] for offset in offsets])
 
 
-Course = _LoadingCourse | _TimedCourse
+#: Force and derivatives as functions of time, displacement and contact offset.
+ForceCurve = _LoadingCurve | _TimedCurve
 
 
-def _without_trembling(displacement: np.ndarray, corners: np.ndarray, reach: float) -> list[int]:
-    """Corners of a motion without those inside a hold: where neighbours on either side stay within `reach` of it."""
+def _without_hold_corners(displacement: np.ndarray, corners: np.ndarray, tolerance: float) -> list[int]:
+    """Return the corners of a motion without those inside a hold.
+
+    Args:
+        displacement: displacement of the samples, m, shape (n,).
+        corners: indices of the samples at corners.
+        tolerance: a corner is inside a hold if it and the next corner are this close to the last kept corner, m.
+    """
     kept = [int(corners[0])]
-    for here, after in pairwise(corners[1:].tolist()):
-        still = np.abs(displacement[[here, after]] - displacement[kept[-1]]).max() <= reach
-        if not still:
-            kept.append(here)
+    for corner, following in pairwise(corners[1:].tolist()):
+        is_hold = np.abs(displacement[[corner, following]] - displacement[kept[-1]]).max() <= tolerance
+        if not is_hold:
+            kept.append(corner)
     return [*kept, int(corners[-1])]
 
 
-def offset_rate(recording: Recording) -> np.ndarray:
-    """d(force)/d(contact offset) of a simulated recording, N/m, shape (n,), by its loading curve and what history has
-    made of it; into the tissue, because out of it there may be none at the touch."""
-    width = _OFFSET_WIDTH * np.ptp(recording.displacement)
-    near, far = (Rig(contact_offset=-offset).apply(recording).force for offset in (width, 2 * width))
-    return (3 * recording.force - 4 * near + far) / (2 * width)
+def offset_derivative(recording: Recording) -> np.ndarray:
+    """Return the derivative of the force of a simulated recording with the contact offset, N/m, shape (n,).
+
+    The force at an offset follows from the loading curve of the recording, see `tissue_sim.rig.rig.Rig`. The one-sided
+    second-order difference (3 F(0) - 4 F(-h) + F(-2h)) / (2 h) uses offsets that move the tool into the tissue, since
+    the force outside may be zero.
+    """
+    step = _OFFSET_STEP * np.ptp(recording.displacement)
+    near, far = (Rig(contact_offset=-offset).apply(recording).force for offset in (step, 2 * step))
+    return (3 * recording.force - 4 * near + far) / (2 * step)
 
 
 def spline(knots: np.ndarray, values: np.ndarray):
-    """Through values at knots, shapes (k,) and (k, ...): a cubic, straight lines where there are few."""
+    """Return the cubic spline through values at knots; a piecewise linear function for fewer than four knots.
+
+    Args:
+        knots: abscissae, shape (k,).
+        values: ordinates, shape (k, ...).
+    """
     return CubicSpline(knots, values) if knots.size > 3 else make_interp_spline(knots, values, k=1)

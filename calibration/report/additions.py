@@ -50,7 +50,7 @@ def write_additions(diagnosis: Diagnosis, after: Evidence | None, folder: Path) 
     write_material_file(_material(diagnosis, after, folder), folder / name)
     files["material"] = name
     rigs = {test.name: _rig(after, test) for test in after.situation.tests if test.experiment is not None}
-    if any(effect.room == "rig" for effect in diagnosis.effects):
+    if any(effect.category == "rig" for effect in diagnosis.effects):
         if len({json.dumps(to_keys(rig), sort_keys=True) for rig in rigs.values()}) == 1:
             write_rig(next(iter(rigs.values())), folder / "rig.rig.json")
             files["rig"] = "rig.rig.json"
@@ -62,8 +62,8 @@ def write_additions(diagnosis: Diagnosis, after: Evidence | None, folder: Path) 
     write_text(folder / CAMPAIGN_FILE, _campaign_text(diagnosis, after))
     files["campaign"] = CAMPAIGN_FILE
     places = {"tissue": name, "rig": files.get("rig", "rig files of the tests"), "population": name}
-    effects = [replace(effect, written_to=CAMPAIGN_FILE if _of_one_test(effect) and effect.room == "tissue"
-                       else places.get(effect.room, CAMPAIGN_FILE)) for effect in diagnosis.effects]
+    effects = [replace(effect, written_to=CAMPAIGN_FILE if _of_one_test(effect) and effect.category == "tissue"
+                       else places.get(effect.category, CAMPAIGN_FILE)) for effect in diagnosis.effects]
     return replace(diagnosis, effects=effects, files=files)
 
 
@@ -84,7 +84,7 @@ def _material(diagnosis: Diagnosis, after: Evidence, folder: Path) -> MaterialFi
     fit = replace(fit, parameters={**fit.parameters, **passing})
     result = CalibrationResult(after.campaign, (fit,), (), diagnosis.message, folder, "", None, "estimated")
     file = material_file(fit, result, after.measured, "inverse FEM with a diagnosed effect")
-    added = [{"name": effect.name, "room": effect.room, "tests": effect.tests,
+    added = [{"name": effect.name, "room": effect.category, "tests": effect.tests,
               "parameters": {number.path: number.value for number in effect.parameters}}
              for effect in diagnosis.effects]
     provenance = file.provenance

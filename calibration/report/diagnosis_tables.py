@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 from calibration.diagnosis.diagnosis import CandidateStatement, Diagnosis, HeldOut, Number, RegionGap
-from calibration.effects.effect import ROOMS
+from calibration.effects.effect import CATEGORIES
 from calibration.fit.fit import Fit
 from calibration.report.page import estimate_of, html_table, interval_of, symbol_of, with_minus
 from calibration.report.rounding import gain_text, ratio_text, value_and_error
@@ -77,15 +77,15 @@ def fitted_table(candidates: Sequence[CandidateStatement], units: Units) -> str:
 
 
 def testable_table(candidates: Sequence[CandidateStatement], units: Units) -> str:
-    """Every effect that these tests can show, by room: the smallest size, and what the data show of it."""
+    """Every effect that these tests can show, by category: the smallest size, and what the data show of it."""
     labels = labels_of(candidates)
     seen = sorted((each for each in candidates if each.testable),
-                  key=lambda each: (ROOMS.index(each.room), each.title))
+                  key=lambda each: (CATEGORIES.index(each.category), each.title))
     rows: list[list[str | None]] = []
-    last = CandidateStatement(name="", effect="", room="", title="", testable=True)
+    last = CandidateStatement(name="", effect="", category="", title="", testable=True)
     for each in seen:
         test = each.name.partition("@")[2]
-        rows.append([None if each.room == last.room else escape(each.room),
+        rows.append([None if each.category == last.category else escape(each.category),
                      None if each.effect == last.effect else escape(each.title), escape(test),
                      escape(sizes_in_words(each, units)),
                      "-" if each.score is None else with_minus(f"{each.score:.1f}"), _likelihood(each),

@@ -1,1 +1,1 @@
-"""Noise, jitter, adequacy and uncertainty."""
+"""Statistics of fits: noise and jitter of recordings, score tests, covariances, prediction bands and populations."""

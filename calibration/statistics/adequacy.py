@@ -1,4 +1,4 @@
-"""Does the model leave something in the residuals that is smooth, and where? Score tests, region by region."""
+"""Score tests for smooth misfit in the residuals of a fit, region by region."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-#: A direction of which the fit absorbs all but this share of the squares cannot be tested.
-ABSORBED = 1e-3
-#: Directions with less than this share of the largest singular value are the others again.
-INDEPENDENT = 1e-10
+#: Smallest fraction of a mode's squared norm outside the span of the design for which the mode can be tested.
+MIN_FREE_FRACTION = 1e-3
+#: Smallest ratio of a singular value to the largest one for which a direction counts as linearly independent.
+RANK_TOLERANCE = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
 class Misfit:
-    """What a score test finds in one region.
+    """Result of a score test in one region.
 
     Attributes:
-        statistic: chi-square distributed where the model is right.
-        freedom: its degrees of freedom: modes that the fit cannot absorb; 0 where it absorbs all of them.
-        p: probability of a larger statistic where the model is right; 1 without freedom.
-        amplitudes: of the modes, shape (q,): data = model + sum of amplitudes times modes, so positive where the model
-            is too soft. Directions that the fit absorbs count as zero.
+        statistic: test statistic; chi-square distributed if the model is correct.
+        freedom: degrees of freedom: number of modes outside the span of the design; 0: nothing can be tested.
+        p: probability of a larger statistic if the model is correct; 1 for 0 degrees of freedom.
+        amplitudes: estimated amplitudes of the modes, shape (q,): data = model + modes @ amplitudes, so positive values
+            mean that the model is too soft. Components in the span of the design are zero.
     """
 
     statistic: float
@@ -32,46 +32,55 @@ class Misfit:
     amplitudes: np.ndarray
 
 
-def misfit(residual: np.ndarray, design: np.ndarray, modes: np.ndarray) -> Misfit:
-    """Score test of modes that the model lacks, at the optimum of the fit, without a second fit.
+def score_test(residual: np.ndarray, design: np.ndarray, modes: np.ndarray) -> Misfit:
+    """Compute Rao's score test for modes that the model lacks, at the optimum of the fit.
 
-    With r = residual, A = design, M = modes: score S = M'r, information I = M'M - M'A (A'A)^-1 A'M, and S' I^-1 S is
-    the statistic.
+    With r = residual, A = design, M = modes, the score is S = M'r, its information is I = M'M - M'A (A'A)^-1 A'M, and
+    the statistic is S' I^-1 S. No fit with the modes is required.
 
     Args:
-        residual: model minus data in units of the noise, with the rows of the priors, shape (N,).
-        design: Jacobian of all unknowns, nuisances included, with the rows of the priors, shape (N, k).
-        modes: whitened as the residual is, zero outside their region and in the rows of the priors, shape (N, q).
+        residual: model minus data in units of the noise, including the rows of the priors, shape (N,).
+        design: Jacobian of all unknowns including nuisances, with the rows of the priors, shape (N, k).
+        modes: whitened modes, zero outside their region and in the rows of the priors, shape (N, q).
 
     Source: Rao, Proc. Cambridge Philosophical Society 44 (1948) 50.
     """
     left, sizes, right = np.linalg.svd(modes, full_matrices=False)
-    kept = sizes > INDEPENDENT * sizes.max(initial=0.0)
+    kept = sizes > RANK_TOLERANCE * sizes.max(initial=0.0)
     left, sizes, right = left[:, kept], sizes[kept], right[kept]
-    fitted = span(design)
+    fitted = orthonormal_basis(design)
     free = left - fitted @ (fitted.T @ left)
-    shares, axes = np.linalg.eigh(free.T @ free)
-    testable = shares > ABSORBED
-    shares, axes = shares[testable], axes[:, testable]
-    # Of the projected modes, so that what is left of the gradient at the optimum does not count.
+    fractions, axes = np.linalg.eigh(free.T @ free)
+    testable = fractions > MIN_FREE_FRACTION
+    fractions, axes = fractions[testable], axes[:, testable]
+    # The projected modes are orthogonal to the design, so a remaining gradient of the fit does not enter the score.
     score = axes.T @ (free.T @ residual)
-    statistic, freedom = float(np.sum(score**2 / shares)), int(shares.size)
+    statistic, freedom = float(np.sum(score**2 / fractions)), int(fractions.size)
     p = float(special.chdtrc(freedom, statistic)) if freedom else 1.0
-    return Misfit(statistic, freedom, p, -right.T @ ((axes @ (score / shares)) / sizes))
+    return Misfit(statistic, freedom, p, -right.T @ ((axes @ (score / fractions)) / sizes))
 
 
 def cosine_modes(position: np.ndarray, count: int) -> np.ndarray:
-    """Cosines from the constant up: cos(k pi position), k = 0 to count - 1, shape (n, count).
+    """Return the cosine modes cos(k pi x) for k = 0 to count - 1, shape (n, count).
 
     Args:
-        position: in the region, from 0 at its first sample to 1 at its last, shape (n,).
+        position: positions x in a region, 0 at its first sample and 1 at its last, shape (n,).
         count: number of modes.
     """
     return np.cos(np.pi * np.outer(position, np.arange(count)))
 
 
-def holm(p_values: Sequence[float] | np.ndarray) -> np.ndarray:
-    """P values adjusted for their number, same order: those below alpha are all right together at level alpha.
+def adjust_holm(p_values: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Adjust p values for multiple tests by Holm's step-down method.
+
+    With p_(1) <= ... <= p_(n), the adjusted value of p_(i) is the maximum of min((n - j + 1) p_(j), 1) over j <= i.
+    Rejection of all hypotheses with an adjusted p value below alpha keeps the family-wise error rate below alpha.
+
+    Args:
+        p_values: p values of the tests, shape (n,).
+
+    Returns:
+        Adjusted p values in the same order, shape (n,).
 
     Source: Holm, Scandinavian J. of Statistics 6 (1979) 65.
     """
@@ -82,8 +91,12 @@ def holm(p_values: Sequence[float] | np.ndarray) -> np.ndarray:
     return adjusted
 
 
-def span(design: np.ndarray) -> np.ndarray:
-    """Orthonormal columns that span those of the design, which may be of any scale and dependent."""
+def orthonormal_basis(design: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis of the column space of a matrix, shape (N, rank).
+
+    Args:
+        design: matrix whose columns may have different scales and be linearly dependent, shape (N, k).
+    """
     scale = np.sqrt(np.sum(design**2, axis=0))
     left, sizes, _ = np.linalg.svd(design / np.where(scale > 0, scale, 1.0), full_matrices=False)
-    return left[:, sizes > INDEPENDENT * sizes.max(initial=0.0)]
+    return left[:, sizes > RANK_TOLERANCE * sizes.max(initial=0.0)]

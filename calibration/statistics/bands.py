@@ -1,4 +1,4 @@
-"""Bands for the curve of a new recording: pointwise, and for the whole of it at once."""
+"""Prediction bands for the curve of a new recording: pointwise and simultaneous."""
 
 from __future__ import annotations
 
@@ -8,79 +8,86 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
+#: Probability that a band contains a new sample, or a new recording.
 LEVEL = 0.95
-#: Bisections of a half width, and drawn recordings for the whole band.
-_HALVINGS, _DRAWS = 40, 2000
-#: Degrees of freedom that Student's t is taken with.
+#: Number of bisection steps for a half width.
+_BISECTIONS = 40
+#: Number of random recordings for the simultaneous band.
+_DRAWS = 2000
+#: Degrees of freedom at which quantiles of Student's t are tabulated.
 _FREEDOMS = np.geomspace(1.0, 1e6, 200)
-#: A scatter without an end to its degrees of freedom.
-CERTAIN = np.inf
+#: Degrees of freedom of a known variance.
+KNOWN_VARIANCE = np.inf
 
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """A way in which recordings differ: columns times standard normal numbers, all divided by one estimated size.
+    """Component of the scatter between recordings: columns times standard normal numbers with an estimated scale.
 
     Attributes:
-        columns: at the points, shape (k, m). freedom: of the size; inf where it is known.
+        columns: deviation of the curve per standard normal number, shape (k points, m).
+        freedom: degrees of freedom of the estimated scale; inf if the scale is known.
     """
 
     columns: np.ndarray
-    freedom: float = CERTAIN
+    freedom: float = KNOWN_VARIANCE
 
     @property
     def variance(self) -> np.ndarray:
-        """Shape (k,)."""
+        """Variance at the points, shape (k,)."""
         return np.sum(self.columns**2, axis=1)
 
 
 def prediction_bands(bias: np.ndarray, scatters: Sequence[Scatter], noise: np.ndarray,
                      samples: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Half widths about a curve that hold 95 % of new recordings: of their samples, and of all their samples at once.
+    """Compute the half widths of the pointwise and the simultaneous 95 % prediction band about a curve.
 
-    A sample is curve + bias + scatters + noise. Each part counts with the quantile of what is known of its size, and
-    the squares of these half widths add up (Zou and Donner). With s the deviation of the sum, and t Student's with the
-    freedom that has this quantile, h solves P(|bias + s t| <= h) = 0.95. The second answer is the first, times what
-    95 % of drawn recordings need to stay inside.
+    A new sample is curve + bias + sum of scatters + noise. Let q_i be the 97.5 % quantile of Student's t with the
+    degrees of freedom of component i, and s_i its standard deviation. The half width without bias is
+    sqrt(sum q_i^2 s_i^2) (Zou and Donner). It defines an effective number of degrees of freedom of t for the total
+    standard deviation s. The pointwise half width h solves P(|bias + s t| <= h) = 0.95. The simultaneous half width is
+    c h, where c is the 95 % quantile of the largest deviation relative to h over random recordings.
 
     Args:
-        bias: known distance of the recordings from the curve, shape (k,). scatters: independent of each other.
-        noise: standard deviation of the samples, shape (k,). samples: of a recording for each point.
+        bias: known deviation of recordings from the curve, shape (k,).
+        scatters: independent components of the scatter.
+        noise: standard deviation of the noise of samples, shape (k,).
+        samples: number of samples of a recording per point.
 
     Returns:
-        Shapes (k,); not a number where anything is not.
+        Pointwise and simultaneous half width, shapes (k,); NaN if any input is not finite.
 
-    Source: Zou and Donner, Statistics in Medicine 27 (2008) 1693, of variances; simultaneous bands as in Montiel Olea
-    and Plagborg-Moller, J. Appl. Econometrics 34 (2019) 1, section 3, drawn.
+    Source: Zou and Donner, Statistics in Medicine 27 (2008) 1693 (method of variance estimates recovery); Montiel Olea
+    and Plagborg-Moller, J. Appl. Econometrics 34 (2019) 1, section 3 (simultaneous bands by simulation).
     """
     parts = np.array([noise**2, *(scatter.variance for scatter in scatters)])
     if not np.isfinite(parts.sum(axis=0) + bias).all():
         return np.full(bias.size, np.nan), np.full(bias.size, np.nan)
-    quantiles = special.stdtrit([CERTAIN, *(scatter.freedom for scatter in scatters)], 0.5 + 0.5 * LEVEL)
+    quantiles = special.stdtrit([KNOWN_VARIANCE, *(scatter.freedom for scatter in scatters)], 0.5 + 0.5 * LEVEL)
     deviation = np.sqrt(parts.sum(axis=0))
-    usual = np.sqrt(quantiles**2 @ parts) / deviation
-    freedom = np.interp(-usual, -special.stdtrit(_FREEDOMS, 0.5 + 0.5 * LEVEL), _FREEDOMS)
-    away = np.abs(bias) / deviation
-    low, high = np.zeros(bias.size), away + usual
-    for _ in range(_HALVINGS):
+    quantile = np.sqrt(quantiles**2 @ parts) / deviation
+    freedom = np.interp(-quantile, -special.stdtrit(_FREEDOMS, 0.5 + 0.5 * LEVEL), _FREEDOMS)
+    shift = np.abs(bias) / deviation
+    low, high = np.zeros(bias.size), shift + quantile
+    for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        held = special.stdtr(freedom, middle - away) - special.stdtr(freedom, -middle - away) >= LEVEL
-        low, high = np.where(held, low, middle), np.where(held, middle, high)
+        wide = special.stdtr(freedom, middle - shift) - special.stdtr(freedom, -middle - shift) >= LEVEL
+        low, high = np.where(wide, low, middle), np.where(wide, middle, high)
     half = high * deviation
-    return half, half * _stretch(bias, scatters, noise, samples, half)
+    return half, half * _simultaneous_factor(bias, scatters, noise, samples, half)
 
 
-def _stretch(bias: np.ndarray, scatters: Sequence[Scatter], noise: np.ndarray, samples: float,
-             half: np.ndarray) -> float:
-    """How much wider than `half` the band is that 95 % of drawn recordings do not leave anywhere."""
+def _simultaneous_factor(bias: np.ndarray, scatters: Sequence[Scatter], noise: np.ndarray, samples: float,
+                         half: np.ndarray) -> float:
+    """Return the factor by which the pointwise band widens so that it contains 95 % of whole recordings; at least 1."""
     generator = np.random.default_rng(0)
     smooth = np.tile(bias, (_DRAWS, 1))
     for scatter in scatters:
         size = 1.0 if np.isinf(scatter.freedom) else np.sqrt(
             scatter.freedom / generator.chisquare(scatter.freedom, (_DRAWS, 1)))
         smooth += size * (generator.standard_normal((_DRAWS, scatter.columns.shape[1])) @ scatter.columns.T)
-    # The extremes of the samples between two points, by the inverse of their distribution.
-    least = 1.0 / max(samples, 1.0)
-    high, low = (-special.ndtri(-np.expm1(least * np.log(generator.uniform(size=smooth.shape)))) for _ in range(2))
+    # Largest and smallest noise of the samples per point, drawn by inversion of the distribution of extremes.
+    exponent = 1.0 / max(samples, 1.0)
+    high, low = (-special.ndtri(-np.expm1(exponent * np.log(generator.uniform(size=smooth.shape)))) for _ in range(2))
     reach = np.maximum(smooth + high * noise, low * noise - smooth)
     return max(float(np.quantile((reach / half).max(axis=1), LEVEL)), 1.0)

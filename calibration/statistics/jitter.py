@@ -1,4 +1,4 @@
-"""Jitter between the replicates of a test: how much their contact offsets and zeros scatter."""
+"""Jitter between the replicates of a test: standard deviations of contact offset and zero, by restricted likelihood."""
 
 from __future__ import annotations
 
@@ -8,18 +8,29 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-#: Directions of the flat columns with less than this share of a column's squares are the other columns again.
-INDEPENDENT = 1e-10
-#: Jitter is sought from this share of what a replicate can resolve ...
-SMALLEST = 1e-2
-#: ... to this many times the largest offset that a replicate shows.
-LARGEST = 10.0
-#: Values of each kind of jitter that are tried, besides none, before the best is refined.
-GRID = 9
-#: Step of the logarithm of a deviation, for the slope of the criterion.
-STEP = 1e-8
-#: A smaller gain in -2 log likelihood is none.
-GAIN = 1e-6
+
+@dataclass(frozen=True)
+class JitterSettings:
+    """Settings of the search for the jitter.
+
+    Attributes:
+        rank_tolerance: smallest relative eigenvalue for which a direction of the fixed effects counts as independent.
+        smallest: lower limit of the search, as a fraction of the standard error of a replicate's offset.
+        largest: upper limit of the search, in units of the largest offset of a replicate.
+        grid: number of trial values of each kind of jitter before the best one is refined.
+        step: step of the logarithm of a standard deviation in finite differences of the criterion.
+        gain: smallest decrease of -2 log likelihood that counts as an improvement.
+    """
+
+    rank_tolerance: float = 1e-10
+    smallest: float = 1e-2
+    largest: float = 10.0
+    grid: int = 9
+    step: float = 1e-8
+    gain: float = 1e-6
+
+
+_SETTINGS = JitterSettings()
 
 
 @dataclass(frozen=True)
@@ -27,9 +38,9 @@ class Jitter:
     """Standard deviations between the replicates of a test.
 
     Attributes:
-        contact: of the displacement at which a replicate touches, m.
-        zero: of the zero of its force, N.
-        freedom: degrees of freedom behind the estimate; None where both are stated.
+        contact: standard deviation of the displacement at first contact, m.
+        zero: standard deviation of the zero of the force, N.
+        freedom: degrees of freedom of the estimate; None: both values are stated.
     """
 
     contact: float
@@ -39,14 +50,14 @@ class Jitter:
 
 @dataclass(frozen=True, eq=False)
 class WhitenedReplicate:
-    """One replicate, linearised near the fit, every row in units of the sensor's noise.
+    """Linearised residuals of one replicate near the fit, in units of the sensor's noise.
 
     Attributes:
-        residual: model minus data with the replicate's contact offset and zero, and all that is shared, at 0, (n,).
-        contact: dF/da of the contact offset a, 1/m, shape (n,).
-        zero: dF/db of the zero b, 1/N, shape (n,).
-        parameters: dF/dtheta of the unknowns that all tests share, shape (n, p).
-        shared: what all replicates of the test share with a known deviation, times it (mesh error), shape (n, m).
+        residual: model minus data without contact offset, zero and mesh error, shape (n,).
+        contact: derivative dF/da with the contact offset a, 1/m, shape (n,).
+        zero: derivative dF/db with the zero b, 1/N, shape (n,).
+        parameters: derivatives dF/dtheta with the unknowns that all tests share, shape (n, p).
+        shared: effects that all replicates of the test share, per standard deviation (mesh error), shape (n, m).
     """
 
     residual: np.ndarray
@@ -58,22 +69,27 @@ class WhitenedReplicate:
 
 def estimate_jitter(tests: Sequence[Sequence[WhitenedReplicate]], *, contact: float | None = None,
                     zero: float | None = None) -> Jitter:
-    """Jitter with the largest restricted likelihood, from how replicates of one test differ.
+    """Estimate the jitter by restricted maximum likelihood (REML) in a linear mixed-effects model.
 
-    The residuals of a test are a linear combination of the parameters' columns, its shared columns with N(0, 1)
-    weights, an offset and a zero that all its replicates have, an offset N(0, contact^2) and a zero N(0, zero^2) of
-    each replicate, and N(0, 1) noise. Parameters and the test's own offset and zero are flat, so a misfit of the model
-    that looks like an offset of the whole test does not count as scatter, and R replicates have R - 1 degrees of
-    freedom. The work is O(n) once, then small matrices.
+    The model of the residuals of a test has fixed effects (the parameters, and an offset and a zero of the whole test)
+    and random effects: the shared columns with N(0, 1) weights, an offset N(0, contact^2) and a zero N(0, zero^2) of
+    each replicate, and N(0, 1) noise. Since each test has its own fixed offset and zero, a misfit that resembles an
+    offset of the whole test does not count as scatter, and R replicates have R - 1 degrees of freedom. With the
+    covariance V, the fixed effects X and the residuals r, the criterion is
+
+        -2 log L_R = log det V + log det X'V^-1 X + r'V^-1 r - r'V^-1 X (X'V^-1 X)^-1 X'V^-1 r.
+
+    Woodbury's identity reduces each evaluation to small matrices.
 
     Args:
         tests: replicates of each test; the number of shared columns may differ between tests.
-        contact: m, where it is stated; it is held. zero: N, the same.
+        contact: stated standard deviation of the contact, m, which is kept; None: it is estimated.
+        zero: stated standard deviation of the zero, N, which is kept; None: it is estimated.
 
     Returns:
-        What is sought is 0, with no degrees of freedom, where no test has two replicates.
+        The jitter; estimates are 0 with 0 degrees of freedom if no test has two replicates.
 
-    Source: Patterson and Thompson, Biometrika 58 (1971) 545; Woodbury's identity.
+    Source: Patterson and Thompson, Biometrika 58 (1971) 545.
     """
     if contact is not None and zero is not None:
         return Jitter(contact, zero, None)
@@ -82,44 +98,53 @@ def estimate_jitter(tests: Sequence[Sequence[WhitenedReplicate]], *, contact: fl
         return Jitter(contact or 0.0, zero or 0.0, 0)
     repeated = [test for test in tests if len(test) > 1]
     grams = [_Gram(test) for test in repeated]
-    flat = _independent(grams)
-    sought = [kind for kind, stated in enumerate((contact, zero)) if stated is None]
+    fixed = _independent_effects(grams)
+    unknown = [kind for kind, stated in enumerate((contact, zero)) if stated is None]
 
     def deviations(values: np.ndarray) -> np.ndarray:
         result = np.broadcast_to([contact or 0.0, zero or 0.0], (*values.shape[:-1], 2)).copy()
-        result[..., sought] = values
+        result[..., unknown] = values
         return result
 
     def criterion(values: np.ndarray) -> np.ndarray:
-        return _criterion(grams, flat, deviations(values))
+        return _criterion(grams, fixed, deviations(values))
 
-    ranges = [_range(repeated, kind) for kind in sought]
-    best, least = np.zeros(len(sought)), float(criterion(np.zeros(len(sought))))
-    # A kind of jitter may be absent: refined for every choice of those that are there.
-    for present in [[0]] if len(sought) == 1 else [[0], [1], [0, 1]]:
-        value, candidate = _minimise(criterion, len(sought), present, [ranges[k] for k in present])
-        if value < least - GAIN:
-            best, least = candidate, value
+    ranges = [_search_range(repeated, kind) for kind in unknown]
+    best, lowest = np.zeros(len(unknown)), float(criterion(np.zeros(len(unknown))))
+    # A standard deviation may be 0, where its logarithm is infinite: each subset of nonzero ones is minimised.
+    for present in [[0]] if len(unknown) == 1 else [[0], [1], [0, 1]]:
+        value, candidate = _minimise(criterion, len(unknown), present, [ranges[k] for k in present])
+        if value < lowest - _SETTINGS.gain:
+            best, lowest = candidate, value
     found = deviations(best)
     return Jitter(float(found[0]), float(found[1]), freedom)
 
 
 class _Gram:
-    """Inner products of one test's columns: own (2) of each replicate, shared (m), flat (p + 2), residual (1)."""
+    """Gram matrices of the columns of one test.
+
+    Column blocks: offset and zero of each replicate (2), shared effects (m), fixed effects (p + 2), residual (1).
+    """
 
     def __init__(self, test: Sequence[WhitenedReplicate]):
         grams = []
-        for one in test:
-            own = np.column_stack([one.contact, one.zero])
-            columns = np.column_stack([own, one.shared, one.parameters, own, one.residual])
+        for replicate in test:
+            own = np.column_stack([replicate.contact, replicate.zero])
+            columns = np.column_stack([own, replicate.shared, replicate.parameters, own, replicate.residual])
             grams.append(columns.T @ columns)
         gram = np.array(grams)
         self.shared, self.parameters = test[0].shared.shape[1], test[0].parameters.shape[1]
         self.own, self.cross, self.rest = gram[:, :2, :2], gram[:, :2, 2:], gram[:, 2:, 2:].sum(axis=0)
 
     def reduced(self, deviations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Inner products of flat columns and residual under the covariance of this test, and its log determinant, for
-        each pair of deviations, shape (..., 2)."""
+        """Return X'V^-1 X with the columns X of fixed effects and residual, and log det V, for this test.
+
+        Args:
+            deviations: pairs of standard deviations of contact, m, and zero, N, shape (..., 2).
+
+        Returns:
+            Matrices, shape (..., p + 3, p + 3), and log determinants, shape (...).
+        """
         inner = np.eye(2) + self.own * (deviations[..., None, :, None] * deviations[..., None, None, :])
         cross = deviations[..., None, :, None] * self.cross
         rest = self.rest - (cross.swapaxes(-1, -2) @ np.linalg.solve(inner, cross)).sum(axis=-3)
@@ -133,60 +158,83 @@ class _Gram:
 
 
 def _assemble(grams: Sequence[_Gram], blocks: Sequence[np.ndarray]) -> np.ndarray:
-    """Inner products over all tests: parameters (p), offset and zero of each test, residual (1)."""
+    """Return X'V^-1 X over all tests: parameters (p), offset and zero of each test, residual (1)."""
     p = grams[0].parameters
     total = np.zeros((*blocks[0].shape[:-2], *(p + 2 * len(grams) + 1,) * 2))
     for test, block in enumerate(blocks):
-        place = np.array([*range(p), p + 2 * test, p + 2 * test + 1, total.shape[-1] - 1])
-        total[..., place[:, None], place] += block
+        index = np.array([*range(p), p + 2 * test, p + 2 * test + 1, total.shape[-1] - 1])
+        total[..., index[:, None], index] += block
     return total
 
 
-def _independent(grams: Sequence[_Gram]) -> np.ndarray:
-    """Combinations of the flat columns that are independent, shape (columns, rank); the covariance leaves them so."""
+def _independent_effects(grams: Sequence[_Gram]) -> np.ndarray:
+    """Return linearly independent combinations of the fixed effects, shape (fixed effects, rank).
+
+    The rank does not depend on the covariance, so one computation serves all standard deviations.
+    """
     total = _assemble(grams, [gram.reduced(np.zeros(2))[0] for gram in grams])[:-1, :-1]
     scale = np.sqrt(np.diag(total))
     scale = np.where(scale > 0, scale, 1.0)
     values, vectors = np.linalg.eigh(total / np.outer(scale, scale))
-    kept = values > INDEPENDENT
+    kept = values > _SETTINGS.rank_tolerance
     return vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
 
 
-def _criterion(grams: Sequence[_Gram], flat: np.ndarray, deviations: np.ndarray) -> np.ndarray:
-    """-2 log restricted likelihood, up to a constant, of each pair of deviations, shape (..., 2); infinite where
-    rounding has swallowed a flat column, as under jitter many orders above the noise."""
+def _criterion(grams: Sequence[_Gram], fixed: np.ndarray, deviations: np.ndarray) -> np.ndarray:
+    """Return -2 log restricted likelihood, up to a constant, for pairs of standard deviations.
+
+    The value is infinite if rounding makes a fixed effect vanish, which happens for jitter many orders of magnitude
+    above the noise.
+
+    Args:
+        grams: Gram matrices of the tests.
+        fixed: independent combinations of the fixed effects from `_independent_effects`.
+        deviations: standard deviations of contact, m, and zero, N, shape (..., 2).
+    """
     blocks, logarithms = zip(*(gram.reduced(deviations) for gram in grams), strict=True)
     total = _assemble(grams, blocks)
-    information, score = flat.T @ total[..., :-1, :-1] @ flat, flat.T @ total[..., :-1, -1:]
+    information, score = fixed.T @ total[..., :-1, :-1] @ fixed, fixed.T @ total[..., :-1, -1:]
     sign, logarithm = np.linalg.slogdet(information)
     good = sign > 0
-    information = np.where(good[..., None, None], information, np.eye(flat.shape[1]))
+    information = np.where(good[..., None, None], information, np.eye(fixed.shape[1]))
     explained = (score * np.linalg.solve(information, score)).sum(axis=(-1, -2))
     return np.where(good, sum(logarithms) + logarithm + total[..., -1, -1] - explained, np.inf)
 
 
-def _range(tests: Sequence[Sequence[WhitenedReplicate]], kind: int) -> tuple[float, float]:
-    """Smallest and largest jitter worth trying: from what a replicate can resolve to what one shows."""
+def _search_range(tests: Sequence[Sequence[WhitenedReplicate]], kind: int) -> tuple[float, float]:
+    """Return the smallest and largest trial value of a standard deviation.
+
+    Args:
+        tests: replicates of each test.
+        kind: 0: contact, m; 1: zero, N.
+    """
     columns = [(one.contact, one.zero)[kind] for test in tests for one in test]
     residuals = [one.residual for test in tests for one in test]
     squares = np.array([column @ column for column in columns])
-    seen = squares > 0
-    if not seen.any():
+    active = squares > 0
+    if not active.any():
         return 0.0, 0.0
-    shown = max(abs(float(column @ residual)) / square for column, residual, square, there in
-                zip(columns, residuals, squares, seen, strict=True) if there)
+    offset = max(abs(float(column @ residual)) / square for column, residual, square, is_active in
+                 zip(columns, residuals, squares, active, strict=True) if is_active)
     error = 1.0 / float(np.sqrt(squares.max()))
-    return SMALLEST * error, LARGEST * (shown + 1.0 / float(np.sqrt(squares[seen].min())))
+    largest_error = 1.0 / float(np.sqrt(squares[active].min()))
+    return _SETTINGS.smallest * error, _SETTINGS.largest * (offset + largest_error)
 
 
 def _minimise(criterion: Callable[[np.ndarray], np.ndarray], size: int, present: list[int],
               ranges: list[tuple[float, float]]) -> tuple[float, np.ndarray]:
-    """Least criterion, and where: on a logarithmic grid of the deviations that are present, then refined.
+    """Minimise the criterion over the logarithms of nonzero standard deviations: grid search, then L-BFGS-B.
 
     Args:
-        criterion: of deviations, shape (..., size), all at once.
+        criterion: vectorised function of standard deviations, shape (..., size).
+        size: number of unknown standard deviations.
+        present: indices of the nonzero ones.
+        ranges: smallest and largest trial value of each nonzero one.
+
+    Returns:
+        Smallest criterion and the standard deviations there, shape (size,); infinite if a range is empty.
     """
-    def at(logarithms: np.ndarray) -> np.ndarray:
+    def evaluate(logarithms: np.ndarray) -> np.ndarray:
         values = np.zeros((*logarithms.shape[:-1], size))
         values[..., present] = np.exp(logarithms)
         return criterion(values)
@@ -194,15 +242,15 @@ def _minimise(criterion: Callable[[np.ndarray], np.ndarray], size: int, present:
     if any(high <= 0 for _, high in ranges):
         return np.inf, np.zeros(size)
     low, high = np.log(ranges).T
-    grid = np.stack(np.meshgrid(*np.linspace(low, high, GRID).T), axis=-1).reshape(-1, len(present))
-    values = at(grid)
+    grid = np.stack(np.meshgrid(*np.linspace(low, high, _SETTINGS.grid).T), axis=-1).reshape(-1, len(present))
+    values = evaluate(grid)
     start = grid[np.argmin(values)]
     if not np.isfinite(values.min()):
         return np.inf, np.zeros(size)
 
     def with_slope(point: np.ndarray) -> tuple[float, np.ndarray]:
-        steps = np.where(point + STEP <= high, STEP, -STEP)
-        value, *others = at(np.vstack([point, point + np.diag(steps)]))
+        steps = np.where(point + _SETTINGS.step <= high, _SETTINGS.step, -_SETTINGS.step)
+        value, *others = evaluate(np.vstack([point, point + np.diag(steps)]))
         if not np.isfinite(value):
             return np.inf, np.zeros(len(present))
         return float(value), (np.array(others) - value) / steps

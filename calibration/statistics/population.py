@@ -1,8 +1,9 @@
-"""Specimens as a population: mean and scatter of a material's parameters between specimens that were each measured.
+"""Population of specimens: mean and between-specimen covariance of material parameters (random-effects model).
 
-Each specimen's estimate x_i errs by the covariance V_i of its own fit and comes from a population of mean m and scatter
-between specimens W: x_i ~ N(m, W + V_i). W and m are estimated by restricted maximum likelihood, which is the Laplace
-approximation of the mixed-effects model where each fit is nearly linear; intervals are those of few specimens.
+The estimate x_i of specimen i has the covariance V_i of its own fit, and the specimens come from a population with mean
+m and between-specimen covariance W: x_i ~ N(m, W + V_i). Restricted maximum likelihood estimates W and m, which is the
+Laplace approximation of the nonlinear mixed-effects model if each fit is nearly linear. The intervals are valid for few
+specimens.
 """
 
 from __future__ import annotations
@@ -15,26 +16,33 @@ from scipy import optimize, special
 
 from tissue_sim.errors import InputError
 
-#: Fewer specimens than this have no scatter that could be told.
-FEWEST_SPECIMENS = 2
+#: Smallest number of specimens for an estimate of the between-specimen covariance.
+MIN_SPECIMENS = 2
+#: Confidence level of the intervals.
 LEVEL = 0.95
-#: Shares at which the distribution of a spread is taken.
-_MIDDLES = (np.arange(400) + 0.5) / 400
+#: Probabilities at which the distribution of a spread is tabulated: midpoints of 400 equal cells.
+_PROBABILITIES = (np.arange(400) + 0.5) / 400
 
 
 @dataclass(frozen=True, eq=False)
 class Population:
-    """Parameters of a population, of which n specimens were measured, p parameters each.
+    """Estimated population of p parameters from n specimens.
 
     Attributes:
-        order: names of the parameters. specimens: names of the specimens.
-        estimates, errors: of each specimen alone, and their standard errors, shape (n, p).
-        mean: of the population, shape (p,). mean_covariance: of its estimate, shape (p, p). mean_intervals: 95 %, shape
-            (p, 2). mean_moves: of the mean with the errors that all specimens share, shape (p, h).
-        between: covariance between specimens, shape (p, p). spread: its standard deviations, shape (p,).
-        spread_intervals: 95 %, shape (p, 2).
-        next_specimen: 95 % interval for the parameters of a specimen that was not measured, shape (p, 2).
-        shrunken, shrunken_errors: each specimen as it and the others tell it, shape (n, p).
+        order: names of the parameters.
+        specimens: names of the specimens.
+        estimates: estimates of each specimen alone, shape (n, p).
+        errors: standard errors of `estimates`, shape (n, p).
+        mean: population mean, shape (p,).
+        mean_covariance: covariance of the estimated mean, shape (p, p).
+        mean_intervals: 95 % intervals of the mean, shape (p, 2).
+        mean_moves: change of the mean per standard deviation of each error that all specimens share, shape (p, h).
+        between: between-specimen covariance W, shape (p, p).
+        spread: between-specimen standard deviations, shape (p,).
+        spread_intervals: 95 % intervals of the spread, shape (p, 2).
+        next_specimen: 95 % prediction intervals of the parameters of a further specimen, shape (p, 2).
+        shrunken: best linear predictions of the specimens' parameters (shrinkage estimates), shape (n, p).
+        shrunken_errors: standard errors of `shrunken`, shape (n, p).
     """
 
     order: tuple[str, ...]
@@ -60,38 +68,43 @@ class Population:
 
 def estimate_population(order: Sequence[str], specimens: Sequence[str], estimates: np.ndarray,
                         covariances: np.ndarray, common: np.ndarray | None = None) -> Population:
-    """The population from which specimens come that were fitted one by one.
+    """Estimate the population of specimens that were fitted individually.
+
+    With the weights Omega_i = (W + V_i)^-1 the mean is m = (sum Omega_i)^-1 sum Omega_i x_i. The shrinkage estimate of
+    specimen i is m + W Omega_i (x_i - m).
 
     Args:
-        order: names of the parameters. specimens: names.
-        estimates: of each specimen, shape (n, p). covariances: of each estimate, shape (n, p, p).
-        common: how estimates move with errors that all specimens share, each of a standard deviation of 1, shape (n, p,
-            h); these are no part of `covariances`. None: there are none.
+        order: names of the p parameters.
+        specimens: names of the n specimens.
+        estimates: estimates of each specimen, shape (n, p).
+        covariances: covariance of each estimate, shape (n, p, p).
+        common: change of the estimates per standard deviation of each of h errors that all specimens share, shape
+            (n, p, h); not included in `covariances`. None: no shared errors.
 
     Raises:
-        InputError: fewer than two specimens, shapes that do not fit, or a specimen whose parameters are not all
-            determined.
+        InputError: fewer than two specimens, arrays of wrong shape, or a specimen with undetermined parameters.
 
-    Sources: restricted likelihood, Harville, J. American Statistical Association 72 (1977) 320; interval of the spread,
-    Viechtbauer, Statistics in Medicine 26 (2007) 37; of the mean and the next specimen, the same pivot as a generalised
-    one, Iyer, Wang and Mathew, J. American Statistical Association 99 (2004) 1060.
+    Source: Harville, J. American Statistical Association 72 (1977) 320 (restricted likelihood); Viechtbauer, Statistics
+    in Medicine 26 (2007) 37 (interval of the spread); Iyer, Wang and Mathew, J. American Statistical Association 99
+    (2004) 1060 (generalised pivot for the mean and a further specimen).
     """
     x, V = np.array(estimates, dtype=float), np.array(covariances, dtype=float)
     n, p = len(specimens), len(order)
-    if n < FEWEST_SPECIMENS:
-        raise InputError(f"{n} specimen says nothing about the scatter between specimens; give at least "
-                         f"{FEWEST_SPECIMENS}", field="specimen")
+    if n < MIN_SPECIMENS:
+        raise InputError(f"the scatter between specimens requires at least {MIN_SPECIMENS} specimens; got {n}",
+                         field="specimen")
     if x.shape != (n, p) or V.shape != (n, p, p):
-        raise InputError(f"shapes {x.shape} and {V.shape}, expected {(n, p)} and {(n, p, p)}", field="estimates")
+        raise InputError(f"estimates and covariances must have the shapes {(n, p)} and {(n, p, p)}; got {x.shape} and "
+                         f"{V.shape}", field="estimates")
     variances = np.diagonal(V, axis1=1, axis2=2)
     if not (np.isfinite(x).all() and np.isfinite(V).all() and (variances > 0).all()):
         first = int(np.argmin((np.isfinite(x) & np.isfinite(variances) & (variances > 0)).all(axis=1)))
         raise InputError(f"the fit of {specimens[first]} does not determine {', '.join(order)}", field="specimen")
-    # In units of each parameter's own size: moduli in Pa and exponents stand beside each other.
+    # Scaled to the size of each parameter: moduli in Pa and exponents differ by orders of magnitude.
     scale = np.sqrt(np.mean(x**2, axis=0) + variances.mean(axis=0))
     x, V = x / scale, V / np.outer(scale, scale)
     shared = np.zeros((n, p, 0)) if common is None else np.asarray(common) / scale[:, None]
-    W = _between(x, V)
+    W = _between_covariance(x, V)
     total = np.linalg.inv(W + V)
     mean_covariance = np.linalg.inv(total.sum(axis=0))
     mean = mean_covariance @ np.einsum("npq,nq->p", total, x)
@@ -102,11 +115,11 @@ def estimate_population(order: Sequence[str], specimens: Sequence[str], estimate
     mean_intervals, spread_intervals, next_specimen = (np.array([each[k] for each in intervals]) for k in range(3))
     gain = W @ total
     shrunken = mean + np.einsum("npq,nq->np", gain, x - mean)
-    # That of the mean's own error is in it.
-    left = np.eye(p) - gain
-    theirs = gain @ shared + left @ moved
-    shrunken_variances = np.diagonal(W - gain @ W + left @ mean_covariance @ left.transpose(0, 2, 1)
-                                     + theirs @ theirs.transpose(0, 2, 1), axis1=1, axis2=2)
+    # Prediction error variance, including the error of the estimated mean.
+    remainder = np.eye(p) - gain
+    common_error = gain @ shared + remainder @ moved
+    shrunken_variances = np.diagonal(W - gain @ W + remainder @ mean_covariance @ remainder.transpose(0, 2, 1)
+                                     + common_error @ common_error.transpose(0, 2, 1), axis1=1, axis2=2)
     both = scale[:, None]
     return Population(
         tuple(order), tuple(specimens), x * scale, np.sqrt(variances + np.sum(shared**2, axis=2)) * scale, mean * scale,
@@ -115,15 +128,19 @@ def estimate_population(order: Sequence[str], specimens: Sequence[str], estimate
         np.sqrt(np.maximum(shrunken_variances, 0.0)) * scale)
 
 
-def _between(x: np.ndarray, V: np.ndarray) -> np.ndarray:
-    """Covariance between specimens by restricted maximum likelihood.
+def _between_covariance(x: np.ndarray, V: np.ndarray) -> np.ndarray:
+    """Estimate the between-specimen covariance W by restricted maximum likelihood, shape (p, p).
 
-    Over a triangular root of it, which makes it a covariance whatever the root is.
+    The unknowns are the entries of a lower triangular L with W = L L', so that W is positive semidefinite.
+
+    Args:
+        x: scaled estimates, shape (n, p).
+        V: scaled covariances, shape (n, p, p).
     """
     p = x.shape[1]
     lower = np.tril_indices(p)
 
-    def twice_unlikely(entries):
+    def minus_twice_log_likelihood(entries):
         root = np.zeros((p, p))
         root[lower] = entries
         total = np.linalg.inv(root @ root.T + V)
@@ -136,7 +153,8 @@ def _between(x: np.ndarray, V: np.ndarray) -> np.ndarray:
         return value, (2 * slope @ root)[lower]
 
     scatter = np.cov(x, rowvar=False).reshape(p, p) + V.mean(axis=0)
-    found = optimize.minimize(twice_unlikely, np.linalg.cholesky(scatter)[lower], jac=True, method="L-BFGS-B",
+    start = np.linalg.cholesky(scatter)[lower]
+    found = optimize.minimize(minus_twice_log_likelihood, start, jac=True, method="L-BFGS-B",
                               options={"ftol": 1e-13, "gtol": 1e-9, "maxiter": 1000})
     root = np.zeros((p, p))
     root[lower] = found.x
@@ -144,40 +162,55 @@ def _between(x: np.ndarray, V: np.ndarray) -> np.ndarray:
 
 
 def _intervals(x: np.ndarray, v: np.ndarray, together: float):
-    """Interval of the mean, of the spread and of the next specimen; of one parameter.
+    """Return the 95 % intervals of mean, spread and a further specimen for one parameter.
 
-    The squares of x about their mean, weighted with the true spread, are chi-square distributed: that inverted is a
-    distribution of the spread, and the mean and the next specimen are normal at each of its values.
+    For the true spread s the statistic Q(s) = sum w_i (x_i - m)^2 with w_i = 1 / (v_i + s^2) is chi-square distributed
+    with n - 1 degrees of freedom. Its inversion gives a generalised fiducial distribution of s; given s, the mean and a
+    further specimen are normally distributed.
 
     Args:
-        x, v: estimates and their variances, shape (n,). together: variance of the mean by what all share.
+        x: estimates, shape (n,).
+        v: variances of the estimates, shape (n,).
+        together: variance of the mean by errors that all specimens share.
     """
     low, high = (1 - LEVEL) / 2, (1 + LEVEL) / 2
-    # The squares fall as the spread grows, so the ends change places.
-    ends = tuple(_spread_at(x, v, float(special.chdtri(x.size - 1, 1 - share))) for share in (high, low))
-    spread = np.array([_spread_at(x, v, wanted) for wanted in special.chdtri(x.size - 1, 1 - _MIDDLES)])
+    # Q decreases with the spread, so the upper quantile of Q gives the lower end.
+    ends = tuple(_spread_at(x, v, float(special.chdtri(x.size - 1, 1 - level))) for level in (high, low))
+    spread = np.array([_spread_at(x, v, statistic) for statistic in special.chdtri(x.size - 1, 1 - _PROBABILITIES)])
     weight = 1.0 / (v + spread[:, None]**2)
     centre, variance = weight @ x / weight.sum(axis=1), 1.0 / weight.sum(axis=1) + together
-    mean, following = (tuple(_quantile(centre, np.sqrt(variances), share) for share in (low, high))
+    mean, following = (tuple(_mixture_quantile(centre, np.sqrt(variances), level) for level in (low, high))
                        for variances in (variance, variance + spread**2))
     return mean, ends, following
 
 
-def _quantile(centres: np.ndarray, deviations: np.ndarray, share: float) -> float:
-    """Of normal distributions mixed in equal parts."""
+def _mixture_quantile(centres: np.ndarray, deviations: np.ndarray, level: float) -> float:
+    """Return the quantile of a mixture of normal distributions with equal weights.
+
+    Args:
+        centres: means of the distributions, shape (k,).
+        deviations: standard deviations, shape (k,).
+        level: probability of the quantile.
+    """
     reach = 40.0 * deviations.max() + np.ptp(centres)
-    return float(optimize.brentq(lambda value: special.ndtr((value - centres) / deviations).mean() - share,
+    return float(optimize.brentq(lambda value: special.ndtr((value - centres) / deviations).mean() - level,
                                  centres.min() - reach, centres.max() + reach))
 
 
-def _spread_at(x: np.ndarray, v: np.ndarray, wanted: float) -> float:
-    """Spread at which the weighted squares of x about their mean are `wanted`; 0 where they are less without any."""
+def _spread_at(x: np.ndarray, v: np.ndarray, statistic: float) -> float:
+    """Return the spread s at which the statistic Q(s) of `_intervals` has a value; 0 if Q(0) is smaller.
+
+    Args:
+        x: estimates, shape (n,).
+        v: variances of the estimates, shape (n,).
+        statistic: value of Q.
+    """
     def squares(variance: float) -> float:
         weight = 1.0 / (v + variance)
         return float(np.sum(weight * (x - np.sum(weight * x) / np.sum(weight))**2))
 
-    if squares(0.0) <= wanted:
+    if squares(0.0) <= statistic:
         return 0.0
-    # The squares are at most those about the plain mean, over this variance.
-    top = float(np.sum((x - x.mean())**2)) / wanted
-    return float(np.sqrt(optimize.brentq(lambda variance: squares(variance) - wanted, 0.0, top, xtol=1e-14 * top)))
+    # Upper bound: Q(s) <= sum (x_i - mean(x))^2 / s^2.
+    top = float(np.sum((x - x.mean())**2)) / statistic
+    return float(np.sqrt(optimize.brentq(lambda variance: squares(variance) - statistic, 0.0, top, xtol=1e-14 * top)))

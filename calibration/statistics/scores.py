@@ -1,4 +1,4 @@
-"""Score tests of many directions at once, with a probability that counts how many were looked at."""
+"""Score tests of many alternatives, with p values that account for their number."""
 
 from __future__ import annotations
 
@@ -8,23 +8,25 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from calibration.statistics.adequacy import INDEPENDENT
+from calibration.statistics.adequacy import RANK_TOLERANCE
 
-#: A direction of which the fit absorbs all but this share of its length cannot be tested.
-ABSORBED = 1e-3
-#: Draws of the noise, and the seed of them: the same answer each time.
-DRAWS, SEED = 20_000, 1
+#: Smallest fraction of the length of a change outside the span of the fit for which the change can be tested.
+MIN_FREE_FRACTION = 1e-3
+#: Number of random draws of the scores.
+DRAWS = 20_000
+#: Seed of the random draws, fixed so that results are reproducible.
+SEED = 1
 
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """What an effect of its trial size would add to the data, with all that the fit could absorb taken out.
+    """Change of the whitened residuals by an effect, projected onto the orthogonal complement of the fitted space.
 
     Attributes:
-        basis: orthonormal, shape (N, q); empty where the fit absorbs all of it.
-        length: of the change, with what is absorbed, in units of the noise.
-        reach: of what is left of it, in units of the noise: the deviations that an effect of the trial size would show.
-        positive: whether only one sign is possible; of a direction with q = 1 alone.
+        basis: orthonormal basis of the projected change, shape (N, q); q = 0 if the fit can absorb the change.
+        length: norm of the change before projection, in units of the noise.
+        reach: norm of the projected change, in units of the noise: expected score of an effect of the trial size.
+        positive: whether the effect has only one possible sign; used for q = 1 only.
     """
 
     basis: np.ndarray
@@ -34,31 +36,51 @@ class Direction:
 
     @property
     def freedom(self) -> int:
+        """Number of degrees of freedom q."""
         return int(self.basis.shape[1])
 
     @classmethod
-    def of(cls, columns: np.ndarray, fitted: np.ndarray, *, positive: bool) -> Direction:
-        """The direction of whitened changes of the model.
+    def project(cls, columns: np.ndarray, fitted: np.ndarray, *, positive: bool) -> Direction:
+        """Return the direction of whitened changes of the model.
 
         Args:
-            columns: shape (N, q), zero in the rows of priors. fitted: orthonormal columns that span what is fitted,
-                nuisances and priors included, shape (N, k). positive: see `Direction`.
+            columns: changes, zero in the rows of priors, shape (N, q).
+            fitted: orthonormal basis of the fitted space including nuisances and priors, shape (N, k).
+            positive: see `Direction`.
         """
         free = columns - fitted @ (fitted.T @ columns)
         length = float(np.linalg.norm(columns))
         left, sizes, _ = np.linalg.svd(free, full_matrices=False)
         if columns.shape[1] == 1:
-            # Its sign is that of the effect.
+            # The singular vector has an arbitrary sign; the basis has the sign of the effect.
             left = free / (sizes[0] or 1.0)
-        kept = sizes > max(ABSORBED * length / np.sqrt(columns.shape[1]), INDEPENDENT * sizes.max(initial=0.0), 1e-12)
+        kept = sizes > max(MIN_FREE_FRACTION * length / np.sqrt(columns.shape[1]),
+                           RANK_TOLERANCE * sizes.max(initial=0.0), 1e-12)
         return cls(left[:, kept], length, float(np.linalg.norm(sizes[kept])), positive)
 
     def score(self, residual: np.ndarray) -> np.ndarray:
-        """Deviations that the data show along it, shape (q,); residual: model minus data, whitened, shape (N,)."""
+        """Return the score: components of data minus model along the basis, standard normal without the effect.
+
+        Args:
+            residual: whitened model minus data, shape (N,).
+
+        Returns:
+            Score, shape (q,).
+        """
         return -(self.basis.T @ residual)
 
     def p(self, score: np.ndarray) -> np.ndarray:
-        """Probability of a score as large by chance, for this direction alone; shape (..., q) -> (...)."""
+        """Return the p value of a score for this direction alone.
+
+        The p value is that of a one-sided normal test for a positive effect with q = 1, otherwise of a chi-square test
+        with q degrees of freedom.
+
+        Args:
+            score: scores, shape (..., q).
+
+        Returns:
+            P values, shape (...).
+        """
         if not self.freedom:
             return np.ones(score.shape[:-1])
         if self.positive and self.freedom == 1:
@@ -66,41 +88,47 @@ class Direction:
         return special.chdtrc(self.freedom, np.sum(score**2, axis=-1))
 
 
-def family_probability(directions: Sequence[Direction], scores: Sequence[np.ndarray], *, seed: int = SEED,
+def familywise_p_values(directions: Sequence[Direction], scores: Sequence[np.ndarray], *, seed: int = SEED,
                        draws: int = DRAWS) -> np.ndarray:
-    """For each direction the probability that chance alone makes any of them as improbable as it is.
+    """Compute family-wise p values by simulation of the minimum p value (Westfall and Young).
 
-    The scores of all directions follow one normal distribution when nothing is hidden; its draws carry grids over what
-    does not exist in the absence of an effect, bounds, and the choice among effects.
+    Without effects the scores of all directions are jointly normal with mean 0 and covariance B'B, where B contains all
+    bases. For random scores from this distribution the smallest p value of all directions is computed. The family-wise
+    p value of a direction is the fraction of draws whose smallest p value does not exceed that of the direction. The
+    simulation accounts for the correlation of the directions, for one-sided effects, and for grids of parameters that
+    are not identified without the effect.
 
     Args:
-        directions: of the candidates. scores: of each, shape (q,).
+        directions: directions of the candidates.
+        scores: score of each direction, shape (q,).
+        seed: seed of the random numbers.
+        draws: number of draws.
 
     Returns:
-        Shape (directions,); at least 1/(draws + 1).
+        P values, shape (directions,); at least 1/(draws + 1).
 
-    Source: Davies, Biometrika 74 (1987) 33, for why a table would not do; Westfall and Young, Resampling-Based Multiple
-    Testing (1993), for the least of several p values.
+    Source: Westfall and Young, Resampling-Based Multiple Testing, 1993; Davies, Biometrika 74 (1987) 33 (nuisance
+    parameters that exist only with the effect).
     """
     if not directions:
         return np.zeros(0)
     stacked = np.hstack([direction.basis for direction in directions])
     if not stacked.shape[1]:
         return np.ones(len(directions))
-    # The noise only matters as far as the directions span it.
+    # Random scores are drawn in the space of the directions, which is smaller than that of the samples.
     sizes, axes = np.linalg.eigh(stacked.T @ stacked)
     root = axes * np.sqrt(np.maximum(sizes, 0.0))
     drawn = np.random.default_rng(seed).standard_normal((draws, sizes.size)) @ root.T
     ends = np.cumsum([0, *(direction.freedom for direction in directions)])
-    least = np.min([direction.p(drawn[:, first:last]) for direction, first, last in zip(
+    smallest = np.min([direction.p(drawn[:, first:last]) for direction, first, last in zip(
         directions, ends[:-1], ends[1:], strict=True)], axis=0)
     observed = np.array([float(direction.p(score)) for direction, score in zip(directions, scores, strict=True)])
-    below = np.searchsorted(np.sort(least), observed, side="right")
+    below = np.searchsorted(np.sort(smallest), observed, side="right")
     return (below + 1) / (draws + 1)
 
 
-def alike(one: Direction, other: Direction) -> float:
-    """How far one direction is the other's twin: the cosine of the angle between them, 0 to 1."""
+def largest_cosine(one: Direction, other: Direction) -> float:
+    """Return the cosine of the smallest principal angle between two directions, 0 to 1; 1: indistinguishable."""
     if not (one.freedom and other.freedom):
         return 0.0
     return float(np.linalg.svd(one.basis.T @ other.basis, compute_uv=False)[0])

@@ -1,4 +1,4 @@
-"""Level and colour of a force sensor's noise: read off recordings before any fit, and used to whiten them."""
+"""Level and autocorrelation of a force sensor's noise: estimation from recordings, and whitening."""
 
 from __future__ import annotations
 
@@ -11,36 +11,52 @@ from numpy.polynomial.legendre import legvander
 from calibration.statistics.statistics import resolution
 from tissue_sim.errors import InputError
 
-#: One recording: force in N, shape (n,); time in s, shape (n,), or None; labels of its segments, shape (n,), or None.
+#: One recording: force, N, shape (n,); time, s, shape (n,), or None; labels of the segments, shape (n,), or None.
 Signal = tuple[np.ndarray, np.ndarray | None, Sequence | np.ndarray | None]
-#: Highest degree of a segment's trend. A relaxation 100 times shorter than its hold needs about this many.
-MAX_DEGREE = 24
-#: A trend has at most one degree in this many samples.
-SAMPLES_PER_DEGREE = 4
-#: A segment of fewer samples says nothing about the noise.
-FEWEST_SAMPLES = 4
-#: Correlation times that are tried: from this many median steps (a correlation of neighbours of 0.7 %) ...
-SHORTEST = 0.2
-#: ... to this share of the longest segment, beyond which trend and noise are one.
-LONGEST = 0.25
-#: How many of them before the best is refined.
-GRID = 16
-#: Numerical floor of the level, relative to the largest force and in N: exact synthetic data do not give zero.
-FLOOR, LEAST = 1e-9, 1e-12
+#: Smallest number of samples of a segment from which the noise is estimated.
+MIN_SAMPLES = 4
+
+
+@dataclass(frozen=True)
+class NoiseSettings:
+    """Settings of the noise estimate.
+
+    Attributes:
+        max_degree: highest polynomial degree of a segment's trend; a relaxation 100 times shorter than its hold needs
+            about this degree.
+        samples_per_degree: smallest number of samples per degree of a trend.
+        shortest: shortest trial correlation time, in median sampling intervals; the correlation of neighbours is 0.7 %.
+        longest: longest trial correlation time, as a fraction of the longest segment; slower noise cannot be
+            distinguished from a trend.
+        grid: number of trial correlation times before the best one is refined.
+        relative_floor: smallest noise level relative to the largest force; exact synthetic data would give zero.
+        floor: smallest noise level, N.
+    """
+
+    max_degree: int = 24
+    samples_per_degree: int = 4
+    shortest: float = 0.2
+    longest: float = 0.25
+    grid: int = 16
+    relative_floor: float = 1e-9
+    floor: float = 1e-12
+
+
+_SETTINGS = NoiseSettings()
 
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Gaussian noise of a sensor, with the autocorrelation exp(-lag / correlation_time).
+    """Gaussian noise of a sensor with the autocorrelation exp(-lag / correlation_time).
 
     Attributes:
-        deviation: standard deviation of every sample, N.
-        correlation_time: s, or in samples where recordings have no time; 0 is white.
-        source: where the deviation comes from: ``"stated"``, ``"estimated"`` or ``"resolution"`` (the sensor's step
-            is coarser than the scatter).
+        deviation: standard deviation of each sample, N.
+        correlation_time: correlation time, s, or in samples for recordings without time; 0: white noise.
+        source: origin of the deviation: ``"stated"``, ``"estimated"`` or ``"resolution"`` (the quantisation step of the
+            sensor exceeds the scatter).
 
     Raises:
-        InputError: a deviation that is not positive, a negative correlation time.
+        InputError: the deviation is not positive, or the correlation time is negative.
     """
 
     deviation: float
@@ -49,55 +65,56 @@ class SensorNoise:
 
     def __post_init__(self):
         if not 0 < self.deviation < np.inf:
-            raise InputError(f"{self.deviation:g} N is not a noise level; give a number above zero", field="deviation")
+            raise InputError(f"deviation must be positive; got {self.deviation:g} N", field="deviation")
         if not 0 <= self.correlation_time < np.inf:
-            raise InputError(f"{self.correlation_time:g} s is not a correlation time; give 0 for white noise or a "
-                             "number above zero", field="correlation_time")
+            raise InputError(f"correlation_time must be 0 (white noise) or positive; got {self.correlation_time:g} s",
+                             field="correlation_time")
 
 
 def whiten(columns: np.ndarray, time: np.ndarray | None, noise: SensorNoise) -> np.ndarray:
-    """Columns multiplied by L^-1, where L L' is the covariance of the noise, in O(n).
+    """Multiply columns by L^-1, where L L' is the covariance of the noise (Cholesky factor), in O(n) operations.
 
-    Samples with one time stamp come from a clock that is coarser than the sampling: they count as spread evenly up to
-    the next stamp.
+    The noise is an Ornstein-Uhlenbeck process. With rho_i = exp(-(t_i - t_{i-1}) / tau), row i of the result is
+    (y_i - rho_i y_{i-1}) / (sigma sqrt(1 - rho_i^2)). Equal time stamps, from a clock coarser than the sampling, are
+    spread evenly up to the next stamp.
 
     Args:
-        columns: in N (per unit of whatever), shape (n,) or (n, k).
-        time: s, not decreasing, shape (n,); None: the number of the sample. Not used for white noise.
-        noise: of the sensor.
+        columns: columns in N, or N per unit of a parameter, shape (n,) or (n, k).
+        time: time of the samples, s, not decreasing, shape (n,); None: index of the sample. Unused for white noise.
+        noise: noise of the sensor.
 
     Returns:
-        The columns in units of the noise, same shape.
+        Whitened columns in units of the noise, same shape.
 
-    Source: the process is Markov, so every sample needs its predecessor only (Gillespie, Phys. Rev. E 54 (1996) 2084).
+    Source: Gillespie, Phys. Rev. E 54 (1996) 2084.
     """
     columns = np.asarray(columns, dtype=float)
     if not noise.correlation_time:
         return columns / noise.deviation
-    kept, fresh = _memory(spread_stamps(time, columns.shape[0]), noise.correlation_time)
-    return _innovations(columns, kept, fresh) / noise.deviation
+    correlation, deviation = _step_statistics(spread_time_stamps(time, columns.shape[0]), noise.correlation_time)
+    return _innovations(columns, correlation, deviation) / noise.deviation
 
 
 def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | None = None,
                           correlation_time: float | None = None) -> SensorNoise:
-    """One noise for all recordings of a sensor, from their scatter about smooth trends, without a model of the tissue.
+    """Estimate the common noise of the recordings of a sensor from their scatter about polynomial trends.
 
-    Every run of equal segment labels has a polynomial in time as its trend. Its degree, and whether the noise has a
-    colour, are those with the least Schwarz criterion (BIC): each degree and the correlation time must raise the
-    log-likelihood by half the logarithm of the number of samples of all recordings. Level and colour then follow
-    from the restricted likelihood, so that what the trends absorb is counted. The level is at least the rounding error
-    of the sensor's step. Correlation times up to a twentieth of the longest segment come out right in the mean; at a
-    tenth the trends absorb up to a third of the variance, and slower noise cannot be told from a trend.
+    Each segment has a polynomial in time as its trend. The Schwarz criterion (BIC) over all recordings selects the
+    degrees and decides whether the noise is correlated. Level and correlation time then maximise the restricted
+    likelihood, which accounts for the degrees of freedom of the trends. The level is at least the rounding error of the
+    sensor's quantisation step. Correlation times up to 1/20 of the longest segment are estimated without bias; at 1/10
+    the trends absorb up to a third of the variance, and slower noise cannot be distinguished from a trend.
 
     Args:
-        recordings: force, time and segment labels of each; without labels a recording is one segment, and corners in
-            its force count as noise where the trend cannot follow them.
-        deviation: N, where it is stated; only the colour is estimated then, from the shape of the autocorrelation, so
-            that a level which is stated too high or too low makes no colour.
-        correlation_time: s (in samples without time), where it is stated, 0 for white; only the level is estimated.
+        recordings: force, time and segment labels of each recording. A recording without labels is one segment, and
+            corners of its force that the trend cannot follow count as noise.
+        deviation: stated standard deviation, N; only the correlation time is estimated then, from the shape of the
+            autocorrelation and independently of this value. None: it is estimated.
+        correlation_time: stated correlation time, s (in samples without time), 0 for white noise; only the level is
+            estimated then. None: it is estimated.
 
     Raises:
-        InputError: no segment has `FEWEST_SAMPLES` samples, a stated value out of range.
+        InputError: no segment has `MIN_SAMPLES` samples, or a stated value is out of range.
 
     Source: Patterson and Thompson, Biometrika 58 (1971) 545 (restricted likelihood); Schwarz, Annals of Statistics 6
         (1978) 461; Bennett, Bell System Technical Journal 27 (1948) 446 (rounding).
@@ -107,8 +124,8 @@ def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | No
     checked = SensorNoise(1.0 if deviation is None else deviation, correlation_time or 0.0)
     pieces = [piece for force, time, segment in recordings for piece in _pieces(force, time, segment)]
     if not pieces:
-        raise InputError(f"no segment has {FEWEST_SAMPLES} samples, which is too few to estimate the noise from; "
-                         "state it", field="noise.force_N")
+        raise InputError(f"no segment has the {MIN_SAMPLES} samples that an estimate of the noise requires; state "
+                         "noise.force_N", field="noise.force_N")
     tau, degrees = _select(pieces, correlation_time)
     if correlation_time is None and tau:
         tau = _refine(pieces, degrees, tau)
@@ -117,7 +134,8 @@ def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | No
     squares, freedom, _ = _restricted(pieces, degrees, tau)
     level = float(np.sqrt(squares / freedom))
     rounding = max(resolution(np.asarray(force, dtype=float)) for force, _, _ in recordings) / float(np.sqrt(12.0))
-    floor = max(LEAST, *(FLOOR * float(np.abs(force).max()) for force, _, _ in recordings))
+    floor = max(_SETTINGS.floor, *(_SETTINGS.relative_floor * float(np.abs(force).max())
+                                   for force, _, _ in recordings))
     if max(level, rounding) <= floor:  # Rounding of floating point has no colour.
         return replace(checked, deviation=floor, source="estimated")
     return SensorNoise(max(level, rounding), tau, "resolution" if rounding > level else "estimated")
@@ -125,64 +143,88 @@ def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | No
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """One segment of one recording: Legendre columns of the trend and the force last, (n, degrees + 2); time, (n,)."""
+    """Segment of a recording.
+
+    Attributes:
+        columns: Legendre polynomials of the trend, and the force as the last column, shape (n, degrees + 2).
+        time: time of the samples, s, shape (n,).
+    """
 
     columns: np.ndarray
     time: np.ndarray
 
     def triangle(self, tau: float) -> tuple[np.ndarray, float]:
-        """R of the whitened columns, and log det of the correlation matrix. Leading parts of R are lower degrees."""
+        """Return R of the QR decomposition of the whitened columns, and log det of the correlation matrix.
+
+        Leading blocks of R are those of trends of lower degree.
+
+        Args:
+            tau: correlation time, s; 0: white noise.
+        """
         if not tau:
             return np.asarray(np.linalg.qr(self.columns, mode="r")), 0.0
-        kept, fresh = _memory(self.time, tau)
-        whitened = np.asarray(np.linalg.qr(_innovations(self.columns, kept, fresh), mode="r"))
-        return whitened, 2.0 * float(np.log(fresh).sum())
+        correlation, deviation = _step_statistics(self.time, tau)
+        whitened = np.asarray(np.linalg.qr(_innovations(self.columns, correlation, deviation), mode="r"))
+        return whitened, 2.0 * float(np.log(deviation).sum())
 
 
 def _pieces(force: np.ndarray, time: np.ndarray | None, segment: Sequence | np.ndarray | None) -> list[_Piece]:
+    """Split a recording into its segments with at least `MIN_SAMPLES` samples."""
     force = np.asarray(force, dtype=float)
-    time = spread_stamps(time, force.size)
+    time = spread_time_stamps(time, force.size)
     starts = [0] if segment is None else [0, *(np.flatnonzero(np.asarray(segment)[1:] != np.asarray(segment)[:-1]) + 1)]
     pieces = []
     for first, last in zip(starts, [*starts[1:], force.size], strict=True):
-        if last - first < FEWEST_SAMPLES:
+        if last - first < MIN_SAMPLES:
             continue
-        t, degree = time[first:last], min(MAX_DEGREE, (last - first) // SAMPLES_PER_DEGREE)
+        t = time[first:last]
+        degree = min(_SETTINGS.max_degree, (last - first) // _SETTINGS.samples_per_degree)
         basis = legvander(2.0 * (t - t[0]) / (t[-1] - t[0]) - 1.0, degree)
         pieces.append(_Piece(np.column_stack([basis, force[first:last]]), t))
     return pieces
 
 
 def _select(pieces: list[_Piece], stated: float | None) -> tuple[float, list[int]]:
-    """Correlation time and degree of each segment's trend with the least BIC."""
+    """Return the correlation time and the degree of each segment's trend with the smallest BIC.
+
+    Args:
+        pieces: segments of all recordings.
+        stated: stated correlation time, s; None: it is selected.
+    """
     samples = sum(piece.time.size for piece in pieces)
     candidates = [0.0] if stated is None else [stated]
     if stated is None:
         steps = np.concatenate([np.diff(piece.time) for piece in pieces])
-        longest = LONGEST * max(piece.time[-1] - piece.time[0] for piece in pieces)
-        shortest = SHORTEST * float(np.median(steps))
-        candidates += list(np.geomspace(shortest, longest, GRID)) if longest > shortest else []
+        longest = _SETTINGS.longest * max(piece.time[-1] - piece.time[0] for piece in pieces)
+        shortest = _SETTINGS.shortest * float(np.median(steps))
+        candidates += list(np.geomspace(shortest, longest, _SETTINGS.grid)) if longest > shortest else []
     best: tuple[float, float, list] = (np.inf, 0.0, [])
     for tau in candidates:
         triangles, logarithms = zip(*(piece.triangle(tau) for piece in pieces), strict=True)
-        # Sum of squared residuals of each segment for each degree, from 0 up.
+        # Sums of squared residuals of each segment for the degrees 0, 1, 2, ...
         squares = [np.cumsum(R[:, -1][::-1]**2)[::-1][1:] for R in triangles]
         degrees = _degrees(squares, samples)
         total = sum(part[k] for part, k in zip(squares, degrees, strict=True))
         terms = sum(degrees) + (1 if tau and stated is None else 0)
-        criterion = samples * np.log(max(total / samples, LEAST**2)) + sum(logarithms) + terms * np.log(samples)
+        variance = max(total / samples, _SETTINGS.floor**2)
+        criterion = samples * np.log(variance) + sum(logarithms) + terms * np.log(samples)
         if criterion < best[0]:
             best = (criterion, float(tau), degrees)
     return best[1], best[2]
 
 
 def _degrees(squares: list[np.ndarray], samples: int) -> list[int]:
-    """Degree of each segment's trend with the least BIC, from the highest down; squares: of each, shape (degrees,)."""
+    """Return the degree of each segment's trend with the smallest BIC, by fixed-point iteration from the highest.
+
+    Args:
+        squares: sums of squared residuals of each segment for each degree, shape (degrees,).
+        samples: number of samples of all segments.
+    """
     degrees = [part.size - 1 for part in squares]
     while True:
         freedom = samples - sum(k + 1 for k in degrees)
         total = sum(part[k] for part, k in zip(squares, degrees, strict=True))
-        variance = max(total / freedom, LEAST**2)
+        variance = max(total / freedom, _SETTINGS.floor**2)
         lower = [int(np.argmin((part / variance + np.arange(part.size) * np.log(samples))[:k + 1]))
                  for part, k in zip(squares, degrees, strict=True)]
         if lower == degrees:
@@ -191,7 +233,13 @@ def _degrees(squares: list[np.ndarray], samples: int) -> list[int]:
 
 
 def _restricted(pieces: list[_Piece], degrees: list[int], tau: float) -> tuple[float, int, float]:
-    """Residual sum of squares, degrees of freedom, and the log-determinants of -2 log restricted likelihood."""
+    """Return the terms of -2 log restricted likelihood: residual sum of squares, degrees of freedom, log determinants.
+
+    Args:
+        pieces: segments of all recordings.
+        degrees: degree of each segment's trend.
+        tau: correlation time, s.
+    """
     squares, freedom, logarithm = 0.0, 0, 0.0
     for piece, degree in zip(pieces, degrees, strict=True):
         R, own = piece.triangle(tau)
@@ -203,20 +251,29 @@ def _restricted(pieces: list[_Piece], degrees: list[int], tau: float) -> tuple[f
 
 
 def _refine(pieces: list[_Piece], degrees: list[int], tau: float) -> float:
-    """Correlation time with the largest restricted likelihood near a first guess."""
-    from scipy.optimize import minimize_scalar  # on use: what is wrong in a file is said before scipy is there
+    """Return the correlation time that maximises the restricted likelihood near a first guess, s."""
+    # Import on use: errors in input files are reported before scipy.optimize is loaded.
+    from scipy.optimize import minimize_scalar
 
     def criterion(logarithm: float) -> float:
         squares, freedom, determinants = _restricted(pieces, degrees, float(np.exp(logarithm)))
-        return freedom * np.log(max(squares / freedom, LEAST**2)) + determinants
+        return freedom * np.log(max(squares / freedom, _SETTINGS.floor**2)) + determinants
 
-    # The restricted likelihood's optimum lies above the likelihood's that chose the guess.
+    # The first guess maximises the likelihood, whose optimum is below that of the restricted likelihood.
     bounds = (np.log(tau / 2.0), np.log(3.0 * tau))
     return float(np.exp(minimize_scalar(criterion, bounds=bounds, method="bounded", options={"xatol": 1e-3}).x))
 
 
-def spread_stamps(time: np.ndarray | None, samples: int) -> np.ndarray:
-    """Times with repeated stamps spread evenly up to the next stamp; the number of the sample without times."""
+def spread_time_stamps(time: np.ndarray | None, samples: int) -> np.ndarray:
+    """Spread equal time stamps evenly up to the next stamp.
+
+    Args:
+        time: time of the samples, s, shape (n,); None: no time.
+        samples: number of samples n.
+
+    Returns:
+        Strictly increasing times, s, shape (n,); indices of the samples without times or with one time stamp only.
+    """
     if time is None:
         return np.arange(samples, dtype=float)
     time = np.asarray(time, dtype=float)
@@ -225,20 +282,23 @@ def spread_stamps(time: np.ndarray | None, samples: int) -> np.ndarray:
         return time
     if first.size == 1:
         return np.arange(samples, dtype=float)
-    # The last stamp has no next one: its samples take the mean interval between samples.
+    # Samples of the last stamp are spread with the mean sampling interval.
     step = (time[-1] - time[0]) / (first[-1] - first[0])
     end = time[-1] + step * (samples - first[-1])
     return np.interp(np.arange(samples), [*first, samples], [*time[first], end])
 
 
-def _memory(time: np.ndarray, tau: float) -> tuple[np.ndarray, np.ndarray]:
-    """Correlation of each sample with the one before (0 for the first), and the deviation of what is new in it."""
+def _step_statistics(time: np.ndarray, tau: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the correlation of each sample with its predecessor, and the relative deviation of its innovation.
+
+    The correlation is rho = exp(-lag / tau), 0 for the first sample; the deviation is sqrt(1 - rho^2).
+    """
     lag = np.diff(time, prepend=-np.inf) / tau
     return np.exp(-lag), np.sqrt(-np.expm1(-2.0 * lag))
 
 
-def _innovations(columns: np.ndarray, kept: np.ndarray, fresh: np.ndarray) -> np.ndarray:
-    """What is new in each sample, in units of its deviation."""
+def _innovations(columns: np.ndarray, correlation: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+    """Return the innovations (y_i - rho_i y_{i-1}) / sqrt(1 - rho_i^2) of columns, shape of `columns`."""
     shape = (-1, *([1] * (columns.ndim - 1)))
     before = np.concatenate([np.zeros_like(columns[:1]), columns[:-1]])
-    return (columns - kept.reshape(shape) * before) / fresh.reshape(shape)
+    return (columns - correlation.reshape(shape) * before) / deviation.reshape(shape)

@@ -1,4 +1,4 @@
-"""Noise, information criteria and other figures of a least-squares fit."""
+"""Noise estimates, chi-square, information criteria and correlation of least-squares fits."""
 
 from __future__ import annotations
 
@@ -11,47 +11,52 @@ import numpy as np
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-#: Residuals this many times the stated noise mean that the model, not the sensor, makes the error.
+#: Ratio of residuals to stated noise above which model error dominates.
 MODEL_ERROR_RATIO = 3.0
-#: Residuals this many times an estimated noise mean that it was the curvature of the data, not noise.
+#: Ratio of residuals to estimated noise below which the estimate contains curvature of the data.
 CURVATURE_RATIO = 0.3
-#: How each replicate's points come from its samples, shape (points, samples); None: they are its samples.
+#: Interpolation matrix of each replicate from its samples to its points, shape (points, samples); None: no
+#: interpolation.
 Interpolations: TypeAlias = "Sequence[csr_array | None]"
 
 
 def estimate_noise(samples: np.ndarray, abscissa: np.ndarray | None = None) -> float:
-    """Standard deviation of white noise on a smooth curve, from each sample's distance to the line of its neighbours.
+    """Estimate the standard deviation of white noise on a smooth curve from pseudo-residuals.
 
-    The median keeps jumps out. The line is drawn over the number of the sample and over the abscissa, and the smaller
-    estimate counts: uneven steps make the first too large, an abscissa of coarse steps the second. The floor is the
-    resolution of floating point, so that exact synthetic data do not give zero. On a coarse curve the curvature counts
-    as noise.
+    A pseudo-residual is the deviation of a sample from the straight line through its neighbours, normalised to the
+    variance of the noise. The estimate is the median absolute pseudo-residual divided by the 75 % normal quantile,
+    which is robust against jumps. Lines over the index and over the abscissa give two estimates, and the smaller one is
+    returned: unequal steps increase the first, a coarsely resolved abscissa the second. The estimate is at least the
+    resolution of floating-point numbers. On a coarsely sampled curve it contains the curvature.
 
     Args:
         samples: values in order, shape (n,), n >= 3.
-        abscissa: where they were taken, shape (n,); None: at even steps.
+        abscissa: positions of the samples, shape (n,); None: equal steps.
 
-    Source: Gasser, Sroka, Jennen-Steinmetz, Biometrika 73 (1986) 625, pseudo-residuals.
+    Source: Gasser, Sroka, Jennen-Steinmetz, Biometrika 73 (1986) 625.
     """
-    shares = [np.full(samples.size - 2, 0.5)]
+    weights = [np.full(samples.size - 2, 0.5)]
     if abscissa is not None:
         span, step = abscissa[2:] - abscissa[:-2], abscissa[1:-1] - abscissa[:-2]
-        share = np.divide(step, span, out=np.full(span.size, 0.5), where=span != 0)
-        shares.append(np.where((share >= 0) & (share <= 1), share, 0.5))
+        weight = np.divide(step, span, out=np.full(span.size, 0.5), where=span != 0)
+        weights.append(np.where((weight >= 0) & (weight <= 1), weight, 0.5))
     deviations = []
-    for share in shares:
-        distance = samples[1:-1] - (1 - share) * samples[:-2] - share * samples[2:]
-        distance /= np.sqrt(1 + (1 - share)**2 + share**2)
+    for weight in weights:
+        distance = samples[1:-1] - (1 - weight) * samples[:-2] - weight * samples[2:]
+        distance /= np.sqrt(1 + (1 - weight)**2 + weight**2)
         deviations.append(np.median(np.abs(distance)) / NormalDist().inv_cdf(0.75))
     return float(max(min(deviations), 1e-9 * np.abs(samples).max(), np.finfo(float).tiny))
 
 
 def resolution(samples: np.ndarray) -> float:
-    """Step of a quantised signal, in the unit of the samples; 0 where no step shows.
+    """Return the quantisation step of a signal, in the unit of the samples; 0 if no step is found.
 
-    The smallest difference that repeats is the step when every difference is a whole multiple of it and more than one
-    multiple occurs. Its rounding error has the standard deviation step/sqrt(12), which second differences miss where
-    neighbouring samples are mostly equal.
+    The step is the smallest repeated difference, if all differences are integer multiples of it and more than one
+    multiple occurs. The rounding error has the standard deviation step / sqrt(12). Noise estimates from differences
+    miss this error if most neighbouring samples are equal.
+
+    Args:
+        samples: values in order, shape (n,).
 
     Source: Bennett, Bell System Technical Journal 27 (1948) 446.
     """
@@ -68,19 +73,24 @@ def resolution(samples: np.ndarray) -> float:
 
 
 def pooled_noise(noise: np.ndarray, replicate: np.ndarray) -> float:
-    """One standard deviation for all samples: the root mean square over them.
+    """Return the root mean square of the samples' standard deviations.
 
     Args:
-        noise: of each replicate, shape (R,). replicate: index of the replicate of each sample, shape (n,).
+        noise: standard deviation of each replicate, shape (R,).
+        replicate: index of the replicate of each sample, shape (n,).
     """
     return float(np.sqrt(np.mean(np.asarray(noise)[replicate]**2)))
 
 
 def effective_samples(interpolation: csr_array | None, points: int) -> tuple[float, float]:
-    """Independent samples that interpolated points are worth, and the share of the noise's variance that they keep.
+    """Return the effective number of independent samples of interpolated points, and their relative noise variance.
 
-    Points between the same samples repeat each other, and a point between two samples averages them. With C = W W':
-    (tr C)^2 / tr(C^2), and tr(C) / points.
+    Interpolated points are correlated, and interpolation reduces the variance of the noise. With the interpolation
+    matrix W and C = W W', the effective number is (tr C)^2 / tr(C^2) and the relative variance is tr(C) / points.
+
+    Args:
+        interpolation: interpolation matrix W, shape (points, samples); None: the points are samples.
+        points: number of points.
 
     Source: Bayley and Hammersley, Supplement to the J. of the Royal Statistical Society 8 (1946) 184.
     """
@@ -93,28 +103,30 @@ def effective_samples(interpolation: csr_array | None, points: int) -> tuple[flo
 
 def chi_square(residual: np.ndarray, replicate: np.ndarray, noise: np.ndarray,
                interpolations: Interpolations | None = None) -> tuple[float, float]:
-    """Sum of squares of the residuals in units of their noise, and the number of independent samples in it.
+    """Return chi-square of the residuals and the effective number of independent samples.
 
     Args:
-        residual: model minus data, Pa, shape (n,). replicate: index of the replicate of each sample, shape (n,).
-        noise: standard deviation of each replicate's samples, Pa, shape (R,).
-        interpolations: of each replicate; None: every point is a sample.
+        residual: model minus data, Pa, shape (n,).
+        replicate: index of the replicate of each sample, shape (n,).
+        noise: standard deviation of the samples of each replicate, Pa, shape (R,).
+        interpolations: interpolation matrix of each replicate; None: all points are samples.
     """
     total = samples = 0.0
     for i, deviation in enumerate(noise):
-        mine = residual[replicate == i]
-        count, kept = effective_samples(None if interpolations is None else interpolations[i], mine.size)
-        total += float(mine @ mine) / (deviation**2 * kept) * count / mine.size
+        part = residual[replicate == i]
+        count, variance = effective_samples(None if interpolations is None else interpolations[i], part.size)
+        total += float(part @ part) / (deviation**2 * variance) * count / part.size
         samples += count
     return float(total), float(samples)
 
 
 def information_criteria(squares: float, samples: float, unknowns: int) -> tuple[float, float]:
-    """AIC and BIC with the noise known: chi-square plus 2 k, plus k ln n.
+    """Return AIC = chi-square + 2 k and BIC = chi-square + k ln n for known noise.
 
     Args:
-        squares: chi-square of the residuals, and of the priors where there are any: the likelihood is penalised then.
-        samples: number of independent ones, n. unknowns: number of free ones, k.
+        squares: chi-square of the residuals plus that of priors (penalised likelihood).
+        samples: effective number n of independent samples.
+        unknowns: number k of free unknowns.
 
     Source: Burnham and Anderson, Model Selection and Multimodel Inference, 2002, sections 2.2 and 6.4.
     """
@@ -122,12 +134,17 @@ def information_criteria(squares: float, samples: float, unknowns: int) -> tuple
 
 
 def r_squared(data: np.ndarray, residual: np.ndarray) -> float:
-    """Coefficient of determination about the mean of the data."""
+    """Return the coefficient of determination R^2 = 1 - sum r^2 / sum (y - mean(y))^2.
+
+    Args:
+        data: measured values y, shape (n,).
+        residual: model minus data r, shape (n,).
+    """
     return 1.0 - float(residual @ residual / np.sum((data - data.mean())**2))
 
 
 def correlation(covariance: np.ndarray) -> np.ndarray:
-    """Correlation matrix; zero beside unknowns without variance, 1 on the diagonal."""
+    """Return the correlation matrix of a covariance matrix; off-diagonal entries of unknowns with variance 0 are 0."""
     deviation = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
     outer = np.outer(deviation, deviation)
     result = np.divide(covariance, outer, out=np.zeros_like(covariance), where=outer > 0)

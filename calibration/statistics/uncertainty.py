@@ -1,4 +1,4 @@
-"""What an estimate is worth: the covariance of its unknowns, whatever weights they were fitted with."""
+"""Covariance of least-squares estimates that is valid for any weights (sandwich estimator)."""
 
 from __future__ import annotations
 
@@ -10,28 +10,30 @@ from scipy import linalg, special
 
 from calibration.statistics.statistics import Interpolations, chi_square, pooled_noise
 
-#: Residuals this many times the noise are not the noise any more, and the standard errors follow them.
+#: Ratio of residuals to noise above which the residuals determine the standard errors.
 RESIDUAL_RATIO = 1.1
-#: Fewer replicates than this say nothing about their own scatter.
-FEWEST_REPLICATES = 3
-#: A scaled Hessian with a larger condition number has a direction that the data do not determine.
+#: Smallest number of replicates from which their scatter is estimated.
+MIN_REPLICATES = 3
+#: Condition number of the scaled Hessian above which a direction counts as undetermined by the data.
 SINGULAR_CONDITION = 1e14
 
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Covariance of the free unknowns and what it rests on; what a bound holds counts as fixed.
+    """Covariance of the free unknowns and related quantities; unknowns on a bound count as fixed.
 
     Attributes:
-        covariance: SI, shape (k, k); zero beside those on a bound.
-        standard_errors: shape (k,); NaN on a bound, inf in a direction that nothing determines.
-        on_bound: shape (k,), bool.
-        basis: ``"noise"`` (as stated), ``"residuals"`` (they exceed it) or ``"replicates"`` (their scatter).
+        covariance: covariance matrix, SI, shape (k, k); zero rows and columns for unknowns on a bound.
+        standard_errors: standard errors, SI, shape (k,); NaN on a bound, inf in an undetermined direction.
+        on_bound: whether each unknown is on a bound, bool, shape (k,).
+        basis: source of the variance: ``"noise"``, ``"residuals"`` (larger than the noise) or ``"replicates"`` (scatter
+            between replicates).
         quantile: half widths of the 95 % intervals in standard errors, shape (k,).
         inflation: factor of all variances because the residuals exceed the noise, at least 1.
-        ratio: root mean square of the residuals, each in units of its noise.
-        criteria: sum of squares and number of independent samples of `information_criteria`.
-        sizes: whole changes of the unknowns, shape (k,). information: of the unknowns in units of these, shape (k, k).
+        ratio: root mean square of the residuals in units of their noise.
+        criteria: chi-square and effective number of samples for `information_criteria`.
+        sizes: scale of each unknown, SI, shape (k,).
+        information: Fisher information of the unknowns in units of `sizes`, shape (k, k).
     """
 
     covariance: np.ndarray
@@ -46,30 +48,32 @@ class Uncertainty:
     information: np.ndarray
 
 
-def sandwich(jacobian: np.ndarray, residual: np.ndarray, replicate: np.ndarray, noise: np.ndarray | float,
-             prior_precision: np.ndarray, jitter: np.ndarray | None = None,
-             interpolations: Interpolations | None = None, on_bound: np.ndarray | None = None,
-             repeats: float = 1.0) -> Uncertainty:
-    """Sandwich covariance of an unweighted least-squares estimate with priors, at its minimum.
+def sandwich_covariance(jacobian: np.ndarray, residual: np.ndarray, replicate: np.ndarray, noise: np.ndarray | float,
+                        prior_precision: np.ndarray, jitter: np.ndarray | None = None,
+                        interpolations: Interpolations | None = None, on_bound: np.ndarray | None = None,
+                        repeats: float = 1.0) -> Uncertainty:
+    """Compute the cluster-robust sandwich covariance of an unweighted least-squares estimate with priors.
 
-    cov = A^-1 M A^-1 with A = J'J + s^2 P and M the variance of the gradient. Samples count with the noise of their
-    own replicate, or with its residuals where these exceed the noise. Samples of one replicate err together: with
-    stated jitter M holds that too; otherwise, from `FEWEST_REPLICATES` replicates on, M is the larger of this and of
-    the scatter of the replicates' own gradients.
+    At the minimum, cov = A^-1 M A^-1 with A = J'J + s^2 P, where J is the Jacobian, P the diagonal prior precision, s
+    the pooled noise and M the variance of the gradient. Samples contribute to M with the noise of their replicate, or
+    with its residuals if they exceed the noise. The errors of one replicate are correlated: stated jitter adds its
+    variance to M; otherwise, for at least `MIN_REPLICATES` replicates, M is at least the scatter of the replicates'
+    gradients, with the factor R / (R - 1) for few clusters.
 
     Args:
-        jacobian: d(stress)/d(unknown), shape (n, k).
+        jacobian: derivatives of the stress with the unknowns, shape (n, k).
         residual: model minus data, Pa, shape (n,).
         replicate: index of the replicate of each sample, shape (n,).
-        noise: standard deviation of the samples of each replicate, Pa, shape (R,), or of all; s is their pooled value.
-        prior_precision: 1/variance of each prior, 0 without, shape (k,).
-        jitter: stress that one standard deviation of jitter makes, Pa, shape (n, number of kinds of jitter): applied
-            to each replicate independently; no columns where fitted offsets carry it; None where none is stated.
-        interpolations: of each replicate; None: every point is a sample.
-        on_bound: unknowns that count as fixed, bool, shape (k,); None: none.
-        repeats: samples that say the same, where smooth residuals exceed the noise: a factor of their variance.
+        noise: standard deviation of the samples of each replicate, Pa, shape (R,), or one value.
+        prior_precision: inverse variance of each prior, 0 without a prior, shape (k,).
+        jitter: change of the stress per standard deviation of each kind of jitter, Pa, shape (n, kinds), independent
+            between replicates; no columns if fitted offsets represent the jitter; None: no jitter is stated.
+        interpolations: interpolation matrix of each replicate; None: all points are samples.
+        on_bound: unknowns that count as fixed, bool, shape (k,); None: no unknown.
+        repeats: factor of the variance of smooth residuals that exceed the noise: the number of samples per independent
+            sample.
 
-    Source: Huber's sandwich with clusters, Liang and Zeger, Biometrika 73 (1986) 13; R/(R-1) for few clusters.
+    Source: Liang and Zeger, Biometrika 73 (1986) 13.
     """
     on_bound = np.zeros(jacobian.shape[1], bool) if on_bound is None else on_bound
     inside = ~on_bound
@@ -98,17 +102,17 @@ def sandwich(jacobian: np.ndarray, residual: np.ndarray, replicate: np.ndarray, 
         spread = spread + gradients.T @ gradients
 
     hessian = jacobian.T @ jacobian + weight * np.diag(prior_precision)
-    # Scaled to a unit diagonal, so that Pa beside exponents does not look singular.
+    # A unit diagonal makes the condition number independent of the units of the unknowns.
     scale = np.sqrt(np.diag(hessian))
     scale = np.where(scale > 0, scale, 1.0)
     root, singular = inverse_root(hessian / np.outer(scale, scale))
     root = root / scale[:, None]
     spread = root.T @ spread @ root
-    if jitter is None and count >= FEWEST_REPLICATES and root.shape[1]:
-        scores = _own_scores(jacobian, residual, parts) @ root
-        spread = _larger(count / (count - 1) * scores.T @ scores, spread)
+    if jitter is None and count >= MIN_REPLICATES and root.shape[1]:
+        scores = _replicate_scores(jacobian, residual, parts) @ root
+        spread = _larger_variance(count / (count - 1) * scores.T @ scores, spread)
         basis, quantile = "replicates", special.stdtrit(count - 1, 0.975)
-    # As a square, so that it is symmetric and positive semi-definite to the last digit.
+    # The product of a factor with its transpose is symmetric and positive semidefinite in floating point.
     weights, axes = np.linalg.eigh(spread)
     half = root @ (axes * np.sqrt(np.clip(weights, 0.0, None)))
     covariance = np.zeros((inside.size, inside.size))
@@ -122,27 +126,40 @@ def sandwich(jacobian: np.ndarray, residual: np.ndarray, replicate: np.ndarray, 
 
 
 def inverse_root(hessian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """T with T T' the inverse of a scaled Hessian, without directions that nothing determines, and who is in those."""
+    """Return a root of the pseudo-inverse of a scaled Hessian, and the unknowns in undetermined directions.
+
+    Args:
+        hessian: Hessian with unit diagonal, shape (k, k).
+
+    Returns:
+        T with T T' = pseudo-inverse, shape (k, rank), and whether each unknown is part of an undetermined direction,
+        bool, shape (k,).
+    """
     values, vectors = np.linalg.eigh(hessian)
     flat = values <= values.max(initial=0.0) / SINGULAR_CONDITION
     return vectors[:, ~flat] / np.sqrt(values[~flat]), (np.abs(vectors[:, flat]) > 0.1).any(axis=1)
 
 
-def _own_scores(jacobian: np.ndarray, residual: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Gradient of each replicate with its share of the priors' gradient, shape (R, k).
+def _replicate_scores(jacobian: np.ndarray, residual: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the gradient of each replicate including its part of the priors' gradient, shape (R, k).
 
-    At a minimum the priors balance the data, so their gradient is known from the data's. A replicate carries as much
-    of it as it has information: all of it for its own offset, an equal part for what equal replicates share.
+    At the minimum the gradients of priors and data cancel, so the priors' gradient is minus that of the data. It is
+    distributed to the replicates in proportion to their information on each unknown.
     """
     scores = np.stack([jacobian[part].T @ residual[part] for part in parts])
     information = np.stack([np.sum(jacobian[part]**2, axis=0) for part in parts])
     total = information.sum(axis=0)
-    shares = np.divide(information, total, out=np.zeros_like(information), where=total > 0)
-    return scores - shares * scores.sum(axis=0)
+    weights = np.divide(information, total, out=np.zeros_like(information), where=total > 0)
+    return scores - weights * scores.sum(axis=0)
 
 
-def _larger(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """The larger of two variances in each of their common principal directions; `other` is positive definite."""
+def _larger_variance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return a matrix with the larger of two variances in each of their common (generalised) principal directions.
+
+    Args:
+        one: symmetric positive semidefinite matrix, shape (k, k).
+        other: symmetric positive definite matrix, shape (k, k).
+    """
     ratios, axes = linalg.eigh(one, other)
     dual = other @ axes
     return (dual * np.maximum(ratios, 1.0)) @ dual.T

@@ -21,7 +21,7 @@ from tissue_sim.atomic_write import write_text
 
 if TYPE_CHECKING:
     from calibration import DiagnosisResult, Workers
-    from calibration.fit.steps import Progress
+    from calibration.fit.run_context import Progress
 
 #: Motion of both tests.
 PROTOCOL = "ramp 10mm @0.248mm/s; hold 60s; unload"

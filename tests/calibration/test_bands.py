@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from calibration.forward.motion import Timed
+from calibration.forward.motion import TimedMotion
 from calibration.statistics.bands import Scatter, prediction_bands
 
 
@@ -47,16 +47,16 @@ def test_few_recordings_count_with_students_t_and_a_bias_with_its_size():
     assert biased == pytest.approx(10.0 + 1.644854, rel=1e-4)
 
 
-def test_a_hold_that_trembles_is_one_hold_and_no_loading_curve():
-    """What creeps on while the force relaxes is not the curve of the tissue: the contact matters as on the ramp."""
+def test_noisy_hold_is_one_hold_and_no_loading_curve():
+    """Creep during a hold is no loading curve: the derivative with the contact offset equals that of the ramp."""
     time = np.unique(np.append(np.linspace(0.0, 4.0, 41), np.linspace(4.0, 64.0, 99)))
     rng = np.random.default_rng(1)
     displacement = np.minimum(1e-3 * time, 4e-3)
     held = np.maximum(time - 4, 0.0)
     displacement += (time > 4) * 4e-6 * rng.standard_normal(time.size) + 2e-5 * (1 - np.exp(-held / 5))
-    motion = Timed.of(time, displacement)
+    motion = TimedMotion.from_recording(time, displacement)
     assert len(motion.legs) == 2 and motion.legs[1][1] - motion.legs[1][0] > 5
     force = 500.0 * np.minimum(motion.displacement, 4e-3) * np.where(
         motion.time > 4, 0.6 + 0.4 * np.exp(-(motion.time - 4) / 3), 1.0)
-    _, rate = motion.through(force[:, None])(time, displacement, 0.0)
+    _, rate = motion.interpolate(force[:, None])(time, displacement, 0.0)
     assert rate[time > 1].max() < 0 and rate[time > 1].min() > -1.2 * 500.0

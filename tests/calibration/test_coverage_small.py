@@ -12,8 +12,8 @@ from scipy.interpolate import CubicSpline
 import tissue_sim as ts
 from calibration.campaign.campaign import Noise
 from calibration.fit.campaign_problem import build_problem
-from calibration.fit.levenberg_marquardt import descend
-from calibration.forward.solves import Solves
+from calibration.fit.trust_region import descend
+from calibration.forward.simulation_cache import SimulationCache
 
 CAMPAIGNS, STARTS, SEED = 12, 6, 1
 
@@ -91,7 +91,7 @@ def test_a_carried_mesh_error_does_not_pull_the_moduli_down(benchmarks):
     model = ts.Model(starts.SCENES["bonded"].experiment(ts.Protocol(depth / starts.SPEED, depth)), material)
     curve = CubicSpline(depth, ts.simulate(model).force)
     recordings = starts.make_recordings(campaign, lambda _, reached: curve(reached), np.random.default_rng(SEED))
-    problem = build_problem(starts.LAW, campaign, recordings, Solves())
+    problem = build_problem(starts.LAW, campaign, recordings, SimulationCache())
     problem.mesh_error = (0.01,)
     problem.forget()
     found = descend(problem, starts.START)

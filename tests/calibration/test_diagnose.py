@@ -14,7 +14,7 @@ from calibration.diagnosis.diagnosis import CandidateStatement, NextExperiment, 
 from calibration.diagnosis.words import message
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
-from calibration.fit.steps import Steps
+from calibration.fit.run_context import RunContext
 from calibration.report.diagnosis_page import diagnosis_page
 from calibration.report.diagnosis_tables import number_in_words, sizes_in_words
 from calibration.report.drawing import Pictures
@@ -81,7 +81,7 @@ def diagnosed(campaign, two_effects):
     """The parts of a diagnosis of it, and its recordings."""
     asked, measured = read_for_diagnosis(campaign)
     with open_tasks(Workers()) as tasks:
-        return diagnose_campaign(asked, measured, Steps(asked.name, tasks)), measured
+        return diagnose_campaign(asked, measured, RunContext(asked.name, tasks)), measured
 
 
 def test_nothing_hidden_is_nothing_missing(diagnosed):
@@ -117,7 +117,7 @@ bulk_ratio = 1000.0
 """, encoding="utf-8")
     campaign, measured = read_for_diagnosis(path)
     with open_tasks(Workers()) as tasks:
-        found = diagnose_campaign(campaign, measured, Steps("preload", tasks)).diagnosis
+        found = diagnose_campaign(campaign, measured, RunContext("preload", tasks)).diagnosis
     assert found.verdict == "NONE" and all(region.adequate_before for region in found.regions)
     assert "contact lies 0.40 mm before the zero of the displacement" in found.message
     assert found.fit_before.parameters["C10"] == pytest.approx(10e3, rel=0.01)
@@ -201,13 +201,13 @@ def test_pages_of_verdicts(diagnosed, tmp_path):
     plain = page(Pictures(tmp_path))
     assert next(iter(summary(plain))) == "Nothing missing" and summary(plain)["Where"] == "Every region agrees."
     assert plain.count("data:image/png") == 2, "one test that was fitted, and the regions; no candidate to draw"
-    statements = [CandidateStatement(name="viscoelasticity", effect="viscoelasticity", room="tissue",
+    statements = [CandidateStatement(name="viscoelasticity", effect="viscoelasticity", category="tissue",
                                      title="viscoelasticity", testable=True, score=9.0, p=5e-5, refitted=True,
                                      delta_BIC=70.0, explained_percent=99.0, evidence_ratio=1.0),
-                  CandidateStatement(name="machine_compliance", effect="machine_compliance", room="rig",
+                  CandidateStatement(name="machine_compliance", effect="machine_compliance", category="rig",
                                      title="machine compliance", testable=True, score=-8.0, p=1.0, refitted=True,
                                      delta_BIC=66.0, evidence_ratio=7.4, on_bound=["c"]),
-                  CandidateStatement(name="tilt@later", effect="tilt", room="geometry", title="tilt of a face",
+                  CandidateStatement(name="tilt@later", effect="tilt", category="geometry", title="tilt of a face",
                                      testable=False, reason="no face <is> flat")]
     several = page(Pictures(tmp_path), verdict="SET", message="One of two.", candidates=statements,
                    indistinguishable=["viscoelasticity", "machine_compliance"],
@@ -234,8 +234,9 @@ def test_pages_of_verdicts(diagnosed, tmp_path):
     ("C30", "Pa", 0.0, 97.0, "c 0.097 kPa"),
 ])
 def test_sizes_are_in_units_that_people_use(path, unit, absent, value, words):
-    candidate = CandidateStatement(name="x", effect="x", room="rig", title="x", testable=True, seen_from={path: value},
-                                   symbols={path: "c"}, units={path: unit}, absent={path: absent})
+    candidate = CandidateStatement(name="x", effect="x", category="rig", title="x", testable=True,
+                                   seen_from={path: value}, symbols={path: "c"}, units={path: unit},
+                                   absent={path: absent})
     assert sizes_in_words(candidate, UNITS) == words
 
 

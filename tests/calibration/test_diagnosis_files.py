@@ -21,7 +21,7 @@ from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.plate_friction import PlateFriction
 from calibration.effects.sensor_drift import SensorDrift
 from calibration.effects.viscoelasticity import Viscoelasticity
-from calibration.fit.steps import Steps
+from calibration.fit.run_context import RunContext
 from calibration.report.additions import to_toml, write_additions
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import InputError
@@ -148,14 +148,14 @@ def test_a_plan_needs_no_recording(tmp_path):
     (tmp_path / "plan.toml").write_text(PLAN + "[noise]\nforce_N = 0.01\n", encoding="utf-8")
     campaign = whole_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
     with open_tasks(Workers()) as tasks:
-        found = design(campaign, read_planned(campaign, replicates=3, samples=121), Steps("plan", tasks))
+        found = design(campaign, read_planned(campaign, replicates=3, samples=121), RunContext("plan", tasks))
     rows = {row.name: row for row in found.candidates}
     assert rows["viscoelasticity"].testable and rows["viscoelasticity"].seen_from["viscoelastic.terms[0].g"] < 0.02
     assert 0 < found.standard_errors["C10"] < 20 and [test.recordings for test in found.tests] == [3]
     shorter = whole_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
     shorter = replace(shorter, tests=(replace(shorter.tests[0], protocol="ramp 3mm @0.2mm/s"),))
     with open_tasks(Workers()) as tasks:
-        ramp = design(shorter, read_planned(shorter, replicates=3, samples=121), Steps("plan", tasks))
+        ramp = design(shorter, read_planned(shorter, replicates=3, samples=121), RunContext("plan", tasks))
     row = next(row for row in ramp.candidates if row.name == "viscoelasticity")
     assert not row.testable or row.seen_from["viscoelastic.terms[0].g"] > 3 * rows["viscoelasticity"].seen_from[
         "viscoelastic.terms[0].g"], "a ramp alone says little of relaxation"
@@ -183,20 +183,20 @@ def test_toml_is_read_back():
 def test_sentences():
     region = RegionGap(test="plates", segment="hold", before_N=0.1, largest_before_N=-0.1, before_sigma=9.0,
                        adequate_before=False, sentence="plates hold: the force falls by 0.1 N, the model's by nothing")
-    compliance = FoundEffect(name="machine_compliance", room="rig", title="machine compliance", parameters=[
+    compliance = FoundEffect(name="machine_compliance", category="rig", title="machine compliance", parameters=[
         Number(path="rig.compliance", symbol="c", unit="m/N", value=2e-5, standard_error=1e-6, absent=0.0)])
     named = message("NAMED", [compliance], ["machine compliance"], [region], (0.1, 0.01, 0.02), 3)
     assert named == ("Machine compliance (c = 0.02 ± 0.001 mm/N) was missing. The gap falls from 0.1 to 0.01 N "
                      "(5 to 0.5 of the noise).")
     several = message("SET", [compliance], ["machine compliance", "height"], [region], (0.1, 0.01, 0.02), 3)
     assert several.startswith("Machine compliance or height is missing, and these tests do not tell which")
-    softening = CandidateStatement(name="softening", effect="softening", room="tissue", title="softening",
+    softening = CandidateStatement(name="softening", effect="softening", category="tissue", title="softening",
                                    testable=True, explained_percent=49.0)
     unknown = message("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=softening)
     assert "the force falls by 0.1 N" in unknown and "Softening comes nearest and explains 49 % of it." in unknown
     train = CandidateStatement(
-        name="machine_compliance", effect="machine_compliance", room="rig", title="machine compliance", testable=True,
-        explained_percent=100.0, separated_by="pressing on steel", parameters=[Number(
+        name="machine_compliance", effect="machine_compliance", category="rig", title="machine compliance",
+        testable=True, explained_percent=100.0, separated_by="pressing on steel", parameters=[Number(
             path="rig.compliance", symbol="c", unit="m/N", value=2e-3, standard_error=1e-6, absent=0.0, bound=2e-3)])
     bounded = message("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=train)
     assert ("Machine compliance comes nearest and explains 100 % of it, but its size ran to its bound, c = 2 mm/N, the "

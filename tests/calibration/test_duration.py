@@ -14,9 +14,9 @@ from calibration.diagnosis.evidence import whole_campaign
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
 from calibration.fit.campaign_problem import build_problem
-from calibration.fit.steps import Steps
+from calibration.fit.run_context import RunContext
 from calibration.forward.meshes import MESHES, Meshes
-from calibration.forward.solves import Solves
+from calibration.forward.simulation_cache import SimulationCache
 from calibration.tasks.executors import Tasks
 from tissue_sim.fem.solid.discretisation import RESOLUTIONS, Resolution
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
@@ -50,7 +50,7 @@ def glued(tmp_path, monkeypatch):
     """A glued cube on two orders of one mesh of 64 elements, with a load train that takes up a sixth of the way."""
     monkeypatch.setitem(RESOLUTIONS, "coarse", Resolution(HEX8P0, 0.6, 2.5, 3.8, 2))
     monkeypatch.setitem(RESOLUTIONS, "coarse, second order", Resolution(HEX27P1, 0.6, 2.5, 3.8, 2))
-    monkeypatch.setitem(MESHES, "solid", Meshes("coarse", "coarse, second order", remainder=3.0, slow=True))
+    monkeypatch.setitem(MESHES, "solid", Meshes("coarse", "coarse, second order", error_factor=3.0, slow=True))
     monkeypatch.setattr("calibration.diagnosis.proposals.CATALOGUE", {
         "viscoelasticity": Viscoelasticity, "machine_compliance": MachineCompliance})
     experiment = ts.KINDS["bonded_compression"].experiment(
@@ -86,7 +86,7 @@ def test_it_says_what_it_tries_and_how_long_to_expect(glued, tmp_path, monkeypat
 
 def test_on_the_axis_there_is_nothing_to_wait_for(glued):
     campaign = whole_campaign(calibration.load_campaign(glued))
-    problem = build_problem("neo_hooke", campaign, calibration.read_measured(campaign), Solves())
+    problem = build_problem("neo_hooke", campaign, calibration.read_measured(campaign), SimulationCache())
     seconds = seconds_of_each(problem)
     assert list(seconds) == ["glued"] and seconds["glued"] > 0.0
     problem.tests = tuple(replace(test, solver="axisymmetric") for test in problem.tests)
@@ -107,6 +107,6 @@ def test_parallel_tasks_have_no_single_name():
         tasks = Tasks()
         tasks.parallel = parallel
         said: list[str] = []
-        steps = Steps("c", tasks, lambda sentence, *counts, said=said: said.append(sentence))
-        assert steps.all_of(abs, [(-1,), (2,)], "fits", names=["a", "b"]) == [1, 2]
+        context = RunContext("c", tasks, lambda sentence, *counts, said=said: said.append(sentence))
+        assert context.run_all(abs, [(-1,), (2,)], "fits", names=["a", "b"]) == [1, 2]
         assert said == expected

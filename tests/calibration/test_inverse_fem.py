@@ -15,12 +15,12 @@ from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.campaign_problem import build_problem
 from calibration.fit.checks import check_start
 from calibration.fit.estimate import settle
-from calibration.fit.levenberg_marquardt import descend
 from calibration.fit.profiles import profile_side
 from calibration.fit.starts import starts
+from calibration.fit.trust_region import descend
 from calibration.fit.uncertainty import assess_uncertainty
-from calibration.forward.motion import Timed
-from calibration.forward.solves import Solves
+from calibration.forward.motion import TimedMotion
+from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import Jitter
 from tissue_sim.recording.segmentation import label_motion, number_runs
 
@@ -84,7 +84,7 @@ def problem_of(folder, text, law="reduced_polynomial_2", solves=None):
     path = folder / "study.toml"
     path.write_text(text, encoding="utf-8")
     campaign = calibration.load_campaign(path)
-    return campaign, build_problem(law, campaign, calibration.read_measured(campaign), solves or Solves())
+    return campaign, build_problem(law, campaign, calibration.read_measured(campaign), solves or SimulationCache())
 
 
 @pytest.fixture
@@ -175,7 +175,7 @@ class TestProblem:
     def test_force_is_proportional_to_the_moduli(self, plates):
         """One solve serves every multiple, so a law of one modulus is fitted with a single one."""
         campaign, _ = problem_of(plates, campaign_text("lubricated", "bonded"))
-        solves = Solves()
+        solves = SimulationCache()
         _, problem = problem_of(plates, campaign_text("lubricated", "bonded").replace(
             "reduced_polynomial_2", "neo_hooke").replace(", C20 = 600.0", ""), "neo_hooke", solves)
         descent = descend(problem, np.array([14.0]))
@@ -238,7 +238,7 @@ class TestStudy:
         _, problem = problem_of(folder, campaign_text("lubricated", "bonded", "needle"))
         ends = []
         for start in ((1400.0, 600.0), (140.0, 6990.0), (14000.0, 70.0)):
-            problem.solves = Solves()
+            problem.solves = SimulationCache()
             problem.forget()
             descent = descend(problem, np.array(start))
             assert descent.converged
@@ -276,7 +276,7 @@ def test_motion_of_a_ramp_hold_and_return():
     protocol = ts.Protocol.parse("ramp 5mm @0.5mm/s; hold 20s; unload 2mm @0.5mm/s", points=101)
     time = np.arange(0.0, protocol.time[-1], 0.1)
     displacement = np.interp(time, protocol.time, protocol.displacement)
-    motion = Timed.of(time, displacement)
+    motion = TimedMotion.from_recording(time, displacement)
     assert len(motion.legs) == 3
     assert np.interp(time, motion.time, motion.displacement) == pytest.approx(displacement, abs=2e-5)
     labels = label_motion(time, displacement)
@@ -286,7 +286,7 @@ def test_motion_of_a_ramp_hold_and_return():
     # A function that is smooth on each leg comes back at the samples.
     force = np.where(motion.time < 10, motion.displacement * 200, 1 - 0.3 * (1 - np.exp(-(motion.time - 10) / 3)))
     exact = np.where(time < 10, displacement * 200, 1 - 0.3 * (1 - np.exp(-(time - 10) / 3)))
-    values, rate = motion.through(force[:, None])(time, displacement, 0.0)
+    values, rate = motion.interpolate(force[:, None])(time, displacement, 0.0)
     held = (time > 10.5) & (time < 29)
     assert values[held, 0] == pytest.approx(exact[held], abs=2e-3)
     assert values[time < 9, 0] == pytest.approx(exact[time < 9], abs=1e-4)
@@ -299,8 +299,8 @@ def test_motion_that_is_not_quite_straight():
     time = np.linspace(0.0, 20.0, 401)
     share = time / time[-1]
     displacement = 0.010 * share + 25e-6 * np.sin(np.pi * share)
-    motion = Timed.of(time, displacement)
-    values, _ = motion.through((200.0 * motion.displacement)[:, None])(time, displacement, 0.0)
+    motion = TimedMotion.from_recording(time, displacement)
+    values, _ = motion.interpolate((200.0 * motion.displacement)[:, None])(time, displacement, 0.0)
     assert values[:, 0] == pytest.approx(200.0 * displacement, abs=2e-4)
 
 
@@ -396,27 +396,27 @@ def test_tension_without_a_specimen_is_a_closed_form(tmp_path):
 class TestSolves:
     def test_a_killed_run_goes_on(self, plates):
         folder = plates / "solves"
-        _, problem = problem_of(plates, campaign_text("bonded"), solves=Solves(folder))
+        _, problem = problem_of(plates, campaign_text("bonded"), solves=SimulationCache(folder))
         first = descend(problem, np.array([1400.0, 600.0]))
         assert first.simulations[("bonded", "fast")] >= 2
-        _, again = problem_of(plates, campaign_text("bonded"), solves=Solves(folder))
+        _, again = problem_of(plates, campaign_text("bonded"), solves=SimulationCache(folder))
         second = descend(again, np.array([1400.0, 600.0]))
         assert second.simulations == {}
         assert second.theta.tolist() == first.theta.tolist()
 
     def test_a_damaged_file_counts_as_none(self, plates):
         folder = plates / "solves"
-        _, problem = problem_of(plates, campaign_text("bonded"), solves=Solves(folder))
+        _, problem = problem_of(plates, campaign_text("bonded"), solves=SimulationCache(folder))
         theta = np.array([1400.0, 600.0])
         error = problem.evaluate(theta).error
         for file in folder.iterdir():
             file.write_bytes(file.read_bytes()[:40])
-        _, again = problem_of(plates, campaign_text("bonded"), solves=Solves(folder))
+        _, again = problem_of(plates, campaign_text("bonded"), solves=SimulationCache(folder))
         assert again.evaluate(theta).error == error
         assert sum(again.solves.counts.values()) == 1
 
     def test_another_model_is_another_solve(self, plates):
-        solves = Solves()
+        solves = SimulationCache()
         for text in (campaign_text("bonded"), campaign_text("bonded").replace("70.0", "71.0"),
                      campaign_text("bonded").replace("10000.0", "1000.0")):
             _, problem = problem_of(plates, text, solves=solves)

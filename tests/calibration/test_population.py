@@ -91,8 +91,8 @@ def test_intervals_hold_the_truth():
     assert held.min() >= 51
 
 
-def test_what_tells_nothing_is_refused():
-    with pytest.raises(InputError, match="1 specimen says nothing about the scatter"):
+def test_too_few_specimens_and_undetermined_parameters_are_refused():
+    with pytest.raises(InputError, match="requires at least 2 specimens; got 1"):
         alone([1.0], [1.0])
     with pytest.raises(InputError, match="the fit of 1 does not determine a"):
         alone([1.0, 2.0], [1.0, np.inf])

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calibration.statistics.scores import DRAWS, Direction, alike, family_probability
+from calibration.statistics.scores import DRAWS, Direction, familywise_p_values, largest_cosine
 
 N = 60
 
 
 def direction(column, fitted=None, positive=False):
     fitted = np.zeros((N, 0)) if fitted is None else np.linalg.qr(fitted)[0]
-    return Direction.of(np.asarray(column, float).reshape(N, -1), fitted, positive=positive)
+    return Direction.project(np.asarray(column, float).reshape(N, -1), fitted, positive=positive)
 
 
 def axis(number, length=1.0):
@@ -44,7 +44,7 @@ def test_one_direction_has_its_own_probability():
     assert one_sided.p(np.array([-2.0])) == pytest.approx(stats.norm.cdf(2.0))
     for one in (two_sided, one_sided):
         expected = float(one.p(np.array([2.0])))
-        found = family_probability([one], [np.array([2.0])])[0]
+        found = familywise_p_values([one], [np.array([2.0])])[0]
         assert found == pytest.approx(expected, abs=4 * np.sqrt(expected / DRAWS))
 
 
@@ -53,12 +53,12 @@ def test_independent_directions_cost_what_sidak_says(count):
     several = [direction(axis(k)) for k in range(count)]
     scores = [np.array([3.0]), *(np.array([0.1]) for _ in range(count - 1))]
     expected = 1 - (1 - 2 * stats.norm.sf(3.0)) ** count
-    assert family_probability(several, scores)[0] == pytest.approx(expected, abs=4 * np.sqrt(expected / DRAWS))
+    assert familywise_p_values(several, scores)[0] == pytest.approx(expected, abs=4 * np.sqrt(expected / DRAWS))
 
 
 def test_the_same_direction_many_times_costs_nothing():
     several = [direction(axis(0, length)) for length in (1.0, 2.0, 5.0)]
-    found = family_probability(several, [np.array([2.5])] * 3)
+    found = familywise_p_values(several, [np.array([2.5])] * 3)
     assert found == pytest.approx(2 * stats.norm.sf(2.5), abs=4 * np.sqrt(0.0125 / DRAWS))
 
 
@@ -69,10 +69,10 @@ def test_several_numbers_at_once_are_a_chi_square():
 
 
 def test_twins_and_strangers():
-    assert alike(direction(axis(0)), direction(axis(0, -3.0))) == pytest.approx(1.0)
-    assert alike(direction(axis(0)), direction(axis(1))) == pytest.approx(0.0)
-    assert alike(direction(axis(0) + axis(1)), direction(axis(0))) == pytest.approx(np.sqrt(0.5))
+    assert largest_cosine(direction(axis(0)), direction(axis(0, -3.0))) == pytest.approx(1.0)
+    assert largest_cosine(direction(axis(0)), direction(axis(1))) == pytest.approx(0.0)
+    assert largest_cosine(direction(axis(0) + axis(1)), direction(axis(0))) == pytest.approx(np.sqrt(0.5))
 
 
 def test_nothing_to_look_at():
-    assert family_probability([], []).size == 0
+    assert familywise_p_values([], []).size == 0

@@ -10,8 +10,8 @@ import calibration
 import tissue_sim as ts
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.column import ColumnTest
-from calibration.forward.forms import analytical_test
-from calibration.forward.solves import Solves
+from calibration.forward.forms import build_analytical_test
+from calibration.forward.simulation_cache import SimulationCache
 from tissue_sim.closed_form.column import Column
 
 LAW = ts.find_law("reduced_polynomial_2")
@@ -152,16 +152,17 @@ def test_slopes_of_the_forward_model(tmp_path, weighs):
     (test,), (curves,) = campaign.tests, calibration.read_measured(campaign).values()
     # Before the touch, on the way, and the deepest point, which stays: the curve is sampled alike.
     places = STUDY.height * np.array([-0.05, 0.02, 0.07, 0.14])
-    form = analytical_test(test, [replace(curves[0], displacement=places, force=np.zeros(4))], campaign.fit)
+    form = build_analytical_test(test, [replace(curves[0], displacement=places, force=np.zeros(4))], campaign.fit)
     assert isinstance(form, ColumnTest) == weighs
     space, width = ParameterSpace.of("reduced_polynomial_2", campaign), 1e-6 * STUDY.height
-    answer = form.solve(space, np.array(list(PHANTOM.values())), Solves())
+    answer = form.solve(space, np.array(list(PHANTOM.values())), SimulationCache())
     force, rates, contact = form.evaluate(answer, 0, 0.0)
     assert force[0] == contact[0] == 0 and not rates[0].any()
     numeric = (form.evaluate(answer, 0, width)[0] - form.evaluate(answer, 0, -width)[0]) / (2 * width)
     np.testing.assert_allclose(contact[:3], numeric[:3], rtol=1e-6)
     for i, step in enumerate(1e-6 * np.eye(2) * list(PHANTOM.values())):
-        ends = [form.evaluate(form.solve(space, np.array(list(PHANTOM.values())) + sign * step, Solves()), 0, 0.0)[0]
+        truth = np.array(list(PHANTOM.values()))
+        ends = [form.evaluate(form.solve(space, truth + sign * step, SimulationCache()), 0, 0.0)[0]
                 for sign in (1, -1)]
         np.testing.assert_allclose(rates[:, i], (ends[0] - ends[1]) / (2 * step[i]), rtol=1e-5)
 

@@ -198,7 +198,7 @@ def test_values_that_are_no_noise(arguments):
 
 
 def test_too_few_samples():
-    with pytest.raises(InputError, match="no segment has 4 samples"):
+    with pytest.raises(InputError, match="no segment has the 4 samples"):
         estimate_sensor_noise(np.arange(6.0), None, ["a", "a", "b", "b", "c", "c"])
     assert np.isfinite(estimate_sensor_noise(np.array([0.0, 1.1, 1.9, 3.0]), None).deviation)
 

@@ -13,9 +13,9 @@ import tissue_sim as ts
 from calibration.campaign.digest import digest_of
 from calibration.campaign.named_files import whole_path, with_files_named
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.forward.forms import build_test, remainder
-from calibration.forward.meshes import MESHES, REMAINDERS, Meshes, exact_mesh
-from calibration.forward.solves import content_key, simulate_curve
+from calibration.forward.forms import build_test, mesh_uncertainty
+from calibration.forward.meshes import ACCURATE_MESH_ERRORS, MESHES, Meshes, exact_mesh
+from calibration.forward.simulation_cache import content_key, simulate_curve
 from scenes.cli import main
 from tissue_sim.fem.solid.discretisation import RESOLUTIONS, Resolution, build_mesh
 from tissue_sim.mesh.grading import Grading
@@ -73,7 +73,7 @@ def coarse(monkeypatch):
     """Two orders of one mesh of 64 elements between plates."""
     monkeypatch.setitem(RESOLUTIONS, "coarse", Resolution(HEX8P0, 0.6, 2.5, 3.8, 2))
     monkeypatch.setitem(RESOLUTIONS, "coarse, second order", Resolution(HEX27P1, 0.6, 2.5, 3.8, 2))
-    monkeypatch.setitem(MESHES, "solid", Meshes("coarse", "coarse, second order", remainder=3.0))
+    monkeypatch.setitem(MESHES, "solid", Meshes("coarse", "coarse, second order", error_factor=3.0))
 
 
 @pytest.fixture
@@ -354,9 +354,10 @@ def test_what_a_mesh_of_a_file_errs_by_is_told_from_two_orders(folder, coarse):
     campaign = load(folder, MESH)
     curves = calibration.read_measured(campaign)["bonded_compression"]
     forward = build_test(campaign.tests[0], curves, campaign.fit, 0.0)
-    assert remainder(forward, REMAINDERS) == 0.1
+    assert mesh_uncertainty(forward, ACCURATE_MESH_ERRORS) == 0.1
     forward.correction = [np.array([0.0, -0.004])]
-    assert remainder(forward, REMAINDERS) == pytest.approx(0.1 * 0.004 / np.abs(forward.measured[0].force).max())
+    largest = np.abs(forward.measured[0].force).max()
+    assert mesh_uncertainty(forward, ACCURATE_MESH_ERRORS) == pytest.approx(0.1 * 0.004 / largest)
 
 
 def test_import_writes_a_campaign_of_a_stated_shape(folder, monkeypatch, capsys):

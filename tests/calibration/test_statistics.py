@@ -13,7 +13,7 @@ from calibration.statistics.statistics import (
     r_squared,
     resolution,
 )
-from calibration.statistics.uncertainty import sandwich
+from calibration.statistics.uncertainty import sandwich_covariance
 
 
 def linear_problem(rng, replicates=5, points=40, jitter=0.0, noise=1.0):
@@ -33,7 +33,7 @@ def coverage(jitter, stated, trials=400, replicates=5):
     for _ in range(trials):
         answer, residual, jacobian, index = linear_problem(rng, replicates, jitter=jitter)
         columns = np.full((residual.size, 1), jitter) if stated else None
-        spread = sandwich(jacobian, residual, index, 1.0, np.zeros(2), columns)
+        spread = sandwich_covariance(jacobian, residual, index, 1.0, np.zeros(2), columns)
         hits.append(np.abs(answer - [2.0, 3.0]) <= spread.quantile * spread.standard_errors)
     return np.mean(hits, axis=0)
 
@@ -57,7 +57,7 @@ def test_white_noise_alone_hardly_widens_the_scatter_of_replicates():
     for _ in range(300):
         answer, residual, jacobian, index = linear_problem(rng, replicates=5)
         answers.append(answer)
-        errors.append(sandwich(jacobian, residual, index, 1.0, np.zeros(2)).standard_errors)
+        errors.append(sandwich_covariance(jacobian, residual, index, 1.0, np.zeros(2)).standard_errors)
     ratio = np.mean(errors, axis=0) / np.std(answers, axis=0)
     assert (ratio > 0.93).all() and (ratio < 1.3).all()
 
@@ -74,7 +74,7 @@ def test_every_replicate_counts_with_its_own_noise():
         answer = np.linalg.lstsq(jacobian, data, rcond=None)[0]
         residual = jacobian @ answer - data
         answers.append(answer)
-        errors.append(sandwich(jacobian, residual, index, noise, np.zeros(2)).standard_errors)
+        errors.append(sandwich_covariance(jacobian, residual, index, noise, np.zeros(2)).standard_errors)
         squares.append(chi_square(data - jacobian @ [2.0, 3.0], index, noise)[0])
     # The median: a few of the trials take their residuals for the noise.
     assert np.median(errors, axis=0) == pytest.approx(np.std(answers, axis=0), rel=0.15)
@@ -99,7 +99,8 @@ def test_interpolated_points_are_worth_their_samples():
         error = interpolation @ rng.normal(size=samples)
         answer = np.linalg.lstsq(jacobian, error, rcond=None)[0]
         answers.append(answer)
-        spread = sandwich(jacobian, jacobian @ answer - error, index, 1.0, np.zeros(2), None, [interpolation])
+        spread = sandwich_covariance(jacobian, jacobian @ answer - error, index, 1.0, np.zeros(2), None,
+                                     [interpolation])
         errors.append(spread.standard_errors)
         squares.append(chi_square(error, index, np.ones(1), [interpolation]))
     assert np.median(errors, axis=0) == pytest.approx(np.std(answers, axis=0), rel=0.12)
@@ -117,7 +118,7 @@ def test_a_prior_that_holds_a_parameter_keeps_its_error_small():
     precision = np.array([1e6, 0.0])
     # Prior mean 0, two thousand standard deviations from the truth.
     answer = np.linalg.solve(jacobian.T @ jacobian + np.diag(precision), jacobian.T @ data)
-    spread = sandwich(jacobian, jacobian @ answer - data, index, 1.0, precision)
+    spread = sandwich_covariance(jacobian, jacobian @ answer - data, index, 1.0, precision)
     assert spread.basis == "replicates"
     assert spread.standard_errors[0] == pytest.approx(1e-3, rel=0.1)
 
@@ -127,7 +128,7 @@ def test_scatter_of_replicates_is_seen_when_the_model_error_dominates():
     hits = []
     for _ in range(300):
         answer, residual, jacobian, index = linear_problem(rng, replicates=8, jitter=10.0)
-        spread = sandwich(jacobian, residual, index, 1.0, np.zeros(2))
+        spread = sandwich_covariance(jacobian, residual, index, 1.0, np.zeros(2))
         assert spread.basis == "replicates"
         hits.append(abs(answer[0] - 2.0) <= spread.quantile * spread.standard_errors[0])
     assert np.mean(hits) > 0.9
@@ -135,8 +136,8 @@ def test_scatter_of_replicates_is_seen_when_the_model_error_dominates():
 
 def test_residuals_above_the_noise_widen_the_errors():
     answer, residual, jacobian, index = linear_problem(np.random.default_rng(3), replicates=1)
-    believed = sandwich(jacobian, residual, index, 1.0, np.zeros(2))
-    doubted = sandwich(jacobian, residual, index, 0.1, np.zeros(2))
+    believed = sandwich_covariance(jacobian, residual, index, 1.0, np.zeros(2))
+    doubted = sandwich_covariance(jacobian, residual, index, 0.1, np.zeros(2))
     assert doubted.basis == "residuals"
     assert doubted.standard_errors == pytest.approx(believed.standard_errors, rel=0.3)
     assert answer.shape == (2,)
@@ -147,10 +148,10 @@ def test_prior_and_singular_direction():
     jacobian = np.column_stack([x, x, np.ones_like(x)])
     residual = np.random.default_rng(4).normal(0.0, 0.1, x.size)
     index = np.zeros(x.size, int)
-    spread = sandwich(jacobian, residual, index, 0.1, np.zeros(3))
+    spread = sandwich_covariance(jacobian, residual, index, 0.1, np.zeros(3))
     assert np.isinf(spread.standard_errors).tolist() == [True, True, False]
     assert np.isinf(spread.standard_errors[:2]).all()
-    held = sandwich(jacobian, residual, index, 0.1, np.array([1.0, 0.0, 0.0]))
+    held = sandwich_covariance(jacobian, residual, index, 0.1, np.array([1.0, 0.0, 0.0]))
     assert not np.isinf(held.standard_errors).any()
     assert held.standard_errors[0] == pytest.approx(1.0, rel=0.05)
 

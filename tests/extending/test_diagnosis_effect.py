@@ -1,4 +1,6 @@
-"""An effect of a diagnosis from one file: in the catalogue, among the candidates, and found where it is hidden."""
+"""An effect of a diagnosis from one file: registered, a candidate, and identified in virtual recordings."""
+
+import sys
 
 import pytest
 from virtual_campaign import fitted, measured_campaign
@@ -16,31 +18,56 @@ def cable(plugin, registers):
     return registers(CATALOGUE, module.CablePull)
 
 
-def test_it_is_found_where_it_is_hidden(cable, tmp_path):
-    """A cable of 20 N/m beside tests of 200 to 900 N/m; of the rig's other effects none explains as much."""
+def test_effect_scores_highest_where_it_acts(cable, tmp_path):
+    """A cable of 20 N/m in tests of 200 to 900 N/m scores higher than the other effects of the rig."""
     values = {"rig.faults.cable_spring.stiffness": 20.0}
     study = fitted(measured_campaign(tmp_path, lambda name, model: cable().apply(model, values)))
     candidate, = CATALOGUE["cable_pull"]().candidates(study.situation)
     score = study.score(candidate)
     assert score > 5.0
     for name, kind in CATALOGUE.items():
-        if kind.room == "rig" and name not in ("cable_pull", "step_loss", "inertia", "machine_compliance"):
+        if kind.category == "rig" and name not in ("cable_pull", "step_loss", "inertia", "machine_compliance"):
             assert max(abs(study.score(other)) for other in kind().candidates(study.situation)) < score, name
 
 
-def test_a_name_that_is_taken_is_refused(cable):
+def test_registered_name_is_refused(cable):
     with pytest.raises(ts.InputError, match="'tilt' is taken"):
         CATALOGUE.register(cable, "tilt")
     with pytest.raises(ts.InputError, match=r"derives from calibration\.effects\.effect\.Effect"):
         CATALOGUE.register(object, "nothing")
 
 
-def test_an_effect_says_what_tests_cannot_hold():
+def test_effect_gives_reason_why_tests_cannot_show_it():
     class Nowhere(Effect):
-        name, room, title, signature, separated_by = "nowhere", "rig", "nothing", "none at all", "nothing at all"
+        name, category, title, signature, separated_by = "nowhere", "rig", "nothing", "no change", "no test"
 
         def candidates(self, situation):
-            raise NotTestableError("there is nothing to look at")
+            raise NotTestableError("no test has a sensor")
 
-    with pytest.raises(NotTestableError, match="nothing to look at"):
+    with pytest.raises(NotTestableError, match="no test has a sensor"):
         Nowhere().candidates(None)
+
+
+def test_former_names_work_and_warn(cable, tmp_path):
+    """A plug-in of an earlier release: ``room``, ``beside_material``, ``both_ways`` and ``Situation.simulated``."""
+    from calibration.effects import candidates
+
+    with pytest.warns(DeprecationWarning, match="OldCable.room is deprecated; name the attribute category"):
+        class OldCable(Effect):
+            name, room, title, signature, separated_by = "old_cable", "rig", "cable", "pulls", "a run in air"
+
+            def candidates(self, situation):
+                tests = [add_cable(test) for test in situation.simulated()]
+                return candidates.beside_material(self, situation, "rig.faults.cable_spring.stiffness", tests,
+                                                  lambda group: 2.0, both_ways=False, prepare=add_cable)
+
+    add_cable = sys.modules[cable.__module__].with_cable
+    situation = fitted(measured_campaign(tmp_path, lambda name, model: model)).situation
+    with pytest.warns(DeprecationWarning) as caught:
+        found, = OldCable().candidates(situation)
+    assert {str(each.message).partition(" is ")[0].rpartition(".")[2] for each in caught} == {
+        "simulated", "beside_material"}
+    path, = found.bounds
+    assert found.bounds[path][0] == 0.0 and OldCable.category == "rig"
+    with pytest.warns(DeprecationWarning, match="OldCable.room is renamed to category"):
+        assert OldCable().room == "rig"

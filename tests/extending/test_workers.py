@@ -8,7 +8,7 @@ import distributed
 import pytest
 
 import tissue_sim as ts
-from calibration.forward.solves import content_key
+from calibration.forward.simulation_cache import content_key
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.parameters import value
 

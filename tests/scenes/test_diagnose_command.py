@@ -169,11 +169,11 @@ import os, signal, sys
 import calibration.diagnosis.proposals as proposals
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
-from calibration.forward.solves import Solves
+from calibration.forward.simulation_cache import SimulationCache
 from scenes.cli import main
 
 proposals.CATALOGUE = {"viscoelasticity": Viscoelasticity, "machine_compliance": MachineCompliance}
-keep, kept = Solves.keep, []
+keep, kept = SimulationCache.keep, []
 
 def keep_some(solves, key, curve):
     keep(solves, key, curve)
@@ -181,7 +181,7 @@ def keep_some(solves, key, curve):
     if len(kept) == 14:
         os.kill(os.getpid(), signal.SIGKILL)
 
-Solves.keep = keep_some
+SimulationCache.keep = keep_some
 main(sys.argv[1:])
 """
 

@@ -65,7 +65,7 @@ def test_friction_is_applied_to_both_plates():
     ("", "UNKNOWN", [], [], False, "an unknown effect"),
 ])
 def test_the_diagnosis_is_judged(hidden, verdict, named, candidates, right, expected):
-    effects = [FoundEffect(name=name, room="rig", title=name) for name in named]
+    effects = [FoundEffect(name=name, category="rig", title=name) for name in named]
     diagnosis = SimpleNamespace(verdict=verdict, effects=effects, indistinguishable=candidates)
     is_right, sentence = judge_diagnosis(HiddenEffect(hidden), diagnosis)
     assert is_right is right and expected in sentence

@@ -293,11 +293,11 @@ def test_ctrl_c_before_the_folder_is_claimed(joint, tmp_path, capsys, monkeypatc
 
 KILLED = """
 import os, signal, sys
-from calibration.forward.solves import Solves
+from calibration.forward.simulation_cache import SimulationCache
 from scenes.cli import main
 from scenes.commands.shared.progress import CampaignProgress
 
-keep, kept = Solves.keep, []
+keep, kept = SimulationCache.keep, []
 
 def keep_some(solves, key, curve):
     keep(solves, key, curve)
@@ -305,7 +305,7 @@ def keep_some(solves, key, curve):
     if len(kept) == {count}:
         os.kill(os.getpid(), signal.SIGKILL)
 
-Solves.keep = keep_some
+SimulationCache.keep = keep_some
 main(sys.argv[1:])
 """
 

@@ -53,7 +53,7 @@ def before_and_after_scene(result: DiagnosisResult, measured: Path) -> Scene:
 
 def _select_test(diagnosis: Diagnosis) -> str:
     """Return the name of the test that shows the found effects best."""
-    if not diagnosis.effects or any(each.room == "tissue" for each in diagnosis.effects):
+    if not diagnosis.effects or any(each.category == "tissue" for each in diagnosis.effects):
         return NEEDLE
     tests_of_effects: dict[str, Sequence[str]] = {each.name: each.tests for each in HIDEABLE_EFFECTS}
     tests = {test for each in diagnosis.effects for test in each.tests or tests_of_effects.get(each.name, tuple(KINDS))}

@@ -1,4 +1,4 @@
-"""What tests of the effects share."""
+"""Fixtures of the tests of effects."""
 
 import pytest
 from virtual_campaign import fitted, measured_campaign
@@ -6,5 +6,5 @@ from virtual_campaign import fitted, measured_campaign
 
 @pytest.fixture(scope="session")
 def plain(tmp_path_factory):
-    """Three tests in which nothing is hidden."""
+    """Three virtual tests without any effect."""
     return fitted(measured_campaign(tmp_path_factory.mktemp("plain")))

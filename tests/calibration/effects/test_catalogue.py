@@ -1,4 +1,4 @@
-"""What every effect of the catalogue promises."""
+"""Properties that every effect of the catalogue has."""
 
 import importlib
 import pkgutil
@@ -11,17 +11,17 @@ from virtual_campaign import TESTS, measured_campaign, model_of, situation_of
 import calibration.effects
 import tissue_sim as ts
 from calibration.effects.catalogue import CATALOGUE
-from calibration.effects.effect import ROOMS, NotTestableError
+from calibration.effects.effect import CATEGORIES, NotTestableError
 
-#: What people know the effects by.
+#: Names of the effects in files and reports.
 NAMES = [
     "self_weight", "strain_stiffening", "i2_term", "compressibility", "viscoelasticity", "poroelasticity", "softening",
     "layer", "puncture", "plate_friction", "partial_slip", "adhesion", "edge_rounding", "radius_error", "height_error",
     "tilt", "contact_offset", "machine_compliance", "displacement_gain", "backlash", "step_loss", "zero_offset",
     "sensor_drift", "sensor_gain", "latency", "guide_friction", "rate_damping", "session_scale", "inertia",
     "population"]
-#: Effects that tests of one specimen, slow, whose tools stay on the tissue cannot hold, and a word of why.
-REFUSED = {"adhesion": "past where it touched", "inertia": "quasi-static", "population": "one specimen"}
+#: Effects that slow tests of one specimen without lift-off cannot show -> part of the reason.
+REFUSED = {"adhesion": "past the first contact", "inertia": "quasi-static", "population": "one specimen"}
 EFFECTS = pytest.mark.parametrize("name", NAMES)
 
 
@@ -29,30 +29,30 @@ def candidates(situation, name):
     return CATALOGUE[name]().candidates(situation)
 
 
-def test_the_catalogue_has_all_of_them():
+def test_catalogue_has_all_effects():
     assert sorted(CATALOGUE) == sorted(NAMES)
 
 
-def test_every_file_with_an_effect_is_in_the_catalogue():
+def test_every_module_with_an_effect_is_registered():
     modules = [importlib.import_module(f"calibration.effects.{module.name}")
                for module in pkgutil.iter_modules(calibration.effects.__path__)]
     found = {kind.name for module in modules for kind in vars(module).values()
              if isinstance(kind, type) and kind.__module__ == module.__name__ and hasattr(kind, "candidates")
-             and hasattr(kind, "room")}
+             and hasattr(kind, "category")}
     assert found == set(NAMES)
 
 
 @EFFECTS
-def test_it_says_what_it_is(name):
+def test_effect_has_name_category_and_sentences(name):
     effect = CATALOGUE[name]()
-    assert effect.name == name and effect.room in ROOMS and type(effect).__module__.endswith(f".{name}")
+    assert effect.name == name and effect.category in CATEGORIES and type(effect).__module__.endswith(f".{name}")
     for sentence in (effect.title, effect.signature, effect.separated_by):
         assert len(sentence) > 5 and not sentence.endswith(".") and "\n" not in sentence
     assert set(effect.known_twins) <= set(NAMES) - {name}
 
 
 @EFFECTS
-def test_candidates_can_be_asked_and_added(plain, name):
+def test_candidates_are_within_bounds_and_can_be_added(plain, name):
     if name in REFUSED:
         with pytest.raises(NotTestableError, match=REFUSED[name]):
             candidates(plain.situation, name)
@@ -71,38 +71,38 @@ def test_candidates_can_be_asked_and_added(plain, name):
             low, high = candidate.bounds.get(path, (-np.inf, np.inf))
             assert low <= value <= high, path
         for free in (True, False):
-            fit = candidate.added_to(plain.campaign, free=free).fit
+            fit = candidate.add_to(plain.campaign, free=free).fit
             held, varied = (fit.start, fit.fixed) if free else (fit.fixed, fit.start)
-            sought = {*candidate.sizes, *candidate.shape} - {candidate.jump}
-            assert sought <= set(held) and not set(candidate.sizes) & set(varied)
-            # No descent moves a jump: it is held where it was found.
+            expected = {*candidate.sizes, *candidate.shape} - {candidate.jump}
+            assert expected <= set(held) and not set(candidate.sizes) & set(varied)
+            # Gradient descent cannot move a jump, so the depth of the jump is fixed.
             assert candidate.jump in {"", *fit.fixed}
         assert all(candidate.symbols(plain.campaign).values())
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in REFUSED])
-def test_a_model_gets_it_and_at_absence_nothing_changes(plain, name):
+def test_effect_changes_the_force_and_is_absent_at_its_absent_value(plain, name):
     candidate = candidates(plain.situation, name)[0]
     test = candidate.tests[0] if candidate.tests else "needle"
     model = model_of(test, points=13)
     force = ts.simulate(model).force
     with_it = ts.simulate(candidate.effect.apply(model, {**candidate.sizes, **candidate.shape})).force
     changed = np.abs(with_it - force).max() / force.max()
-    # Gravity is no small one.
+    # The trial value of gravity is its full value, so its change is larger.
     assert 5e-4 < changed < (0.3 if name == "self_weight" else 0.12), changed
     absent = {path: candidate.absent_value(plain.campaign, path) for path in candidate.sizes}
     if name == "viscoelasticity":
-        # A relaxing term of no share is refused; it is left out.
+        # A Prony term with g = 0 is refused.
         absent = dict.fromkeys(absent, 1e-12)
     without = ts.simulate(candidate.effect.apply(model, {**absent, **candidate.shape})).force
-    # A layer makes another mesh, and the change that it is scored by is that on one mesh.
+    # A layer changes the mesh; its score compares forces on one mesh.
     np.testing.assert_allclose(without, force, atol=(3e-3 if name == "layer" else 1e-9) * force.max())
-    assert candidate.remeshes(plain.campaign) == (name == "layer")
+    assert candidate.changes_mesh(plain.campaign) == (name == "layer")
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in REFUSED])
-def test_the_change_is_there_where_it_acts(plain, name):
-    """Whitened, in the tests that share the numbers, and far above what a simulation rounds."""
+def test_change_of_residuals_is_confined_to_acting_tests(plain, name):
+    """The whitened change is large in the acting tests and zero to rounding in the others."""
     candidate = candidates(plain.situation, name)[-1]
     column = plain.change(candidate)
     assert column.shape == (plain.evaluation.residual.size, 1) and np.linalg.norm(column) > 0.1
@@ -113,7 +113,7 @@ def test_the_change_is_there_where_it_acts(plain, name):
 
 @pytest.fixture(scope="module")
 def plates(tmp_path_factory):
-    """Ramps between lubricated plates, of two specimens, without time."""
+    """Ramps between lubricated plates on two specimens, recorded without time."""
     folder = tmp_path_factory.mktemp("plates")
     path = measured_campaign(folder, tests={"plates": TESTS["plates"]}, specimens=("one", "two"))
     for file in folder.glob("*.csv"):
@@ -125,54 +125,54 @@ def plates(tmp_path_factory):
 
 
 class TestRefusals:
-    """What tests cannot hold is said in words."""
+    """Reasons why tests cannot show an effect."""
 
     @pytest.mark.parametrize(("name", "words"), [
         ("viscoelasticity", "no time"), ("poroelasticity", "no time"), ("sensor_drift", "no time"),
-        ("latency", "no time"), ("rate_damping", "no time"), ("inertia", "no time"), ("softening", "comes back"),
-        ("backlash", "comes back"), ("adhesion", "comes back"), ("layer", "no test has a needle"),
+        ("latency", "no time"), ("rate_damping", "no time"), ("inertia", "no time"), ("softening", "has an unloading"),
+        ("backlash", "has an unloading"), ("adhesion", "no tool returns past"), ("layer", "no test has a needle"),
         ("puncture", "no test has a needle"), ("edge_rounding", "no test has a tool with an edge"),
-        ("partial_slip", "no test is done with bonded faces")])
-    def test_of_ramps_between_plates(self, plates, name, words):
+        ("partial_slip", "no test has bonded faces")])
+    def test_ramps_between_plates(self, plates, name, words):
         with pytest.raises(NotTestableError, match=words):
             candidates(plates, name)
 
-    def test_population_has_a_number_of_each_other_specimen(self, plates):
+    def test_population_has_one_factor_per_specimen_except_the_first(self, plates):
         candidate, = candidates(plates, "population")
-        named = candidate.added_to(plates.campaign, free=True).fit.named["effects.stiffness_scale.ratio"]
+        named = candidate.add_to(plates.campaign, free=True).fit.named["effects.stiffness_scale.ratio"]
         assert named.scope == "per_specimen" and named.tests == candidate.tests == ("plates_two",)
 
     @pytest.mark.parametrize(("law", "name", "words"), [
-        ("ogden_1", "i2_term", "no polynomial"), ("ogden_2", "strain_stiffening", "no polynomial"),
+        ("ogden_1", "i2_term", "polynomial term"), ("ogden_2", "strain_stiffening", "polynomial term"),
         ("mooney_rivlin", "i2_term", "already"), ("reduced_polynomial_3", "strain_stiffening", "third power")])
-    def test_of_laws(self, plain, law, name, words):
+    def test_laws_that_cannot_be_extended(self, plain, law, name, words):
         with pytest.raises(NotTestableError, match=words):
             candidates(replace(plain.situation, law=law), name)
 
     @pytest.mark.parametrize(("law", "path"), [("neo_hooke", "C20"), ("mooney_rivlin", "C20"),
                                                ("reduced_polynomial_2", "C30")])
-    def test_the_next_power(self, plain, law, path):
+    def test_strain_stiffening_adds_the_lowest_missing_power(self, plain, law, path):
         candidate, = candidates(replace(plain.situation, law=law), "strain_stiffening")
         assert set(candidate.sizes) == {path}
 
-    def test_what_the_campaign_fits_is_not_looked_for(self, tmp_path):
+    def test_parameter_that_the_campaign_fits_is_refused(self, tmp_path):
         path = measured_campaign(tmp_path, tests={"plates": TESTS["plates"]})
         text = path.read_text(encoding="utf-8").replace("C20 = 700.0", 'C20 = 700.0, "rig.compliance" = 1e-6')
         path.write_text(text, encoding="utf-8")
-        with pytest.raises(NotTestableError, match="names it already"):
+        with pytest.raises(NotTestableError, match="fits or fixes this parameter already"):
             candidates(situation_of(path), "machine_compliance")
 
 
 class TestWiderLaw:
-    def test_the_missing_numbers_are_held_at_nothing(self, plain):
+    def test_missing_parameters_are_fixed_at_zero(self, plain):
         candidate, = candidates(plain.situation, "strain_stiffening")
-        fit = candidate.added_to(plain.campaign, free=True).fit
+        fit = candidate.add_to(plain.campaign, free=True).fit
         assert fit.laws == ("biderman",) and fit.fixed["C01"] == 0.0 and "C01" not in fit.start
         assert fit.start["C30"] == candidate.sizes["C30"] and "C10" not in fit.fixed
 
 
-def test_what_the_rig_states_is_where_it_is_counted_from(tmp_path):
-    """A known compliance is no effect; another tenth of it is."""
+def test_deviation_counts_from_the_stated_rig_value(tmp_path):
+    """A stated compliance is the value without the effect."""
     path = measured_campaign(tmp_path, tests={"plates": TESTS["plates"]})
     ts.write_rig(ts.Rig(compliance=1e-4), tmp_path / "soft.rig.json")
     text = path.read_text(encoding="utf-8").replace("[fit]", 'rig = "soft.rig.json"\n[fit]')
@@ -182,8 +182,8 @@ def test_what_the_rig_states_is_where_it_is_counted_from(tmp_path):
     assert candidate.bounds["rig.compliance"][0] == 1e-4
 
 
-def test_a_campaign_states_slip(tmp_path):
-    """What is known of it is where it is counted from, and a share that no face has is refused with its place."""
+def test_campaign_states_slip(tmp_path):
+    """A stated slip is the value without the effect; a fraction above 1 is refused with its field."""
     path = measured_campaign(tmp_path, tests={"glued": TESTS["glued"]})
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace("[fit]", "slip = 0.1\n[fit]"), encoding="utf-8")
@@ -195,14 +195,14 @@ def test_a_campaign_states_slip(tmp_path):
     assert caught.value.field == "test[0].slip"
 
 
-def test_a_stiffness_counts_by_its_inverse(plain):
-    """Half the change of K = 100 mu is that of about 200 mu; more than there is of it stays a stiffness."""
+def test_bulk_modulus_scales_by_its_inverse(plain):
+    """Half the change of K = 100 mu is that of K = 200 mu; negative factors keep a positive modulus."""
     (candidate,) = candidates(plain.situation, "compressibility")
     (path, tried), = candidate.sizes.items()
     absent = {path: candidate.absent_value(plain.campaign, path)}
-    assert candidate.inverse and candidate.sizes_at(absent, 1.0)[path] == pytest.approx(tried)
-    assert candidate.sizes_at(absent, 0.0) == pytest.approx(absent)
+    assert candidate.inverse and candidate.scaled_sizes(absent, 1.0)[path] == pytest.approx(tried)
+    assert candidate.scaled_sizes(absent, 0.0) == pytest.approx(absent)
     half = 2.0 / (1.0 / tried + 1.0 / absent[path])
-    assert candidate.sizes_at(absent, 0.5)[path] == pytest.approx(half)
-    assert tried > candidate.sizes_at(absent, 3.0)[path] > 0
-    assert absent[path] < candidate.sizes_at(absent, -5.0)[path] < 10 * absent[path]
+    assert candidate.scaled_sizes(absent, 0.5)[path] == pytest.approx(half)
+    assert tried > candidate.scaled_sizes(absent, 3.0)[path] > 0
+    assert absent[path] < candidate.scaled_sizes(absent, -5.0)[path] < 10 * absent[path]

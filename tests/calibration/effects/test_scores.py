@@ -1,4 +1,4 @@
-"""What is hidden in a campaign is what the scores point to, with the right sign and about the right size."""
+"""Score tests identify the effect that acts in virtual recordings, with its sign and approximate size."""
 
 import numpy as np
 import pytest
@@ -8,13 +8,13 @@ from calibration.diagnosis.extended import extend
 from calibration.effects.catalogue import CATALOGUE
 from calibration.effects.effect import NotTestableError
 
-#: Effects that cost next to nothing to score, and one candidate each of some others.
+#: Effects whose scores need no or few simulations.
 CHEAP = ("session_scale", "partial_slip", "contact_offset", "backlash", "zero_offset", "sensor_drift", "sensor_gain",
          "latency", "guide_friction", "rate_damping", "softening")
 
 
 def scores(study, names):
-    """Name of the candidate -> its score and how far that is in trial sizes, the largest of a grid."""
+    """Return name of the candidate -> largest score over its trial values."""
     found = {}
     for name in names:
         try:
@@ -26,7 +26,7 @@ def scores(study, names):
     return found
 
 
-def test_nothing_hidden_gives_nothing(plain):
+def test_scores_are_small_without_effects(plain):
     found = scores(plain, CHEAP)
     assert len(found) > 15 and max(map(abs, found.values())) < 4.0
 
@@ -35,19 +35,19 @@ def test_nothing_hidden_gives_nothing(plain):
     ("session_scale", {"effects.stiffness_scale.ratio": 1.06}, "needle", "session_scale@needle"),
     ("backlash", {"rig.backlash": 5e-5}, None, "backlash"),
     ("softening", {"softening.loss": 0.03, "softening.share": 0.7}, None, "softening")])
-def test_the_hidden_effect_has_the_best_score(tmp_path, name, values, where, found_as):
+def test_acting_effect_has_the_highest_score(tmp_path, name, values, where, found_as):
     effect = CATALOGUE[name]()
     study = fitted(measured_campaign(
         tmp_path, lambda test, model: effect.apply(model, values) if where in (None, test) else model))
     found = scores(study, CHEAP)
     assert found[found_as] > 5.0, found
-    # A scale of one test and a slip in it are twins where its faces are bonded.
+    # The stiffness factor of one test and slip of its bonded faces are twins.
     others = {other: score for other, score in found.items() if other.partition("@")[0] != name}
     assert max(others.values()) < 1.02 * found[found_as], others
 
 
-def test_specimens_that_differ(tmp_path):
-    """Two specimens, one 5 % stiffer: the number of its own says so, and nothing else says more."""
+def test_stiffer_specimen_is_identified(tmp_path):
+    """Two specimens, one 5 % stiffer: the population effect has the highest score."""
     two = {name: TESTS[name] for name in ("plates", "needle")}
     scale = CATALOGUE["population"]()
     study = fitted(measured_campaign(
@@ -57,8 +57,8 @@ def test_specimens_that_differ(tmp_path):
     assert found["population"] == max(found.values()) > 20.0, found
 
 
-def test_adhesion_shows_past_the_contact(tmp_path, monkeypatch):
-    """A plate that is drawn back past the touch holds on by 0.1 N over 0.3 mm."""
+def test_adhesion_is_identified_beyond_first_contact(tmp_path, monkeypatch):
+    """A plate that retracts past the first contact adheres with 0.1 N over 0.3 mm."""
     monkeypatch.setattr("virtual_campaign.PROTOCOL",
                         "ramp 4mm @0.5mm/s; unload @0.5mm/s; retract 0.5mm @0.5mm/s")
     values = {"experiment.adhesion.force": 0.1, "experiment.adhesion.length": 0.3e-3}
@@ -69,8 +69,8 @@ def test_adhesion_shows_past_the_contact(tmp_path, monkeypatch):
     assert found["adhesion"] == max(found.values()) > 5.0, found
 
 
-def test_inertia_shows_at_speed(tmp_path, monkeypatch):
-    """A tool of 0.3 kg that is at 60 mm/s at once; the jolt at the end of the ramp is no failure of the tissue."""
+def test_inertia_is_identified_at_high_speed(tmp_path, monkeypatch):
+    """A tool of 0.3 kg starts at 60 mm/s; the force step at the end of the ramp is inertia and not tissue failure."""
     monkeypatch.setattr("virtual_campaign.PROTOCOL",
                         "ramp 8mm @60mm/s; hold 0.2s; unload 0.2mm @60mm/s")
     inertia = CATALOGUE["inertia"]()
@@ -81,8 +81,8 @@ def test_inertia_shows_at_speed(tmp_path, monkeypatch):
     assert found["inertia"] == max(found.values()) > 5.0, found
 
 
-def test_a_puncture_is_a_jump_at_a_sample(plain):
-    """And not one that the knots of a simulation smear: a share less from the first sample beyond its depth on."""
+def test_puncture_is_a_jump_at_a_sample(plain):
+    """The force drops by a fraction from the first sample beyond the depth on, without smearing between knots."""
     candidate = CATALOGUE["puncture"]().candidates(plain.situation)[4]
     (drop,), (depth,) = candidate.sizes.values(), candidate.shape.values()
     problem, _ = extend(plain.problem, plain.campaign, candidate, free=True)

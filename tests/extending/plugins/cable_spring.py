@@ -3,13 +3,13 @@
 from dataclasses import dataclass, replace
 
 import tissue_sim as ts
-from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Effect
 
 
 @dataclass(frozen=True)
 class CableSpring(ts.RigFault):
-    """The cable of the sensor is a spring beside the tissue: the reading is F + stiffness d."""
+    """The cable of the sensor is a spring in parallel with the tissue: the reading is F + stiffness d."""
 
     name = "cable_spring"
     title = "a cable that pulls"
@@ -20,29 +20,29 @@ class CableSpring(ts.RigFault):
 
 
 class CablePull(Effect):
-    """The spring, in all tests alike."""
+    """The spring, with the same stiffness in all tests."""
 
     name = "cable_pull"
-    room = "rig"
+    category = "rig"
     title = "pull of the sensor's cable"
     signature = "the force is too high in proportion to the displacement, alike in stiff tests and in soft ones"
     separated_by = "a run in air"
 
     def candidates(self, situation):
-        tests = [with_cable(test) for test in require_tests(situation.simulated(), "no test has a tool")]
+        tests = [with_cable(test) for test in require_tests(situation.simulated_tests(), "no test has a tool")]
 
         def size(group):
             return 0.01 * min(situation.force(test) / situation.depth(test) for test in group)
 
-        return beside_material(self, situation, "rig.faults.cable_spring.stiffness", tests, size, both_ways=False,
-                               prepare=with_cable)
+        return rig_parameter_candidates(self, situation, "rig.faults.cable_spring.stiffness", tests, size,
+                                        two_sided=False, prepare=with_cable)
 
     def apply(self, model, values):
         return super().apply(with_cable(model), values)
 
 
 def with_cable(thing):
-    """A test or a model whose rig has a cable that does not pull yet."""
+    """Return a test or model whose rig has a cable of stiffness 0."""
     if "cable_spring" in thing.rig.faults:
         return thing
     return replace(thing, rig=replace(thing.rig, faults=[*thing.rig.faults.values(), CableSpring(0.0)]))

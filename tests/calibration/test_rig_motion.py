@@ -1,4 +1,4 @@
-"""Tests whose force depends on the tool's place alone: one loading, looked up where a rig takes the tool."""
+"""Tests whose force depends on the tool position alone: one simulated loading, evaluated at the true positions."""
 
 from dataclasses import replace
 
@@ -10,14 +10,14 @@ import tissue_sim as ts
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.diagnosis.evidence import whole_campaign
 from calibration.fit.campaign_problem import build_problem
-from calibration.fit.levenberg_marquardt import descend
 from calibration.fit.problem import Problem
+from calibration.fit.trust_region import descend
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.forms import remainder
-from calibration.forward.meshes import FINEST_REMAINDERS, REMAINDERS
+from calibration.forward.forms import mesh_uncertainty
+from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FINEST_MESH_ERRORS
 from calibration.forward.motion import Loading
-from calibration.forward.placed import PlaceCurve, PlacedCourse
-from calibration.forward.solves import Solves
+from calibration.forward.rig_motion import AlignedCurve, PositionCurve
+from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import Jitter
 
 SPECIMEN, C10, SPEED, DEEPEST = ts.Specimen(0.020, 0.030), 1404.9, 0.2e-3, 3e-3
@@ -48,19 +48,19 @@ zero_jitter_N = 0.005
 
 
 def squeezed(place):
-    """Force between lubricated plates where the tool is, N; nothing past the touch."""
+    """Return the force between lubricated plates at tool positions, N; zero before contact."""
     stretch = 1.0 - np.maximum(place, 0.0) / SPECIMEN.height
     return np.pi * SPECIMEN.radius**2 * 2.0 * C10 * (stretch**-2 - stretch)
 
 
 def study(folder, kind="lubricated_compression", tool="", start="", fixed="", depth=DEPTH, time=TIME):
-    """The only test of a campaign, its parameters with every number free, and what has been simulated."""
+    """Return the only test of a campaign, its parameter space with all parameters free, and the simulation cache."""
     ts.write_recording(ts.Recording({"time": time, "displacement": depth, "force": squeezed(depth)}),
                        folder / "test_1.csv")
     path = folder / "study.toml"
     path.write_text(CAMPAIGN.format(kind=kind, tool=tool, start=start, fixed=fixed), encoding="utf-8")
     campaign = whole_campaign(calibration.load_campaign(path))
-    solves = Solves()
+    solves = SimulationCache()
     problem = build_problem("neo_hooke", campaign, calibration.read_measured(campaign), solves)
     return problem.tests[0], problem.space, solves
 
@@ -72,17 +72,19 @@ def evaluated(test, space, solves, values, offset=0.0):
 
 @pytest.mark.parametrize(("kind", "tool"), [("lubricated_compression", ""), ("bonded_compression", ""), (
     "needle_indentation", 'tool = "flat"\ntool_radius_mm = 4.0')])
-def test_it_is_the_simulation_along_the_way(tmp_path, kind, tool):
-    """Ramp, hold and return from one loading: force and derivatives are those of the whole motion, at a third of the
-    steps; with an offset the touch is where it should be, and what is bonded pulls."""
+def test_position_curve_agrees_with_simulation_of_the_whole_motion(tmp_path, kind, tool):
+    """Ramp, hold and unloading from one loading: force and derivatives are those of the whole motion.
+
+    A contact offset moves the first contact, and a bonded face pulls.
+    """
     test, space, solves = study(tmp_path, kind, tool)
-    along = replace(test, along=True)
-    assert test.placed(space, np.array([C10])) and not along.placed(space, np.array([C10]))
+    along = replace(test, full_motion=True)
+    assert test.uses_position_curve(space, np.array([C10])) and not along.uses_position_curve(space, np.array([C10]))
     for offset in (0.0, 2e-5, -2e-5):
         force, rates, rate = evaluated(test, space, solves, {}, offset)
         other = evaluated(along, space, solves, {}, offset)
         assert np.abs(force - other[0]).max() < 3e-4 * force.max(), offset
-        # Along the way they stay where they are while the touch moves.
+        # Derivatives along the whole motion are not shifted by the contact offset.
         assert np.abs(rates - other[1]).max() < (2e-2 if offset else 2e-3) * rates.max(), offset
         inside = DEPTH > 1e-4
         assert np.abs(rate - other[2])[inside].max() < 5e-3 * np.abs(rate).max(), offset
@@ -91,14 +93,14 @@ def test_it_is_the_simulation_along_the_way(tmp_path, kind, tool):
 
 
 def check_rates(rates, force, half, more, less):
-    """Derivatives against differences, where both sides have the same: not where a sample passes a corner."""
+    """Compare derivatives with differences, except at samples that pass a corner of the force."""
     smooth = np.abs(more - 2 * force + less) < 2e-2 * np.abs(more - less).max()
     assert smooth.mean() > 0.8
     assert np.abs(rates - (more - less) / (2 * half))[smooth].max() < 1e-2 * np.abs(rates).max()
 
 
 def behind(compliance):
-    """Where the tool is behind a load train, by bisection of d + c F(d) = D."""
+    """Return the tool position with a compliant load train, by bisection of d + c F(d) = D."""
     low, high = np.zeros(DEPTH.size), DEPTH.copy()
     for _ in range(80):
         middle = 0.5 * (low + high)
@@ -116,9 +118,9 @@ def behind(compliance):
     ("rig.step_loss", 0.1e-3, lambda: DEPTH - 0.1e-3 * (np.maximum.accumulate(DEPTH) > 1.2345e-3)),
     ("rig.backlash", 0.1e-3, lambda: np.where(TIME > 25, np.minimum(DEPTH + 0.1e-3, DEEPEST), DEPTH)),
 ])
-def test_a_rig_takes_the_tool_without_a_simulation(tmp_path, name, value, place):
-    """Against the closed form at the place that the rig's definition gives, at every sample, beyond the reported depth
-    too; a jump is no wider than a sample. Derivatives are those of the fit's own force."""
+def test_rig_moves_the_tool_without_a_simulation(tmp_path, name, value, place):
+    """The force is the closed form at the position that the rig's definition gives, also beyond the reported depth; a
+    jump occurs between two samples. Derivatives agree with differences of the force."""
     fixed = '[fit.fixed]\n"rig.step_loss_depth" = 1.2345' if name == "rig.step_loss" else ""
     test, space, solves = study(tmp_path, start=f', "{name}" = 0.0', fixed=fixed)
     force, rates, _ = evaluated(test, space, solves, {name: value})
@@ -127,15 +129,15 @@ def test_a_rig_takes_the_tool_without_a_simulation(tmp_path, name, value, place)
     number, half = list(space.free).index(name), 1e-3 * abs(value)
     check_rates(rates[:, number], force, half,
                 *(evaluated(test, space, solves, {name: value + step})[0] for step in (half, -half)))
-    # A longer way may need one more loading; a rig alone none.
+    # A larger depth may need one more loading; other changes of the rig need no simulation.
     assert solves.counts.total() <= counted + (name == "rig.displacement_gain" or value < 0)
     half = 1e-4 * C10
     more, less = (evaluated(test, space, solves, {name: value, "C10": C10 + step})[0] for step in (half, -half))
     assert rates[:, list(space.free).index("C10")] == pytest.approx((more - less) / (2 * half), rel=1e-3, abs=1e-6)
 
 
-def test_one_loading_serves_every_modulus_behind_a_load_train(tmp_path):
-    """The load train gives way to a force; the tissue that it pushes is still proportional to its modulus."""
+def test_one_loading_serves_all_moduli_with_a_compliant_load_train(tmp_path):
+    """The force of the tissue at a position is proportional to the modulus; the load train changes the position."""
     test, space, solves = study(tmp_path, start=', "rig.compliance" = 0.0')
     evaluated(test, space, solves, {"rig.compliance": 2e-5})
     counted = solves.counts.total()
@@ -144,8 +146,8 @@ def test_one_loading_serves_every_modulus_behind_a_load_train(tmp_path):
     assert np.abs(force - 1.25 * squeezed(behind(1.25 * 3e-5))).max() < 2e-4 * squeezed(DEEPEST)
 
 
-def test_what_pulls_beside_the_tissue_is_no_modulus(tmp_path):
-    """A ball that is known to cling: what pulls does not grow with the modulus."""
+def test_adhesion_is_not_proportional_to_the_modulus(tmp_path):
+    """The adhesive force of a sphere stays constant when the modulus changes."""
     tool = ('tool = "sphere"\ntool_radius_mm = 6.0\nfriction = "frictionless"\n'
             "contact_laws = { adhesion = { adhesion_N = 0.3, adhesion_length_mm = 0.5 } }")
     test, space, solves = study(tmp_path, "needle_indentation", tool)
@@ -155,13 +157,13 @@ def test_what_pulls_beside_the_tissue_is_no_modulus(tmp_path):
     clinging, plain = (ts.simulate(ts.Model(replace(experiment, **more), ts.Material(
         "neo_hooke", {"C10": 4000.0}, ts.Bulk("bulk_ratio", 1e5))), estimate_error=False).force
         for more in ({}, {"adhesion": None, "contact_laws": {}}))
-    away = TIME > 34
-    assert (plain - clinging)[away].min() > 0.02
-    assert np.abs(force - clinging)[away].max() < 0.003
+    retracting = TIME > 34
+    assert (plain - clinging)[retracting].min() > 0.02
+    assert np.abs(force - clinging)[retracting].max() < 0.003
 
 
-def test_a_descent_does_not_simulate_its_start_again(tmp_path):
-    """Variables are unknowns over their sizes, and back they are others in the last digit."""
+def test_descent_does_not_simulate_its_start_again(tmp_path):
+    """The conversion of unknowns to scaled variables and back changes the last digit."""
     test, space, solves = study(tmp_path, start=', "experiment.friction" = 0.05')
     problem = Problem(space, (test,), solves, Jitter(0.0, 0.005, None), (0.0,))
     start = np.array([{"C10": C10}.get(name, 0.06131956364938239) for name in space.free])
@@ -173,8 +175,8 @@ def test_a_descent_does_not_simulate_its_start_again(tmp_path):
     assert solves.counts.total() == counted and np.array_equal(end.theta, start)
 
 
-def test_a_descent_that_gains_nothing_more_ends(tmp_path):
-    """After so many solves, at the best of all of them."""
+def test_stalled_descent_ends_at_its_best_point(tmp_path):
+    """A descent ends after a given number of solves without a sufficient decrease."""
     test, space, solves = study(tmp_path, start=', "experiment.friction" = 0.05')
     problem = Problem(space, (test,), solves, Jitter(0.0, 0.005, None), (0.0,))
     start = np.array([{"C10": 0.9 * C10}.get(name, 0.06) for name in space.free])
@@ -188,7 +190,7 @@ def test_a_descent_that_gains_nothing_more_ends(tmp_path):
     assert [each.error for each in whole.history[:len(errors)]] == errors
 
 
-def test_a_face_that_leans_is_averaged_at_every_sample(tmp_path):
+def test_force_of_a_tilted_face_is_averaged_over_strips(tmp_path):
     test, space, solves = study(tmp_path, start=', "experiment.tilt" = 0.1')
     tilt = 0.4e-3
     force, rates, _ = evaluated(test, space, solves, {"experiment.tilt": tilt})
@@ -201,42 +203,42 @@ def test_a_face_that_leans_is_averaged_at_every_sample(tmp_path):
     assert solves.counts.total() == 1
 
 
-def test_what_remembers_is_simulated_along_its_way(tmp_path):
+def test_viscoelastic_material_requires_the_whole_motion(tmp_path):
     test, space, _ = study(tmp_path, start=', "viscoelastic.terms[0].g" = 0.1, "viscoelastic.terms[0].tau_s" = 5.0')
-    assert isinstance(space, ParameterSpace) and not test.placed(space, np.array([C10, 0.1, 5.0]))
+    assert isinstance(space, ParameterSpace) and not test.uses_position_curve(space, np.array([C10, 0.1, 5.0]))
 
 
-def test_a_load_train_that_snaps_is_no_force():
-    """A force that falls faster than the load train can follow has no balance."""
+def test_snapping_load_train_is_infeasible():
+    """A force that falls faster than the load train unloads has no equilibrium."""
     depth = np.linspace(0.0, 1e-3, 21)
-    falls = PlaceCurve.through(depth, (1e3 * depth * np.cos(3e3 * depth))[:, None], holds=False)
-    with pytest.raises(InfeasibleError, match="nowhere in balance"):
-        PlacedCourse(falls, np.linspace(0, 1e-3, 30), 0.05).place(0.0)
+    falls = PositionCurve.interpolate(depth, (1e3 * depth * np.cos(3e3 * depth))[:, None], holds=False)
+    with pytest.raises(InfeasibleError, match="no equilibrium position"):
+        AlignedCurve(falls, np.linspace(0, 1e-3, 30), 0.05).positions(0.0)
 
 
 @pytest.mark.parametrize("corners", [
-    ([0, 10, 25], [3, 3, 0]),  # begins at its depth
-    ([0, 15, 30, 40], [3, 0, 2, 2]),  # comes from it
+    ([0, 10, 25], [3, 3, 0]),  # begins with a hold at the largest depth
+    ([0, 15, 30, 40], [3, 0, 2, 2]),  # begins with unloading
     ([0, 10, 20, 40], [1, 1, 3, 0]),  # begins inside
     ([0, 30, 40], [-3, 1, 1]),  # begins in the air
 ])
-def test_the_accurate_mesh_counts_from_wherever_the_motion_begins(tmp_path, corners):
-    """What it has more is known at the tool's place, not along the way of the recording."""
+def test_mesh_correction_depends_on_tool_position(tmp_path, corners):
+    """The correction is a function of the tool position, wherever the recorded motion begins."""
     time = np.linspace(0, corners[0][-1], 161)
     depth = 1e-3 * np.interp(time, *corners)
     test, space, solves = study(tmp_path, "bonded_compression", depth=depth, time=time)
     before = evaluated(test, space, solves, {})[0]
-    test.refine(space, np.array([C10]), solves)
-    knots, more = test.placed_correction
+    test.update_correction(space, np.array([C10]), solves)
+    knots, more = test.position_correction
     inside = depth > 0
     expected = np.where(inside, np.interp(np.maximum(depth, 0), knots, more), 0.0)
     gained = evaluated(test, space, solves, {})[0] - before
     assert np.abs(gained - expected)[inside].max() < 0.02 * np.abs(more).max() + 1e-12
-    test.forget()
+    test.drop_correction()
     assert evaluated(test, space, solves, {})[0] == pytest.approx(before)
 
 
-def test_trembling_in_a_hold_is_no_way_for_backlash(tmp_path):
+def test_noise_of_displacement_in_a_hold_does_not_trigger_backlash(tmp_path):
     random = np.random.default_rng(2)
     depth = DEPTH + random.normal(0, 3e-6, DEPTH.size)
     test, space, solves = study(tmp_path, start=', "rig.backlash" = 0.0', depth=depth)
@@ -246,17 +248,17 @@ def test_trembling_in_a_hold_is_no_way_for_backlash(tmp_path):
     assert np.abs(play - ideal)[TIME > 30].max() > 5e-3 * squeezed(DEEPEST)
 
 
-def test_how_a_bonded_face_pulls_is_simulated(tmp_path):
-    """It is no continuation of how it presses."""
+def test_pull_at_a_bonded_face_requires_the_whole_motion(tmp_path):
+    """The tensile response of a bonded face cannot be extrapolated from compression."""
     depth = np.interp(TIME, [0, 15, 25, 40], [0, DEEPEST, DEEPEST, -0.5 * DEEPEST])
     test, space, _ = study(tmp_path, "bonded_compression", depth=depth)
-    assert not test.placed(space, np.array([C10]))
+    assert not test.uses_position_curve(space, np.array([C10]))
     test, space, _ = study(tmp_path, depth=depth)
-    assert test.placed(space, np.array([C10])), "lubricated plates leave the tissue"
+    assert test.uses_position_curve(space, np.array([C10])), "lubricated plates separate from the tissue"
 
 
-def test_a_tool_has_left_where_it_is_and_not_where_the_stage_says(tmp_path):
-    """Tissue that relaxes, touched 0.3 mm before the stage says so: on the way back it presses until there."""
+def test_separation_depends_on_the_true_tool_position(tmp_path):
+    """With a contact offset of -0.3 mm the tool presses in unloading until its true position is zero."""
     depth = np.interp(TIME, [0, 15, 25, 40], [0, DEEPEST, DEEPEST, -0.2e-3])
     terms = ', "viscoelastic.terms[0].g" = 0.01, "viscoelastic.terms[0].tau_s" = 500.0, "rig.contact_offset" = 0.0'
     test, space, solves = study(tmp_path, start=terms, depth=depth)
@@ -266,7 +268,7 @@ def test_a_tool_has_left_where_it_is_and_not_where_the_stage_says(tmp_path):
     assert evaluated(test, space, solves, {**values, "rig.contact_offset": 0.0})[0][-1] == 0.0
 
 
-def test_a_descent_that_runs_into_a_bound_ends_on_it(tmp_path):
+def test_descent_that_reaches_a_bound_ends_on_it(tmp_path):
     test, space, solves = study(tmp_path, start=', "rig.compliance" = 0.01', fixed="[fit.bounds]\nC10 = [1e2, 1402.0]")
     problem = Problem(space, (test,), solves, Jitter(0.0, 0.005, None), (0.0,))
     end = descend(problem, np.array([{"C10": 1350.0}.get(name, 1e-6) for name in space.free]), corrected=True,
@@ -276,54 +278,54 @@ def test_a_descent_that_runs_into_a_bound_ends_on_it(tmp_path):
 
 @pytest.mark.parametrize(("kind", "tool"), [("bonded_compression", ""), (
     "needle_indentation", 'tool = "flat"\ntool_radius_mm = 4.0\nfriction = "bonded"')])
-def test_the_accurate_mesh_errs_less_than_what_is_carried_of_it(tmp_path, kind, tool):
-    """What the finest mesh has more is found once, and taken off wherever the accurate one counts; what is left is less
-    than what covariances carry."""
+def test_finest_mesh_reduces_the_error_of_the_accurate_mesh(tmp_path, kind, tool):
+    """The error of the accurate mesh is computed once and corrected afterwards, which reduces the uncertainty."""
     test, space, solves = study(tmp_path, kind, tool)
-    test.refine(space, np.array([C10]), solves)
+    test.update_correction(space, np.array([C10]), solves)
     assert solves.counts["test", "finest"] == 1
-    knots, more = test.placed_correction
-    finest, *_ = test._simulated(space, {"C10": C10}, solves, Loading(knots, 1e-3), "finest", rigid=True)
-    fast, *_ = test._simulated(space, {"C10": C10}, solves, Loading(knots, 1e-3), "fast", rigid=True)
+    knots, more = test.position_correction
+    finest, *_ = test._simulate(space, {"C10": C10}, solves, Loading(knots, 1e-3), "finest", rigid=True)
+    fast, *_ = test._simulate(space, {"C10": C10}, solves, Loading(knots, 1e-3), "fast", rigid=True)
     assert more == pytest.approx(finest - fast, abs=2e-5 * finest.max())
     shape = "plate" if not tool else "flat"
-    assert FINEST_REMAINDERS[shape] <= remainder(test, REMAINDERS) < REMAINDERS[shape]
-    # At other parameters it is the same share of the force.
+    assert FINEST_MESH_ERRORS[shape] <= mesh_uncertainty(test, ACCURATE_MESH_ERRORS) < ACCURATE_MESH_ERRORS[shape]
+    # The relative correction is the same at other parameters.
     solves.counts.clear()
-    test.refine(space, np.array([1.1 * C10]), solves)
+    test.update_correction(space, np.array([1.1 * C10]), solves)
     assert not solves.counts["test", "finest"]
-    assert test.placed_correction[1] == pytest.approx(1.1 * more, abs=1e-6 * finest.max())
+    assert test.position_correction[1] == pytest.approx(1.1 * more, abs=1e-6 * finest.max())
 
 
-def test_where_the_finest_mesh_fails_the_error_of_the_accurate_one_is_carried(tmp_path, monkeypatch):
+def test_failed_finest_mesh_leaves_the_uncertainty_of_the_accurate_mesh(tmp_path, monkeypatch):
     test, space, solves = study(tmp_path, "bonded_compression")
-    simulated = test._simulated
+    simulate = test._simulate
 
     def failing(space, values, solves, motion, resolution, *others, **named):
         if resolution == "finest":
             raise InfeasibleError("no")
-        return simulated(space, values, solves, motion, resolution, *others, **named)
+        return simulate(space, values, solves, motion, resolution, *others, **named)
 
-    monkeypatch.setattr(test, "_simulated", failing)
-    test.refine(space, np.array([C10]), solves)
-    assert remainder(test, REMAINDERS) == REMAINDERS["plate"] and test.mesh_error.factor(DEPTH) == pytest.approx(1.0)
+    monkeypatch.setattr(test, "_simulate", failing)
+    test.update_correction(space, np.array([C10]), solves)
+    assert mesh_uncertainty(test, ACCURATE_MESH_ERRORS) == ACCURATE_MESH_ERRORS["plate"]
+    assert test.mesh_error.factor(DEPTH) == pytest.approx(1.0)
 
 
-def test_a_puncture_is_at_a_depth_of_the_tissue(tmp_path):
-    """Another contact moves the drop to other samples, where offsets are scanned too."""
+def test_puncture_occurs_at_a_true_depth(tmp_path):
+    """A contact offset moves the drop to other samples, also in `forces_at_offsets`."""
     test, space, solves = study(tmp_path, "needle_indentation", 'tool = "flat"\ntool_radius_mm = 4.0',
                                 fixed='fixed = { "puncture.drop" = 0.2, "puncture.depth_mm" = 2.0 }')
     answer = test.solve(space, np.array([C10]), solves)
     offsets = np.array([-0.1e-3, 0.0, 0.1e-3])
-    scanned = test.scan(answer, 0, offsets)
+    scanned = test.forces_at_offsets(answer, 0, offsets)
     for column, offset in zip(scanned.T, offsets, strict=True):
         assert column == pytest.approx(test.evaluate(answer, 0, offset)[0], abs=1e-9)
         falls = np.flatnonzero(np.diff(column[TIME <= 15]) < 0)
         assert falls.tolist() == [np.flatnonzero(DEPTH - offset > 2e-3)[0] - 1]
 
 
-def test_shares_of_an_effect_without_a_formula_of_its_own(tmp_path):
-    """`ReducedEffect.shares` is `share` at each place."""
+def test_default_shares_of_an_effect_evaluate_share_at_each_sample(tmp_path):
+    """The vectorised method `shares` of the base class agrees with `share` of single samples."""
     depth = np.array([[0.0, 0.5e-3], [1e-3, 2e-3], [0.5e-3, 1e-3]])
     deepest, time = np.maximum.accumulate(depth, axis=0), np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]])
     puncture = ts.Puncture(1e-3, 0.25)

@@ -1,4 +1,4 @@
-"""Simulated curves, remembered by the content of what they depend on: in memory, and on disk for a run that goes on."""
+"""Cache of simulated curves by a hash of model and solver, in memory and in a folder."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from tissue_sim.specimen import Specimen
 
 
 class SimulatedCurve(msgspec.Struct, frozen=True, array_like=True):
-    """Force and its derivatives at the knots of a motion.
+    """Force and its derivatives at the knots of a simulated motion.
 
     Attributes:
-        force: N, shape (k,), as a list; empty where the simulation did not get through.
-        rates: dF/dtheta, shape (k, p), as lists.
-        problem: why it did not get through; empty otherwise.
-        cpu_s: processor seconds that it took.
-        exact: whether each derivative is exact, and no difference of two simulations.
+        force: force, N, shape (k,) as a list; empty if the simulation failed.
+        rates: derivatives dF/dtheta, shape (k, p) as lists.
+        problem: reason of the failure; empty if the simulation converged.
+        cpu_s: processor time, s.
+        exact: for each parameter whether its derivative is exact; False: finite difference of two simulations.
     """
 
     force: list[float]
@@ -47,63 +47,75 @@ class SimulatedCurve(msgspec.Struct, frozen=True, array_like=True):
     exact: list[bool] = []
 
 
-class Solves:
-    """Simulations by key.
+class SimulationCache:
+    """Simulated curves by key.
 
     Args:
-        folder: where they are kept, a file each; None: in memory only.
+        folder: folder with one file per curve; None: curves are kept in memory only.
     """
 
     def __init__(self, folder: Path | None = None):
         self.folder = folder
-        self._shelf = folder
-        self._known: dict[str, SimulatedCurve] = {}
-        #: (test, resolution) -> simulations that nobody remembered.
+        self._read_folder = folder
+        self._curves: dict[str, SimulatedCurve] = {}
+        #: (test, resolution) -> number of simulations that were computed and not found in the cache.
         self.counts: Counter[tuple[str, str]] = Counter()
 
     def __getstate__(self):
-        # Another process reads what it needs from the folder, and counts its own.
-        return {"folder": self.folder, "_shelf": self._shelf, "_known": {} if self.folder else self._known,
-                "counts": Counter()}
+        # A worker process reads curves from the folder and counts its own simulations.
+        return {"folder": self.folder, "_read_folder": self._read_folder,
+                "_curves": {} if self.folder else self._curves, "counts": Counter()}
 
     def find(self, key: str) -> SimulatedCurve | None:
-        """The curve of a key, None where nobody computed it; a file that cannot be read does not count."""
-        if key not in self._known and self._shelf is not None:
+        """Return the curve of a key; None if it is not cached or its file cannot be read."""
+        if key not in self._curves and self._read_folder is not None:
             with contextlib.suppress(OSError, msgspec.DecodeError, msgspec.ValidationError):
-                self._known[key] = msgspec.msgpack.decode((self._shelf / f"{key}.msgpack").read_bytes(),
-                                                          type=SimulatedCurve)
-        return self._known.get(key)
+                self._curves[key] = msgspec.msgpack.decode((self._read_folder / f"{key}.msgpack").read_bytes(),
+                                                           type=SimulatedCurve)
+        return self._curves.get(key)
 
     def keep(self, key: str, curve: SimulatedCurve) -> None:
-        """Remember a curve."""
-        self._known[key] = curve
+        """Store a curve in memory and, if the cache has a folder, in a file."""
+        self._curves[key] = curve
         if self.folder is not None:
             write_bytes(self.folder / f"{key}.msgpack", msgspec.msgpack.encode(curve))
 
     def meter(self) -> Callable[[], tuple[dict[tuple[str, str], int], float]]:
-        """What is spent from here on: simulations by (test, resolution), and processor seconds."""
+        """Start a measurement of computing effort.
+
+        Returns:
+            Function that returns the effort since this call: (test, resolution) -> number of simulations, and the
+            processor time in s.
+        """
         began, counted = time.process_time(), self.counts.copy()
         return lambda: (dict(self.counts - counted), time.process_time() - began)
 
     def read_from(self, folder: Path) -> None:
-        """Look for curves in a folder, without keeping any there yet."""
-        self._shelf = folder
+        """Read cached curves from a folder; new curves are not written there."""
+        self._read_folder = folder
 
     def move_to(self, folder: Path) -> None:
-        """Keep everything in a folder from now on."""
-        # Another process may stand elsewhere.
-        self.folder = self._shelf = folder.resolve()
-        for key, curve in self._known.items():
+        """Write all curves to a folder, and read and write there from now on."""
+        # The absolute path is valid in worker processes with another working directory.
+        self.folder = self._read_folder = folder.resolve()
+        for key, curve in self._curves.items():
             self.keep(key, curve)
 
 
 def simulate_curve(model: Model, topology: Model | None, names: Sequence[str], resolution: str,
                    solver: str = "axisymmetric", *, one_sided: bool = False) -> SimulatedCurve:
-    """A simulation with the derivatives of these parameters; what does not get through says why.
+    """Simulate a model with the derivatives of its force.
 
     Args:
-        model, topology, resolution, solver: as `tissue_sim.simulation.simulate`. names: paths of parameters.
-        one_sided: as `tissue_sim.differentiation.sensitivities`.
+        model: model, see `tissue_sim.simulation.simulate`.
+        topology: model whose mesh is moved to the geometry of `model`; None: `model` is meshed.
+        names: paths of the parameters of the derivatives.
+        resolution: name of the resolution.
+        solver: name of the solver.
+        one_sided: whether finite differences are one-sided, see `tissue_sim.differentiation.sensitivities`.
+
+    Returns:
+        The curve; if the simulation fails, a curve without forces and with the reason in `SimulatedCurve.problem`.
     """
     began = time.process_time()
     try:
@@ -123,21 +135,24 @@ def simulate_curve(model: Model, topology: Model | None, names: Sequence[str], r
 
 
 def content_key(*parts: Any) -> str:
-    """SHA-256 of everything in frozen data, numbers to the last digit, and of the source of the solver and of all laws,
-    effects, ... that were added to it."""
+    """Return a hash of immutable data and of the source code that computes a curve.
+
+    The hash (SHA-256, 40 hexadecimal digits) covers all numbers to the last digit, the source of the package
+    `tissue_sim`, and the source of registered additions (laws, effects, ...).
+    """
     added = [[name, _source_digest(module)] for name, module in modules_of_additions().items()]
     return hashlib.sha256(msgspec.json.encode([_solver_digest(), added, _plain(parts)])).hexdigest()[:40]
 
 
 def _source_digest(module: ModuleType) -> str:
-    # A module without a file, such as a session of a notebook, counts by its name only.
+    """Return the SHA-256 of a module's source; empty for a module without a file, such as a notebook session."""
     file = Path(getattr(module, "__file__", None) or "")
     return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
 
 
 @cache
 def _solver_digest() -> str:
-    """What would make the same model another curve: the source of the package."""
+    """Return the SHA-256 of version and source of the package `tissue_sim`, which determine the curve of a model."""
     digest = hashlib.sha256(tissue_sim.__version__.encode())
     for path in sorted(Path(tissue_sim.__file__).parent.rglob("*.py")):
         digest.update(path.read_bytes())
@@ -145,12 +160,13 @@ def _solver_digest() -> str:
 
 
 def _plain(value: Any) -> Any:
+    """Convert immutable data to nested lists, dictionaries and strings that determine a simulation."""
     if isinstance(value, Tool):
-        # What the tissue meets counts, not the file that it comes from.
+        # The geometry determines the contact; the path of the tool's file does not.
         return [value.shape, _plain({name: getattr(value, name) for name in declared(type(value))}),
                 _plain(value.profile)]
     if isinstance(value, Specimen) and value.paths:
-        # The same of a specimen: nor does it matter in which folder its file lies.
+        # The same holds for a specimen from a file: the digest of the file replaces its path.
         named = {value.texts[key] for key in value.paths}
         return [type(value).__name__, value.digest, {entry.name: _plain(getattr(value, entry.name))
                                                      for entry in fields(value) if entry.name not in named}]

@@ -1,0 +1,187 @@
+"""Readout of simulated forces: effects in reduced form and sensor faults at the samples of a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from calibration.campaign.measured import MeasuredCurve
+from calibration.campaign.parameter_space import ParameterSpace
+from calibration.forward.motion import ForceCurve
+from calibration.forward.rig_motion import AlignedCurve
+from tissue_sim.material.effect import ReducedEffect
+from tissue_sim.model import Model
+from tissue_sim.parameters import with_values
+from tissue_sim.recording.recording import Recording
+from tissue_sim.rig.rig import Rig
+
+#: Step of finite differences with parameters of the readout, relative to the value.
+_RELATIVE_STEP = 1e-6
+
+
+def difference_step(value: float) -> float:
+    """Return the step of a finite difference at a parameter value.
+
+    Readings depend almost linearly on the parameters of the readout, so a small relative step is accurate.
+    """
+    return _RELATIVE_STEP * (abs(value) or 1.0)
+
+
+def affects_readings_only(rig: Rig, path: str, value: float) -> bool:
+    """Return whether a parameter of a rig changes readings and not the motion of the tool.
+
+    Args:
+        rig: rig with the parameter.
+        path: path of the parameter in the rig.
+        value: value near which the motion is compared.
+    """
+    changed = with_values(rig, {path: value + difference_step(value)})
+    return changed.motion_only == with_values(rig, {path: value}).motion_only
+
+
+@dataclass(frozen=True, eq=False)
+class Readout:
+    """Conversion of true forces to the readings of a rig."""
+
+    rig: Rig
+
+    @cached_property
+    def faults(self) -> Rig | None:
+        """Rig with only the faults that change readings; None if the rig reads true forces."""
+        reading = self.rig.reading_only
+        return None if reading.ideal else reading
+
+    def read(self, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:
+        """Return the readings of the force sensor.
+
+        Args:
+            measured: recording with displacement and time of the samples.
+            force: true force at the samples, N, shape (n,).
+        """
+        if self.faults is None:
+            return force
+        channels = {"displacement": measured.displacement, "force": force}
+        if measured.time is not None:
+            channels["time"] = measured.time
+        return self.faults.read(Recording(channels)).force
+
+    def read_derivatives(self, measured: MeasuredCurve, true: np.ndarray, read: np.ndarray, rates: np.ndarray,
+                         rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Convert derivatives of the true force to derivatives of the readings.
+
+        Args:
+            measured: recording.
+            true: true force, N, shape (n,).
+            read: readings of `true`, N, shape (n,).
+            rates: derivatives of the true force with the parameters, shape (n, p).
+            rate: derivative of the true force with the contact offset, shape (n,).
+
+        Returns:
+            Derivatives of the readings, shapes (n, p) and (n,).
+        """
+        if not any(fault.reads for fault in self.rig.faults.values()):
+            gain = 1.0 + self.rig.sensor_gain
+            return gain * rates, gain * rate
+        # A registered fault may be any function of the force history: directional derivatives by finite differences.
+        columns = np.column_stack([rates, rate])
+        for index, column in enumerate(columns.T):
+            if column.any():
+                step = 1e-6 * max(float(np.abs(true).max()), 1e-6) / np.abs(column).max()
+                columns[:, index] = (self.read(measured, true + step * column) - read) / step
+        return columns[:, :-1], columns[:, -1]
+
+
+@dataclass(frozen=True, eq=False)
+class ReadoutEffects:
+    """Effects in reduced form, which multiply the simulated force at the samples of a recording.
+
+    These effects are jumps of the force, which an interpolation between the knots of a simulation would smear.
+
+    Attributes:
+        effects: acting effects.
+    """
+
+    effects: tuple[ReducedEffect, ...]
+
+    @classmethod
+    def from_model(cls, model: Model) -> ReadoutEffects:
+        """Return the effects of a model that are applied after the simulation.
+
+        With a tilted tool or a rig that changes the motion, the simulation applies the effects and this object is
+        empty.
+        """
+        ideal = not model.experiment.tilt and model.rig.motion_only.ideal
+        return cls(model.material.reduced_effects(plate=model.experiment.tool.is_plate) if ideal else ())
+
+    def has_parameter(self, path: str) -> bool:
+        """Return whether a parameter of the material belongs to one of these effects."""
+        part = path.rpartition(".")[0]
+        return any(part in (effect.name, f"effects.{effect.name}") for effect in self.effects)
+
+    def remove_from(self, model: Model) -> Model:
+        """Return the model without these effects."""
+        material = model.material
+        if not self.effects:
+            return model
+        kept = {name: effect for name, effect in material.effects.items() if effect not in self.effects}
+        puncture = None if material.puncture in self.effects else material.puncture
+        return replace(model, material=replace(material, puncture=puncture, effects=kept))
+
+    def factor(self, measured: MeasuredCurve, depth: np.ndarray) -> np.ndarray:
+        """Return the factor of the force at the samples of a recording.
+
+        Args:
+            measured: recording.
+            depth: true depth of the tool at the samples, m, shape (n,) or (n, k).
+
+        Returns:
+            Factor, dimensionless, shape of `depth`.
+        """
+        deepest = np.maximum.accumulate(depth, axis=0)
+        clock = np.zeros(depth.shape[0]) if measured.time is None else measured.time - measured.time[0]
+        time = np.broadcast_to(clock.reshape(-1, *[1] * (depth.ndim - 1)), depth.shape)
+        factor = np.ones(depth.shape)
+        for effect in self.effects:
+            factor = factor * effect.shares(depth, deepest, time)
+        return factor
+
+
+def depth_in_tissue(curve: ForceCurve | AlignedCurve, measured: MeasuredCurve,
+                    offset: float | np.ndarray) -> np.ndarray:
+    """Return the true depth of the tool at the samples of a recording.
+
+    Args:
+        curve: force curve of the recording.
+        measured: recording.
+        offset: contact offset, m, a number or shape (offsets,).
+
+    Returns:
+        Depth, m, shape (n,) or (n, offsets).
+    """
+    if isinstance(curve, AlignedCurve):
+        return curve.positions(offset)
+    return measured.displacement - offset if np.ndim(offset) == 0 else measured.displacement[:, None] - offset
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedSolution:
+    """Simulated forces of one test at one set of parameters.
+
+    Attributes:
+        curves: force and derivatives of each recording.
+        readouts: readout of each recording.
+        effects: effects in reduced form of each recording.
+        space: parameter space.
+        values: name -> value of all parameters, SI.
+        differences: names of parameters whose derivatives are finite differences.
+    """
+
+    curves: Sequence[ForceCurve | AlignedCurve]
+    readouts: list[Readout]
+    effects: list[ReadoutEffects]
+    space: ParameterSpace
+    values: dict[str, float]
+    differences: frozenset[str]

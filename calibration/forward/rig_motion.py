@@ -1,0 +1,249 @@
+"""Force of path-independent tests: one simulated loading curve, evaluated at the true positions of the tool.
+
+A rig with compliance, backlash or offsets moves the tool to other positions than it reports. While the force depends on
+the position alone, these positions are computed without a new simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from calibration.forward.contract import InfeasibleError
+from calibration.forward.motion import SLIDING_POWER, TIMED_STEPS, Loading, spline
+from tissue_sim.experiment.experiment import Experiment
+from tissue_sim.experiment.protocol import STUDY_SPEED
+from tissue_sim.model import Model
+from tissue_sim.rig.rig import Rig
+from tissue_sim.tilt import strips
+
+#: Steps to the largest reported depth, equal to those of a timed motion; a deeper tool continues the same spacing.
+STEPS = TIMED_STEPS
+#: Fraction of the last step within which the tool counts as at the last knot.
+_STEP_TOLERANCE = 1e-3
+#: Tolerance of the tool position with a compliant load train, relative to the largest depth.
+_POSITION_TOLERANCE = 1e-12
+#: Maximum number of Newton iterations for the tool position.
+_MAX_ITERATIONS = 60
+#: Smallest ratio of stage displacement to tool displacement, 1 + C dF/dx, for which the equilibrium counts as stable;
+#: below it the load train snaps.
+_MIN_GROWTH = 0.1
+
+
+def loading_to(depth: float, deepest: float, limit: float) -> Loading:
+    """Return a loading from rest to the deepest position of the tool.
+
+    Args:
+        depth: largest reported depth, m.
+        deepest: largest true depth of the tool, m.
+        limit: largest depth of a knot, m.
+    """
+    ratio = (max(deepest, depth) / depth) ** (1.0 / SLIDING_POWER)
+    steps = max(STEPS, int(np.ceil(STEPS * ratio - _STEP_TOLERANCE)))
+    knots = depth * (np.arange(steps + 1) / STEPS) ** SLIDING_POWER
+    return Loading(np.append(knots[knots < limit], limit) if knots[-1] > limit else knots, STUDY_SPEED)
+
+
+@dataclass(frozen=True, eq=False)
+class PositionCurve:
+    """Force and its derivatives as functions of the tool position.
+
+    Attributes:
+        columns: interpolant of force and derivatives with the parameters, force first.
+        force_alone: interpolant of the force.
+        end: largest simulated position, m.
+        holds: whether the tissue pulls at a tool that retracts past the first contact; otherwise the force is zero.
+        strips: strips of a tilted face: lag of each strip behind the deepest one, m, and its fraction of the face.
+    """
+
+    columns: Any
+    force_alone: Any
+    end: float
+    holds: bool
+    strips: list[tuple[float, float]]
+
+    @classmethod
+    def interpolate(cls, depth: np.ndarray, columns: np.ndarray, *, holds: bool, tilt: float = 0.0) -> PositionCurve:
+        """Return the interpolant of values at knots.
+
+        Args:
+            depth: depth of the knots from 0 on, m, shape (k,).
+            columns: force and derivatives at the knots, force first, shape (k, m).
+            holds: see `PositionCurve`.
+            tilt: height difference across the tool's face, m.
+        """
+        return cls(spline(depth, columns), spline(depth, columns[:, 0]), float(depth[-1]), holds, _strips(tilt))
+
+    def with_tilt(self, tilt: float) -> PositionCurve:
+        """Return the curve of a face with another tilt, m."""
+        return replace(self, strips=_strips(tilt))
+
+    def __call__(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Evaluate the curve at tool positions.
+
+        Args:
+            position: tool positions, m, shape (n,).
+
+        Returns:
+            Columns, shape (n, m), and the derivative of the force with the position, N/m, shape (n,).
+        """
+        columns, slope = np.zeros(()), np.zeros(())
+        for lag, fraction in self.strips:
+            depth, velocity = _strip_position(position, lag)
+            inside, contact = self._simulated_part(depth)
+            rates = self._rates(inside) * contact[:, None]
+            columns = columns + fraction * (self.columns(inside) * contact[:, None] + rates * (depth - inside)[:, None])
+            slope = slope + fraction * velocity * rates[:, 0]
+        return columns, slope
+
+    @cached_property
+    def _rates(self) -> Any:
+        """Derivative of the columns with the position."""
+        return self.columns.derivative()
+
+    def force(self, position: np.ndarray) -> np.ndarray:
+        """Return the force at tool positions, m, any shape."""
+        force = np.zeros(position.shape)
+        for lag, fraction in self.strips:
+            depth, _ = _strip_position(position, lag)
+            inside, contact = self._simulated_part(depth)
+            beyond = depth - inside
+            part = self.force_alone(inside)
+            if beyond.any():
+                part = part + self.force_alone(inside, 1) * beyond
+            force += fraction * contact * part
+        return force
+
+    def _simulated_part(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions limited to the simulated range, and 1 where the tool is in contact (else 0).
+
+        The force is extrapolated linearly beyond the simulated range.
+        """
+        return np.clip(position, 0.0, self.end), np.ones(position.shape) if self.holds else (
+            position >= 0.0).astype(float)
+
+
+def _strips(tilt: float) -> list[tuple[float, float]]:
+    """Return lag, m, and fraction of the face for the strips of a tilted face; one strip without tilt."""
+    return strips(tilt) if tilt else [(0.0, 1.0)]
+
+
+def _strip_position(position: np.ndarray, lag: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the position of a strip of a tilted face, m, and its derivative with the position of the face."""
+    if not lag:
+        return position, np.ones(position.shape)
+    inside = np.maximum(position - lag, 0.0)
+    return np.where(position > 0, inside, position), ((inside > 0) | (position <= 0)).astype(float)
+
+
+@dataclass(frozen=True, eq=False)
+class AlignedCurve:
+    """Force at the samples of a recording, from the true positions of its tool.
+
+    Attributes:
+        curve: force against tool position.
+        motion: tool positions with a rigid load train at the samples, m, shape (n,).
+        compliance: compliance C of the load train, m/N.
+        neighbours: index of a column -> curve with a slightly larger value of the parameter of this column, and the
+            difference of the values, for a finite difference.
+    """
+
+    curve: PositionCurve
+    motion: np.ndarray
+    compliance: float
+    neighbours: Mapping[int, tuple[AlignedCurve, float]] = field(default_factory=dict)
+
+    def __call__(self, time: np.ndarray | None, displacement: np.ndarray,
+                 offset: float) -> tuple[np.ndarray, np.ndarray]:
+        """Evaluate force and derivatives at the samples of the recording.
+
+        Args:
+            time: unused; the samples are those of `motion`.
+            displacement: unused.
+            offset: contact offset, m.
+
+        Returns:
+            Columns, force first, shape (n, m), and the derivative of the force with the contact offset, shape (n,).
+
+        Raises:
+            InfeasibleError: the load train snaps, or the tool has no equilibrium position.
+        """
+        position = self.positions(offset)
+        columns, slope = self.curve(position)
+        growth = 1.0 + self.compliance * slope
+        if growth.min(initial=1.0) < _MIN_GROWTH:
+            raise InfeasibleError("the force falls so steeply that the load train snaps")
+        columns[:, 1:] /= growth[:, None]
+        rate = -slope / growth
+        # The force is zero before the first contact.
+        before_contact = ~np.maximum.accumulate(position >= 0.0)
+        columns[before_contact], rate[before_contact] = 0.0, 0.0
+        for number, (other, step) in self.neighbours.items():
+            columns[:, number] = (other.forces(time, displacement, np.array([offset]))[:, 0] - columns[:, 0]) / step
+        return columns, rate
+
+    def forces(self, time: np.ndarray | None, displacement: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+        """Return the force at the samples for several contact offsets, m; shape (n, offsets)."""
+        position = self.positions(offsets)
+        return np.where(np.maximum.accumulate(position >= 0.0, axis=0), self.curve.force(position), 0.0)
+
+    def positions(self, offset: float | np.ndarray) -> np.ndarray:
+        """Return the tool positions at the samples.
+
+        Newton's method solves the equilibrium x + C F(x) = s of tool position x and stage position s.
+
+        Args:
+            offset: contact offset, m, a number or shape (offsets,).
+
+        Returns:
+            Positions, m, shape (n,) or (n, offsets).
+
+        Raises:
+            InfeasibleError: the tool has no equilibrium position with the load train.
+        """
+        stage = self.motion - offset if np.ndim(offset) == 0 else self.motion[:, None] - offset
+        if not self.compliance:
+            return stage
+        position, tolerance = stage, _POSITION_TOLERANCE * np.abs(stage).max(initial=1e-6)
+        step = 1e-6 * np.abs(stage).max(initial=1e-6)
+        for _ in range(_MAX_ITERATIONS):
+            force = self.curve.force(position)
+            stiffness = (self.curve.force(position + step) - force) / step
+            change = (stage - position - self.compliance * force) / np.maximum(1.0 + self.compliance * stiffness,
+                                                                               _MIN_GROWTH)
+            position = position + change
+            if np.abs(change).max(initial=0.0) <= tolerance:
+                return position
+        raise InfeasibleError("the tool has no equilibrium position with the load train")
+
+
+def is_path_dependent(model: Model) -> bool:
+    """Return whether the force of a model depends on the path of the tool and not on its position alone.
+
+    Effects in reduced form are path-dependent too if the true depth of the tool differs from the reported one.
+    """
+    reduced = model.material.reduced_effects(plate=model.experiment.tool.is_plate)
+    return model.is_path_dependent or bool(reduced and (model.rig.compliance or model.experiment.tilt))
+
+
+def separates_on_return(experiment: Experiment) -> bool:
+    """Return whether the tool separates from the tissue when it retracts past the first contact."""
+    return experiment.friction != "bonded" and experiment.adhesion is None and not experiment.contact_laws
+
+
+def is_rig_motion_parameter(path: str) -> bool:
+    """Return whether a parameter changes the position of the tool and not the response of the tissue.
+
+    Args:
+        path: path of the parameter.
+    """
+    return path.startswith("rig.") or path == "experiment.tilt"
+
+
+def with_ideal_rig(model: Model) -> Model:
+    """Return the model with an ideal rig and without tilt: the tool is at the position of the stage."""
+    return replace(model, experiment=replace(model.experiment, tilt=0.0), rig=Rig())

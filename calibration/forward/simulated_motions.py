@@ -1,0 +1,164 @@
+"""Finite-element simulation of the motions of a test."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calibration.campaign.measured import MeasuredCurve
+from calibration.campaign.parameter_space import ParameterSpace, Unknown
+from calibration.forward.contract import InfeasibleError
+from calibration.forward.meshes import MeshError, meshes_of
+from calibration.forward.motion import Loading, TimedMotion
+from calibration.forward.proportionality import is_proportional, preserves_proportionality
+from calibration.forward.readout import (
+    ReadoutEffects,
+    affects_readings_only,
+)
+from calibration.forward.rig_motion import (
+    is_rig_motion_parameter,
+    with_ideal_rig,
+)
+from calibration.forward.simulation_cache import SimulationCache, content_key, simulate_curve
+from tissue_sim.errors import InputError
+from tissue_sim.experiment.experiment import Experiment
+from tissue_sim.model import Model
+from tissue_sim.rig.rig import Rig
+from tissue_sim.specimen import Specimen
+
+
+@dataclass(eq=False)
+class SimulatedMotions:
+    """Motions of a test that finite elements simulate on one mesh.
+
+    Attributes:
+        name: name of the test.
+        experiment: specimen, tool and contact; its motion is replaced by `motions`.
+        rig: testing machine with its faults.
+        motions: distinct motions of the recordings.
+        motion_of: index of the motion of each recording.
+        measured: recordings of the test.
+        layered: whether the material has layers.
+        correction: force of the accurate mesh minus that of the fast mesh at the knots of each motion, N, shape (k,);
+            empty before `update_correction`.
+        position_correction: depth, m, and the same difference of forces, N, at the knots of one loading, shapes (k,).
+        mesh: key of the mesh; tests with the same key have the same mesh error. Empty: no other test shares the mesh.
+        full_motion: whether the whole motion is simulated even if the force depends on the tool position alone.
+        solver: name of the solver.
+        mesh_error: relative error of the accurate mesh; None: not computed.
+    """
+
+    name: str
+    experiment: Experiment
+    rig: Rig
+    motions: tuple[Loading | TimedMotion, ...]
+    motion_of: tuple[int, ...]
+    measured: tuple[MeasuredCurve, ...]
+    layered: bool = False
+    correction: list[np.ndarray] = field(default_factory=list)
+    position_correction: tuple[np.ndarray, np.ndarray] | None = None
+    mesh: str = ""
+    full_motion: bool = False
+    solver: str = "axisymmetric"
+    mesh_error: MeshError | None = None
+
+    @property
+    def specimen(self) -> Specimen:
+        return self.experiment.specimen
+
+    def _experiment(self, motion: Loading | TimedMotion) -> Experiment:
+        return replace(self.experiment, protocol=motion.protocol)
+
+    def _build_model(self, space: ParameterSpace, values: dict[str, float], motion: Loading | TimedMotion,
+                     recording: str | None) -> Model:
+        """Return the model of a recording with a motion.
+
+        Raises:
+            InfeasibleError: the values give no valid model.
+        """
+        try:
+            return space.model(values, self._experiment(motion), self.rig, test=self.name, recording=recording)
+        except InputError as error:
+            raise InfeasibleError(f"{self.name}: {error}") from None
+
+    def _affects_readings_only(self, unknown: Unknown, values: dict[str, float]) -> bool:
+        """Return whether a parameter belongs to the rig of this test and does not change the motion of the tool."""
+        acts = unknown.path.startswith("rig.") and any(unknown.acts_in(self.name, each.name) for each in self.measured)
+        return acts and affects_readings_only(self.rig, unknown.path.removeprefix("rig."), values[unknown.name])
+
+    def _simulate(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
+                  motion: Loading | TimedMotion, resolution: str, recording: str | None = None, *, rigid: bool = False
+                  ) -> tuple[np.ndarray, np.ndarray, set[str]]:
+        """Simulate a motion, or take the result from the cache.
+
+        If forces are proportional to the moduli, the simulation uses normalised moduli and its force is scaled, so that
+        one simulation serves all moduli with the same ratios.
+
+        Args:
+            space: parameter space.
+            values: name -> value of all parameters, SI.
+            solves: cache of simulations.
+            motion: motion with k knots.
+            resolution: ``"fast"``, ``"accurate"`` or ``"finest"``, see `calibration.forward.meshes.Meshes`.
+            recording: name of the recording with these values; None: recordings without own parameters.
+            rigid: whether the rig is ideal and the tool not tilted.
+
+        Returns:
+            Force, N, shape (k,); derivatives with the free parameters, shape (k, p), computed on the fast mesh only and
+            without columns otherwise; names of parameters whose derivatives are finite differences.
+
+        Raises:
+            InfeasibleError: the model is invalid, or the solver does not converge.
+        """
+        factor, proportional = 1.0, is_proportional(self.experiment, Rig() if rigid else self.rig) and all(
+            preserves_proportionality(each, rigid=rigid) or self._affects_readings_only(each, values)
+            for each in space.unknowns if each.is_modulus or each.acts_in(self.name, recording))
+        if proportional:
+            values, factor = space.normalised(values)
+
+        def build(of: dict[str, float]) -> Model:
+            # The readout is applied to the samples later, so only the motion of the rig is simulated.
+            model = self._build_model(space, of, motion, recording)
+            return with_ideal_rig(model) if rigid else replace(model, rig=model.rig.motion_only)
+
+        model = build(values)
+        topology = build(space.before_moving(values)) if space.shapes_mesh(self.name) else None
+        effects = ReadoutEffects.from_model(model)
+        model, topology = effects.remove_from(model), topology and effects.remove_from(topology)
+        acting = {} if resolution != "fast" else {
+            column: each.path for column, each in enumerate(space.varied)
+            if each.acts_in(self.name, recording) and not self._affects_readings_only(each, values)
+            and not effects.has_parameter(each.path) and not (rigid and is_rig_motion_parameter(each.path))}
+        meshes, paths = meshes_of(self.solver), list(acting.values())
+        mesh = getattr(meshes, resolution)
+        key = content_key(model, topology, paths, mesh, self.solver)
+        curve = solves.find(key)
+        if curve is None:
+            curve = simulate_curve(model, topology, paths, mesh, self.solver, one_sided=meshes.slow)
+            solves.counts[self.name, resolution] += 1
+            solves.keep(key, curve)
+        if curve.problem:
+            raise InfeasibleError(f"{self.name}: {curve.problem}")
+        force = factor * np.array(curve.force)
+        rates = np.zeros((force.size, 0 if resolution != "fast" else len(space.free)))
+        if acting:
+            scale = [1.0 if proportional and space.varied[column].is_modulus else factor for column in acting]
+            rates[:, list(acting)] = np.array(curve.rates).reshape(force.size, len(acting)) * scale
+        inexact = {space.free[column] for column, exact in zip(acting, curve.exact, strict=False) if not exact}
+        return force, rates, inexact
+
+    def _accurate_force(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
+                        motion: Loading | TimedMotion, *, rigid: bool) -> np.ndarray:
+        """Return the force of the accurate mesh at the knots, N, shape (k,).
+
+        With friction the fast mesh needs short steps near first contact, and the accurate mesh converges more often
+        with equal steps. If one spacing fails, the other one is tried.
+        """
+        equal = motion.with_equal_steps
+        first, second = (equal, motion) if isinstance(motion, TimedMotion) else (motion, equal)
+        try:
+            used, (force, *_) = first, self._simulate(space, values, solves, first, "accurate", rigid=rigid)
+        except InfeasibleError:
+            used, (force, *_) = second, self._simulate(space, values, solves, second, "accurate", rigid=rigid)
+        return force if used is motion else motion.at_knots(used.interpolate(force[:, None]))[:, 0]

@@ -1,0 +1,41 @@
+"""Range of the principal stretches in a test."""
+
+from __future__ import annotations
+
+from calibration.forward.contract import StretchRange
+from calibration.forward.meshes import meshes_of
+from tissue_sim.closed_form.homogeneous import ClosedForm
+from tissue_sim.errors import ConvergenceError, InputError
+from tissue_sim.model import Model
+from tissue_sim.simulation import simulate
+
+
+def homogeneous_range(closed_form: ClosedForm, low: float) -> StretchRange:
+    """Return the range of a homogeneous test.
+
+    Args:
+        closed_form: closed form of the test.
+        low: smallest stretch along the load.
+    """
+    return StretchRange(closed_form.mode, low, 1.0, closed_form.extremes(low, 1.0))
+
+
+def simulated_range(model: Model | None, solver: str, strain: float) -> StretchRange:
+    """Return the range over the volume of a model, without the lowest and highest 1 % of the volume.
+
+    Without a converged simulation the nominal strain gives the range.
+
+    Args:
+        model: model in its most deformed state; None: no valid model exists.
+        solver: name of the solver.
+        strain: displacement divided by the specimen's height.
+    """
+    fields = None
+    if model is not None:
+        try:
+            fields = simulate(model, resolution=meshes_of(solver).fast, fields=True, solver=solver,
+                              estimate_error=False).fields
+        except (ConvergenceError, InputError):
+            fields = None
+    low, high = (1.0 - strain, 1.0) if fields is None else fields.stretch_range()
+    return StretchRange(None, low, high, (low, high))
