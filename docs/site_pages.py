@@ -15,7 +15,7 @@ from mkdocs.structure.files import File, Files
 #: Pages of the site that are files at the top of the repository.
 TOP_FILES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 #: Packages whose public names have a reference page.
-PACKAGES = ("tissue_sim", "calibration", "haptics")
+PACKAGES = ("tissue_sim", "calibration", "haptics", "scenes")
 #: A public name in an `__init__.pyi`: module and name.
 _PUBLIC_NAME = re.compile(r"^from (\S+) import (\w+) as \2$", re.M)
 
