@@ -44,3 +44,10 @@ def test_rows_are_sorted_and_defined():
     first = [names[0].lower() for names, _ in rows]
     assert first == sorted(first)
     assert all(definition.endswith(".") for _, definition in rows)
+
+
+def test_terms_are_sorted_and_unique():
+    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
+    table = text.split("## Terms")[1].split("## Public classes")[0]
+    terms = [line.split("|")[1].strip().lower() for line in table.splitlines() if line.startswith("| ")][1:]
+    assert terms and terms == sorted(set(terms))
