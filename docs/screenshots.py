@@ -42,7 +42,7 @@ class Screenshot:
         depth: depth of the paused tool, mm.
         tab: visible tab of the controls.
         size: width and height of the page, pixels.
-        aside: lateral position y of the tool in a solid in space, mm, where sliders instead of a protocol move the tool.
+        aside: lateral position y of the tool in a solid in space, mm, where sliders instead of a protocol move it.
     """
 
     scene: str
