@@ -1,8 +1,8 @@
-"""Draw every picture of README and docs again: python docs/draw_pictures.py
+"""Draw the pictures of README and documentation: python docs/draw_pictures.py
 
-``python docs/draw_pictures.py imports`` draws those of measured sets from the folder that TISSUE_SIM_DATA names, and
+``python docs/draw_pictures.py imports`` draws the pictures of measured data sets from the folder TISSUE_SIM_DATA,
 ``python docs/draw_pictures.py needle`` the moving picture of README, and ``python docs/draw_pictures.py examples``
-those of the gallery.
+the pictures of the gallery.
 """
 
 import base64
@@ -29,7 +29,7 @@ from scenes.figures import draw_section, save
 
 PICTURES = Path(__file__).parent / "pictures"
 CURVES = Path(__file__).parents[1] / "tests" / "reference"
-#: A seed of the demo with something hidden whose tissue relaxes.
+#: Seed of the demonstration with a hidden effect for which the effect is relaxation.
 RELAXING = 23
 #: Time between two frames of the moving picture, s of the test; it plays at this speed.
 FRAME_TIME = 0.125
@@ -41,7 +41,7 @@ FRAME_COLOURS = 200
 
 
 def reference(name: str) -> ts.Recording:
-    """A curve of an independent solver: mm and N in two columns."""
+    """Read a force curve of an independent solver; columns in mm and N."""
     displacement, force = np.loadtxt(CURVES / name, delimiter=",").T
     return ts.Recording({"displacement": displacement * 1e-3, "force": force},
                         metadata={"name": "independent Q2/Q1 solver"})
@@ -56,7 +56,7 @@ SIMULATIONS = {
 
 
 def study_material() -> ts.Material:
-    """The silicone of the reference study."""
+    """Return the silicone of the reference study."""
     return ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
 
 
@@ -81,7 +81,7 @@ def main() -> None:
 
 
 def draw_solid(material: ts.Material) -> None:
-    """A needle off the axis that leans, in space."""
+    """Draw a tilted needle off the axis, in space."""
     experiment = SCENES["needle_indentation"].experiment(
         specimen=ts.Specimen(0.040, 0.070), protocol=ts.Protocol.ramp(8e-3, points=5), friction=0.3,
         tool=ts.Tool("round", radius=8e-3), approach=ts.Approach(12e-3, math.radians(15.0)))
@@ -90,14 +90,14 @@ def draw_solid(material: ts.Material) -> None:
 
 
 def draw_examples() -> None:
-    """The picture of each example, small, for the gallery of the site."""
+    """Run each example and save its picture in the size of the gallery."""
     for path in sorted((Path(__file__).parents[1] / "examples").glob("*.py")):
         example = runpy.run_path(str(path))
         example["run"]().savefig(PICTURES / "examples" / f"{path.stem}.png", dpi=90)
 
 
 def draw_needle_movie(material: ts.Material) -> None:
-    """A needle pressed into relaxing tissue, held and pulled out: the section and the force, as an animated GIF."""
+    """Write an animated GIF of a needle pressed into relaxing tissue, held and pulled out: section and force."""
     protocol = ts.Protocol.parse("ramp 10mm @5mm/s; hold 2s; unload", points=41)
     tissue = replace(material, viscoelastic=ts.Prony((ts.PronyTerm(0.35, 0.8),)))
     experiment = SCENES["needle_indentation"].experiment(specimen=ts.Specimen(0.040, 0.070), protocol=protocol)
@@ -111,7 +111,7 @@ def draw_needle_movie(material: ts.Material) -> None:
 
 
 def _needle_frame(recording: ts.Recording, sample: int, largest: float, tool: ts.Tool) -> Image.Image:
-    """One frame of the moving picture: section with a common colour scale in kPa, force up to the sample."""
+    """Draw one frame of the moving picture: section with a common colour scale in kPa, force up to the sample."""
     figure = Figure(figsize=FRAME_SIZE, dpi=FRAME_DPI, layout="constrained")
     section, curve = figure.subplots(1, 2, width_ratios=[1.15, 1.0])
     draw_section(section, recording.fields, "von_mises", sample, tool=tool)
@@ -132,7 +132,7 @@ def _needle_frame(recording: ts.Recording, sample: int, largest: float, tool: ts
 
 
 def draw_cycles(material: ts.Material) -> None:
-    """Ramp, hold and return, twice, of needle and plate: an elastic, a relaxing and a softening specimen."""
+    """Draw two cycles of ramp, hold and unloading of needle and plate: elastic, relaxing and softening specimen."""
     protocol = ts.Protocol.parse("repeat 2 (ramp 8mm @0.5mm/s; hold 10s; unload)", points=33)
     materials = {"elastic": material,
                  "g = 0.3, tau = 2 s": replace(material, viscoelastic=ts.Prony((ts.PronyTerm(0.3, 2.0),))),
@@ -159,7 +159,7 @@ def draw_cycles(material: ts.Material) -> None:
 
 
 def draw_inverse_calibration(material: ts.Material) -> None:
-    """The needle's picture in the report of an inverse calibration: three laws fitted to needle and bonded plates."""
+    """Draw the report figure of a needle test: three laws fitted by inverse calibration to needle and bonded plates."""
     tests = {"bonded_compression": "", "needle_indentation": 'tool = "flat"\ntool_radius_mm = 8.0\n'}
     text = "[[specimen]]\nradius_mm = 40.0\nheight_mm = 70.0\n"
     with tempfile.TemporaryDirectory() as name:
@@ -192,7 +192,7 @@ IMPORTS = {
 
 
 def draw_imports(data: Path) -> None:
-    """Measured sets from raw files to the figure of their report; `data` is the folder of the sets."""
+    """Import and fit measured data sets and save the figures of their reports; `data` is the folder of the sets."""
     for name, (pattern, stated) in IMPORTS.items():
         with tempfile.TemporaryDirectory() as place:
             campaign = Path(place, f"{name}.toml")

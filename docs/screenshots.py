@@ -1,7 +1,7 @@
-"""Take the screenshots of the viewer again: python docs/screenshots.py [NAME ...]
+"""Make the screenshots of the viewer for the documentation: python docs/screenshots.py [NAME ...]
 
-Needs Chromium (Debian: apt install chromium fonts-dejavu-core) and Playwright, which tissue-sim[test] has. What the
-pictures show as measured is a simulation of another material with the noise of a sensor.
+Needs Chromium (Debian: apt install chromium fonts-dejavu-core) and Playwright (part of tissue-sim[test]). The measured
+curves in the pictures are simulations of another material with sensor noise.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 PICTURES = Path(__file__).parent / "pictures"
-#: The specimen that was "measured"; the viewer starts with the softer material of the study.
+#: Material of the virtual measurement; the viewer starts with the softer material of the reference study.
 MEASURED = ts.Material("reduced_polynomial_2", {"C10": 1550.0, "C20": 650.0}, ts.Bulk("bulk_ratio", 1e4))
 REPLICATES, NOISE = 3, 0.02
 DEPTH = 0.010
@@ -34,14 +34,15 @@ _PHASE = "[data-testid=phase][data-phase={}]"
 
 @dataclass(frozen=True)
 class Screenshot:
-    """A state of the page: the tool has been pressed in, has come back to `depth`, mm, and waits there.
+    """State of the page for a screenshot: the tool was pressed in, unloaded to `depth` in mm, and is paused.
 
     Attributes:
-        scene: as `tissue-sim view` names it.
-        flags: of `tissue-sim view`.
-        tab: of the controls that are shown.
-        size: of the page, pixels.
-        aside: of a solid in space, to which nobody plays a protocol: the tool goes to this y, mm, and presses in there.
+        scene: scene name of `tissue-sim view`.
+        flags: further flags of `tissue-sim view`.
+        depth: depth of the paused tool, mm.
+        tab: visible tab of the controls.
+        size: width and height of the page, pixels.
+        aside: lateral position y of the tool in a solid in space, mm, where sliders instead of a protocol move it.
     """
 
     scene: str
@@ -73,7 +74,7 @@ def main(names: list[str]) -> None:
 
 
 def take(browser: Browser, shot: Screenshot, folder: Path, path: Path) -> None:
-    """Start a viewer, press the tool in, let it come back, and save what the page shows then."""
+    """Start a viewer, press the tool in, unload it, and save the page as a picture."""
     measured = ("--measured", *measure(shot.scene, folder)) if shot.aside is None else ()
     with viewer(shot.scene, *measured, *shot.flags) as url:
         width, height = shot.size
@@ -92,7 +93,7 @@ def take(browser: Browser, shot: Screenshot, folder: Path, path: Path) -> None:
 
 
 def press(page: Page, shot: Screenshot) -> None:
-    """Play a protocol that ends where the tool shall wait, and pause it there."""
+    """Play a protocol that ends at the depth of the screenshot, and pause there."""
     protocol = f"ramp {DEPTH * 1e3:g}mm; hold 3s; unload {shot.depth:g}mm; hold 600s"
     chromium.text_field(page, "protocol").fill(protocol)
     page.get_by_role("button", name="Play").click()
@@ -104,7 +105,7 @@ def press(page: Page, shot: Screenshot) -> None:
 
 
 def press_aside(page: Page, depth: float, aside: float) -> None:
-    """Move the tool of a solid in space by the sliders, mm, and wait until the tissue is in equilibrium there."""
+    """Move the tool of a solid in space with the sliders, mm, and wait for equilibrium."""
     for label, value in (("y [mm]", aside), ("depth [mm]", depth)):
         chromium.text_field(page, label).fill(f"{value:g}")
         chromium.text_field(page, label).press("Enter")
@@ -114,7 +115,7 @@ def press_aside(page: Page, depth: float, aside: float) -> None:
 
 
 def measure(scene: str, folder: Path) -> list[str]:
-    """Files of the virtual measurements of a scene."""
+    """Write virtual measurements of a scene and yield their files."""
     experiment = SCENES[scene].experiment(specimen=ts.Specimen(0.040, 0.070),
                                           protocol=ts.Protocol.ramp(depth=DEPTH, points=81))
     files = [folder / f"{scene}_{number + 1}.csv" for number in range(REPLICATES)]
@@ -127,7 +128,7 @@ def measure(scene: str, folder: Path) -> list[str]:
 
 @contextmanager
 def viewer(scene: str, *flags: str) -> Iterator[str]:
-    """A viewer in a process of its own, for a browser that draws in software: its address."""
+    """Start a viewer with simple graphics in a separate process and yield its address."""
     command = [sys.executable, "-m", "scenes.cli", "view", scene, "--depth-mm", f"{DEPTH * 1e3:g}", "--port", "0",
                "--json", "--low-graphics", *flags]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, encoding="utf-8") as process:

@@ -15,7 +15,7 @@ from mkdocs.structure.files import File, Files
 #: Pages of the site that are files at the top of the repository.
 TOP_FILES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 #: Packages whose public names have a reference page.
-PACKAGES = ("tissue_sim", "calibration", "haptics")
+PACKAGES = ("tissue_sim", "calibration", "haptics", "scenes")
 #: A public name in an `__init__.pyi`: module and name.
 _PUBLIC_NAME = re.compile(r"^from (\S+) import (\w+) as \2$", re.M)
 
@@ -48,7 +48,8 @@ def _links_from_docs(text: str) -> str:
 
 def _gallery(root: Path) -> str:
     """Write the gallery: title, mathematics, picture and source of each example."""
-    lines = ["# Examples", "", "Each script of `examples` checks one physical number and draws one picture.", ""]
+    lines = ["# Examples", "", "Each script of `examples` checks one physical number and draws one picture. The notebook",
+             "`examples/study.ipynb` imports, calibrates, diagnoses and simulates one specimen.", ""]
     for path in sorted((root / "examples").glob("*.py")):
         source = path.read_text(encoding="utf-8")
         title, _, text = (ast.get_docstring(ast.parse(source)) or path.stem).partition("\n")

@@ -3,8 +3,8 @@
  * In exactly one source file write
  *     #define TISSUE_SIM_CLIENT_IMPLEMENTATION
  *     #include "tissue_sim_client.h"
- * and in all others include it alone. For a server of version 2 write before both: #define TISSUE_SIM_VERSION 2
- * (the fields of version 3 then have their defaults). drive_needle.c is an example; docs/wire_protocol.md says what the fields mean.
+ * and in all others only the #include. For a server of version 2 write before both: #define TISSUE_SIM_VERSION 2
+ * (the fields of version 3 then have their defaults). drive_needle.c is an example; docs/wire_protocol.md defines the fields.
  *
  * SI units. Frame: origin at the centre of the undeformed top face, z out of the tissue; forces are those on the tool.
  *
@@ -29,19 +29,19 @@ extern "C" {
 #define TISSUE_SIM_REPLY_SIZE 760
 #endif
 
-/* Status of an answer. Below 100 there is a force, from 100 on there is none. */
+/* Status of an answer. Below 100 the answer has a force, from 100 on it has none. */
 enum {
     TISSUE_SIM_CONVERGED = 0, /* in equilibrium */
-    TISSUE_SIM_LATE = 1,      /* time budget ended: the last equilibrium's force and stiffness, carried on */
-    TISSUE_SIM_STOPPED = 2,   /* no equilibrium found: the same; move back, or reset */
-    TISSUE_SIM_REFUSED = 3,   /* no pose or no time, or beyond what the scene holds: the last force; nothing was changed */
-    TISSUE_SIM_FADING = 4,    /* no equilibrium for too long: force and stiffness go to zero */
-    TISSUE_SIM_RETURNING = 5, /* in equilibrium: force and stiffness come back along a ramp */
-    TISSUE_SIM_FAILED = 6,    /* the step failed and the tissue was built anew: no force */
-    TISSUE_SIM_BUSY = 100     /* another client has the tissue */
+    TISSUE_SIM_LATE = 1,      /* the time budget ended: force and stiffness extrapolated from the last equilibrium */
+    TISSUE_SIM_STOPPED = 2,   /* no equilibrium found: the same extrapolation; move back, or reset */
+    TISSUE_SIM_REFUSED = 3,   /* pose or time invalid or beyond the limits of the scene: the last force; nothing changed */
+    TISSUE_SIM_FADING = 4,    /* no equilibrium for too long: force and stiffness decrease to zero */
+    TISSUE_SIM_RETURNING = 5, /* in equilibrium: force and stiffness increase along a ramp */
+    TISSUE_SIM_FAILED = 6,    /* the step failed and the tissue was rebuilt: no force */
+    TISSUE_SIM_BUSY = 100     /* another client owns the tissue */
 };
 
-/* What a function returns: 0, or what went wrong. */
+/* Return values of the functions. */
 enum {
     TISSUE_SIM_OK = 0,
     TISSUE_SIM_NO_REPLY = -1,      /* within the timeout */
@@ -50,7 +50,7 @@ enum {
     TISSUE_SIM_OTHER_VERSION = -4  /* the server speaks another version of the protocol */
 };
 
-enum { TISSUE_SIM_RESET = 1 }; /* flag: put the tissue back to its undeformed state before this step */
+enum { TISSUE_SIM_RESET = 1 }; /* flag: reset the tissue to its undeformed state before this step */
 
 typedef struct {
     double position[3];    /* x, y, z, m; depth is -z */
@@ -63,18 +63,18 @@ typedef struct {
     double time;            /* of the request, s */
     double force[3];        /* on the tool, N */
     double torque[3];       /* on the tool about its tip, N m */
-    double stiffness[6][6]; /* of the tissue: minus d(force, torque) / d(position, rotation vector), N/m, N, N m */
-    double step_stiffness[6][6]; /* the same within this step, with the tissue's mass where it counts */
+    double stiffness[6][6]; /* static: minus d(force, torque) / d(position, rotation vector), N/m, N, N m */
+    double step_stiffness[6][6]; /* the same within this step, with the mass of the tissue where it counts */
     double age;             /* time since the last equilibrium, s */
     double compute_time;    /* of the step, s */
-    double residual;        /* unbalanced over balanced forces */
+    double residual;        /* relative residual of the forces */
     double dt;              /* time step that was used, s */
     uint32_t iterations;    /* linear solves of the step */
-    int inertial;           /* whether the mass of the tissue was taken into account */
+    int inertial;           /* whether the mass of the tissue was included */
     int limited;            /* whether the force was cut to the server's largest one */
     int stale_stiffness;    /* whether the stiffness is too old for a coupling */
     uint64_t malformed, stale, skipped, turned_away; /* packets since the server started */
-    /* From here on version 3. */
+    /* The following fields belong to version 3. */
     int is_on_axis;         /* whether the tool is on the axis of an axisymmetric scene; 1 in version 2 */
     int has_force_error;    /* whether the error of the force is known; 0 in version 2 */
     double stiffness_age;   /* time since the stiffness was evaluated, s; 0 in version 2 */
@@ -86,21 +86,21 @@ typedef struct {
 typedef struct {
     intptr_t socket;
     uint64_t sequence;
-    uint64_t session; /* by which the server knows this client: a random number, set by tissue_sim_open */
-    long polls; /* how often to look for a reply, about 1 us each, before sleeping until it comes; 0 at first */
+    uint64_t session; /* random number that identifies this client, set by tissue_sim_open */
+    long polls; /* number of polls for a reply, about 1 us each, before sleeping until it arrives; initially 0 */
 } tissue_sim_client;
 
-/* Connect to a server, `host` in numbers such as "127.0.0.1". Sends nothing. */
+/* Connect to a server; `host` is a numeric IPv4 address such as "127.0.0.1". Sends no packet. */
 int tissue_sim_open(tissue_sim_client *client, const char *host, uint16_t port, double timeout_s);
 
-/* Go to a pose and wait for the force there. `time` is on a clock of your own, s, and never goes back. */
+/* Send a pose and wait for its force. `time` is the client's clock, s; it must not decrease. */
 int tissue_sim_step(tissue_sim_client *client, double time, const tissue_sim_pose *pose, uint32_t flags,
                     tissue_sim_answer *answer);
 
-/* Say goodbye, so that another client can have the tissue at once, and close. */
+/* Release the tissue for other clients, and close the socket. */
 void tissue_sim_close(tissue_sim_client *client);
 
-/* What a return value, or the status of an answer, means. */
+/* Return the meaning of a return value, or of the status of an answer. */
 const char *tissue_sim_text(int code);
 
 #ifdef __cplusplus
@@ -144,7 +144,7 @@ const char *tissue_sim_text(int code);
 extern "C" {
 #endif
 
-/* Byte by byte: neither the order of bytes nor the layout of structs of this machine matters. */
+/* Encode byte by byte, independent of this machine's byte order and struct layout. */
 static unsigned char *tissue_sim_put_(unsigned char *at, uint64_t value, int bytes)
 {
     int k;
