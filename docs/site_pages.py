@@ -48,8 +48,8 @@ def _links_from_docs(text: str) -> str:
 
 def _gallery(root: Path) -> str:
     """Write the gallery: title, mathematics, picture and source of each example."""
-    lines = ["# Examples", "", "Each script of `examples` checks one physical number and draws one picture. The notebook",
-             "`examples/study.ipynb` imports, calibrates, diagnoses and simulates one specimen.", ""]
+    lines = ["# Examples", "", "Each script of `examples` checks one physical number and draws one picture.",
+             "The notebook `examples/study.ipynb` imports, calibrates, diagnoses and simulates one specimen.", ""]
     for path in sorted((root / "examples").glob("*.py")):
         source = path.read_text(encoding="utf-8")
         title, _, text = (ast.get_docstring(ast.parse(source)) or path.stem).partition("\n")
