@@ -1,5 +1,7 @@
 """True forces along a motion: closed forms where one exists, else a new simulator in fine steps along the true path.
 
+The reference of a reduced or multirate scene is the whole solid on the same mesh.
+
 Where the tissue has mass the reference takes the same ticks: the force of a wave depends on the tick
 (docs/realtime.md#inertia), so that only the traps are tested there.
 
@@ -16,18 +18,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from motion_course import NOT_COMPARED, PathTick
-from motion_scenes import Scene, simulator
+from motion_scenes import Scene, coarse_mesh, reduced_model, simulator
 
 import tissue_sim as ts
+from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose, between, motion
 
 #: Substeps are at most this fraction of the tool's radius.
 LARGEST_SUBSTEP = 1.0 / 48.0
 #: Smallest number of substeps of a tick in contact, by solver.
-LEAST_SUBSTEPS = {"axisymmetric": 3, "reduced": 2, "solid": 1}
-#: Largest distance of ticks that are merged for the truth of a multirate scene, m.
+LEAST_SUBSTEPS = {"axisymmetric": 3, "solid": 1}
+#: Largest distance of ticks that are merged for the truth of a multirate or reduced scene, m.
 LARGEST_MERGED = 1e-4
-#: Largest time of ticks that are merged for the truth of a multirate scene, s.
+#: Largest time of ticks that are merged for the truth of a multirate or reduced scene, s.
 MERGED_TIME = 8e-3
 #: Depth at which the reference touches first, m: friction there is negligible.
 TOUCH_DEPTH = 1e-9
@@ -56,14 +59,25 @@ NOTHING = Truth(np.zeros(3), np.zeros(3), 0.0)
 
 def truths(scene: Scene, path: Sequence[PathTick]) -> dict[int, Truth]:
     """The true wrench at each compared tick of a path, by the index of its operation."""
-    reference = _Reference(replace(scene, solver="solid") if scene.solver == "multirate" else scene,
-                           _start_of(scene, path))
+    reference = _Reference(_whole(scene), _start_of(scene, path), _mesh_of(scene))
     found = {}
-    for tick in _sampled(path) if scene.solver == "multirate" else path:
+    for tick in _sampled(path) if scene.solver in ("multirate", "reduced") else path:
         truth = reference.go(tick)
         if tick.index != NOT_COMPARED:
             found[tick.index] = truth
     return found
+
+
+def _whole(scene: Scene) -> Scene:
+    """The scene of the reference: the whole solid in place of a multirate or a reduced one."""
+    return replace(scene, solver="solid") if scene.solver in ("multirate", "reduced") else scene
+
+
+def _mesh_of(scene: Scene) -> SolidMesh | None:
+    """The mesh of the reference; None: that of its scene."""
+    if scene.solver == "reduced":
+        return reduced_model(scene).mesh
+    return coarse_mesh() if scene.solver == "multirate" else None
 
 
 def _sampled(path: Sequence[PathTick]) -> list[PathTick]:
@@ -111,13 +125,14 @@ class _Reference:
     """A new simulator without bound that follows a path in fine steps.
 
     Args:
-        scene: what is simulated, by one rate.
+        scene: what is simulated, not multirate and not reduced.
         origin: x and y of the path that are the reference's axis, m.
+        mesh: of a whole solid; None: that of the scene.
     """
 
-    def __init__(self, scene: Scene, origin: tuple[float, float]):
-        self._scene, self._origin = scene, origin
-        self._simulator = simulator(scene, bounded=False)
+    def __init__(self, scene: Scene, origin: tuple[float, float], mesh: SolidMesh | None = None):
+        self._scene, self._origin, self._mesh = scene, origin, mesh
+        self._simulator = simulator(scene, bounded=False, mesh=mesh)
         self._before: Pose | None = None
         self._in_contact, self._has_touched = False, False
         self._is_known, self._has_mass = True, scene.inertia != "off"
@@ -137,7 +152,7 @@ class _Reference:
             self._step(pose, tick.dt)
             return self._truth(tick.factor)
         if self._leaves_for_good(is_above):
-            self._simulator = simulator(self._scene, bounded=False)
+            self._simulator = simulator(self._scene, bounded=False, mesh=self._mesh)
             self._in_contact, self._has_touched, self._is_known = False, False, True
             return NOTHING
         if is_above and not self._in_contact:
@@ -174,9 +189,9 @@ class _Reference:
 
     def _step(self, pose: Pose, dt: float) -> None:
         answer = self._answer = self._simulator.step(pose, dt)
-        # A later equilibrium of tissue that depends on its path is no truth after one that is missing. Where the tissue
-        # has mass, an equilibrium in the same ticks is the truth, also if its waves make it LATE.
-        is_equilibrium = answer.status is ts.ForceStatus.LATE and answer.age == 0.0 and self._has_mass
+        # A later equilibrium of tissue that depends on its path is no truth after one that is missing. An equilibrium whose
+        # estimated error is large, by waves or by the mesh, is the truth of the same ticks on the same mesh.
+        is_equilibrium = answer.status is ts.ForceStatus.LATE and answer.age == 0.0
         self._is_known &= answer.status is ts.ForceStatus.CONVERGED or is_equilibrium
 
     def _truth(self, factor: float) -> Truth:

@@ -5,9 +5,10 @@
 
 Every motion is played on the axisymmetric simulator, on a coarse or reduced solid in space, or on a multirate tissue
 whose bulk answers after a fixed simulated time, and every answer is compared with the true force: a closed form where
-one exists, else a new simulator that follows the true path of the tool in fine steps (`motion_truth.py`). An answer is
-silently wrong if it is CONVERGED and its force is off by more than 3 % of the motion's peak force, if its stiffness is
-off by more than 5 % and `stiffness_age` is zero, if a pose off the axis of an axisymmetric scene is not marked, or if
+one exists, else a new simulator that follows the true path of the tool in fine steps (`motion_truth.py`); the whole
+solid for reduced and multirate tissue. An answer is silently wrong if it is CONVERGED and its force is off by more
+than 3 % of the motion's peak force and by more than this and the stated error together, if its stiffness is off by more
+than 5 % and `stiffness_age` is zero, if a pose off the axis of an axisymmetric scene is not marked, or if
 an input that must be refused is accepted.
 
 Prints a table by solver and trap, then each silently wrong motion with its index; `--index K` with the same options

@@ -163,8 +163,9 @@ class TestForces:
     def test_an_iteration_that_was_ended_goes_on(self, touched):
         """One linear solution at a time, as a budget leaves it, to the same equilibrium."""
         at_once, slowly = ReducedSolver(touched, MATERIAL), ReducedSolver(touched, MATERIAL)
-        for depth in (0.5e-3, 1e-3, 2e-3):
+        for depth in (0.5e-3, 1e-3, 1.5e-3, 2e-3):
             expected = at_once.step(ts.Pose.at_depth(depth), 1e-3)
+            assert expected.status is StepStatus.CONVERGED
             step, ended = slowly.step(ts.Pose.at_depth(depth), 1e-3, max_iterations=1), 0
             while step.status is StepStatus.SLOW and ended < 20:
                 step, ended = slowly.step(ts.Pose.at_depth(depth), 1e-3, max_iterations=1, resumes=True), ended + 1
@@ -311,7 +312,7 @@ class TestBox:
 
     def test_in_the_air_a_tool_goes_where_it_likes(self, touched):
         solver = ReducedSolver(touched, MATERIAL)
-        for depth in (1e-3, 2e-3):
+        for depth in (0.5e-3, 1e-3, 1.5e-3, 2e-3):
             assert solver.step(ts.Pose.at_depth(depth)).force > 0.0
         assert solver.step(ts.Pose((5e-3, 0.0, -1e-3))).status is StepStatus.OUTSIDE
         step = solver.step(ts.Pose((5e-3, 0.0, 1e-3)))
@@ -401,7 +402,8 @@ class TestFile:
 
         monkeypatch.setattr(training, "snapshots", counted)
         again = reduce_solid(held.model, held.box, **options)
-        assert len(made) == 5 + 1  # the other five, and one that it is tried on
+        along, tried_along = 2, 2
+        assert len(made) == 5 + along + 1 + tried_along  # the other five, and one that it is tried on
         np.testing.assert_allclose(again.basis, held.basis, atol=1e-9)
         forget_strokes(folder)
         assert not folder.exists()

@@ -181,9 +181,10 @@ class TestLayers:
             taken.append(training.snapshots(solver, way))
         looked_at = list(training.samples(taken, ways, materials, [symmetries(solver, start)[0]], start))
         assert sum(sample.material is soft for sample in looked_at) >= 0.3 * len(looked_at)
-        report, _ = training.verify(skinned, solver, [training.UNSEEN, training.UNSEEN], materials=materials)
-        of_soft, _ = training.verify(skinned, solver, [training.UNSEEN], materials=[soft])
-        of_stiff, _ = training.verify(skinned, solver, [training.UNSEEN], materials=materials[:1])
+        unseen = stroke(training.UNSEEN, skinned.box, start, holds=True, reach=6e-3)
+        report, _ = training.verify(skinned, solver, [unseen, unseen], materials=materials)
+        of_soft, _ = training.verify(skinned, solver, [unseen], materials=[soft])
+        of_stiff, _ = training.verify(skinned, solver, [unseen], materials=materials[:1])
         assert of_soft["force_rms_N"] < 0.02 * of_stiff["force_rms_N"]
         errors = np.array([each["force_rms_error"] for each in (of_soft, of_stiff)])
         assert report["force_rms_error"] == pytest.approx(np.sqrt(np.mean(errors**2)), rel=1e-3)

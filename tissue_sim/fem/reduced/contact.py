@@ -138,6 +138,11 @@ class LayerContact:
         return bool(self._report[kernel.TOUCHING])
 
     @property
+    def touching(self) -> np.ndarray:
+        """Which nodes touch the tool at the last evaluation, shape (n,)."""
+        return self._states != kernel.FREE
+
+    @property
     def slipping(self) -> int:
         """How many nodes slip."""
         return int(self._report[kernel.SLIPPING])

@@ -7,6 +7,7 @@ import json
 import math
 import zipfile
 import zlib
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.profile import ProfileTool
 from tissue_sim.experiment.tools.tool import TOOLS, Tool
+from tissue_sim.fem.reduced.compliance_table import ContactCompliance
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, Rest, require_reducible
 from tissue_sim.fem.solid.tissue import element_groups, require_regions
 from tissue_sim.files import open_file
@@ -41,6 +43,9 @@ _EXPECTED = "a reduced solid (.npz of `tissue-sim reduce`)"
 _OF_FILE = "of file "
 #: How a solid that weighs stands.
 _REST, _WEIGHT = ("rest displacement", "rest pressures"), ("density", "gravity", "height_is")
+#: Arrays of the compliance of the contact nodes.
+_COMPLIANCE = "compliance "
+_TABLES = tuple(each.name for each in fields(ContactCompliance))
 _FACES = ("friction", "friction_base", "friction_wall")
 
 
@@ -60,6 +65,8 @@ def write_reduced(reduced: ReducedModel, path: str | Path) -> None:
         arrays["depths"] = mesh.depths
     if reduced.rest is not None:
         arrays |= {_REST[0]: reduced.rest.displacement, _REST[1]: reduced.rest.pressures}
+    if (table := reduced.compliance) is not None:
+        arrays |= {f"{_COMPLIANCE}{name}": getattr(table, name) for name in _TABLES}
     if isinstance(specimen, MeshSpecimen):
         arrays |= {f"{_OF_FILE}{name}": each for name, each in file_mesh_arrays(specimen.mesh_of_file).items()}
     stream = io.BytesIO()
@@ -136,9 +143,11 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
         element = SOLID_ELEMENTS[description["element"]]
         nodes, connectivity, basis = arrays["nodes"], arrays["connectivity"], arrays["basis"]
         elements, shares = arrays["elements"], arrays["shares"]
-        sets, faces, regions, of_file = (
+        sets, faces, regions, of_file, tables = (
             {name.removeprefix(kind): each for name, each in arrays.items() if name.startswith(kind)}
-            for kind in ("set ", "faces ", "region ", _OF_FILE))
+            for kind in ("set ", "faces ", "region ", _OF_FILE, _COMPLIANCE))
+        # Files of older versions have none.
+        compliance = ContactCompliance(**tables) if tables else None
         depths, rest = arrays.get("depths"), tuple(arrays[name] for name in _REST if name in arrays)
         lifting, report = description["lifting"], description["report"]
         softness, bulk_ratio = float(description["softness"]), float(description["bulk_ratio"])
@@ -172,14 +181,27 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
             and {"top", "base", "side", "face", "free"} <= sets.keys()
             and all(np.isfinite(each).all() for each in reals) and bool((shares > 0.0).all())
             and 0.0 < softness < 1.0 and bulk_ratio >= 1.0 and isinstance(report, dict))
-    if not fits:
+    if not (fits and (compliance is None or (lifting == 0 and _is_sound(compliance, len(nodes))))):
         raise InputError("its arrays do not fit each other; make it again with `tissue-sim reduce`")
     sets, faces, regions = ({name: each.astype(np.intp) for name, each in group.items()}
                             for group in (sets, faces, regions))
     mesh = SolidMesh(element, nodes, connectivity.astype(np.intp), sets, faces, regions, depths)
     element_groups(mesh)
     return ReducedModel(Model(experiment, material), mesh, basis, lifting, elements.astype(np.intp), shares, box,
-                        softness, bulk_ratio, report, watched, error_factors, Rest(*rest) if rest else None)
+                        softness, bulk_ratio, report, watched, error_factors, Rest(*rest) if rest else None, compliance)
+
+
+def _is_sound(table: ContactCompliance, nodes: int) -> bool:
+    """Whether the arrays of a table fit each other and a mesh with this number of nodes."""
+    count = table.nodes.size
+    reals = (table.axis, table.whole, table.missing, table.forces, table.accepted)
+    return (table.nodes.dtype.kind in "iu" and table.nodes.shape == (count,) and count > 0
+            and bool((np.diff(table.nodes) > 0).all()) and table.nodes[0] >= 0 and table.nodes[-1] < nodes
+            and all(each.dtype.kind == "f" and np.isfinite(each).all() for each in reals)
+            and table.axis.shape == (3,) and table.whole.shape == table.missing.shape == (count, count)
+            and table.forces.ndim == 1 and table.forces.size > 0 and table.forces.shape == table.accepted.shape
+            and bool((np.diff(table.forces) >= 0.0).all()) and bool((table.accepted >= 0.0).all())
+            and np.linalg.eigvalsh(table.whole)[0] > 0.0)
 
 
 def _experiment(stated: dict[str, Any], box: PoseBox, of_file: dict[str, np.ndarray]) -> Experiment:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.fem.reduced.compliance_table import ContactCompliance
 from tissue_sim.fem.solid.tissue import element_layers, require_regions
 from tissue_sim.material.effect import PointEffect
 from tissue_sim.material.material import Material
@@ -137,6 +138,8 @@ class ReducedModel:
         error_factors: of what the force would change by with what is watched, and of the force itself; their sum
             estimates how far the force is off, as on motions that it was not made of.
         rest: how it stands; None: undeformed, as one that does not weigh.
+        compliance: how well the modes represent forces on single nodes (`ContactCompliance`); None of a tool that holds
+            tissue, and in files of older versions.
         report: how it was made and how good it is: ``freedoms``, ``modes``, ``elements``, ``snapshots``,
             ``force_rms_error`` and ``force_largest_error`` over the rms force, on motions that it was not made of;
             ``warnings``, sentences about the force of the whole solid, where there are some.
@@ -155,6 +158,7 @@ class ReducedModel:
     watched: int = 0
     error_factors: tuple[float, float] = (1.0, 0.0)
     rest: Rest | None = None
+    compliance: ContactCompliance | None = None
 
     @property
     def places(self) -> np.ndarray:

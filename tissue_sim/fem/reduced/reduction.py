@@ -16,8 +16,9 @@ import numpy as np
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError, located
 from tissue_sim.fem.reduced import training
+from tissue_sim.fem.reduced.acceptance import with_compliance
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_reducible, require_same_parts
-from tissue_sim.fem.reduced.strokes import stroke
+from tissue_sim.fem.reduced.strokes import boundary_strokes, stroke
 from tissue_sim.fem.reduced.symmetry import symmetries
 from tissue_sim.files import read_text
 from tissue_sim.material.material import Material
@@ -35,6 +36,10 @@ BULK_RATIOS = (1.0, 1000.0)
 SAMPLING, SOFTNESS, TRIED = 6e-3, 1e-3, 3
 #: So many times fewer strokes at most do where each has images; what a tool that rubs does depends on its way, too.
 _SPARED = {True: 4, False: 2}
+#: Number of the first stroke along the boundary of the box, after those of any sequence.
+_BOUNDARY = 8000
+#: Fraction of the box along whose boundary the result is tried.
+_UNSEEN_FRACTION = 0.93
 
 
 class Progress(Protocol):
@@ -110,27 +115,37 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     group = symmetries(solver, start)
     usual = len(materials) * math.ceil(STROKES[holds] / min(len(group), _SPARED[holds]))
     strokes, modes, tried = strokes or usual, modes or MODES[holds], max(tried, len(materials))
+    images = [each.matrix for each in group]
     poses = [stroke(number, box, start, holds=holds, reach=reach) for number in range(strokes)]
-    taken = []
-    tell("strokes", 0, strokes)
-    for number, way in enumerate(poses):
+    poses += boundary_strokes(box, start, holds=holds, reach=reach, images=images)
+    taken, count = [], len(poses)
+    numbers = [*range(strokes), *range(_BOUNDARY, _BOUNDARY + count - strokes)]
+    # The material of each stroke: each in turn, in the box and along its boundary.
+    of_stroke = [materials[number % len(materials)] for number in numbers]
+    tell("strokes", 0, count)
+    for number, way, material in zip(numbers, poses, of_stroke, strict=True):
         done = store.read(number)
         if done is None or len(done.wrenches) != len(way):
-            solver.set_material(materials[number % len(materials)])
+            solver.set_material(material)
             done = training.snapshots(solver, way, memory=memory)
             store.write(number, done)
         taken.append(done)
-        tell("strokes", number + 1, strokes)
-    count = len(mesh.connectivity)
+        tell("strokes", len(taken), count)
+    elements_of_all = len(mesh.connectivity)
     reduced = training.assemble(
         model, mesh, box, taken, poses, count=modes, tolerance=sampling, softness=softness,
-        bulk_ratio=bulk_ratio, group=group, materials=[materials[k % len(materials)] for k in range(strokes)],
-        progress=lambda elements, error: tell("elements", elements, count, note=f"error {100 * error:.2g} %"))
-    numbers = range(training.UNSEEN, training.UNSEEN + tried)
-    report, factors = training.verify(reduced, solver, numbers, lambda done, of: tell("trial", done, of),
+        bulk_ratio=bulk_ratio, group=group, materials=of_stroke,
+        progress=lambda elements, error: tell("elements", elements, elements_of_all,
+                                              note=f"error {100 * error:.2g} %"))
+    solver.set_material(model.material)
+    reduced = with_compliance(reduced, solver, poses, taken, of_stroke)
+    unseen = [stroke(training.UNSEEN + number, box, start, holds=holds, reach=reach) for number in range(tried)]
+    along = boundary_strokes(box, start, holds=holds, reach=reach, images=images, fraction=_UNSEEN_FRACTION)
+    unseen += along[:: max(1, len(along) // 2)]  # a corner and an edge
+    report, factors = training.verify(reduced, solver, unseen, lambda done, of: tell("trial", done, of),
                                       materials=materials, memory=memory)
-    return training.with_report(reduced, factors, strokes=strokes, materials=len(materials), tried=tried,
-                                **report)
+    return training.with_report(reduced, factors, strokes=strokes, boundary_strokes=count - strokes,
+                                materials=len(materials), tried=tried, **report)
 
 
 class _Store:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from tissue_sim.fem.reduced.compliance import MissingForce
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.linear import size, solution
 from tissue_sim.fem.reduced.model import PoseBox
@@ -44,12 +45,26 @@ class Response:
         self.answer, self.left = answer[:, :6], answer[:, 6]
         self._followed = found[:, 7:]
 
-    def force_error(self, factors: tuple[float, float], force: np.ndarray) -> float:
-        """How far a force on the tool, N, shape (3,), may be off, N: shares of it, and of its change if what is watched
-        were made, too; see `ReducedModel.error_factors`.
+    def force_error(self, factors: tuple[float, float], force: np.ndarray, missing: MissingForce | None = None
+                    ) -> float | None:
+        """Estimated error of a force on the tool, N: by missing modes, and by missing compliance of the contact nodes.
 
-        Source: hierarchical estimates, Bank and Weiser, Math. Comp. 44 (1985) 283; calibrated by `training.verify`.
+        The part by missing modes is a fraction of the force, and of its change if the tissue could make the watched
+        modes (hierarchical estimate: Bank and Weiser, Math. Comp. 44 (1985) 283; calibrated by `training.verify`).
+
+        Args:
+            factors: see `ReducedModel.error_factors`.
+            force: N, shape (3,).
+            missing: of the contact at this equilibrium; None: that part is not known.
+
+        Returns:
+            None if neither part is known.
         """
+        known = self._modes_error(factors, force) if self._free.stop < len(self._residual) else None
+        return known if missing is None else (known or 0.0) + missing.error(size(force))
+
+    def _modes_error(self, factors: tuple[float, float], force: np.ndarray) -> float:
+        """Error by missing modes, N."""
         free, held = self._free, self._free.start
         tangent = self._tangent
         # What the iteration has left on the others says nothing of the modes.

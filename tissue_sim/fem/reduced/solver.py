@@ -8,6 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.fem.reduced.compliance import missing_force
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.fields import reduced_fields
@@ -37,8 +38,8 @@ _FLOOR_SHARE = 0.02
 _DESCENT, _MOST_HALVINGS = 0.1, 5
 #: The contact is solved on linear tissue to this share of the tolerance, in so many solutions at most.
 _INNER, _MOST_SOLVES = 0.3, 12
-#: Groups of elements whose stiffness is computed at one time; in an iteration after the first, no stiffness is computed
-#: anew while the unbalanced forces shrink to this share each time.
+#: Groups of elements whose stiffness is computed at one time; an iteration after the first computes no stiffness while
+#: the unbalanced forces shrink to this fraction each time.
 _GROUPS, _FAST = 8, 0.3
 #: Groups that are computed anew in a slow iteration, and iterations from which on all are.
 _OLDEST, _PATIENT = 2, 4
@@ -81,6 +82,7 @@ class ReducedSolver(PlacedReduced):
         self._reach = experiment.contact_radius
         self.contact = LayerContact(bodies, reduced.places, mesh.node_areas, reduced.basis, reach=self._reach,
                                     softness=reduced.softness)
+        self.missing_force = missing_force(reduced, self.contact)
         self._lifted = Lifting(reduced.lifting, Frame(self._start, self.datum))
         modes = reduced.basis.shape[1]
         #: How many modes the tool says, and those that are solved for.
@@ -132,8 +134,7 @@ class ReducedSolver(PlacedReduced):
         inside, clear = self._where(pose, frame)
         if not (inside or clear):
             return Step(StepStatus.OUTSIDE, 0, 0.0, (0.0,) * 6)
-        if not inside:
-            # It touches nothing: near to where it rests.
+        if not inside:  # it touches nothing: near to where it rests
             self.amplitudes[:], elements.pressures[:] = 0.0, elements.rest_pressures
             if not elements.remember:
                 return self._rest(pose)
@@ -213,8 +214,7 @@ class ReducedSolver(PlacedReduced):
             response = Response(elements.tangent + rates, contact, lifted, free, residual)
             self._prediction.learn(np.array(motion(self._pose, pose)), here - self._committed[0], response.answer,
                                    response.left)
-            if self.reduced.watched:
-                error = response.force_error(self.reduced.error_factors, wrench[:3])
+            error = response.force_error(self.reduced.error_factors, wrench[:3], self.missing_force)
             if self._asked:
                 age = elements.stiffness_age(here)
                 if age == 0.0:
@@ -258,11 +258,11 @@ class ReducedSolver(PlacedReduced):
         return self.contact.on_modes()
 
     def _balanced(self, pushed: np.ndarray, forces: np.ndarray) -> float:
-        """What the contact and, by the forces of the elements, the held face are pressed with."""
+        """Force on the modes of the contact and, by the forces of the elements, of the held face."""
         return size(pushed) + size(forces[: self._lifting])
 
     def _scale(self, balanced: float) -> float:
-        """What unbalanced forces are measured against."""
+        """Force by which unbalanced forces are divided."""
         return max(balanced, self._floor, _FLOOR_SHARE * self._largest_force)
 
     def _balance(self, guess: np.ndarray, known: np.ndarray, forces: np.ndarray, frame: Frame, pressed_in: bool,
@@ -362,7 +362,7 @@ class ReducedSolver(PlacedReduced):
         return SolidSurface(self.mesh, self.displacement(), self.datum)
 
     def report(self) -> dict[str, Any]:
-        """What a recording's metadata say of the solver; see `Solver.report`."""
+        """See `Solver.report`."""
         report = {"element": self.mesh.element.name,
                   "mesh": {"elements": len(self.mesh.connectivity), "freedoms": 3 * len(self.mesh.nodes)},
                   "reduced": dict(self.reduced.report), "penetration_mm": 0.0,

@@ -19,7 +19,6 @@ from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, Rest
 from tissue_sim.fem.reduced.sampling import sparse_weights
 from tissue_sim.fem.reduced.solver import ReducedSolver
-from tissue_sim.fem.reduced.strokes import stroke
 from tissue_sim.fem.reduced.symmetry import Symmetry, parities, symmetries
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
 from tissue_sim.fem.solid.elastic import element_forces, held_places, lifted_amplitudes, linear_response
@@ -47,7 +46,11 @@ _NOISE = 1e-6
 #: Motions that are watched beside the modes, for the estimate of the error; an even number of them.
 WATCHED = 4
 #: Steps of the reduced solid on the way of one of the whole.
-_FINER = 8
+FINER = 8
+#: Fraction of the states of the trial strokes whose error is within the estimate.
+COVERAGE = 0.95
+#: Error of the force over the rms force that needs no estimate.
+NEGLIGIBLE = 0.01
 #: Strokes on which a reduced solid is tried are those from here on.
 UNSEEN = 5000
 
@@ -250,11 +253,11 @@ def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watche
 _FEWER = 4
 
 
-def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
+def verify(reduced: ReducedModel, solver: SolidSolver, strokes: Sequence[Sequence[Pose]],
            progress: Callable[[int, int], None] | None = None, *, materials: Sequence[Material] = (),
            memory: Sequence[np.ndarray] = ()) -> tuple[dict[str, Any], tuple[float, float]]:
     """How far the reduced solid is from the whole one on strokes that it was not made of, of these materials in turn,
-    or of its own; `memory` as in `snapshots`.
+    or of its own; `memory` as in `snapshots`. The factors explain the error beyond that by missing compliance.
 
     Returns:
         ``force_rms_error`` and ``force_largest_error`` over the rms force of the whole with the same material, the rms
@@ -264,28 +267,27 @@ def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
     """
     from scipy.optimize import nnls
 
-    experiment = reduced.model.experiment
     # With fewer modes too, so that more of the error is that of modes than of elements.
     more = (reduced.basis.shape[1] - reduced.lifting - reduced.watched) // _FEWER
-    small, fewer = (ReducedSolver(replace(reduced, watched=reduced.watched + each, error_factors=(1.0, 0.0)),
-                                  reduced.model.material) for each in (0, more if reduced.watched else 0))
-    missed, forces, estimates, kinds, lost, steps = [], [], [], [], 0, 0
+    table = reduced.compliance
+    plain = replace(reduced, error_factors=(1.0, 0.0), compliance=None if table is None else table.accepting_all)
+    small, fewer = (ReducedSolver(replace(plain, watched=reduced.watched + each), reduced.model.material)
+                    for each in (0, more if reduced.watched else 0))
+    missed, forces, estimates, explained, kinds, lost, steps = [], [], [], [], [], 0, 0
     others: list[tuple[float, float, float]] = []
     doubts: Sequence[str] = ()
-    for done, number in enumerate(numbers):
+    for done, poses in enumerate(strokes):
         for each in (solver, small, fewer) if materials else ():
             if each.material is not (material := materials[done % len(materials)]):
                 each.set_material(material)
-        poses = stroke(number, reduced.box, experiment.tool_pose(0.0), holds=reduced.lifting > 0,
-                       reach=experiment.contact_radius)
         whole = snapshots(solver, poses, memory=memory)
         true, doubts = whole.wrenches, whole.doubts or doubts
         for each in (small, fewer):
             each.forget()
         here = poses[0]
         for pose, wrench in zip(poses, true, strict=True):
-            for k in range(_FINER):
-                there = between(here, pose, (k + 1) / _FINER)
+            for k in range(FINER):
+                there = between(here, pose, (k + 1) / FINER)
                 step, coarse = small.step(there), fewer.step(there)
                 steps += 1
                 lost += step.status is not StepStatus.CONVERGED
@@ -294,20 +296,33 @@ def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
             forces.append(wrench[:3])
             kinds.append(done % max(1, len(materials)))
             estimates.append(step.force_error or 0.0)
+            explained.append(0.0 if table is None or small.missing_force is None else max(
+                0.0, small.missing_force.value() - table.accepted_at(float(np.linalg.norm(step.wrench[:3])))))
             others.append((coarse.force_error or 0.0, float(np.linalg.norm(wrench[:3])),
                            float(np.linalg.norm(np.subtract(coarse.wrench[:3], wrench[:3])))))
         if progress:
-            progress(done + 1, len(numbers))
+            progress(done + 1, len(strokes))
     error, force = (np.linalg.norm(np.array(each), axis=1) for each in (missed, forces))
     # Over the rms force with the same material, so that a soft one counts like a stiff one.
     of_kind = [np.sqrt(np.mean(force[np.array(kinds) == kind] ** 2)) for kind in range(max(kinds) + 1)]
     rms = np.array(of_kind)[kinds]
-    known = np.concatenate([np.column_stack([estimates, force, error]), others]) / np.tile(rms, 2)[:, None]
+    left = np.maximum(0.0, error - explained)
+    known = np.concatenate([np.column_stack([estimates, force, left]), others]) / np.tile(rms, 2)[:, None]
     factors, _ = nnls(known[:, :2], known[:, 2])
+    factors *= _coverage_factor(known[: len(error), :2] @ factors, left / rms)
     return {"force_rms_error": float(np.sqrt(np.mean((error / rms) ** 2))),
             "force_largest_error": float((error / rms).max()), "force_rms_N": float(np.sqrt(np.mean(force**2))),
             "not_converged": lost / steps, **({"warnings": list(doubts)} if doubts else {})}, (
         float(factors[0]), float(factors[1]))
+
+
+def _coverage_factor(estimates: np.ndarray, errors: np.ndarray) -> float:
+    """Smallest factor, at least 1, with which `COVERAGE` of the errors are within the estimates and `NEGLIGIBLE`; both
+    over the rms force, shape (states,)."""
+    known = estimates > 0.0
+    if not known.any():
+        return 1.0
+    return max(1.0, float(np.quantile((errors[known] - NEGLIGIBLE) / estimates[known], COVERAGE)))
 
 
 def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapshots],

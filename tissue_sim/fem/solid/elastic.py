@@ -57,3 +57,23 @@ def element_forces(solver: SolidSolver, displacement: np.ndarray, bulk_ratio: fl
     forces = solver.tissue.element_forces(bulk_ratio, pressures)
     solver._go_back()
     return forces
+
+
+def node_compliance(solver: SolidSolver, nodes: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Displacements along an axis of nodes of the resting solid under unit forces on them along this axis, m/N, shape
+    (n, n).
+
+    Args:
+        solver: is at rest afterwards.
+        nodes: numbers, shape (n,).
+        axis: of unit length, shape (3,).
+    """
+    solver.lift_off()
+    solver._assemble()
+    solver._matrix.add(np.zeros_like(solver.contact.rates))
+    factor = solver._sparse.factorise(solver._matrix.free, symmetric=True)
+    loads = np.zeros((solver.x.size, nodes.size))
+    loads[(3 * nodes[:, None] + np.arange(3)).ravel(), np.repeat(np.arange(nodes.size), 3)] = np.tile(axis, nodes.size)
+    loads = loads[solver._free]
+    moved = loads.T @ factor.solve(loads)
+    return 0.5 * (moved + moved.T)
