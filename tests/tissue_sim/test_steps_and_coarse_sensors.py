@@ -71,6 +71,6 @@ def test_the_load_at_zero_is_judged_before_the_load_relaxes(preload):
 def test_equal_values_after_a_noisy_loading_are_saturated(noise, saturated):
     way = np.append(np.linspace(0.0, 5e-3, 40), 5e-3 * (1 + 0.3 * (1 - np.exp(-np.arange(100) / 30.0))))
     load = np.append(np.linspace(0.0, 2.0, 40), np.full(100, 2.0))
-    load = np.round(load + np.where(np.arange(140) < 40, np.random.default_rng(2).normal(0.0, 1.0, 140) * noise, 0.0), 5)
-    load = np.minimum(load, 2.0)
+    load[:40] += np.random.default_rng(2).normal(0.0, 1.0, 40) * noise
+    load = np.minimum(np.round(load, 5), 2.0)
     assert bool(find_saturation(load, way)) is saturated

@@ -1,8 +1,9 @@
 """Candidates for outliers in one channel of a recording, and the values that their neighbours predict.
 
-A running median of seven samples and a median of short linear predictions mark candidates. A candidate is contradicted if
-a polynomial through its neighbours on both sides (a line on one side at the ends, and on each side of a step) describes
-these neighbours, and the candidate lies many deviations of that fit, of the noise and of the resolution away from it.
+A running median of seven samples and a median of short linear predictions mark candidates. A candidate is contradicted
+if a polynomial through its neighbours on both sides (a line on one side at the ends, and on each side of a step)
+describes these neighbours, and the candidate lies many deviations of that fit, of the noise and of the resolution away
+from it.
 
 Source: Hampel, J. Am. Stat. Assoc. 69 (1974) 383, for the running median.
 """
@@ -33,8 +34,8 @@ class OutlierSettings:
         like: largest first step of a motion that counts from its first sample, in the largest of the following ones.
         correlated: correlation of motion and load above which their signs are known.
         plausible: largest motion at rest over that of the test, where a machine does not start at zero.
-        overshoot: largest load in a step of the motion over the range of the load. A material that loses 90 % of its load
-            between two samples has 10.
+        overshoot: largest load in a step of the motion over the range of the load: 10 where a material loses 90 % of
+            its load between two samples.
         stiffness: largest ratio of the stiffness of the first step from rest to that of the test.
         most: largest fraction of outliers; more are an error.
     """
