@@ -1,4 +1,4 @@
-"""Sizes of specimens in files with several tables: above all, above each, below each, and contradictions between them."""
+"""Sizes of specimens in files with several tables: above all, above or below each, and contradictions."""
 
 import numpy as np
 import pytest

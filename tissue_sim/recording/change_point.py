@@ -272,7 +272,8 @@ class ChangePointFit:
             variance: of the whitened residual, N2.
         """
         self.coefficients(place, power)
-        weighed = self._whiten(np.vstack([self._design, *(each - self._design[2] for each in self._moved(place, power))]))
+        moved = [each - self._design[2] for each in self._moved(place, power)]
+        weighed = self._whiten(np.vstack([self._design, *moved]))
         size = np.linalg.norm(weighed, axis=1).clip(1e-150)
         covariance = np.linalg.pinv((weighed / size[:, None]) @ (weighed / size[:, None]).T)
         return float(np.sqrt(max(variance * covariance[1, 1], 0.0)) / size[1])

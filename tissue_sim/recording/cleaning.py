@@ -97,9 +97,11 @@ def _start(recording: Recording, screening: Screening, name: str) -> float:
     """
     found = start_of(recording, screening, name)
     if found is None:
-        raise InputError(f"the zero of the {name} is not known: sample 1 is left out, and the other channel does not "
-                         f"show where the {name} started; give the column of the {name} an offset, 0 if it is right as "
-                         "the file has it", field=f"columns.{name}.offset")
+        reason = "sample 1 is left out, and the other channel does not show where the " + name + " started"
+        if not any(1 in each.samples and each.channel in LOADS for each in screening.left_out) and name in MOTIONS:
+            reason = "the load steps after sample 1, as before creep, and one sample may be an outlier"
+        raise InputError(f"the zero of the {name} is not known: {reason}; give the column of the {name} an offset, 0 "
+                         "if it is right as the file has it", field=f"columns.{name}.offset")
     return found
 
 

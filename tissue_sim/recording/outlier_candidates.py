@@ -1,8 +1,9 @@
 """Candidates for outliers in one channel of a recording, and the values that their neighbours predict.
 
-A running median of seven samples and a median of short linear predictions mark candidates. A candidate is contradicted if
-a polynomial through its neighbours on both sides (a line on one side at the ends, and on each side of a step) describes
-these neighbours, and the candidate lies many deviations of that fit, of the noise and of the resolution away from it.
+A running median of seven samples and a median of short linear predictions mark candidates. A candidate is contradicted
+if a polynomial through its neighbours on both sides (a line on one side at the ends, and on each side of a step)
+describes these neighbours, and the candidate lies many deviations of that fit, of the noise and of the resolution away
+from it.
 
 Source: Hampel, J. Am. Stat. Assoc. 69 (1974) 383, for the running median.
 """
@@ -33,6 +34,8 @@ class OutlierSettings:
         like: largest first step of a motion that counts from its first sample, in the largest of the following ones.
         correlated: correlation of motion and load above which their signs are known.
         plausible: largest motion at rest over that of the test, where a machine does not start at zero.
+        overshoot: largest load in a step of the motion over the range of the load: 10 where a material loses 90 % of
+            its load between two samples.
         stiffness: largest ratio of the stiffness of the first step from rest to that of the test.
         most: largest fraction of outliers; more are an error.
     """
@@ -53,6 +56,7 @@ class OutlierSettings:
     like: float = 3.0
     correlated: float = 0.5
     plausible: float = 1.5
+    overshoot: float = 10.0
     stiffness: float = 5.0
     most: float = 0.1
 
@@ -108,6 +112,12 @@ class Channel:
                 if last - first > self.settings.longest:
                     continue
                 predicted = self._contradicted(first, last, good)
+                if predicted is None and last - first > 1:
+                    # Next to an outlier a step comes early in the running median: one sample of the run may be right.
+                    farthest = first + int(np.argmax(self.away[first:last]))
+                    others = np.setdiff1d(np.arange(first, last), farthest)
+                    first, last = farthest, farthest + 1
+                    predicted = self._contradicted(first, last, np.union1d(good, others))
                 if predicted is not None:
                     yield tuple(range(first, last)), predicted
 
@@ -140,30 +150,35 @@ class Channel:
         limit = max(float(self.least[first]), (setting.of_fit_at_end if one_sided else setting.of_fit) * deviation,
                     float(np.ptp(self.values[around])) if one_sided else 0.0)
         if not np.all(np.abs(self.values[group] - predicted) > limit):
-            beyond = None if one_sided else self._beyond_step(group, before, after)
+            beyond = None if one_sided else self._beyond_step(group, around)
             if beyond is None:
                 return None
             predicted = np.array([beyond])
         # Rounding errors of the fit are zero.
         return float(predicted[0]) if abs(predicted[0]) > 1e-9 * self.range else 0.0
 
-    def _beyond_step(self, group: np.ndarray, before: np.ndarray, after: np.ndarray) -> float | None:
-        """The nearer one of two predictions, from lines through the samples before and after a group, if the group lies
-        far outside of the interval between them, as no sample of a step does; else None."""
+    def _beyond_step(self, group: np.ndarray, around: np.ndarray) -> float | None:
+        """Prediction for a group near a step, from lines through the samples before and after the largest jump of its
+        neighbours, if the group lies far from the line of its side, or between the sides far outside of the interval of
+        both lines, as no sample of a step does; else None.
+        """
+        split = int(np.argmax(np.abs(np.diff(self.values[around])))) + 1
+        sides = [side for side in (around[:split], around[split:])
+                 if not (side[-1] < group[0] and around[split] < group[0])
+                 and not (side[0] > group[-1] and around[split - 1] > group[-1])]
         limits, ends = [float(self.least[group[0]])], []
-        for side in (before, after):
-            if side.size < 2 * self.settings.longest:
+        for side in sides:
+            if side.size < self.settings.longest + 1:
                 return None
             line = np.polynomial.polynomial.polyfit(side - group[0], self.values[side], 1)
             gaps = self.values[side] - np.polynomial.polynomial.polyval(side - group[0], line)
             limits.append(self.settings.of_fit_at_end * float(np.sqrt(np.sum(gaps**2) / (side.size - 2))))
             limits.append(float(np.ptp(self.values[side])))
             ends.append(np.polynomial.polynomial.polyval(group - group[0], line))
-        low, high = np.min(ends, axis=0) - max(limits), np.max(ends, axis=0) + max(limits)
-        values = self.values[group]
-        if np.all(values < low):
-            return float(np.min(ends, axis=0)[0])
-        return float(np.max(ends, axis=0)[0]) if np.all(values > high) else None
+        low, high, values = np.min(ends, axis=0), np.max(ends, axis=0), self.values[group]
+        if np.all(values < low - max(limits)):
+            return float(low[0])
+        return float(high[0]) if np.all(values > high + max(limits)) else None
 
     def jump(self, first: int, last: int) -> float:
         """Change of the values across samples `first` to `last` (not included); at an end the step next to them."""

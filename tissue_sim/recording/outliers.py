@@ -148,16 +148,20 @@ def _belongs_to_test(name: str, group: tuple[int, ...], channels: Mapping[str, C
 
 
 def _follows_motion(group: tuple[int, ...], channels: Mapping[str, Channel], settings: OutlierSettings) -> bool:
-    """Whether the load of a group inside leaves its neighbours in the direction in which the motion steps there.
+    """Whether the load of a group inside leaves its neighbours in the direction in which the motion steps there, and by
+    no more than a material can.
 
     The load overshoots in a step of the motion, and relaxes afterwards. A load on the other side of both neighbours is
     no answer of the specimen. Where motion and load are hardly correlated the direction is not known.
     """
     correlation = _correlation(channels)
-    if abs(correlation) < settings.correlated:
-        return True
     motion, load = channels["motion"], channels["load"].values
     first, last = group[0], group[-1] + 1
+    if np.any(np.abs(load[first:last] - channels["load"].smooth[first:last]) > settings.overshoot *
+              channels["load"].range):
+        return False
+    if abs(correlation) < settings.correlated:
+        return True
     direction = float(np.sign(motion.jump(first, last) * correlation))
     neighbours = direction * load[[first - 1, last]]
     return bool(np.all(direction * load[first:last] >= neighbours.min() - channels["load"].least[first]))

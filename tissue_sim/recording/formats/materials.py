@@ -27,8 +27,8 @@ def by_material(reading: Reading, groups: Sequence[Group], places: Sequence[tupl
         stated: `Stated.one_material` keeps the tables together.
     """
     tables = _tables(groups, places)
-    # A repeated header continues a recording, whose sizes may be stated below any of its parts; and what is stated about
-    # one of several alike tables may contradict what is stated about the others.
+    # A repeated header continues a recording, whose sizes may be stated below any of its parts. A statement about one
+    # of several alike tables may contradict a statement about the others.
     reading = replace(reading, stated=read_only(_all_statements(groups)))
     if tables is None:
         return [reading]

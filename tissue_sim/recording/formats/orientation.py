@@ -87,8 +87,11 @@ def _load(column: ColumnGuess, recordings: Sequence[Recording], starts: Sequence
         way, load = recording.channel(motion), recording.channel(column.channel)
         way = direction * (way - rest.get(motion, way[0] if start is None else start))
         nearest = int(np.argmin(np.abs(way)))
-        # A recording that begins far from rest, after a lost first sample, does not show its load at rest.
-        at_rest = float(load[nearest]) if abs(way[nearest]) <= _FROM_REST * float(np.abs(way).max()) else 0.0
+        # A recording that begins far from rest, or at an unknown place, after a lost first sample does not show its
+        # load at rest.
+        is_known = start is not None or motion in rest
+        shows_rest = is_known and abs(way[nearest]) <= _FROM_REST * float(np.abs(way).max())
+        at_rest = float(load[nearest]) if shows_rest else 0.0
         return float(np.sum(way * (load - at_rest))) < 0
 
     if _most(against(recording, start) for recording, start in zip(recordings, starts, strict=True)):
