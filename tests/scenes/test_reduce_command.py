@@ -38,3 +38,12 @@ def test_a_box_beyond_the_specimen_is_refused(shape, tmp_path, capsys):
                  "0.3", "--sideways-mm", "35", "-o", str(path)]) == 2
     assert "there is none under it at -35 and -35 mm; make the box smaller" in capsys.readouterr().err
     assert not path.exists()
+
+
+def test_the_help_names_no_flag_that_the_command_lacks(capsys):
+    with pytest.raises(SystemExit):
+        main(["reduce", "--help"])
+    assert "--solid" not in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["simulate", "--help"])
+    assert "all shapes but the cylinder require" in " ".join(capsys.readouterr().out.split())
