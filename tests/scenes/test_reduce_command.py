@@ -41,9 +41,7 @@ def test_a_box_beyond_the_specimen_is_refused(shape, tmp_path, capsys):
 
 
 def test_the_help_names_no_flag_that_the_command_lacks(capsys):
-    with pytest.raises(SystemExit):
-        main(["reduce", "--help"])
+    assert main(["reduce", "--help"]) == 0
     assert "--solid" not in capsys.readouterr().out
-    with pytest.raises(SystemExit):
-        main(["simulate", "--help"])
+    assert main(["simulate", "--help"]) == 0
     assert "all shapes but the cylinder require" in " ".join(capsys.readouterr().out.split())
