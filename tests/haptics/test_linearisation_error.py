@@ -79,8 +79,7 @@ def test_the_first_converged_force_of_another_material_is_right(factor):
 
 
 def test_growth_is_that_of_the_difference_of_both_errors():
-    """Errors of 5 kN/m2 times the square of the distance: models at 2 mm and 1 mm from the tool differ by three quarters
-    of the error of the first one."""
+    """Models at 2 mm and 1 mm from the tool differ by three quarters of the error of the first one."""
     estimate = LinearisationError(8e-3)
     growth = 5e3
     estimate.learn(growth * (4e-6 - 1e-6), 2e-3, 1e-3, 0.1, 0.1, newer=1e-3)
