@@ -366,8 +366,9 @@ class PathFollower:
             if status is ForceStatus.STOPPED:
                 wrench = shortened(wrench, self._largest_force + force_of_increment(at.stiffness, self._largest_part))
         # An equilibrium without the waves of the tissue says nothing about their force.
-        is_unknown = self.error is None or status is ForceStatus.STOPPED or self._pending.lost > 0.0
-        error = None if is_unknown else self.error + self._pending.waves.force
+        error = None if status is ForceStatus.STOPPED or self._pending.lost > 0.0 else self.error
+        if error is not None:
+            error += self._pending.waves.force
         return ToolForce(wrench, at.stiffness, status, solves, residual, time.perf_counter() - began, at.inertial,
                          waiting, at.pose if tool.twist is None else tool.given(at.pose), ahead, within,
                          at.stiffness_time + waiting, error, waiting, True,

@@ -14,7 +14,17 @@ from haptics.devices.settings import read_settings
 from haptics.devices.virtual.faults import Faults
 from haptics.emulators.terminal import TerminalEmulator
 from haptics.protocols import tic
-from haptics.protocols.tic import Command, Errors, Flags, Planning, ReceivedCommand, Setting, State, Variable
+from haptics.protocols.tic import (
+    Command,
+    Errors,
+    Flags,
+    InputState,
+    Planning,
+    ReceivedCommand,
+    Setting,
+    State,
+    Variable,
+)
 from tissue_sim.errors import InputError
 
 #: Time for which "exit safe start" is valid, s (section 5.4).
@@ -25,6 +35,9 @@ _KEEP_ALIVE = frozenset({Command.SET_TARGET_POSITION, Command.SET_TARGET_VELOCIT
                          Command.RESET_COMMAND_TIMEOUT})
 #: Errors that put the Tic into the state RESET.
 _RESET_ERRORS = Errors.DRIVER_ERROR | Errors.LOW_VIN
+#: Input state of each requested motion.
+_INPUT_STATES = {Planning.OFF: InputState.HALT, Planning.POSITION: InputState.POSITION,
+                 Planning.VELOCITY: InputState.VELOCITY}
 
 
 class TicEmulator(TerminalEmulator):
@@ -272,7 +285,7 @@ class TicEmulator(TerminalEmulator):
                 (Variable.MAX_ACCELERATION, self._max_acceleration, 4), (Variable.CURRENT_POSITION, count, 4),
                 (Variable.CURRENT_VELOCITY, velocity, 4), (Variable.ACTING_TARGET_POSITION, target, 4),
                 (Variable.VIN_VOLTAGE, 12_000, 2), (Variable.UP_TIME, uptime, 4),
-                (Variable.INPUT_STATE, self._input, 1)):
+                (Variable.INPUT_STATE, _INPUT_STATES[self._input], 1)):
             # Negative numbers are sent in two's complement.
             block[variable:variable + size] = (int(value) & ((1 << 8 * size) - 1)).to_bytes(size, "little")
         return bytes(block)

@@ -22,8 +22,9 @@ class LinearisationError:
     this difference in the time `interval` between the two models. Models are used until they are one to two intervals
     old, so the term grows in proportion to the age of a model that is older.
 
-    The second term is the error by linearisation. The difference of two models at the pose of the tool, divided by the
-    square of the distance to the pose of the first model, gives `growth`. It describes the tissue between the poses of
+    The second term is the error by linearisation. Two models at the distances d1 and d2 from the pose of the tool have
+    the errors growth d1**2 and growth d2**2, of the same sign while the tool moves on. Their difference divided by
+    d1**2 - d2**2 gives `growth` (Richardson's extrapolation). It describes the tissue between the poses of
     the two models, so the estimate is valid up to `_VALID` times the distance between these poses. Beyond, and before
     two models of the deformed tissue have come, the error is unknown. Two models of the undeformed tissue are equal;
     their difference contains no information and must not be passed to `learn`.
@@ -60,7 +61,8 @@ class LinearisationError:
         factor = max(1.0, shear_modulus / self.shear_modulus) if self.shear_modulus > 0.0 else 1.0
         self.base, self.growth, self.shear_modulus = factor * self.base, factor * self.growth, shear_modulus
 
-    def learn(self, missed: float, distance: float, between: float, time: float, interval: float = 0.0) -> None:
+    def learn(self, missed: float, distance: float, between: float, time: float, interval: float = 0.0,
+              newer: float = 0.0) -> None:
         """Update the estimate with the difference of two successive models.
 
         Args:
@@ -69,10 +71,12 @@ class LinearisationError:
             between: distance between the poses of the two models, m.
             time: at which the second one was made, s.
             interval: time between the two, s.
+            newer: distance of the tool from the pose of the second model, m.
         """
         # Two models of nearly the same pose say nothing about larger distances: they raise the estimate only.
         memory = _MEMORY if between >= self.short else 1.0
-        self.growth = max(memory * self.growth, missed / max(distance, self.short) ** 2)
+        squares = max(distance**2 - newer**2, self.short**2)
+        self.growth = max(memory * self.growth, missed / squares)
         self.reach, self.time = max(memory * self.reach, between), time
         self.base, self.interval = missed, interval
 

@@ -98,7 +98,7 @@ class ModelTransition:
         new = self._newest
         if new.has_contact and new.material == old.material:
             self.estimate.learn(self._size(missed), self.distance(old, pose), self.distance(old, new.pose), new.time,
-                                new.time - old.time)
+                                new.time - old.time, self.distance(new, pose))
 
     def _size(self, wrench: Screw) -> float:
         """Force of a wrench, or its torque over the contact radius if that is larger, N."""

@@ -107,6 +107,14 @@ class Planning(IntEnum):
     VELOCITY = 2
 
 
+class InputState(IntEnum):
+    """Values of the variable "input state" of a Tic that is controlled by a serial line (section 7)."""
+
+    HALT = 2
+    POSITION = 3
+    VELOCITY = 4
+
+
 class Variable(IntEnum):
     """Offsets of variables (section 7). The block of `Status` begins at `STATUS`."""
 

@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 from scenes.catalogue import SCENES
 from scenes.commands.shared.console import progress_console
-from scenes.commands.shared.experiment_flags import add_experiment_flags, check_scene, make_experiment, make_protocol
+from scenes.commands.shared.experiment_flags import (
+    add_experiment_flags,
+    check_scene,
+    make_experiment,
+    make_protocol,
+    refuse_corrections,
+)
 from scenes.commands.shared.parsing import Parser, add_json, at_least, not_negative, positive
 from scenes.commands.shared.tissue_flags import add_reduced_flag, add_solver_flags, check_solver, read_reduced
 from scenes.stop_signals import stopped_by_signals
@@ -104,6 +110,7 @@ def run(arguments) -> int:
         InputError: missing material, unknown scene or solver, or values that scene or server do not accept.
     """
     check_scene(arguments.scene)
+    refuse_corrections(arguments)
     check_solver(arguments.solver)
     reduced = read_reduced(arguments)
     if arguments.material is None and reduced is None:

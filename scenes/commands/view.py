@@ -16,6 +16,7 @@ from scenes.commands.shared.experiment_flags import (
     check_scene,
     make_experiment,
     make_protocol,
+    refuse_corrections,
 )
 from scenes.commands.shared.parsing import Parser, add_json, at_least, positive
 from scenes.commands.shared.tissue_flags import (
@@ -98,12 +99,7 @@ def run(arguments) -> int:
     check_scene(arguments.scene)
     if arguments.headless and arguments.seconds is None:
         raise InputError("is required with --headless. Give the duration in s", field="--seconds")
-    if arguments.tilt_mm is not None:
-        raise InputError("corrects whole force curves and is not available in real time. Leave this flag out",
-                         field="--tilt-mm")
-    if arguments.slip:
-        raise InputError("corrects whole force curves and is not available in real time. Leave this flag out, or use "
-                         "--friction", field="--slip")
+    refuse_corrections(arguments)
     if arguments.run_folder or arguments.sensor or arguments.stage:
         return _show_bench(arguments)
     check_solver(arguments.solver)

@@ -76,3 +76,14 @@ def test_the_first_converged_force_of_another_material_is_right(factor):
     converged = [answer for answer in answers if answer.status is ts.ForceStatus.CONVERGED]
     assert len(converged) > 10
     assert [answer.force for answer in converged] == pytest.approx([factor * before.force] * len(converged), rel=0.01)
+
+
+def test_growth_is_that_of_the_difference_of_both_errors():
+    """Models at 2 mm and 1 mm from the tool differ by three quarters of the error of the first one."""
+    estimate = LinearisationError(8e-3)
+    growth = 5e3
+    estimate.learn(growth * (4e-6 - 1e-6), 2e-3, 1e-3, 0.1, 0.1, newer=1e-3)
+    assert estimate.growth == pytest.approx(growth)
+    # A tool that turned round, with both models at one distance, gives no infinite growth.
+    estimate.learn(1e-3, 2e-3, 1e-3, 0.2, 0.1, newer=2e-3)
+    assert estimate.growth <= max(growth, 1e-3 / estimate.short**2)

@@ -287,6 +287,9 @@ def test_the_status_line_is_read_from_the_ring(tmp_path):
     (["--material", "missing.json"], "missing.json"),
     (["--depth-mm", "70"], "deeper than the specimen is high"),
     (["--ring", "taken"], "taken: exists already"),
+    (["--reduced", "any.npz", "--slip", "0.2"], "--slip: corrects whole force curves"),
+    (["--tilt-mm", "0.3"], "--tilt-mm: corrects whole force curves and is not available in real time"),
+    (["--slip", "0.0001"], "--slip: corrects whole force curves and is not available in real time"),
 ])
 def test_invalid_arguments_get_one_sentence(words, expected, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

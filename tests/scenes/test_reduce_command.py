@@ -38,3 +38,10 @@ def test_a_box_beyond_the_specimen_is_refused(shape, tmp_path, capsys):
                  "0.3", "--sideways-mm", "35", "-o", str(path)]) == 2
     assert "there is none under it at -35 and -35 mm; make the box smaller" in capsys.readouterr().err
     assert not path.exists()
+
+
+def test_the_help_names_no_flag_that_the_command_lacks(capsys):
+    assert main(["reduce", "--help"]) == 0
+    assert "--solid" not in capsys.readouterr().out
+    assert main(["simulate", "--help"]) == 0
+    assert "all shapes but the cylinder require" in " ".join(capsys.readouterr().out.split())

@@ -197,6 +197,8 @@ def test_ctrl_c_ends_with_counters(root, material):
     (["--largest-force-N", "1e6"], "--largest-force-N: must be at most 100 N; got 1e+06 N"),
     (["--session", "0"], "must be a whole number of at least 1; got '0'"),
     (["--spin-us", "-1"], "must be zero or a positive number; got '-1'"),
+    (["--tilt-mm", "0.3"], "--tilt-mm: corrects whole force curves and is not available in real time"),
+    (["--slip", "0.0001"], "--slip: corrects whole force curves and is not available in real time"),
 ])
 def test_bad_input_is_one_sentence(material, capsys, words, expected):
     capsys.readouterr()

@@ -63,9 +63,10 @@ def test_no_step_takes_more_and_the_next_equilibrium_is_the_right_one(work, iner
         assert work[0] <= MOST + has_new_stiffness and answers[-1].iterations < MOST
         reserved += work[0] > MOST
     assert reserved <= len(WAY) / 10 + 1, "a reserved solution in every tenth step at most"
-    late = np.array([answer.status is LATE for answer in answers])
+    # Equilibria of this time; those of an impact are LATE even without a bound, since a tick does not resolve it.
+    late = np.array([answer.age > 0.0 for answer in answers])
     assert max(solutions) > MOST and late.any(), "else nothing is tested"
-    assert {answer.status for answer in expected} == {CONVERGED} and late.mean() < 0.1
+    assert all(answer.age == 0.0 for answer in expected) and late.mean() < 0.1
     apart = np.array([abs(one.force - other.force) for one, other in zip(answers, expected, strict=True)])
     largest = max(answer.force for answer in expected)
     assert apart[~late].max() < 0.01 * largest

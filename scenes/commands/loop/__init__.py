@@ -17,6 +17,7 @@ from scenes.commands.shared.experiment_flags import (
     check_scene,
     make_experiment,
     make_protocol,
+    refuse_corrections,
 )
 from scenes.commands.shared.parsing import Parser, add_json, at_least, not_negative, positive
 from scenes.commands.shared.tissue_flags import (
@@ -140,6 +141,7 @@ def run(arguments) -> int:
         InputError: flags that contradict each other, or values that scene, motion or device do not accept.
     """
     check_scene(arguments.scene)
+    refuse_corrections(arguments)
     name = arguments.device or arguments.motion or ("protocol" if arguments.protocol else "random")
     if arguments.device and arguments.motion:
         raise InputError("cannot be combined with --device. Give one of them", field="--motion")

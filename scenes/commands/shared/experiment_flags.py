@@ -38,12 +38,14 @@ def add_experiment_flags(parser: Parser, *, motion: bool = True) -> None:
 
     Args:
         parser: parser of the command.
-        motion: whether the command accepts flags of the motion.
+        motion: whether the command accepts flags of the motion. Without them the command always simulates in three
+            dimensions and has no flag --solid.
     """
     if motion:
         _add_motion(parser)
-    _add_specimen(parser)
-    _add_tool(parser)
+    needs = "; requires --solid" if motion else ""
+    _add_specimen(parser, needs)
+    _add_tool(parser, needs)
 
 
 def _add_motion(parser: Parser) -> None:
@@ -61,11 +63,17 @@ def _add_motion(parser: Parser) -> None:
                         help="speed of the tool where the protocol states none (default: 0.248)")
 
 
-def _add_specimen(parser: Parser) -> None:
-    """Add the flags of the specimen: shape, sizes, mesh file and self-weight."""
+def _add_specimen(parser: Parser, needs: str) -> None:
+    """Add the flags of the specimen: shape, sizes, mesh file and self-weight.
+
+    Args:
+        parser: parser of the command.
+        needs: end of the help of flags that require a simulation in three dimensions.
+    """
+    others = needs.replace("requires", "all shapes but the cylinder require")
     specimen = parser.add_argument_group("specimen")
     specimen.add_argument("--shape", choices=tuple(SPECIMENS),
-                          help="shape of the specimen (default: cylinder); all shapes but the cylinder require --solid")
+                          help=f"shape of the specimen (default: cylinder){others}")
     for key, (declaration, name, shapes) in specimen_sizes().items():
         size = DEFAULT_CYLINDER_SIZES.get(key)
         default = "" if size is None else f" (default of the cylinder: {size:g})"
@@ -73,7 +81,7 @@ def _add_specimen(parser: Parser) -> None:
                               help=f"{name.replace('_', ' ')} of a specimen of shape {' or '.join(shapes)}{default}")
     specimen.add_argument("--mesh", type=Path, metavar="FILE",
                           help="mesh of a specimen of any shape: .msh, .vtu, .vtk or .inp file of tetrahedra or "
-                               "hexahedra with z upwards; requires --solid")
+                               f"hexahedra with z upwards{needs}")
     specimen.add_argument("--mesh-unit", choices=("m", "cm", "mm", "um", "in"),
                           help="length unit of the mesh file (default: mm)")
     specimen.add_argument("--mesh-base", metavar="NAME",
@@ -91,8 +99,8 @@ def _add_specimen(parser: Parser) -> None:
                                "the specimen settles (default: moulded)")
 
 
-def _add_tool(parser: Parser) -> None:
-    """Add the flags of the tool and of the contact at its faces."""
+def _add_tool(parser: Parser, needs: str) -> None:
+    """Add the flags of the tool and of the contact at its faces; arguments as of `_add_specimen`."""
     tool = parser.add_argument_group("tool and interfaces (default: as the scene defines)")
     tool.add_argument("--tool", metavar="SHAPE",
                       help=f"{', '.join(shapes_without_file())}, or a file with the columns r and z of its profile")
@@ -114,10 +122,10 @@ def _add_tool(parser: Parser) -> None:
     tool.add_argument("--tilt-mm", type=positive, metavar="N",
                       help="height difference across the face of a tilted tool; corrects the force curve")
     tool.add_argument("--offset-mm", type=between(-1e3, 1e3), metavar="N",
-                      help="distance of the needle from the axis of the specimen; requires --solid")
+                      help=f"distance of the needle from the axis of the specimen{needs}")
     tool.add_argument("--tilt-deg", type=between(-80.0, 80.0), metavar="N",
                       help="angle between the needle and the axis of the specimen; the needle moves along its own "
-                           "axis; requires --solid")
+                           f"axis{needs}")
     tool.add_argument("--slip", type=between(0.0, 1.0), metavar="N",
                       help="fraction of the bonded faces that slips: interpolates between the bonded and the "
                            "frictionless test")
@@ -148,6 +156,21 @@ def make_protocol(arguments) -> Protocol:
         raise InputError("cannot be combined with --protocol, which states its own depths. Leave one of them out",
                          field="--depth-mm")
     return Protocol.parse(arguments.protocol, arguments.points, speed)
+
+
+def refuse_corrections(arguments) -> None:
+    """Refuse the flags of corrections of whole force curves, which do not exist in real time.
+
+    Args:
+        arguments: parsed arguments of `add_experiment_flags`.
+
+    Raises:
+        InputError: ``--tilt-mm`` or ``--slip`` was given.
+    """
+    for name, remedy in (("tilt_mm", ""), ("slip", ", or use --friction")):
+        if getattr(arguments, name) is not None:
+            raise InputError("corrects whole force curves and is not available in real time. Leave this flag out"
+                             f"{remedy}", field=f"--{name.replace('_', '-')}")
 
 
 def make_experiment(arguments, protocol: Protocol, material: Material) -> Experiment:

@@ -21,6 +21,7 @@ from scenes.viewer.picture_file import Curve, compose_png
 from scenes.viewer.plots import LIGHT, depth_grid
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace, recording_files
+from tissue_sim.errors import InputError
 
 #: Time that a browser may take to render the picture that is saved, s.
 _RENDER_TIMEOUT = 8.0
@@ -90,7 +91,13 @@ class SaveControls:
         if frame is None or trace is None or len(trace) < 5:
             reply_to(event)("There is no curve yet. Move the tool first.")
             return
-        for name, content in curve_files(frame.scene, trace).items():
+        try:
+            files = curve_files(frame.scene, trace)
+        except InputError as error:
+            # This runs in the thread that shows the frames, which an exception would end.
+            reply_to(event)(f"The curve {error.problem}")
+            return
+        for name, content in files.items():
             send_file(event.client, name, content)
 
     def _save_picture(self, event: viser.GuiEvent) -> None:

@@ -18,7 +18,7 @@ from haptics.devices.tic import TicStage, open_tic
 from haptics.devices.virtual.faults import Faults
 from haptics.emulators.emulator import open_emulator
 from haptics.emulators.tic import TicEmulator
-from haptics.protocols.tic import Errors
+from haptics.protocols.tic import Errors, InputState, Variable
 from tissue_sim.errors import InputError
 
 
@@ -30,7 +30,7 @@ class TestTic(StageContract):
     more = ""
 
     @pytest.fixture
-    def stage(self):
+    def stage(self, patient):
         self.clock = Clock()
         with open_emulator("tic:" + self.settings, bench(start_at=0.002, clock=self.clock)) as emulator:
             stage = open_stage(emulator.address + self.more)
@@ -55,7 +55,13 @@ def clock():
 
 
 @pytest.fixture
-def emulator(clock):
+def patient(monkeypatch):
+    """Let a stage wait long for an answer: the thread of the emulator may wait for a busy machine."""
+    monkeypatch.setattr(tic_stage, "TIMING", replace(tic_stage.TIMING, answer=30.0))
+
+
+@pytest.fixture
+def emulator(clock, patient):
     with TicEmulator(bench(clock=clock), Faults()) as emulator:
         yield emulator
 
@@ -206,6 +212,17 @@ def test_homing_without_a_limit_switch_raises(emulator, clock):
     stage.start()
     with pytest.raises(DeviceError, match="does not begin to home; assign a reverse limit switch"):
         stage.home()
+    stage.stop()
+
+
+@pytest.mark.parametrize(("request_motion", "state"), [
+    (lambda stage: stage.move(0.004, 0.001), InputState.POSITION), (lambda stage: stage.halt(), InputState.VELOCITY)])
+def test_the_input_state_is_that_of_the_requested_motion(emulator, clock, request_motion, state):
+    """Values of the variable at 0x4C: 2 halt, 3 target position, 4 target velocity (section 7)."""
+    assert emulator._variables()[Variable.INPUT_STATE] == InputState.HALT == 2
+    stage = homed(emulator, clock)
+    request_motion(stage)
+    wait_for(lambda: emulator._variables()[Variable.INPUT_STATE] == state, event="the requested motion")
     stage.stop()
 
 
