@@ -55,7 +55,7 @@ def test_units_and_spelling(tmp_path):
 @pytest.mark.parametrize(("text", "field", "words"), [
     ('{"schema": "tissue_sim/rig/1", "compliance_mm": 1}', "compliance_mm", "did you mean 'compliance_mm_per_N'?"),
     ('{"schema": "tissue_sim/rig/1", "backlash_mm": "much"}', "backlash_mm", "a number"),
-    ('{"schema": "tissue_sim/rig/1", "backlash_mm": -1}', "backlash_mm", "must be 0 \\(absent\\) or positive; got -1"),
+    ('{"schema": "tissue_sim/rig/1", "backlash_mm": -1}', "backlash_mm", "must be 0 (absent) or positive"),
     ('{"schema": "tissue_sim/rig/1", "sampling_rate_Hz": 0}', "sampling_rate_Hz",
      "must be positive, or None; got 0 Hz"),
     ('{"schema": "tissue_sim/rig/1", "latency_s": 1e999}', "latency_s", "finite"),

@@ -45,8 +45,7 @@ class Resolution(NamedTuple):
 
     Attributes:
         element: element type.
-        smallest, growth, largest: sizes of the intervals from the edge of a tool's face outwards, in its radii, and the
-            ratio of successive intervals.
+        smallest, growth, largest: intervals from the edge of a tool's face outwards, in its radii, and their ratio.
         around: number of elements along a quarter of the edge.
         layer_elements: smallest number of elements through a layer of the material.
     """
