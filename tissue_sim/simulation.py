@@ -82,8 +82,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
 
     The protocol is the motion that the rig's stage reports; with a compliant load train the displacement of the tool is
     found together with its force. For faces that slip in part the bonded and the frictionless test are simulated, each
-    with its own load train; fields are those of the bonded one. Between two samples the stress of the law is linear in
-    time.
+    with its own load train; fields are those of the bonded one. The law's stress is linear between samples.
 
     The error of the force is estimated from a second solution on another mesh with every second sample, if the solver
     has such a mesh; more than `force_error.WORTH_A_WARNING` of the largest force gives a warning. The estimate doubles
