@@ -266,5 +266,5 @@ def test_what_nothing_holds_is_refused_off_its_middle():
     """A base without a node on the axis."""
     mesh = block_mesh(np.linspace(-0.01, 0.01, 4), np.linspace(-0.01, 0.01, 4), np.linspace(-0.01, 0.0, 4), HEX8P0)
     experiment = ts.Experiment(ts.Block(0.02, 0.02, 0.01), ts.Protocol.ramp(1e-3, 2), friction=0.3, friction_base=0.3)
-    with pytest.raises(ts.InputError, match="neither base nor tool keeps the specimen.*; let it stick to one"):
+    with pytest.raises(ts.InputError, match=r"neither base nor tool keeps the specimen.*; let it stick to one"):
         make_solver(ts.Model(experiment, ts.Material("neo_hooke", {"C10": 400.0})), mesh=mesh)
