@@ -12,7 +12,7 @@ import numpy as np
 
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.fem.solver import SOLVERS, Solver, Step, StepStatus
-from tissue_sim.force_error import WORTH_A_WARNING, ForceError, force_error, other_steps
+from tissue_sim.force_error import WORTH_A_WARNING, ForceError, coarse_samples, force_error
 from tissue_sim.laws import check_stability
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.model import Model
@@ -55,9 +55,8 @@ class SimulationSettings:
 
 
 _SETTINGS = SimulationSettings()
-#: Remedy in the warning of a large error.
+#: Remedy in the warning of a large error; `_REMEDIES` for single resolutions.
 _REMEDY = 'more samples show it'
-#: Resolution -> remedy.
 _REMEDIES = {"fast": 'the resolution "accurate" or more samples show it'}
 #: Step of a tool in the air.
 _NOTHING = Step.axial(StepStatus.CONVERGED, 0, 0.0, 0.0)
@@ -83,8 +82,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
 
     The protocol is the motion that the rig's stage reports; with a compliant load train the displacement of the tool is
     found together with its force. For faces that slip in part the bonded and the frictionless test are simulated, each
-    with its own load train; fields are those of the bonded one. Between two samples the stress of the law is linear in
-    time.
+    with its own load train; fields are those of the bonded one. The law's stress is linear between samples.
 
     The error of the force is estimated from a second solution on another mesh with every second sample, if the solver
     has such a mesh; more than `force_error.WORTH_A_WARNING` of the largest force gives a warning. The estimate doubles
@@ -190,8 +188,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
                          resolution, topology, max(_SETTINGS.always_to_compare,
                                                    _SETTINGS.most_to_compare * report["newton_iterations"]))
         if found is not None:
-            report["force_error"] = found.share
-            if found.share > WORTH_A_WARNING:
+            report["force_error"] = found.fraction
+            if found.fraction > WORTH_A_WARNING:
                 report["warnings"] = [found.in_words(protocol.displacement, _REMEDIES.get(resolution, _REMEDY)),
                                       *report["warnings"]]
     cuts = report["cuts"]
@@ -235,17 +233,17 @@ def _compare(tissue: Solver, model: Model, force: np.ndarray, solver: str, resol
             other.append(model.experiment.resistance(drive.arrive(step.wrench, dt)))
         return np.array(other)
 
-    samples = other_steps(protocol.displacement)
+    samples = coarse_samples(protocol.displacement)
     other = forces(samples)
     common = np.flatnonzero(samples[:other.size] % 1.0 == 0.0)
     found = force_error(force, samples[common].astype(int), other[common], estimate.fraction)
-    if found is None or found.share <= WORTH_A_WARNING:
+    if found is None or found.fraction <= WORTH_A_WARNING:
         return found
     # A step in which contact begins again may err by many times more than a step half as long. Errors in proportion to
     # the step length, and the error of the mesh, are at most twice the difference to steps half as long.
     other = forces(0.5 * np.arange(2 * protocol.time.size - 1))[::2]
     again = force_error(force, np.arange(force.size), other, 2.0 * estimate.fraction, shorter=True)
-    return again if again is not None and other.size == force.size and again.share < found.share else found
+    return again if again is not None and other.size == force.size and again.fraction < found.fraction else found
 
 
 def _note_largest(report: dict, step: Step) -> None:

@@ -55,8 +55,8 @@ class Simulator(PathFollower, KernelOwner):
         resolution: as in `simulate`. With a budget ``"realtime"`` is the finest mesh whose steps fit into the budget on
             this computer, chosen by `warm_up`; ``"realtime_63"`` and similar names fix the mesh.
         mesh: mesh to use instead.
-        budget: wall time of a step, s, after which the step returns an extrapolated force (`ForceStatus.LATE`); None: no
-            limit, and the same motion gives the same forces bit for bit.
+        budget: wall time of a step, s, after which the step returns an extrapolated force (`ForceStatus.LATE`); None:
+            no limit, and the same motion gives the same forces bit for bit.
         inertia: ``"auto"``: the mass of the tissue acts if the tool is faster than
             `tissue_sim.path_following.INERTIAL_SPEED`, if the solver has a mass, and if the steps resolve the motion
             (`tissue_sim.explicit_coupling.MotionCheck`); ``"on"``, ``"off"``.
@@ -297,7 +297,7 @@ class Simulator(PathFollower, KernelOwner):
 
     @exclusive
     def save(self) -> SimulatorState:
-        """Return the state on which the next step depends, without parameters. A damped path is stopped and restarted."""
+        """Return the state on which the next step depends, without parameters; a damped path is restarted."""
         self._stop_creeping()
         return SimulatorState(self._origin, self._solver.save(), self._answer, self._equilibrium, self._tool.copy(),
                               self._pose, self._leaps, self._pending.copy(), self._lingers, self._share, self._begins,

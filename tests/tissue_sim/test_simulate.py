@@ -313,7 +313,7 @@ class TestExperiment:
 
     @pytest.mark.parametrize("values", [(-0.04, 0.07), (0.04, 0.0), (float("nan"), 0.07)])
     def test_sizes(self, values):
-        with pytest.raises(ts.InputError, match="not positive"):
+        with pytest.raises(ts.InputError, match="must be a positive length"):
             ts.Specimen(*values)
 
     @pytest.mark.parametrize(("time", "displacement", "words"), [

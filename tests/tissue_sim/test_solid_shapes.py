@@ -140,7 +140,7 @@ def test_a_shell_that_moves_as_a_whole_feels_nothing():
 
 
 @pytest.mark.parametrize(("changes", "field", "words"), [
-    ({"friction_base": "frictionless"}, "friction_base", "the base of an ellipsoid shell is curved"),
+    ({"friction_base": "frictionless"}, "friction_base", "must be 'bonded' below an ellipsoid shell"),
     ({"tool": ts.Tool("plate"), "friction": "bonded"}, "friction", "a plate cannot be bonded to the curved top")])
 def test_what_a_curved_surface_cannot_be(changes, field, words):
     stated = {"tool": ts.Tool("round", 4e-3), "friction": "stick", "friction_base": "bonded"} | changes
@@ -194,7 +194,7 @@ class TestRegions:
         with pytest.raises(ts.InputError, match="the mesh has no region 'lift'; did you mean 'left'"):
             make_solver(self.model({"lift": MATERIAL}), mesh=mesh)
         twice = replace(mesh, regions={"left": np.arange(4), "right": np.arange(3, 6)})
-        with pytest.raises(ts.InputError, match="an element lies in two regions"):
+        with pytest.raises(ts.InputError, match="must contain each element in at most one region"):
             make_solver(self.model(self.PARTS), mesh=twice)
         with pytest.raises(ts.InputError, match="a region has no layers"):
             replace(MATERIAL, regions={"left": replace(MATERIAL, layers=(ts.Layer(1e-3, 2.0),))})
@@ -215,7 +215,7 @@ def test_a_block_by_flags(tmp_path, capsys):
     assert main([*words[:7], *words[9:]]) == 2
     assert "--width-mm: a block needs a width" in capsys.readouterr().err
     assert main([word for word in words if word != "--solid"]) == 2
-    assert "the axisymmetric solver takes cylinders only, and the specimen is a block" in capsys.readouterr().err
+    assert "the axisymmetric solver requires a cylinder; the specimen is a block" in capsys.readouterr().err
 
 
 def test_a_block_in_a_campaign(tmp_path):
@@ -266,5 +266,5 @@ def test_what_nothing_holds_is_refused_off_its_middle():
     """A base without a node on the axis."""
     mesh = block_mesh(np.linspace(-0.01, 0.01, 4), np.linspace(-0.01, 0.01, 4), np.linspace(-0.01, 0.0, 4), HEX8P0)
     experiment = ts.Experiment(ts.Block(0.02, 0.02, 0.01), ts.Protocol.ramp(1e-3, 2), friction=0.3, friction_base=0.3)
-    with pytest.raises(ts.InputError, match="neither base nor tool holds it; let it stick to one"):
+    with pytest.raises(ts.InputError, match=r"neither base nor tool keeps the specimen.*; let it stick to one"):
         make_solver(ts.Model(experiment, ts.Material("neo_hooke", {"C10": 400.0})), mesh=mesh)
