@@ -96,7 +96,7 @@ def test_too_few_specimens_and_undetermined_parameters_are_refused():
         alone([1.0], [1.0])
     with pytest.raises(InputError, match="the fit of 1 does not determine a"):
         alone([1.0, 2.0], [1.0, np.inf])
-    with pytest.raises(InputError, match="expected"):
+    with pytest.raises(InputError, match="must have the shapes"):
         estimate_population(["a"], ["x", "y"], np.zeros((2, 2)), np.zeros((2, 2, 2)))
 
 
