@@ -131,7 +131,7 @@ def test_pooled_specimens_are_said_to_differ(animals, tmp_path):
     result, = calibration.calibrate([folder / "pooled.toml"], tmp_path / "out", figures=False)
     assert result.best.population is None
     warning, = (each for each in result.best.warnings if "the specimens differ" in each)
-    assert "its own C10, C20" in warning and "'per_specimen'" in warning
+    assert "individual values of C10, C20" in warning and "'per_specimen'" in warning
 
 
 def test_one_material_in_all_specimens_differs_in_nothing(animals, tmp_path):
