@@ -19,7 +19,7 @@ from calibration.campaign.digest import digest_of
 from calibration.campaign.measured import MeasuredCurve, read_measured, scale_offsets
 from calibration.diagnosis.confirmation import gap, region_gaps, unseen_replicates, unseen_tests
 from calibration.diagnosis.diagnosis import Diagnosis, Stage
-from calibration.diagnosis.duration import in_words, seconds_of_each
+from calibration.diagnosis.duration import in_words, simulation_seconds
 from calibration.diagnosis.evidence import Evidence, Measured, gather, whole_campaign
 from calibration.diagnosis.next_experiment import next_experiments
 from calibration.diagnosis.offsets import settle_contacts
@@ -196,7 +196,7 @@ class CampaignDiagnosis:
         with self._clock.stage("look at the start"):
             estimator, law = Generalised(campaign, self.measured, self.solves), campaign.fit.laws[0]
             estimator.check(law, 0)
-            if self.steps.announce is not None and (words := in_words(seconds_of_each(estimator.problem(law)))):
+            if self.steps.announce is not None and (words := in_words(simulation_seconds(estimator.problem(law)))):
                 self.steps.announce(f"{campaign.name}: {words}")
 
     def run(self, *, figures: bool, figures_format: str | None = None) -> DiagnosisResult:

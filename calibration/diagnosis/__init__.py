@@ -1,1 +1,1 @@
-"""Where simulation and measurement disagree, which effect is missing, and what would tell more."""
+"""Diagnosis of a misfit: regions of disagreement, missing effects, and further experiments that separate them."""

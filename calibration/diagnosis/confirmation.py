@@ -1,4 +1,4 @@
-"""Whether what was added holds: the gap region by region, and data that the fits have not seen."""
+"""Confirmation of a diagnosis: misfit in each region before and after, and predictions of unseen data."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy import linalg, special
 from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.diagnosis import HeldOut, RegionGap
 from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.refits import with_own_corrections
+from calibration.diagnosis.refits import copy_problem
 from calibration.fit.estimate import Estimate, settle
 from calibration.fit.fit import Region
 from calibration.fit.generalised import Generalised
@@ -23,32 +23,39 @@ from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.contract import InfeasibleError
 from tissue_sim.errors import InputError
 
-#: Below this probability the logarithm of a chi-square tells the deviations.
+#: P value below which Fisher's normal approximation of chi-square gives the equivalent standard deviations.
 _SMALLEST = 1e-14
-#: A hold whose force changes by less than this many standard errors of its ends does not change.
-_STEADY = 4.0
-#: Share of a hold that its ends are averaged over.
-_END = 0.1
+#: Change of the force over a hold that counts as significant, in standard errors.
+_SIGNIFICANT_CHANGE = 4.0
+#: Fraction of a hold over which the force at each end is averaged.
+_END_FRACTION = 0.1
 
 
-def settled(evidence: Evidence) -> Evidence:
-    """Evidence with an effect, whose jitter and mesh corrections are those of a fit without it, with its own; the same
-    where that fails."""
+def settle_evidence(evidence: Evidence) -> Evidence:
+    """Recompute jitter and mesh corrections of evidence with an effect, which are those of the fit without it.
+
+    The evidence is returned unchanged if this fit fails.
+    """
     problem = evidence.problem
     stated = Generalised(evidence.campaign, evidence.measured, problem.solves).stated(problem)
-    estimate = settle(with_own_corrections(problem), evidence.estimate.theta, stated)
+    estimate = settle(copy_problem(problem), evidence.estimate.theta, stated)
     return Evidence(evidence.campaign, evidence.measured, estimate) if np.isfinite(estimate.error) else evidence
 
 
 def deviations(region: Region) -> float:
-    """How improbable a region's residuals are, in deviations of a normal distribution."""
+    """Return the number of standard deviations of a normal distribution with the p value of a region (two-sided)."""
     if region.p > _SMALLEST:
-        return max(float(-special.ndtri(0.5 * region.p)), 0.0) + 0.0  # a zero has no sign
+        return max(float(-special.ndtri(0.5 * region.p)), 0.0) + 0.0  # converts -0.0 to 0.0
     return float(np.sqrt(2.0 * region.statistic) - np.sqrt(2.0 * region.freedom - 1.0))
 
 
 def region_gaps(before: Evidence, after: Evidence | None) -> list[RegionGap]:
-    """Each region before and after, with a sentence."""
+    """Return the misfit of each region before and after effects were added, with a description.
+
+    Args:
+        before: fit without effects.
+        after: fit with effects; None: no effect was added.
+    """
     later = {(region.test, region.segment): region for region in (after.regions if after is not None else ())}
     answers = []
     for region in before.regions:
@@ -68,7 +75,7 @@ def region_gaps(before: Evidence, after: Evidence | None) -> list[RegionGap]:
 
 
 def gap(evidence: Evidence) -> float:
-    """Root mean square of what is smooth in the residuals, over all samples, N."""
+    """Return the root mean square of the smooth part of the residuals over all samples, N."""
     weights, total = 0.0, 0.0
     for region in evidence.regions:
         count = sum(int(_inside(curve, region.segment).sum()) for curve in evidence.problem.measured
@@ -79,19 +86,19 @@ def gap(evidence: Evidence) -> float:
 
 
 def unseen_replicates(before: Evidence, after: Evidence | None) -> list[HeldOut]:
-    """The last recording of each test that has three or more, predicted by fits to the others."""
+    """Predict the last recording of each test with at least three recordings by fits to the other recordings."""
     plain = _without_last(before)
     if plain is None:
         return []
     with_effect = None if after is None else _without_last(after)
-    first = _predicted(*plain)
-    second = [None] * len(first) if with_effect is None else _predicted(*with_effect)
+    first = _predict_last(*plain)
+    second = [None] * len(first) if with_effect is None else _predict_last(*with_effect)
     return [_held_out(test.measured[0].name, "replicate", one, two, test.measured)
             for test, one, two in zip(plain[1].tests, first, second, strict=True)]
 
 
 def unseen_tests(before: Evidence, after: Evidence | None) -> list[HeldOut]:
-    """The tests that the campaign holds out."""
+    """Predict the tests that the campaign holds out."""
     found = []
     for test in before.campaign.tests:
         if not test.hold_out:
@@ -101,11 +108,13 @@ def unseen_tests(before: Evidence, after: Evidence | None) -> list[HeldOut]:
     return found
 
 
+#: Root mean square error, N, and whether the residuals are adequate.
 Prediction = tuple[float, bool]
 
 
 def _held_out(name: str, kind: str, before: Prediction | str, after: Prediction | str | None,
               curves: Sequence[MeasuredCurve]) -> HeldOut:
+    """Combine predictions before and after (or the reasons why there are none) to a record."""
     note = "; ".join(dict.fromkeys(each for each in (before, after) if isinstance(each, str)))
     one = before if isinstance(before, tuple) else (None, None)
     two = after if isinstance(after, tuple) else (None, None)
@@ -115,6 +124,7 @@ def _held_out(name: str, kind: str, before: Prediction | str, after: Prediction 
 
 
 def _predict_test(evidence: Evidence, name: str) -> Prediction | str:
+    """Predict a held-out test; return the reason if this is impossible."""
     asked = next(test for test in evidence.campaign.tests if test.name == name)
     problem = evidence.problem
     try:
@@ -122,13 +132,16 @@ def _predict_test(evidence: Evidence, name: str) -> Prediction | str:
         test, error = Generalised(evidence.campaign, evidence.measured, problem.solves).held_out(
             asked, evidence.estimate, own)
         unseen = Problem(problem.space, (test,), problem.solves, problem.jitter, (error,))
-        return _predicted_by(unseen, own.theta, own.covariance)[0]
+        return _prediction_errors(unseen, own.theta, own.covariance)[0]
     except (InfeasibleError, InputError) as failure:
         return str(failure)
 
 
 def _without_last(evidence: Evidence) -> tuple[Estimate, Problem] | None:
-    """The fit without the last recording of each test that has three or more, and the problem of these."""
+    """Return the fit without the last recording of each test with three or more, and the problem of these recordings.
+
+    None if no test has three recordings.
+    """
     problem = evidence.problem
     repeated = [len(test.measured) > 2 for test in problem.tests]
     if not any(repeated):
@@ -151,27 +164,34 @@ def _without_last(evidence: Evidence) -> tuple[Estimate, Problem] | None:
     return estimate, last
 
 
-def _predicted(estimate: Estimate, last: Problem) -> list[Prediction | str]:
+def _predict_last(estimate: Estimate, last: Problem) -> list[Prediction | str]:
+    """Predict each test of a problem from an estimate; return the reason if this is impossible."""
     if not np.isfinite(estimate.error):
         return [f"no fit to the others: {estimate.failure}"] * len(last.tests)
     covariance = assess_uncertainty(estimate.problem, estimate.evaluation).covariance
     try:
-        return list(_predicted_by(last, estimate.theta, covariance))
+        return list(_prediction_errors(last, estimate.theta, covariance))
     except InfeasibleError as failure:
         return [str(failure)] * len(last.tests)
 
 
-def _predicted_by(unseen: Problem, theta: np.ndarray, covariance: np.ndarray) -> list[Prediction]:
-    """Error of each test, N, with contact and zero of its recordings, and whether what is left is chance.
+def _prediction_errors(unseen: Problem, theta: np.ndarray, covariance: np.ndarray) -> list[Prediction]:
+    """Return the prediction error of each test, and whether its residuals are adequate.
 
-    The parameters' uncertainty counts as a prior of theirs.
+    Contact offset and zero of each recording are fitted. The covariance of the parameters enters the residual tests as
+    a prior.
+
+    Args:
+        unseen: problem with recordings that were not fitted.
+        theta: free parameters of the prediction, SI, shape (p,).
+        covariance: covariance of the parameters, shape (p, p).
     """
     evaluation = unseen.evaluate(theta)
     sizes = unseen.sizes(theta)
     scaled = covariance / np.outer(sizes, sizes)
     values, axes = linalg.eigh(0.5 * (scaled + scaled.T))
     known = values > 1e-14 * max(values.max(initial=0.0), 1e-300)
-    # What a bound holds has no uncertainty.
+    # Directions without variance, such as parameters on a bound, get a very narrow prior.
     root = (axes[:, known] / np.sqrt(values[known])).T / sizes
     held = (axes[:, ~known].T / sizes) * 1e6
     rows = np.vstack([root, held])
@@ -187,13 +207,14 @@ def _predicted_by(unseen: Problem, theta: np.ndarray, covariance: np.ndarray) ->
 
 
 def _inside(curve: MeasuredCurve, segment: str) -> np.ndarray:
-    """Samples of a segment; of a third of a loading, all."""
+    """Return the samples of a segment, bool, shape (n,); all samples if the region is a third of a loading."""
     if curve.segment is None or segment not in curve.segment:
         return np.ones(curve.force.size, bool)
     return curve.segment == segment
 
 
 def _speed(curve: MeasuredCurve, inside: np.ndarray) -> float | None:
+    """Return the mean speed over some samples, mm/s, to three digits; None without time."""
     if curve.time is None or inside.sum() < 2:
         return None
     time, displacement = curve.time[inside], curve.displacement[inside]
@@ -203,11 +224,13 @@ def _speed(curve: MeasuredCurve, inside: np.ndarray) -> float | None:
 
 
 def _cycle(segment: str) -> int:
+    """Return the number at the end of a segment's name, such as 2 for ``hold 2``; 1 without a number."""
     last = segment.rpartition(" ")[2]
     return int(last) if last.isdigit() else 1
 
 
 def _sentence(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evidence: Evidence) -> str:
+    """Describe the misfit of a region: change over a hold, or largest deviation, and its significance."""
     place = f"{region.test} {region.segment}"
     if region.adequate:
         return f"{place} agrees"
@@ -217,7 +240,7 @@ def _sentence(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evi
     if region.segment.startswith("hold"):
         (measured, error), (modelled, _) = _changes(region, curves, evidence, "data"), _changes(
             region, curves, evidence, "model")
-        if abs(measured - modelled) > _STEADY * error:
+        if abs(measured - modelled) > _SIGNIFICANT_CHANGE * error:
             goes, sign = ("falls", -1) if measured < 0 else ("rises", 1)
             predicted = f"{sign * factor * modelled:.2g} {unit}" if abs(modelled) > 0.1 * error else "nothing"
             return (f"{place}: the {what} {goes} by {factor * abs(measured):.2g} {unit}, the model's by {predicted} "
@@ -229,12 +252,19 @@ def _sentence(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evi
 
 def _changes(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evidence: Evidence,
              of: str) -> tuple[float, float]:
-    """Change of the force over a hold, mean over its recordings, and the standard error, N."""
+    """Return the mean change of the force over a hold, N, and its standard error, N.
+
+    Args:
+        region: the hold.
+        curves: recordings with their rows in the problem.
+        evidence: fit.
+        of: ``"data"`` or ``"model"``.
+    """
     force = evidence.problem.data if of == "data" else evidence.evaluation.force
     changes, errors = [], []
     for curve, rows in curves:
         inside = force[rows][_inside(curve, region.segment)]
-        end = max(int(_END * inside.size), 1)
+        end = max(int(_END_FRACTION * inside.size), 1)
         changes.append(inside[-end:].mean() - inside[:end].mean())
         errors.append(curve.noise.deviation * np.sqrt(2.0 / end))
     return float(np.mean(changes)), float(np.mean(errors) / np.sqrt(len(errors)))

@@ -1,4 +1,4 @@
-"""What planned experiments could tell: which effects they would show, from which size on, and which are twins there."""
+"""Design of experiments: detectable size of each effect, indistinguishable effects, and expected standard errors."""
 
 from __future__ import annotations
 
@@ -31,11 +31,15 @@ from tissue_sim.errors import InputError
 
 
 class PlannedTest(msgspec.Struct, frozen=True, kw_only=True):
-    """A test as it would be done.
+    """Summary of a planned test.
 
     Attributes:
-        name: of the test. recordings: how many. samples: of one. depth_mm, force_N: the largest. duration_s: of one
-            recording; None without time.
+        name: name of the test.
+        recordings: number of recordings.
+        samples: number of samples of the longest recording.
+        depth_mm: largest displacement, mm.
+        force_N: largest expected force, N.
+        duration_s: duration of the longest recording, s; None without time.
     """
 
     name: str
@@ -47,13 +51,19 @@ class PlannedTest(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Design(msgspec.Struct, frozen=True, kw_only=True):
-    """What the experiments of a campaign could tell, before any of them is done.
+    """Expected information of the planned experiments of a campaign.
 
     Attributes:
-        campaign, law: names. candidates: the catalogue; what can be shown first, the smallest share of its usual size
-            first. parameters: name -> value at which it was asked, SI. symbols, units: name -> symbol, SI unit.
-            standard_errors: that they would have; None where these experiments leave them open, 0 of one that is
-            fixed. noise_N: of the sensors. tests: what is planned.
+        campaign: name of the campaign.
+        law: name of the law.
+        candidates: all effects; testable ones first.
+        parameters: name -> assumed value, SI.
+        symbols: name -> symbol.
+        units: name -> SI unit.
+        standard_errors: name -> expected standard error, SI; None if the experiments do not determine the parameter, 0
+            if it is fixed.
+        noise_N: root mean square of the sensors' noise, N.
+        tests: planned tests.
     """
 
     campaign: str
@@ -69,22 +79,23 @@ class Design(msgspec.Struct, frozen=True, kw_only=True):
 
 def expected_evidence(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]],
                       solves: SimulationCache) -> Evidence:
-    """The evidence of recordings that a plain material at the stated start would give, without their noise.
+    """Return the evidence of noise-free recordings of a material with the starting values of the campaign.
 
     Args:
-        campaign: see `calibration.diagnosis.evidence.whole_campaign`. measured: motions of all recordings; their force
-            does not matter.
+        campaign: campaign from `calibration.diagnosis.evidence.whole_campaign`.
+        measured: test -> recordings, of which only the motions are used.
+        solves: cache of simulations.
 
     Raises:
-        InputError: no start for a parameter of the law, or one at which the tests do not get through.
+        InputError: a parameter has no starting value, or the simulation fails at the starting values.
     """
     campaign = scale_offsets(campaign, measured)
     law = campaign.fit.laws[0]
     problem = build_problem(law, campaign, measured, solves)
     space = problem.space
     if missing := [name for name in space.free if name not in space.start]:
-        raise InputError(f"a design needs a material to begin with; state {', '.join(missing)}", file=campaign.path,
-                         field="fit.start")
+        raise InputError(f"fit.start must give the material of a design; state {', '.join(missing)}",
+                         file=campaign.path, field="fit.start")
     theta = np.array([space.start[name] for name in space.free])
     known = {}
     try:
@@ -93,19 +104,19 @@ def expected_evidence(campaign: Campaign, measured: Mapping[str, tuple[MeasuredC
             known[test.name] = as_simulated(test.measured, [test.evaluate(answer, number, 0.0)[0]
                                                             for number in range(len(test.measured))])
     except InfeasibleError as failure:
-        raise InputError(f"a material of this start does not get through the tests ({failure}); take another one, or "
-                         "less depth", file=campaign.path, field="fit.start") from None
-    # A scatter that nobody states goes with the force, which is known now.
+        raise InputError(f"the tests cannot be simulated with this start ({failure}); state another start or a smaller "
+                         "depth", file=campaign.path, field="fit.start") from None
+    # The default scatter between recordings is proportional to the force, which is known only now.
     jitter = first_jitter(campaign, [curve for curves in known.values() for curve in curves])
     problem = Problem(space, tuple(replace(test, measured=known[test.name]) for test in problem.tests), solves,
-                      jitter, tuple(_left_by_meshes(test, space, theta, solves) for test in problem.tests))
+                      jitter, tuple(_expected_mesh_error(test, space, theta, solves) for test in problem.tests))
     evaluation = problem.evaluate(theta)
     estimate = Estimate(1, theta, evaluation.error, True, "", (), {}, 0.0, problem=problem)
     return Evidence(campaign, {**measured, **known}, estimate)
 
 
-def _left_by_meshes(test: ForwardTest, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> float:
-    """What a fit would not know of the error of its meshes, see `calibration.forward.forms.mesh_uncertainty`."""
+def _expected_mesh_error(test: ForwardTest, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> float:
+    """Return the relative mesh error that a fit would have; see `calibration.forward.forms.mesh_uncertainty`."""
     corrected = replace(test)
     try:
         corrected.update_correction(space, theta, solves)
@@ -116,13 +127,16 @@ def _left_by_meshes(test: ForwardTest, space: ParameterSpace, theta: np.ndarray,
 
 def design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]], context: RunContext,
            solves: SimulationCache | None = None) -> Design:
-    """What these experiments could tell.
+    """Compute the expected information of planned experiments.
 
     Args:
-        campaign, measured: as `expected_evidence`. steps: where the simulations run, and who is told.
+        campaign: see `expected_evidence`.
+        measured: see `expected_evidence`.
+        context: workers and listeners.
+        solves: cache of simulations; None: a new one.
 
     Raises:
-        InputError: as `expected_evidence`.
+        InputError: see `expected_evidence`.
     """
     evidence = expected_evidence(campaign, measured, solves or SimulationCache())
     proposals = propose(evidence, context)
@@ -145,6 +159,7 @@ def design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]]
 
 
 def _planned(name: str, curves: Sequence[MeasuredCurve]) -> PlannedTest:
+    """Summarise the recordings of a planned test."""
     clocks = [curve.clock[-1] - curve.clock[0] for curve in curves if curve.time is not None]
     return PlannedTest(
         name=name, recordings=len(curves), samples=max(curve.force.size for curve in curves),

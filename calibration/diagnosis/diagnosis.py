@@ -1,4 +1,4 @@
-"""What a diagnosis answers: where the gap is, which effects explain it, which cannot be told apart, what was added."""
+"""Records of a diagnosis: verdict, misfit of each region, candidates, added effects and further experiments."""
 
 from __future__ import annotations
 
@@ -18,12 +18,16 @@ VERDICTS: dict[Verdict, str] = {
 
 
 class Number(msgspec.Struct, frozen=True, kw_only=True):
-    """A number of an effect.
+    """Fitted parameter of an effect.
 
     Attributes:
-        path: in the model. symbol, unit: SI. value, standard_error: SI; the error is None where the tests leave it
-            open. absent: value at which the effect is not there; None of a number that means nothing then.
-        bound: on which it ended, SI; None: on none.
+        path: path of the parameter in the model.
+        symbol: symbol.
+        unit: SI unit.
+        value: value, SI.
+        standard_error: standard error, SI; None if the tests do not determine the parameter.
+        absent: value at which the effect is absent, SI; None for a parameter without influence in this case.
+        bound: bound at which the fit ended, SI; None: none.
     """
 
     path: str
@@ -36,17 +40,21 @@ class Number(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def beyond(self) -> bool:
-        """Whether it is a size that ended on a bound, and so no estimate."""
+        """Whether the size of the effect ended on a bound, so that its value is no estimate."""
         return self.bound is not None and self.absent is not None
 
 
 class FoundEffect(msgspec.Struct, frozen=True, kw_only=True):
-    """An effect that was added.
+    """Effect that was added to the model.
 
     Attributes:
-        name, room, title: of the catalogue. tests: in which it acts alone; empty: in all that have it.
-        parameters: its numbers. acts_in: regions where it moves the force most, such as ``needle (hold 1)``.
-        written_to: file that carries it from now on; empty where nothing was written.
+        name: name of the effect.
+        category: category of the effect; ``room`` in JSON.
+        title: name for reports.
+        tests: tests in which the effect acts alone; empty: all tests that have its parameters.
+        parameters: fitted parameters of the effect.
+        acts_in: regions in which the effect changes the force most, such as ``needle (hold 1)``.
+        written_to: output file that contains the effect; empty: none.
     """
 
     name: str
@@ -59,20 +67,31 @@ class FoundEffect(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class CandidateStatement(msgspec.Struct, frozen=True, kw_only=True):
-    """An effect of the catalogue, as these tests see it.
+    """Result for one effect of the catalogue.
 
     Attributes:
-        name: of the effect, with its test where it acts in one only. effect, room, title: of the catalogue.
-        testable: whether these tests could show it. reason: why not; empty where they could.
-        seen_from: path -> smallest size that nine of ten such data sets would show, SI.
-        symbols, units, absent: path -> symbol, unit (SI) and value at which it is not there, of these sizes.
-        twins: names of others whose signature here is the same but for a few per cent.
-        separated_by: what would tell it from others.
-        score: deviations that the data show of it, with its sign. p: that chance makes any effect score so.
-        estimate: path -> size by the score, SI. refitted: whether it was fitted with the finite elements.
-        delta_BIC: how much better the fit is with it; None where it was not fitted. explained_percent: of the gap.
-        evidence_ratio: of the best candidate to this one, 1 for the best.
-        parameters: its numbers of the refit. on_bound: symbols that ended on a bound. note: what else to know.
+        name: name of the candidate: the effect, with its test if it acts in one only.
+        effect: name of the effect.
+        category: category of the effect; ``room`` in JSON.
+        title: name for reports.
+        testable: whether the tests can show the effect.
+        reason: reason why they cannot; empty if testable.
+        seen_from: path -> size that is detected with a probability of 90 %, SI.
+        symbols: path -> symbol of these sizes.
+        units: path -> SI unit of these sizes.
+        absent: path -> value at which the effect is absent, SI.
+        twins: names of candidates whose change of the forces agrees within a few per cent.
+        separated_by: test or measurement that separates the effect from others.
+        score: score in standard deviations, with the sign of the effect.
+        p: family-wise p value of the score.
+        estimate: path -> size from the score, SI.
+        refitted: whether the effect was fitted with finite elements.
+        delta_BIC: decrease of BIC by the effect; None if not fitted.
+        explained_percent: explained fraction of the misfit, %.
+        evidence_ratio: evidence ratio of the best candidate to this one; 1 for the best.
+        parameters: fitted parameters of the effect.
+        on_bound: symbols of parameters on a bound.
+        note: reason of a failed fit; empty otherwise.
     """
 
     name: str
@@ -100,13 +119,21 @@ class CandidateStatement(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RegionGap(msgspec.Struct, frozen=True, kw_only=True):
-    """The gap in one segment of one test.
+    """Misfit in one segment of one test before and after effects were added; values after are None if none was added.
 
     Attributes:
-        test, segment: names. speed_mm_s: of the motion; 0 in a hold; None without time. cycle: number.
-        before_N, after_N: root mean square of what is smooth in it. largest_before_N: with its sign, data minus model.
-        before_sigma, after_sigma: how improbable, in deviations of a normal distribution. adequate_before,
-        adequate_after: whether chance makes it. sentence: in words. After: None where nothing was added.
+        test: name of the test.
+        segment: name of the segment.
+        speed_mm_s: mean speed, mm/s; 0 in a hold; None without time.
+        cycle: number of the cycle.
+        before_N: root mean square of the smooth misfit before, N.
+        largest_before_N: largest smooth misfit before, data minus model, N.
+        before_sigma: significance before, in standard deviations of a normal distribution.
+        adequate_before: whether the residuals before are compatible with chance.
+        after_N: root mean square of the smooth misfit after, N.
+        after_sigma: significance after.
+        adequate_after: whether the residuals after are compatible with chance.
+        sentence: description of the misfit.
     """
 
     test: str
@@ -124,13 +151,17 @@ class RegionGap(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class HeldOut(msgspec.Struct, frozen=True, kw_only=True):
-    """Data that the fits have not seen.
+    """Prediction of data that were not fitted.
 
     Attributes:
-        name: of a recording, or of a test. kind: ``replicate`` or ``test``.
-        before_N, after_N: root mean square error of the prediction. noise_N: of its sensor.
-        adequate_after: whether what is left is noise, jitter and the parameters' uncertainty; None where not tested.
-        note: why there is no prediction; empty where there is one.
+        name: name of the recording or test.
+        kind: ``replicate`` or ``test``.
+        before_N: root mean square error of the prediction without effects, N.
+        after_N: root mean square error with effects, N; None if none was added.
+        noise_N: noise of the sensor, N.
+        adequate_before: whether the errors before are compatible with noise, jitter and parameter uncertainty.
+        adequate_after: the same after; None if not tested.
+        note: reason why there is no prediction; empty otherwise.
     """
 
     name: str
@@ -144,10 +175,12 @@ class HeldOut(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class NextExperiment(msgspec.Struct, frozen=True, kw_only=True):
-    """An experiment that would tell more.
+    """Experiment that would separate candidates.
 
     Attributes:
-        sentence: what to do. separates: names that it tells apart. deviations: by which it would; None: not computed.
+        sentence: description of the experiment.
+        separates: names of the candidates that it separates.
+        deviations: expected difference in standard deviations; None: not computed.
     """
 
     sentence: str
@@ -156,7 +189,13 @@ class NextExperiment(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Stage(msgspec.Struct, frozen=True, kw_only=True):
-    """What took how long, s of wall time, and how many simulations."""
+    """Duration of one stage of a diagnosis.
+
+    Attributes:
+        name: name of the stage.
+        wall_s: wall time, s.
+        simulations: number of simulations.
+    """
 
     name: str
     wall_s: float
@@ -164,17 +203,30 @@ class Stage(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
-    """The answer for one campaign.
+    """Diagnosis of one campaign.
 
     Attributes:
-        campaign, law: names. verdict: one of `VERDICTS`. message: what was found, in a few sentences.
-        effects: that were added. indistinguishable: names that explain the gap as well; the added ones are among them.
-        candidates: the catalogue, best first. regions: of all tests.
-        gap_before_N, gap_after_N: root mean square of what is smooth in the residuals, over all samples.
-        noise_N: of the sensors. noise_correlation_s: 0: white. contact_jitter_mm, zero_jitter_N: between replicates.
-        mesh_percent: what is known of the mesh's own error. held_out: predictions of unseen data.
-        next_experiment: ranked by what they would separate. fit_before, fit_after: the fits; after: None where nothing
-            was added. stages: what took how long. files: what was written, by what it is.
+        campaign: name of the campaign.
+        law: name of the fitted law.
+        verdict: one of `VERDICTS`.
+        message: summary in a few sentences.
+        effects: effects that were added.
+        indistinguishable: names of all candidates that explain the misfit equally well, including the added ones.
+        candidates: all candidates, best first.
+        regions: regions of all tests.
+        gap_before_N: root mean square of the smooth residuals without effects, N.
+        gap_after_N: the same with effects, N; None if none was added.
+        noise_N: noise of the sensors, N.
+        noise_correlation_s: correlation time of the noise, s; 0: white noise.
+        contact_jitter_mm: scatter of the contact between replicates, mm.
+        zero_jitter_N: scatter of the zero between replicates, N.
+        mesh_percent: assumed error of the mesh, %.
+        held_out: predictions of unseen data.
+        next_experiment: further experiments, the most informative first.
+        fit_before: fit without effects.
+        fit_after: fit with effects; None if none was added.
+        stages: duration of each stage.
+        files: kind of file -> name of the written file.
     """
 
     campaign: str

@@ -1,4 +1,4 @@
-"""How long a diagnosis takes, from how long one simulation of each of its tests does."""
+"""Estimate of the duration of a diagnosis from the duration of one simulation of each test."""
 
 from __future__ import annotations
 
@@ -15,19 +15,25 @@ from tissue_sim.errors import InputError
 from tissue_sim.model import Model
 from tissue_sim.rig.rig import Rig
 
-#: A diagnosis takes as long as so many simulations of each test: where nothing is missing, and where plates with
-#: friction, whose simulations are the longest, are among what is fitted (docs/inverse_calibration.md).
-FEWEST, MOST = 40.0, 300.0
-#: Shorter ones are not worth a word, s.
-_WORTH_A_WORD = 60.0
+#: Duration of a short diagnosis in simulations of each test: no effect is missing (docs/inverse_calibration.md).
+MIN_SIMULATIONS = 40.0
+#: Duration of a long diagnosis in simulations of each test: friction of plates, whose simulations take longest, is
+#: among the fitted effects.
+MAX_SIMULATIONS = 300.0
+#: Duration below which no announcement is made, s.
+_MIN_ANNOUNCED = 60.0
 
 
-def seconds_of_each(problem: Problem) -> dict[str, float]:
-    """Processor seconds that a simulation of each test in space takes, without derivatives; tests of other solvers are
-    left out, and what does not get through.
+def simulation_seconds(problem: Problem) -> dict[str, float]:
+    """Measure the processor time of a simulation of each three-dimensional test, without derivatives.
+
+    Tests with fast solvers and failed simulations are omitted.
 
     Args:
-        problem: whose kernels are loaded: its first start has been simulated.
+        problem: problem whose first start has been simulated, so that its kernels are compiled.
+
+    Returns:
+        Name of the test -> processor time, s.
     """
     found = {}
     for test in problem.tests:
@@ -45,16 +51,16 @@ def seconds_of_each(problem: Problem) -> dict[str, float]:
 
 
 def in_words(seconds: Mapping[str, float]) -> str:
-    """What to expect, and how to make it shorter; empty where it is not worth a word.
+    """Describe the expected duration and ways to shorten it; empty for a short diagnosis.
 
     Args:
-        seconds: of each test, see `seconds_of_each`.
+        seconds: name of the test -> processor time of a simulation, s, from `simulation_seconds`.
     """
     each = sum(seconds.values())
-    if MOST * each < _WORTH_A_WORD:
+    if MAX_SIMULATIONS * each < _MIN_ANNOUNCED:
         return ""
-    low, high = math.floor(FEWEST * each / 60.0), math.ceil(MOST * each / 60.0)
+    low, high = math.floor(MIN_SIMULATIONS * each / 60.0), math.ceil(MAX_SIMULATIONS * each / 60.0)
     minutes = f"{low} to {high} minutes" if low else f"up to {high} minute{'s' if high > 1 else ''}"
     return (f"expect {minutes} on one processor: a simulation of {'its tests' if len(seconds) > 1 else 'its test'} in "
             f"space takes {each:.2g} s; --workers N shares them between N processes, a smaller max_strain shortens "
-            "each, and a run that is stopped goes on where it was")
+            "each, and an interrupted run resumes")

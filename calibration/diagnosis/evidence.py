@@ -1,4 +1,4 @@
-"""What a diagnosis stands on: the tests from contact to the end, fitted without any effect."""
+"""Evidence of a diagnosis: fit of a campaign to whole recordings, and tests of its residuals."""
 
 from __future__ import annotations
 
@@ -26,22 +26,28 @@ from calibration.statistics.common_signal import CommonSignal, find_common_signa
 from calibration.statistics.jitter import Jitter
 from tissue_sim.errors import ConvergenceError, InputError
 
-#: A region disagrees where chance makes it, or any other of the tests, look so with less than this probability.
+#: Adjusted p value below which the residuals of a region are inadequate.
 LEVEL = 0.005
-#: Recordings leave the same behind where chance makes it in any test with less than this probability.
+#: P value, corrected for the number of tests, below which recordings have a common signal in their residuals.
 REPEATED = 1e-3
-#: Samples of two recordings are at one place within this share of the largest displacement.
-_SAME_PLACE = 0.005
-#: The jitter between recordings is taken as large as it is with less than this probability.
-_DOUBT = 0.2
+#: Largest difference of the displacements of corresponding samples of two recordings, as a fraction of the largest
+#: displacement.
+_SAME_POSITION = 0.005
+#: Probability that the true jitter exceeds the assumed upper limit.
+_EXCEEDANCE = 0.2
+#: Test -> its recordings.
 Measured = Mapping[str, tuple[MeasuredCurve, ...]]
 
 
 def whole_campaign(campaign: Campaign, law: str | None = None) -> Campaign:
-    """The campaign with one law, whose holds and returns count.
+    """Return the campaign with one law that is fitted to whole recordings, including holds and unloading.
+
+    Args:
+        campaign: campaign of an inverse fit.
+        law: name of the law; None: the first law of the campaign.
 
     Raises:
-        InputError: an analytical campaign, or a law that it does not list.
+        InputError: the campaign is analytical, or does not list the law.
     """
     if campaign.fit.method != "inverse_fem":
         raise InputError('a diagnosis simulates the tests; set method = "inverse_fem"', file=campaign.path,
@@ -49,7 +55,7 @@ def whole_campaign(campaign: Campaign, law: str | None = None) -> Campaign:
     if law is not None and law not in campaign.fit.laws:
         raise InputError(f"{law!r} is not among its laws ({', '.join(campaign.fit.laws)})", file=campaign.path,
                          field="fit.laws")
-    # What comes after a force that falls is evidence: of a tear, a puncture, or a motor that lost steps.
+    # Samples after a drop of the force are kept: they are evidence of a tear, a puncture or lost steps.
     return replace(campaign, tests=tuple(
         replace(test, failure="keep") if test.failure == "cut" else test for test in campaign.tests),
                    fit=replace(campaign.fit, whole=True, laws=(law or campaign.fit.laws[0],)))
@@ -57,10 +63,12 @@ def whole_campaign(campaign: Campaign, law: str | None = None) -> Campaign:
 
 @dataclass(eq=False)
 class Evidence:
-    """A campaign at the minimum of its fit, and the residuals there.
+    """Fit of a campaign and its residuals.
 
     Attributes:
-        campaign: with one law and whole recordings. measured: all recordings. estimate: the minimum.
+        campaign: campaign with one law and whole recordings.
+        measured: test -> its recordings.
+        estimate: minimum of the fit.
     """
 
     campaign: Campaign
@@ -69,89 +77,97 @@ class Evidence:
 
     @property
     def problem(self) -> Problem:
+        """Least-squares problem of the fit."""
         return self.estimate.problem
 
     @property
     def law(self) -> str:
+        """Name of the fitted law."""
         return self.problem.space.law
 
     @cached_property
     def evaluation(self) -> Evaluation:
+        """Residuals and derivatives at the minimum."""
         return self.estimate.evaluation
 
     @cached_property
     def values(self) -> dict[str, float]:
-        """All parameters by name, SI."""
+        """Name -> value of all parameters, SI."""
         return self.problem.space.values(self.estimate.theta)
 
     @cached_property
     def situation(self) -> Situation:
+        """Tests and recordings for `calibration.effects.effect.Effect.candidates`."""
         return Situation(self.campaign, self.measured, self.law)
 
     @cached_property
     def residual(self) -> np.ndarray:
-        """Model minus data, whitened, then nuisances and priors, shape (M,)."""
+        """Whitened model minus data, followed by nuisances and priors, shape (M,)."""
         return self.evaluation.design[0]
 
     @cached_property
     def fitted(self) -> np.ndarray:
-        """Orthonormal columns that span all that is fitted, nuisances included, shape (M, k)."""
+        """Orthonormal basis of the space of all fitted unknowns including nuisances, shape (M, k)."""
         return orthonormal_basis(self.evaluation.design[1])
 
     @cached_property
     def regions(self) -> list[Region]:
-        """Those of all tests; adequate where `LEVEL` does not speak against it."""
+        """Residual tests of all regions; a region is adequate if its p value exceeds `LEVEL`."""
         return [msgspec.structs.replace(region, adequate=region.p > LEVEL)
                 for region in judge_regions(self.problem, self.evaluation)]
 
     @property
     def adequate(self) -> bool:
-        """Whether no smooth misfit is left in any region."""
+        """Whether no region has a significant smooth misfit."""
         return all(region.adequate for region in self.regions)
 
     @cached_property
-    def _left(self) -> dict[str, tuple[MeasuredCurve, np.ndarray]]:
-        """Test -> its first recording, and the whitened residuals of those that are at the same places, shape
-        (recordings, n); of tests with several such."""
+    def _replicate_residuals(self) -> dict[str, tuple[MeasuredCurve, np.ndarray]]:
+        """Test -> its first recording, and the whitened residuals of its recordings, shape (recordings, n).
+
+        Only recordings with the displacements of the first one are included, and only tests with several of them.
+        """
         found = {}
         for number, test in enumerate(self.problem.tests):
             mine = [(curve, self.evaluation.residual[rows]) for (t, _), rows, curve in zip(
                 self.problem.places, self.problem.rows, self.problem.measured, strict=True) if t == number]
             first = mine[0][0].displacement
-            alike = [left for curve, left in mine if left.size == first.size
-                     and np.abs(curve.displacement - first).max() < _SAME_PLACE * np.abs(first).max()]
-            if len(alike) > 1:
-                found[test.name] = mine[0][0], np.array(alike)
+            matching = [residual for curve, residual in mine if residual.size == first.size
+                        and np.abs(curve.displacement - first).max() < _SAME_POSITION * np.abs(first).max()]
+            if len(matching) > 1:
+                found[test.name] = mine[0][0], np.array(matching)
         return found
 
     @cached_property
     def coherence(self) -> dict[str, tuple[float, int, int]]:
-        """Test -> `calibration.statistics.common_signal.variance_ratio` of its recordings; of those with several."""
-        return {name: variance_ratio(left) for name, (_, left) in self._left.items()}
+        """Test with several recordings -> `calibration.statistics.common_signal.variance_ratio` of its residuals."""
+        return {name: variance_ratio(residuals) for name, (_, residuals) in self._replicate_residuals.items()}
 
     @cached_property
-    def repetitions(self) -> dict[str, CommonSignal]:
-        """Test -> what its recordings leave behind in common, of those where it is more than chance: perhaps too rough
-        for the shapes of the regions, and for the estimate of the noise, which takes what is rough for noise."""
+    def common_signals(self) -> dict[str, CommonSignal]:
+        """Test -> significant common signal in the residuals of its recordings.
+
+        A rough common signal is missed by the smooth modes of the regions, and it increases the estimated noise.
+        """
         found = {}
-        for name, (curve, left) in self._left.items():
-            segments = _runs(curve.segment, left.shape[1])
-            most = find_common_signal(left, segments)
-            if len(self._left) * most.p < REPEATED:
-                found[name] = most
+        for name, (curve, residuals) in self._replicate_residuals.items():
+            segments = _runs(curve.segment, residuals.shape[1])
+            signal = find_common_signal(residuals, segments)
+            if len(self._replicate_residuals) * signal.p < REPEATED:
+                found[name] = signal
         return found
 
     @property
     def repeated(self) -> list[str]:
-        """Tests whose recordings leave the same behind."""
-        return list(self.repetitions)
+        """Names of tests whose residuals have a significant common signal."""
+        return list(self.common_signals)
 
     @cached_property
     def repeated_in_words(self) -> list[str]:
-        """Of each such test: ``needle (most at 5.1 mm)``, ``plates (a wave of 17 s)``."""
+        """Descriptions of the common signals, such as ``needle (most at 5.1 mm)`` or ``plates (a wave of 17 s)``."""
         words = []
-        for name, each in self.repetitions.items():
-            curve = self._left[name][0]
+        for name, each in self.common_signals.items():
+            curve = self._replicate_residuals[name][0]
             inside = slice(each.first, each.last + 1)
             if each.waves and curve.time is not None:
                 words.append(f"{name} (a wave of {np.ptp(curve.clock[inside]) / each.waves:.2g} s)")
@@ -164,24 +180,24 @@ class Evidence:
 
     @property
     def explained(self) -> bool:
-        """Whether nothing is left, neither smooth nor the same in all recordings."""
+        """Whether the residuals have neither a smooth misfit nor a common signal."""
         return self.adequate and not self.repeated
 
     @cached_property
     def samples(self) -> float:
-        """Independent samples that the recordings are worth."""
+        """Effective number of independent samples of all recordings: n (1 - rho) / (1 + rho), at least 2."""
         total = 0.0
         for curve in self.problem.measured:
-            memory = 0.0
+            correlation = 0.0
             if curve.noise.correlation_time:
                 step = float(np.median(np.diff(curve.clock))) if curve.time is not None else 1.0
-                memory = float(np.exp(-step / curve.noise.correlation_time))
-            total += curve.force.size * (1.0 - memory) / (1.0 + memory)
+                correlation = float(np.exp(-step / curve.noise.correlation_time))
+            total += curve.force.size * (1.0 - correlation) / (1.0 + correlation)
         return max(total, 2.0)
 
 
 def _runs(labels: np.ndarray | None, size: int) -> list[slice]:
-    """Where a label stays the same."""
+    """Return the runs of equal labels as slices; one slice without labels."""
     if labels is None:
         return [slice(0, size)]
     ends = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1).tolist(), size]
@@ -189,38 +205,47 @@ def _runs(labels: np.ndarray | None, size: int) -> list[slice]:
 
 
 def gather(campaign: Campaign, measured: Measured, solves: SimulationCache, context: RunContext) -> Evidence:
-    """Fit a campaign without any effect.
+    """Fit a campaign without effects.
 
     Args:
-        campaign: see `whole_campaign`. measured: all recordings. solves: what has been simulated.
+        campaign: campaign from `whole_campaign`.
+        measured: test -> its recordings.
+        solves: cache of simulations.
+        context: workers and listeners.
 
     Raises:
-        ConvergenceError: no start gets through the data.
+        ConvergenceError: the simulation fails for all starts.
     """
     law = campaign.fit.laws[0]
     estimator = Generalised(campaign, measured, solves)
     _, estimate = estimator.estimate((law,), context)[law]
     if not isinstance(estimate, Estimate):
-        raise ConvergenceError(f"{campaign.path}: no start of {law} gets through the data ({estimate}); state another "
-                               "one in fit.start, or take a smaller max_strain")
+        raise ConvergenceError(f"{campaign.path}: no start of {law} can be simulated over the data ({estimate}); state "
+                               "another start in fit.start, or a smaller max_strain")
     problem = estimate.problem
-    problem.jitter = doubted(problem, estimate.theta, estimator.stated(problem))
-    problem.forget()
+    problem.jitter = upper_jitter(problem, estimate.theta, estimator.stated(problem))
+    problem.reset_nuisances()
     descent = descend(problem, estimate.theta, corrected=True)
     estimate = replace(estimate, theta=descent.theta, error=descent.error)
     return Evidence(campaign, measured, estimate)
 
 
-def doubted(problem: Problem, theta: np.ndarray, stated: Noise) -> Jitter:
-    """Jitter that is an estimate, as large as it may well be: few recordings may agree by chance, and an effect that
-    moves like contact or zero would then stand out. What is stated or assumed stays.
+def upper_jitter(problem: Problem, theta: np.ndarray, stated: Noise) -> Jitter:
+    """Return an upper confidence limit of an estimated jitter; stated or assumed jitter is returned unchanged.
 
-    The variance of what the recordings show (jitter and what one of them resolves) is known to a chi-square.
+    Few recordings may agree by chance; with too small a jitter, effects that resemble a contact offset or a zero would
+    be found wrongly. The observed variance s^2 = jitter^2 + e^2, with the error e of a single offset, follows a scaled
+    chi-square distribution with f degrees of freedom. Its upper limit is s^2 f / chi2_f(0.2).
+
+    Args:
+        problem: problem of the fit.
+        theta: free parameters, SI, shape (p,).
+        stated: jitter that the campaign states; None values were estimated.
     """
     jitter = problem.jitter
     if not jitter.freedom:
         return jitter
-    factor = jitter.freedom / float(special.chdtri(jitter.freedom, 1.0 - _DOUBT))
+    factor = jitter.freedom / float(special.chdtri(jitter.freedom, 1.0 - _EXCEEDANCE))
     resolved: dict[str, list[float]] = {"contact": [], "zero": []}
     for test in problem.replicates(theta):
         for one in test:

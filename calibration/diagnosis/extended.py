@@ -1,4 +1,4 @@
-"""The least-squares problem of a campaign with an effect added, and what the effect changes in its forces."""
+"""Least-squares problems with an additional effect, and the change of the forces by an effect."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ from tissue_sim.errors import InputError
 
 def extend(problem: Problem, campaign: Campaign, candidate: Candidate, values: Mapping[str, float] | None = None, *,
            free: bool) -> tuple[Problem, Campaign]:
-    """The problem with an effect, and its campaign.
-
-    The mesh corrections and the jitter stay those of `problem`.
+    """Return the problem and the campaign with an effect; mesh corrections and jitter are unchanged.
 
     Args:
-        problem: without the effect. campaign: its own. candidate: what is added.
-        values: path -> value, SI; None: those at which it is tried. free: whether they are unknown, or held.
+        problem: problem without the effect.
+        campaign: campaign of `problem`.
+        candidate: candidate that is added.
+        values: path -> value, SI; None: trial values.
+        free: whether the parameters of the effect are free or fixed.
 
     Raises:
-        NotTestableError: no test has the numbers of the effect.
+        NotTestableError: no test has the parameters of the effect.
     """
     changed = candidate.add_to(campaign, values, free=free)
     names = {test.name: [curve.name for curve in test.measured] for test in problem.tests}
@@ -49,18 +50,30 @@ def extend(problem: Problem, campaign: Campaign, candidate: Candidate, values: M
 
 
 def unknowns(space: ParameterSpace, values: Mapping[str, float], sizes: Mapping[str, float]) -> np.ndarray:
-    """The free parameters of a space, shape (p,): known values by name, those of an effect by path."""
+    """Return the free parameters of a space, SI, shape (p,).
+
+    Args:
+        space: parameter space with an effect.
+        values: name -> value of the parameters without the effect, SI.
+        sizes: path -> value of the parameters of the effect, SI.
+    """
     return np.array([values[each.name] if each.name in values else sizes[each.path] for each in space.varied])
 
 
 def change_of(problem: Problem, evaluation: Evaluation, campaign: Campaign, candidate: Candidate,
-              share: float = 1.0) -> np.ndarray | str:
-    """What an effect of its trial size adds to the whitened model, shape (N, q); why there is none, in words.
-
-    One column for all tests, or one for each specimen or test where it has numbers of its own there.
+              factor: float = 1.0) -> np.ndarray | str:
+    """Compute the change of the whitened model by an effect of its trial size.
 
     Args:
-        problem, evaluation: at the minimum without it. campaign: its own. share: of the trial size.
+        problem: problem without the effect.
+        evaluation: evaluation at its minimum.
+        campaign: campaign of `problem`.
+        candidate: candidate of the effect.
+        factor: amplitude in units of the trial size.
+
+    Returns:
+        Change, shape (N, q): one column for all tests, or one for each specimen or test with its own parameters. If the
+        simulation fails, the reason.
     """
     touched = [number for number, test in enumerate(problem.tests)
                if candidate.tests is None or test.name in candidate.tests]
@@ -70,20 +83,20 @@ def change_of(problem: Problem, evaluation: Evaluation, campaign: Campaign, cand
             (problem.shared[t].start, problem.shared[t].stop) for t in touched))])
 
     def held(of: Problem) -> Problem:
-        # Derivatives would cost as much as the simulation.
+        # Fixed parameters avoid the computation of derivatives.
         space = of.space.held(dict(zip(problem.space.free, evaluation.theta, strict=True)))
         return Problem(space, tuple(of.tests[t] for t in touched), of.solves, of.jitter,
                        tuple(of.mesh_error[t] for t in touched))
 
     try:
         absent = {path: candidate.absent_value(campaign, path) for path in candidate.sizes}
-        with_it = held(extend(problem, campaign, candidate, candidate.scaled_sizes(absent, share), free=False)[0])
-        # What another mesh, or another way to the force at a sample, changes is no effect.
+        with_it = held(extend(problem, campaign, candidate, candidate.scaled_sizes(absent, factor), free=False)[0])
+        # Both forces must be computed on one mesh and by one method, so that their difference is due to the effect.
         without = held(extend(problem, campaign, candidate, absent, free=False)[0]) if candidate.changes_mesh(
             campaign) \
-            else _simulated_like(held(problem), with_it)
+            else _with_equal_method(held(problem), with_it)
         change = _residual(with_it, nuisances)
-        # As it is, it is known already.
+        # Without changes of mesh and method the residual without the effect is that of the evaluation.
         change -= np.concatenate([evaluation.residual[rows] for rows, (t, _) in zip(
             problem.rows, problem.places, strict=True) if t in touched]) if without is None else \
             _residual(without, nuisances)
@@ -96,33 +109,37 @@ def change_of(problem: Problem, evaluation: Evaluation, campaign: Campaign, cand
     return np.column_stack(list(groups.values()))
 
 
-def _simulated_like(held: Problem, other: Problem) -> Problem | None:
-    """The problem whose tests are simulated along the whole way where those of another one are; None: as it is."""
-    def like(test: ForwardTest, of: ForwardTest) -> ForwardTest:
+def _with_equal_method(held: Problem, other: Problem) -> Problem | None:
+    """Return the problem with the whole motion simulated in the tests for which another problem requires it.
+
+    Returns:
+        The problem; None if no test changes.
+    """
+    def adapt(test: ForwardTest, of: ForwardTest) -> ForwardTest:
         if not (isinstance(test, SimulatedTest) and isinstance(of, SimulatedTest)):
             return test
-        along = test.uses_position_curve(held.space, np.zeros(0)) and not of.uses_position_curve(
+        differs = test.uses_position_curve(held.space, np.zeros(0)) and not of.uses_position_curve(
             other.space, np.zeros(0))
-        return replace(test, full_motion=True) if along else test
+        return replace(test, full_motion=True) if differs else test
 
-    tests = tuple(map(like, held.tests, other.tests))
+    tests = tuple(map(adapt, held.tests, other.tests))
     if all(one is test for one, test in zip(tests, held.tests, strict=True)):
         return None
     return Problem(held.space, tests, held.solves, held.jitter, held.mesh_error)
 
 
 def _residual(held: Problem, nuisances: np.ndarray) -> np.ndarray:
-    """The whitened residual at nuisances that are known, shape (N,).
+    """Return the whitened residual of a problem without free parameters at given nuisances, shape (N,).
 
     Raises:
-        InfeasibleError: as `ForwardTest.solve`.
+        InfeasibleError: see `ForwardTest.solve`.
     """
     answers = [test.solve(held.space, np.zeros(0), held.solves) for test in held.tests]
     return held._linearise(answers, nuisances)[0]
 
 
 def _group(test: ForwardTest, candidate: Candidate) -> str:
-    """Tests with one mark share the numbers of a candidate."""
+    """Return a key that is equal for tests with common parameters of a candidate."""
     if candidate.scope == "per_test":
         return test.name
     if candidate.scope == "per_specimen":

@@ -1,4 +1,4 @@
-"""Which experiment would tell more: planned ones, by how far the explanations that are left differ there."""
+"""Further experiments that separate the remaining explanations of a misfit."""
 
 from __future__ import annotations
 
@@ -26,17 +26,40 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.parameters import declared, with_values
 
-#: A hold that is added, s; how much faster and deeper, and how much smaller a tool or lower a specimen, a test is done.
-_HOLD, _FASTER, _DEEPER, _SMALLER = 60.0, 10.0, 1.5, 0.5
-#: Deepest a test may go, as a share of the specimen's height.
-_DEEPEST = 0.5
-#: Most that are named.
-_MOST = 4
+
+@dataclass(frozen=True)
+class PlanSettings:
+    """Variations of the existing tests that are considered as further experiments.
+
+    Attributes:
+        hold: duration of an added hold, s.
+        speed_factor: factor of the speed.
+        depth_factor: factor of the depth.
+        size_factor: factor of the tool radius or of the specimen's height.
+        max_depth: largest depth as a fraction of the thickness.
+        max_plans: largest number of reported experiments.
+    """
+
+    hold: float = 60.0
+    speed_factor: float = 10.0
+    depth_factor: float = 1.5
+    size_factor: float = 0.5
+    max_depth: float = 0.5
+    max_plans: int = 4
+
+
+_SETTINGS = PlanSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A test that could be done: what to do, in words, and the test with its motion."""
+    """Planned test.
+
+    Attributes:
+        sentence: description of the test.
+        test: test of the campaign.
+        protocol: motion of the tool.
+    """
 
     sentence: str
     test: Test
@@ -44,38 +67,44 @@ class Plan:
 
 
 def next_experiments(before: Evidence, proposals: Proposals, judgement: Judgement) -> list[NextExperiment]:
-    """What to do next, the most telling first.
+    """Return further experiments, the most informative first.
 
-    Of a set, planned tests by how far its members differ in them; then what the catalogue says of those that these
-    tests leave open.
+    For a set of indistinguishable effects, planned tests are ranked by the smallest difference of any two members.
+    Descriptions from the catalogue follow.
+
+    Args:
+        before: fit without effects.
+        proposals: scores of all effects.
+        judgement: verdict.
     """
     rivals = [each for each in judgement.refits if each.name in judgement.indistinguishable]
     found: list[NextExperiment] = []
     if judgement.verdict == "SET" and len(rivals) > 1:
         for plan in plans(before):
-            apart = _apart(plan, before, rivals)
-            if apart is not None and apart[1] > 1.0:
-                found.append(NextExperiment(sentence=plan.sentence, separates=apart[0], deviations=apart[1]))
+            closest = _smallest_separation(plan, before, rivals)
+            if closest is not None and closest[1] > 1.0:
+                found.append(NextExperiment(sentence=plan.sentence, separates=closest[0], deviations=closest[1]))
         found.sort(key=lambda each: -(each.deviations or 0.0))
     names = judgement.indistinguishable if judgement.verdict == "SET" else []
     effects = [proposals.effects[name.partition("@")[0]] for name in names]
     by_hand = [NextExperiment(sentence=f"{effect.title}: {effect.separated_by}", separates=[name])
                for name, effect in zip(names, effects, strict=True)]
     if judgement.verdict == "UNKNOWN":
-        by_hand = [NextExperiment(sentence="repeat the test with another rig or another operator: what stays is the "
-                                           "tissue's")]
+        by_hand = [NextExperiment(sentence="repeat the test with another rig or another operator: a misfit that stays "
+                                           "is a property of the tissue")]
     if judgement.verdict == "NONE":
         silent: dict[str, list[str]] = {}
         for name in proposals.silent:
             silent.setdefault(proposals.effects[name.partition("@")[0]].separated_by, []).append(name)
         by_hand = [NextExperiment(sentence=f"to see {', '.join(each)}: {sentence}", separates=each)
                    for sentence, each in silent.items()]
-    return [*found[:_MOST], *by_hand]
+    return [*found[:_SETTINGS.max_plans], *by_hand]
 
 
 def plans(before: Evidence) -> list[Plan]:
-    """Tests like those that were done, each with one thing changed."""
+    """Return variations of the existing tests: hold, higher speed, larger depth, smaller tool or lower specimen."""
     found = []
+    faster, smaller = _SETTINGS.speed_factor, _SETTINGS.size_factor
     for test in before.situation.simulated_tests():
         curve = before.measured[test.name][0]
         experiment = test.experiment
@@ -86,29 +115,31 @@ def plans(before: Evidence) -> list[Plan]:
         held = curve.segment is not None and any(str(name).startswith(("hold", "unload")) for name in curve.segment)
         label = f"{1e3 * depth:.3g} mm"
         if not held:
-            found.append(_plan(f"{test.name} again, to {label}, with a hold of {_HOLD:g} s and the return", test,
-                               depth, speed, hold=True))
-        found.append(_plan(f"{test.name} again {_FASTER:g} times as fast ({1e3 * _FASTER * speed:.3g} mm/s)", test,
-                           depth, _FASTER * speed, hold=held))
+            found.append(_plan(f"{test.name} again, to {label}, with a hold of {_SETTINGS.hold:g} s and unloading",
+                               test, depth, speed, hold=True))
+        found.append(_plan(f"{test.name} again {faster:g} times as fast ({1e3 * faster * speed:.3g} mm/s)", test,
+                           depth, faster * speed, hold=held))
         height = experiment.specimen.height
-        deeper = min(_DEEPER * depth, _DEEPEST * experiment.thickness)
+        deeper = min(_SETTINGS.depth_factor * depth, _SETTINGS.max_depth * experiment.thickness)
         if deeper > 1.1 * depth:
             found.append(_plan(f"{test.name} again to {1e3 * deeper:.3g} mm", test, deeper, speed, hold=held))
         radius = experiment.tool.radius
         if not experiment.tool.is_plate and radius is not None:
-            tool = replace(experiment.tool, radius=_SMALLER * radius)
-            found.append(_plan(f"{test.name} with a tool of {1e3 * _SMALLER * radius:.3g} mm radius",
+            tool = replace(experiment.tool, radius=smaller * radius)
+            found.append(_plan(f"{test.name} with a tool of {1e3 * smaller * radius:.3g} mm radius",
                                replace(test, experiment=replace(experiment, tool=tool)), depth, speed, hold=held))
         elif "height" in declared(type(experiment.specimen)):
-            lower = with_values(experiment.specimen, {"height": _SMALLER * height})
+            lower = with_values(experiment.specimen, {"height": smaller * height})
             shorter = replace(test, specimen=lower, experiment=replace(experiment, specimen=lower))
-            found.append(_plan(f"{test.name} on a specimen of half the height, to {1e3 * _SMALLER * depth:.3g} mm",
-                               shorter, _SMALLER * depth, speed, hold=held))
+            found.append(_plan(f"{test.name} on a specimen of half the height, to {1e3 * smaller * depth:.3g} mm",
+                               shorter, smaller * depth, speed, hold=held))
     return [plan for plan in found if plan is not None]
 
 
 def _plan(sentence: str, test: Test, depth: float, speed: float, *, hold: bool) -> Plan | None:
-    text = f"ramp {1e3 * depth:.6g}mm @{1e3 * speed:.6g}mm/s" + (f"; hold {_HOLD:g}s; unload" if hold else "")
+    """Return a planned ramp, with hold and unloading if `hold`; None if the motion or geometry is invalid."""
+    ending = f"; hold {_SETTINGS.hold:g}s; unload" if hold else ""
+    text = f"ramp {1e3 * depth:.6g}mm @{1e3 * speed:.6g}mm/s{ending}"
     try:
         assert test.experiment is not None
         protocol = Protocol.parse(text)
@@ -118,8 +149,15 @@ def _plan(sentence: str, test: Test, depth: float, speed: float, *, hold: bool) 
         return None
 
 
-def _apart(plan: Plan, before: Evidence, rivals: Sequence[Refit]) -> tuple[list[str], float] | None:
-    """Names of two rivals that a planned test tells apart worst, and by how many deviations."""
+def _smallest_separation(plan: Plan, before: Evidence, rivals: Sequence[Refit]) -> tuple[list[str], float] | None:
+    """Return the two rivals that a planned test separates least, and their difference in standard deviations.
+
+    The difference of the expected forces is taken relative to noise, nuisances and parameter uncertainty: d'V^-1 d with
+    V = I + C C'.
+
+    Returns:
+        Names and difference; None if the test cannot be simulated.
+    """
     noise = before.measured[plan.test.name.removesuffix(" (planned)")][0].noise
     curves = planned_curves(plan.test, plan.protocol, noise)
     try:
@@ -131,18 +169,21 @@ def _apart(plan: Plan, before: Evidence, rivals: Sequence[Refit]) -> tuple[list[
         for j in range(i):
             gap = force - expected[j][0]
             inner = np.eye(covariance.shape[1]) + covariance.T @ covariance
-            taken = covariance @ cho_solve(cho_factor(inner), covariance.T @ gap)
-            apart = float(np.sqrt(max(gap @ (gap - taken), 0.0)))
-            if worst is None or apart < worst[1]:
-                worst = [rivals[j].name, rivals[i].name], apart
+            absorbed = covariance @ cho_solve(cho_factor(inner), covariance.T @ gap)
+            separation = float(np.sqrt(max(gap @ (gap - absorbed), 0.0)))
+            if worst is None or separation < worst[1]:
+                worst = [rivals[j].name, rivals[i].name], separation
     return worst
 
 
 def _expected(test: Test, curves: tuple[MeasuredCurve, ...], before: Evidence,
               rival: Refit) -> tuple[np.ndarray, np.ndarray]:
-    """Whitened force that a rival expects, shape (N,), and columns of one deviation each of what is not known: contact,
-    zero, mesh and the rival's parameters, shape (N, m)."""
-    candidate = _everywhere(rival.proposal.candidate, test)
+    """Return the whitened force that a refit predicts for a planned test, and its uncertainty.
+
+    Returns:
+        Force, shape (N,), and changes per standard deviation of contact, zero, mesh error and parameters, shape (N, m).
+    """
+    candidate = _with_planned_test(rival.proposal.candidate, test)
     campaign: Campaign = replace(before.campaign, tests=(*before.campaign.tests, test))
     changed = candidate.add_to(campaign, free=True)
     asked = changed.tests[-1]
@@ -163,8 +204,8 @@ def _expected(test: Test, curves: tuple[MeasuredCurve, ...], before: Evidence,
     return residual, np.hstack([columns, rates @ root])
 
 
-def _everywhere(candidate: Candidate, test: Test) -> Candidate:
-    """The candidate that acts in a planned test, too, where it acts in the test that this is like."""
+def _with_planned_test(candidate: Candidate, test: Test) -> Candidate:
+    """Return a candidate that also acts in a planned test if it acts in the existing test that the plan varies."""
     if candidate.tests is None:
         return candidate
     like = test.name.removesuffix(" (planned)")

@@ -10,27 +10,32 @@ from calibration.fit.run_context import RunContext
 from calibration.statistics.jitter import Jitter
 from tissue_sim.errors import ConvergenceError
 
-#: Fits at most, each counted from the contacts of the one before.
-_MOST_FITS = 4
-#: A contact is settled within this many standard deviations of its prior.
-_SETTLED = 0.2
+#: Maximum number of fits, each with displacements counted from the contacts of the previous fit.
+_MAX_FITS = 4
+#: Contact offset, in standard deviations of the prior, at which the iteration ends.
+_TOLERANCE = 0.2
+
 
 def settle_contacts(evidence: Evidence, context: RunContext) -> tuple[Evidence, list[str]]:
-    """The evidence with displacements from the contacts found, and a sentence on each contact far from its prior.
+    """Repeat the fit with displacements counted from the fitted contacts if these are far beyond their prior.
 
-    A contact beyond the prior is biased by the prior and by the straight continuation of the simulated path, and both
-    show as effects. Here displacements are counted from the contacts that were found, and the fit is repeated. Only
-    where every region agrees and the scatter was assumed; elsewhere the evidence is returned unchanged.
+    The prior and the linear extrapolation of the simulated force bias such a contact, and the bias may appear as an
+    effect. The fit is repeated only if all regions are adequate and the scatter was assumed; otherwise the evidence is
+    returned unchanged.
 
     Args:
-        evidence: at its minimum, without any effect. steps: where the further fits run.
+        evidence: fit without effects.
+        context: workers and listeners.
+
+    Returns:
+        The evidence, and a sentence for each contact far beyond its prior.
     """
     scatter, found, shifts = evidence.problem.jitter, evidence, dict[str, float]()
     if scatter.freedom != 0 or not evidence.explained:
         return evidence, []
-    for _ in range(_MOST_FITS):
+    for _ in range(_MAX_FITS):
         far = {name: contact for name, contact in _contacts(found).items() if abs(contact) > SUSPECT * scatter.contact
-               or (name in shifts and abs(contact) > _SETTLED * scatter.contact)}
+               or (name in shifts and abs(contact) > _TOLERANCE * scatter.contact)}
         if not far:
             break
         shifts |= {name: shifts.get(name, 0.0) + contact for name, contact in far.items()}
@@ -48,17 +53,17 @@ def settle_contacts(evidence: Evidence, context: RunContext) -> tuple[Evidence, 
 
 
 def _contacts(evidence: Evidence) -> dict[str, float]:
-    """Recording -> contact offset, m (strain)."""
+    """Return recording -> fitted contact offset, m (strain for recordings of stress)."""
     problem, nuisances = evidence.problem, evidence.evaluation.nuisances
     if "contact" not in problem.kinds:
         return {}
-    place = problem.kinds.index("contact")
-    return {curve.name: float(nuisances[columns][place]) * problem.jitter.contact
+    index = problem.kinds.index("contact")
+    return {curve.name: float(nuisances[columns][index]) * problem.jitter.contact
             for columns, curve in zip(problem.offset_columns, problem.measured, strict=True)}
 
 
 def _sentence(name: str, contact: float, scatter: Jitter, stressed: bool) -> str:
-    """A contact beyond the assumed scatter, in words."""
+    """Describe a contact offset beyond the assumed scatter."""
     size, assumed = (f"{each:.2g} of strain" if stressed else f"{1e3 * each:.2f} mm"
                      for each in (abs(contact), scatter.contact))
     return (f"contact offset of {name}: contact lies {size} {'before' if contact < 0 else 'after'} the zero of the "

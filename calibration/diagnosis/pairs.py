@@ -1,4 +1,4 @@
-"""Two effects at once, each needed beside the other."""
+"""Pairs of effects that are both required to explain a misfit."""
 
 from __future__ import annotations
 
@@ -8,21 +8,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.proposals import Proposal, Proposals, beside, rescored
+from calibration.diagnosis.proposals import Proposal, Proposals, rescore, rescore_all
 from calibration.diagnosis.refits import ODDS, Refit, odds, refit
 from calibration.fit.run_context import RunContext
 from calibration.statistics.scores import largest_cosine
 
-#: Weakest evidence of a second effect: the Schwarz criterion must be better by this with both than with either, and
-#: chance make any effect score so beside the first with less than this probability. Two effects together make almost
-#: any gap smaller, and of fifty there are 1200 pairs: 2 ln 1200 against finding one among them, 2 ln 20 for its odds.
-SECOND, SECOND_LEVEL = 20.0, 1e-3
-#: Two effects act in different places where the cosine between their changes of the forces is less, and the second
-#: shows alone this share of what it shows beside the first.
-DIFFERENT, STEADY = 0.5, 0.5
-#: Beside how many of the likeliest effects, and of those as likely as the best, a second one is sought; and how many
-#: of the likeliest seconds are fitted.
-_FIRSTS, _MOST_FIRSTS, _SECONDS = 2, 3, 3
+#: Smallest decrease of BIC by a second effect. Two effects reduce almost any misfit, and 50 effects form 1200 pairs: 2
+#: ln 1200 corrects for the choice of a pair, and 2 ln 20 gives odds of 20.
+SECOND = 20.0
+#: Largest family-wise p value of a second effect in a fit with the first one.
+SECOND_LEVEL = 1e-3
+#: Largest cosine between the changes of the forces by two effects that count as different.
+DIFFERENT = 0.5
+#: Smallest ratio of the score of the second effect alone to its score in the fit with the first effect.
+MIN_SCORE_RATIO = 0.5
+#: Number of first effects that are combined with a second one.
+_FIRSTS = 2
+#: Largest number of first effects if further ones are as likely as the best.
+_MAX_FIRSTS = 3
+#: Number of second effects that are fitted for each first effect.
+_SECONDS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,35 +35,40 @@ class Pair:
     """Two effects.
 
     Attributes:
-        first: the fit with one alone. second: that with both. beside: the evidence with the first.
+        first: fit with the first effect.
+        second: fit with both effects.
+        with_first: evidence with the first effect.
     """
 
     first: Refit
     second: Refit
-    beside: Evidence
+    with_first: Evidence
 
     @property
     def gain(self) -> float:
-        """Of the Schwarz criterion against the fit without either."""
+        """Decrease of BIC by both effects."""
         return self.first.gain + self.second.gain
 
 
-def pairs_of(evidence: Evidence, good: Sequence[Refit], proposals: Proposals, context: RunContext) -> list[Pair]:
-    """Pairs that are as likely as the best, it first; empty where one effect is enough.
+def find_pairs(evidence: Evidence, good: Sequence[Refit], proposals: Proposals, context: RunContext) -> list[Pair]:
+    """Return pairs of effects that are as likely as the best pair, best first; empty if one effect suffices.
 
     Args:
-        evidence: without any effect. good: fits with one, best first. proposals: the catalogue on `evidence`.
+        evidence: fit without effects.
+        good: fits with one effect, best first.
+        proposals: scores of all effects.
+        context: workers and listeners.
     """
     found: list[Pair] = []
-    firsts = [first for number, first in enumerate(good[:_MOST_FIRSTS])
+    firsts = [first for number, first in enumerate(good[:_MAX_FIRSTS])
               if number < _FIRSTS or odds(good[0], first) < ODDS]
     for first in firsts:
         with_first = first.evidence(evidence)
-        others = beside(proposals, with_first, [first.name])
-        # A number can be in the model once.
+        others = rescore_all(proposals, with_first, [first.name])
+        # Two effects with a common parameter cannot be combined.
         likely = [name for name, each in others.seen.items() if each.p <= SECOND_LEVEL
                   and not each.candidate.paths & first.proposal.candidate.paths][:_SECONDS]
-        fits = refit(with_first, others, context, f"fits beside {first.proposal.candidate.effect.title}",
+        fits = refit(with_first, others, context, f"fits with {first.proposal.candidate.effect.title}",
                      likely) if likely else []
         found += [Pair(first, second, with_first) for second in fits if second.gain >= SECOND
                   and not second.absent and not second.beyond and _both_needed(first, second, good, evidence)]
@@ -71,19 +81,37 @@ def pairs_of(evidence: Evidence, good: Sequence[Refit], proposals: Proposals, co
 
 
 def _both_needed(first: Refit, second: Refit, good: Sequence[Refit], evidence: Evidence) -> bool:
-    """Whether what either leaves without the other is as much worse, and they act in different places: two that change
-    the forces alike would explain by their difference what neither explains."""
+    """Return whether both effects of a pair are required and change the forces differently.
+
+    Two effects with similar changes of the forces could explain a misfit by the difference of their changes, although
+    neither acts.
+
+    Args:
+        first: fit with the first effect.
+        second: fit with both effects.
+        good: fits with one effect.
+        evidence: fit without effects.
+    """
     alone = next((each for each in good if each.name == second.name), None)
     if alone is not None and alone.gain > first.gain + second.gain - SECOND:
         return False
-    alone_it_shows, beside_first = rescored(second.proposal, evidence), second.proposal.strength
-    if not alone_it_shows.direction.freedom or alone_it_shows.strength * beside_first < STEADY * beside_first**2:
+    single, score_with_first = rescore(second.proposal, evidence), second.proposal.strength
+    if not single.direction.freedom or single.strength * score_with_first < MIN_SCORE_RATIO * score_with_first**2:
         return False
-    return largest_cosine(first.proposal.direction, alone_it_shows.direction) < DIFFERENT
+    return largest_cosine(first.proposal.direction, single.direction) < DIFFERENT
 
 
 def acts_in(proposal: Proposal, evidence: Evidence, most: int = 2) -> list[str]:
-    """Test and segment in which an effect moves the force most beyond what the fit takes up, at most so many."""
+    """Return the regions in which an effect changes the force most, after projection on the residual space.
+
+    Args:
+        proposal: scored candidate.
+        evidence: fit without the effect.
+        most: largest number of regions.
+
+    Returns:
+        Names such as ``needle (hold 1)``.
+    """
     weights: dict[str, float] = {}
     moved = np.sum(proposal.direction.basis**2, axis=1)
     for rows, curve in zip(evidence.problem.rows, evidence.problem.measured, strict=True):

@@ -1,4 +1,4 @@
-"""Which effects these tests could show, which of them the data show, and which are twins here."""
+"""Scores of all effects in the data of a campaign: significance, detectable size and indistinguishable effects."""
 
 from __future__ import annotations
 
@@ -16,27 +16,32 @@ from calibration.effects.effect import Candidate, Effect, NotTestableError
 from calibration.fit.run_context import RunContext
 from calibration.statistics.scores import Direction, familywise_p_values, largest_cosine
 
-#: An effect is seen where chance alone makes any of the catalogue score as it does with less than this probability.
+#: Family-wise p value below which an effect is significant.
 LEVEL = 0.01
-#: Deviations at which a size is seen in nine of ten data sets: that of the level with a catalogue of this size, and
-#: 1.28 more.
+#: Expected score of an effect that is detected with a probability of 90 %: the critical score 4.3 for `LEVEL` and a
+#: catalogue of this size, plus the 90 % quantile 1.28 of the normal distribution.
 SEEN = 4.3 + 1.28
-#: Below this share of a change that the fit leaves, it is tried at half its size too.
-_BENT = 0.05
-#: A jump is sought from this part of the largest displacement on, to this one.
-_COARSEST, _FINEST = 0.05, 0.002
-#: Directions of which this share is the same are twins.
+#: Fraction of a change outside the fitted space below which its second-order part is computed too.
+_SECOND_ORDER = 0.05
+#: First step of the search for a jump, as a fraction of the largest displacement.
+_COARSEST = 0.05
+#: Smallest step of the search for a jump, as a fraction of the largest displacement.
+_FINEST = 0.002
+#: Cosine between two directions above which their effects are indistinguishable (twins).
 TWINS = 0.97
 
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A candidate and its direction in the data.
+    """Scored candidate.
 
     Attributes:
-        candidate: what it is. change: of the whitened samples by it, shape (N, q).
-        direction: see `Direction`. score: deviations along it, shape (q,).
-        p: that chance alone makes any candidate as improbable. absent: path -> value at which it is absent.
+        candidate: candidate of an effect.
+        change: change of the whitened model by the trial size, shape (N, q).
+        direction: projected change.
+        score: score along the direction, shape (q,).
+        p: family-wise p value.
+        absent: path -> value at which the effect is absent, SI.
     """
 
     candidate: Candidate
@@ -48,34 +53,35 @@ class Proposal:
 
     @property
     def strength(self) -> float:
-        """Deviations that the data show, with the sign of the effect where it has one number."""
+        """Score in standard deviations; with the sign of the effect if it has one degree of freedom."""
         return float(self.score[0]) if self.direction.freedom == 1 else float(np.linalg.norm(self.score))
 
     @property
     def factor(self) -> float:
-        """Size by the score, in units of the size at which it was tried."""
+        """Estimated size of the effect from the score, in units of the trial size."""
         return self.strength / self.direction.reach if self.direction.reach else 0.0
 
     @cached_property
     def improbability(self) -> float:
-        """Logarithm of the probability of its score alone; the less the more telling, without a floor."""
+        """Log likelihood ratio -score^2 / 2 for the ranking of candidates; 0 if the sign of the score is impossible."""
         squares = float(np.sum(self.score**2))
         if self.direction.positive and self.direction.freedom == 1 and self.strength < 0:
             return 0.0
         return -0.5 * squares
 
     def sizes(self, factor: float | None = None) -> dict[str, float]:
-        """Path -> value of its numbers at a multiple of the size at which it was tried; None: by the score."""
+        """Return path -> value, SI, at a multiple of the trial size; None: at the size from the score."""
         return self.candidate.scaled_sizes(self.absent, self.factor if factor is None else factor)
 
 
 @dataclass(frozen=True, eq=False)
 class Proposals:
-    """The catalogue, held against the data.
+    """Scores of all effects of the catalogue.
 
     Attributes:
-        all: candidates that these tests could show. silent: name -> why they cannot, of the other effects.
-        effects: name -> effect, of the whole catalogue.
+        all: scored candidates that the tests can show.
+        silent: name -> reason why the tests cannot show an effect.
+        effects: name -> effect, for the whole catalogue.
     """
 
     all: tuple[Proposal, ...]
@@ -84,7 +90,7 @@ class Proposals:
 
     @cached_property
     def best(self) -> dict[str, Proposal]:
-        """Name -> the candidate of an effect that the data show most, strongest first."""
+        """Name -> candidate with the highest score, in the order of the scores."""
         found: dict[str, Proposal] = {}
         for each in sorted(self.all, key=lambda one: one.improbability):
             found.setdefault(each.candidate.name, each)
@@ -92,17 +98,17 @@ class Proposals:
 
     @property
     def seen(self) -> dict[str, Proposal]:
-        """Name -> candidates that chance does not explain, strongest first."""
+        """Name -> significant candidates (`LEVEL`), strongest first."""
         return {name: each for name, each in self.best.items() if each.p <= LEVEL}
 
     @property
     def seen_in_words(self) -> list[str]:
-        """``zero offset (8.1 standard deviations)`` of each of `seen`, strongest first."""
+        """Descriptions of the significant candidates, such as ``zero offset (8.1 standard deviations)``."""
         return [f"{each.candidate.effect.title} ({abs(each.strength):.2g} standard deviations)"
                 for each in self.seen.values()]
 
     def twins(self, name: str) -> list[str]:
-        """Names of others whose direction here is the same but for a few per cent, the likest first."""
+        """Return the names of indistinguishable candidates of other effects, most similar first."""
         mine = [each for each in self.all if each.candidate.name == name]
         found: dict[str, float] = {}
         for other in self.all:
@@ -114,11 +120,13 @@ class Proposals:
 
 def propose(evidence: Evidence, context: RunContext, words: str = "effects, one at a time",
             only: str | None = None) -> Proposals:
-    """Try every effect of the catalogue at a usual size, and score its direction.
+    """Simulate every effect of the catalogue at its trial size, and compute its score.
 
     Args:
-        evidence: at its minimum. steps: where the simulations run. words: for people.
-        only: name of the only effect that is tried; None: all.
+        evidence: fit of the campaign.
+        context: workers and listeners.
+        words: description for progress messages.
+        only: name of the only effect; None: all effects.
     """
     silent: dict[str, str] = {}
     effects: dict[str, Effect] = {}
@@ -138,8 +146,9 @@ def propose(evidence: Evidence, context: RunContext, words: str = "effects, one 
     columns = {number: change for number, change in enumerate(changes) if not isinstance(change, str)}
     failures = {candidates[number].name: change for number, change in enumerate(changes) if isinstance(change, str)}
     directions = {number: _direction(candidates[number], change, evidence) for number, change in columns.items()}
-    # Where the fit takes nearly all of it up, what is left may be how the change bends with the size.
-    bent = [number for number, direction in directions.items() if direction.reach < _BENT * direction.length]
+    # If nearly all of a change lies in the fitted space, the rest may be a nonlinearity. With c(s) = a s + b s^2 the
+    # combination 4 c(1/2) - c(1) = a removes the second-order part.
+    bent = [number for number, direction in directions.items() if direction.reach < _SECOND_ORDER * direction.length]
     halves = context.run_all(change_of, [(problem, evaluation, evidence.campaign, candidates[number], 0.5)
                                       for number in bent], words,
                           names=[candidates[number].title for number in bent]) if bent else []
@@ -149,47 +158,56 @@ def propose(evidence: Evidence, context: RunContext, words: str = "effects, one 
             directions[number] = _direction(candidates[number], columns[number], evidence)
     for number, direction in directions.items():
         if not direction.freedom:
-            failures[candidates[number].name] = "the other parameters take all of it up" \
-                if direction.length > 1e-6 else "it changes nothing in these tests"
-    proposals = _scored([(candidates[number], columns[number], direction) for number, direction in directions.items()],
+            failures[candidates[number].name] = "the other parameters can absorb its change of the forces" \
+                if direction.length > 1e-6 else "it does not change the forces of these tests"
+    proposals = _score([(candidates[number], columns[number], direction) for number, direction in directions.items()],
                         evidence)
     shown = {each.candidate.name for each in proposals}
     silent |= {name: reason for name, reason in failures.items() if name not in shown}
     return Proposals(proposals, silent, effects)
 
 
-def beside(proposals: Proposals, evidence: Evidence, known: Sequence[str]) -> Proposals:
-    """The proposals held against a fit that has some effects: their changes hardly depend on these.
+def rescore_all(proposals: Proposals, evidence: Evidence, known: Sequence[str]) -> Proposals:
+    """Compute the scores of all candidates in a fit that contains some effects.
+
+    The changes of the forces are taken from the fit without these effects, on which they hardly depend.
 
     Args:
-        proposals: on the fit without them. evidence: with them. known: their names.
+        proposals: scores in the fit without the effects.
+        evidence: fit with the effects.
+        known: names of the candidates that the fit contains.
     """
-    return replace(proposals, all=_scored([
+    return replace(proposals, all=_score([
         (each.candidate, each.change, _direction(each.candidate, each.change, evidence)) for each in proposals.all
         if each.candidate.name not in known], evidence))
 
 
-def rescored(proposal: Proposal, evidence: Evidence) -> Proposal:
-    """A proposal held against another fit; its probability stays."""
+def rescore(proposal: Proposal, evidence: Evidence) -> Proposal:
+    """Return a candidate with its score in another fit; the p value is unchanged."""
     direction = _direction(proposal.candidate, proposal.change, evidence)
     return replace(proposal, direction=direction, score=direction.score(evidence.residual))
 
 
-def _scored(asked: Sequence[tuple[Candidate, np.ndarray, Direction]], evidence: Evidence) -> tuple[Proposal, ...]:
-    """Proposals of those of which the fit leaves anything."""
-    left = [(candidate, change, direction) for candidate, change, direction in asked if direction.freedom]
-    directions = [direction for *_, direction in left]
+def _score(asked: Sequence[tuple[Candidate, np.ndarray, Direction]], evidence: Evidence) -> tuple[Proposal, ...]:
+    """Return scored candidates, without those whose changes lie in the fitted space.
+
+    Args:
+        asked: candidates with their changes, shape (N, q), and directions.
+        evidence: fit.
+    """
+    testable = [(candidate, change, direction) for candidate, change, direction in asked if direction.freedom]
+    directions = [direction for *_, direction in testable]
     scores = [direction.score(evidence.residual) for direction in directions]
     return tuple(Proposal(candidate, change, direction, score, float(p), {
         path: candidate.absent_value(evidence.campaign, path) for path in candidate.sizes})
         for (candidate, change, direction), score, p in zip(
-            left, scores, familywise_p_values(directions, scores), strict=True))
+            testable, scores, familywise_p_values(directions, scores), strict=True))
 
 
-def sharpened(proposal: Proposal, evidence: Evidence) -> Proposal:
-    """The proposal with its jump where the data show it most, to a sample; itself where the force does not jump.
+def refine_jump(proposal: Proposal, evidence: Evidence) -> Proposal:
+    """Move the jump of a candidate to the position with the highest score, by steps that are halved down to a sample.
 
-    Its probability stays that of the grid.
+    Candidates without a jump are returned unchanged. The p value is unchanged.
     """
     candidate = proposal.candidate
     if not candidate.jump:
@@ -200,14 +218,14 @@ def sharpened(proposal: Proposal, evidence: Evidence) -> Proposal:
     step = _COARSEST * deepest
     while step > max(step_of(curves), _FINEST * deepest):
         step *= 0.5
-        for way in (-step, step):
-            place = float(np.clip(candidate.shape[candidate.jump] + way, *candidate.bounds.get(
+        for change_of_depth in (-step, step):
+            depth = float(np.clip(candidate.shape[candidate.jump] + change_of_depth, *candidate.bounds.get(
                 candidate.jump, (0.0, deepest))))
-            other = replace(candidate, shape={**candidate.shape, candidate.jump: place})
+            other = replace(candidate, shape={**candidate.shape, candidate.jump: depth})
             change = change_of(evidence.problem, evidence.evaluation, evidence.campaign, other)
             if isinstance(change, str):
                 continue
-            found = rescored(replace(proposal, candidate=other, change=change), evidence)
+            found = rescore(replace(proposal, candidate=other, change=change), evidence)
             if found.direction.freedom and found.improbability < proposal.improbability:
                 proposal = found
         candidate = proposal.candidate
@@ -215,18 +233,19 @@ def sharpened(proposal: Proposal, evidence: Evidence) -> Proposal:
 
 
 def step_of(curves: Sequence[MeasuredCurve]) -> float:
-    """How far a tool goes from sample to sample in the finest of some recordings, m."""
+    """Return the smallest median displacement between successive samples of some recordings, m."""
     return min(float(np.median(np.abs(np.diff(curve.displacement[curve.displacement > 0])))) for curve in curves)
 
 
 def _direction(candidate: Candidate, change: np.ndarray, evidence: Evidence) -> Direction:
+    """Return the direction of a change, shape (N, q), with zeros in the rows of nuisances and priors."""
     rows = evidence.residual.size - evidence.problem.samples
     columns = np.vstack([change, np.zeros((rows, change.shape[1]))])
     return Direction.project(columns, evidence.fitted, positive=_one_sided(candidate, evidence))
 
 
 def _one_sided(candidate: Candidate, evidence: Evidence) -> bool:
-    """Whether its number can only lie on one side of where it is absent."""
+    """Return whether the only size parameter can lie on one side of its absent value only."""
     if len(candidate.sizes) != 1:
         return False
     (path, size), = candidate.sizes.items()

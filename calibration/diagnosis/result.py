@@ -1,4 +1,4 @@
-"""One diagnosed campaign in its folder, and its JSON."""
+"""Result of a diagnosis in its output folder, and its JSON."""
 
 from __future__ import annotations
 
@@ -17,12 +17,14 @@ from tissue_sim.decode import read_json
 
 @dataclass(frozen=True)
 class DiagnosisResult:
-    """One campaign, diagnosed.
+    """Result of the diagnosis of one campaign.
 
     Attributes:
-        campaign: what was asked, with one law. diagnosis: the answer.
-        output: folder of its files. digest: of everything that the answer depends on.
-        resumed: read back from an earlier run instead of computed.
+        campaign: campaign with one law.
+        diagnosis: diagnosis.
+        output: output folder.
+        digest: hash of all inputs of the diagnosis.
+        resumed: whether the result was read from an earlier run.
     """
 
     campaign: Campaign
@@ -33,7 +35,10 @@ class DiagnosisResult:
 
 
 def diagnosis_to_json(results: Sequence[DiagnosisResult]) -> dict[str, Any]:
-    """The object of ``diagnose --json`` and ``diagnosis.json``: one campaign plainly, several under ``campaigns``."""
+    """Return the JSON object of ``diagnose --json`` and ``diagnosis.json``.
+
+    Several campaigns are a list under the key ``campaigns``.
+    """
     if len(results) != 1:
         return {"campaigns": [diagnosis_to_json([result]) for result in results]}
     result = results[0]
@@ -41,7 +46,16 @@ def diagnosis_to_json(results: Sequence[DiagnosisResult]) -> dict[str, Any]:
 
 
 def read_diagnosis(campaign: Campaign, folder: Path, digest: str) -> DiagnosisResult | None:
-    """The finished diagnosis of the same work, None where there is none that can be read or a file of it is missing."""
+    """Read the result of an earlier run with the same inputs.
+
+    Args:
+        campaign: campaign with one law.
+        folder: output folder.
+        digest: hash of all inputs.
+
+    Returns:
+        The result; None if it is missing, unreadable or incomplete, or belongs to other inputs.
+    """
     try:
         found = read_json(folder / DIAGNOSIS_FILE, "a finished diagnosis")
         if found["work"] != digest:

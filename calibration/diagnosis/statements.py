@@ -1,4 +1,4 @@
-"""From proposals, refits and fits to what a diagnosis states."""
+"""Conversion of scores and fits to the records of a diagnosis."""
 
 from __future__ import annotations
 
@@ -15,17 +15,19 @@ from calibration.fit.uncertainty import assess_uncertainty
 
 
 def found_effects(judgement: Judgement, before: Evidence, after: Evidence) -> list[FoundEffect]:
-    """What was added, with the numbers of the last fit.
+    """Return the added effects with the parameters of the final fit.
 
     Args:
-        judgement: what was chosen. before: without it. after: with all of it, at the last minimum.
+        judgement: verdict with the added effects.
+        before: fit without effects.
+        after: fit with all added effects.
     """
     found: dict[str, FoundEffect] = {}
     for each in judgement.added:
         candidate, numbers = each.proposal.candidate, numbers_of(each.proposal.candidate, after)
         effect = candidate.effect
         if candidate.name in found:
-            # One more term of it.
+            # A further instance of the effect, such as a second Prony term.
             numbers = [*found[candidate.name].parameters, *numbers]
         found[candidate.name] = FoundEffect(
             name=effect.name, category=effect.category, title=effect.title,
@@ -35,7 +37,7 @@ def found_effects(judgement: Judgement, before: Evidence, after: Evidence) -> li
 
 
 def numbers_of(candidate: Candidate, evidence: Evidence) -> list[Number]:
-    """The numbers of an effect with their standard errors, where the fit has them."""
+    """Return the fitted parameters of a candidate with their standard errors."""
     space = evidence.problem.space
     spread = assess_uncertainty(evidence.problem, evidence.evaluation)
     errors = dict(zip(space.free, spread.standard_errors, strict=True))
@@ -54,7 +56,7 @@ def numbers_of(candidate: Candidate, evidence: Evidence) -> list[Number]:
 
 
 def candidate_statements(proposals: Proposals, judgement: Judgement, before: Evidence) -> list[CandidateStatement]:
-    """The catalogue, best first: fitted ones by their gain, then by score, then those that these tests do not show."""
+    """Return the records of all effects: fitted ones by BIC, other testable ones by score, then the rest."""
     refits = {each.name: each for each in judgement.refits}
     best = judgement.refits[0] if judgement.refits else None
     rows = [_testable(name, proposal, proposals, refits.get(name), best, before)
@@ -69,18 +71,19 @@ def candidate_statements(proposals: Proposals, judgement: Judgement, before: Evi
 
 def _testable(name: str, proposal: Proposal, proposals: Proposals, fitted: Refit | None, best: Refit | None,
               before: Evidence) -> CandidateStatement:
+    """Return the record of a testable candidate."""
     effect, finite = proposal.candidate.effect, fitted is not None and np.isfinite(fitted.gain)
-    # The value of what means nothing in its absence at which it is seen best.
+    # The detectable size refers to the shape parameters with the highest expected score.
     mine = [each for each in proposals.all if each.candidate.name == name]
-    plainest = max(mine, key=lambda each: each.direction.reach)
-    smallest = plainest.sizes(SEEN / plainest.direction.reach)
+    clearest = max(mine, key=lambda each: each.direction.reach)
+    smallest = clearest.sizes(SEEN / clearest.direction.reach)
     after = fitted.evidence(before) if fitted is not None and finite else None
-    prepared = plainest.candidate.with_prepared_tests(before.campaign)
-    symbols = plainest.candidate.symbols(before.campaign)
+    prepared = clearest.candidate.with_prepared_tests(before.campaign)
+    symbols = clearest.candidate.symbols(before.campaign)
     return CandidateStatement(
         name=name, effect=effect.name, category=effect.category, title=effect.title, testable=True, seen_from=smallest,
-        symbols={path: symbols[path] for path in smallest}, absent=plainest.absent,
-        units={path: plainest.candidate.declaration(prepared, path).unit for path in smallest},
+        symbols={path: symbols[path] for path in smallest}, absent=clearest.absent,
+        units={path: clearest.candidate.declaration(prepared, path).unit for path in smallest},
         twins=proposals.twins(name), separated_by=effect.separated_by,
         score=proposal.strength, p=proposal.p, estimate=proposal.sizes(),
         refitted=fitted is not None, delta_BIC=float(fitted.gain) if fitted is not None and finite else None,

@@ -1,4 +1,4 @@
-"""A diagnosis in sentences."""
+"""Sentences that describe a diagnosis."""
 
 from __future__ import annotations
 
@@ -8,67 +8,71 @@ from msgspec.structs import replace
 
 from calibration.diagnosis.diagnosis import CandidateStatement, FoundEffect, HeldOut, Number, RegionGap, Verdict
 
-#: What a unit of SI is written in, and how many of these it is.
+#: SI unit -> unit in sentences, and the factor of the value.
 _UNITS = {"m": ("mm", 1e3), "m/N": ("mm/N", 1e3), "m2/s": ("mm2/s", 1e6), "N s/m": ("N s/mm", 1e-3), "1": ("", 1.0)}
 
-#: Squares of the errors of unseen data may grow by this factor by chance.
-_NO_BETTER = 1.1
-#: Least share of a gap, %, of which an effect that was not added is worth a word.
-_NEAR = 30.0
+#: Factor of the squared prediction errors of unseen data above which an added effect is called unreliable.
+_ERROR_GROWTH = 1.1
+#: Smallest explained fraction of a misfit, %, for which an effect that was not added is mentioned.
+_MIN_EXPLAINED = 30.0
 
 
 def joined(words: Sequence[str], last: str = "and") -> str:
-    """``a, b and c``."""
+    """Join words to an enumeration, such as ``a, b and c``."""
     return f" {last} ".join(filter(None, (", ".join(words[:-1]), words[-1]))) if words else ""
 
 
 def number_in_words(number: Number) -> str:
-    """``tau1 = 19.7 +- 0.3 s``."""
+    """Describe a parameter, such as ``tau1 = 19.7 ± 0.3 s``."""
     unit, factor = _UNITS.get(number.unit, (number.unit, 1.0))
     error = "" if number.standard_error is None else f" ± {factor * number.standard_error:.2g}"
     return f"{number.symbol} = {factor * number.value:.4g}{error}{' ' + unit if unit else ''}"
 
 
 def effect_in_words(effect: FoundEffect) -> str:
-    """``viscoelasticity (g1 = 0.0301 +- 0.0002, tau1 = 19.7 +- 0.3 s)``."""
+    """Describe an effect, such as ``viscoelasticity (g1 = 0.0301 ± 0.0002, tau1 = 19.7 ± 0.3 s)``."""
     where = f" in {joined(effect.tests)}" if effect.tests else ""
     return f"{effect.title}{where} ({', '.join(map(number_in_words, effect.parameters))})"
 
 
 def bound_in_words(number: Number) -> str:
-    """``c = 2 mm/N, the largest that a fit may take`` of a number that ended on its bound."""
+    """Describe a parameter on its bound, such as ``c = 2 mm/N, the largest that a fit may take``."""
     assert number.bound is not None
     end = "smallest" if number.bound < (number.absent or 0.0) else "largest"
     return f"{number_in_words(replace(number, standard_error=None))}, the {end} that a fit may take"
 
 
 def _comes_nearest(nearest: CandidateStatement) -> str:
-    """That an effect explains most and was not added, and why not where its size ended on a bound."""
+    """Describe the effect that explains most of the misfit and was not added, with the reason."""
     title, share = f"{nearest.title[:1].upper()}{nearest.title[1:]}", f"{nearest.explained_percent:.0f} %"
     beyond = [each for each in nearest.parameters if each.beyond]
     if not beyond:
         return f"{title} comes nearest and explains {share} of it."
-    told = f" (here: {nearest.separated_by})" if nearest.separated_by else ""
+    remedy = f" (here: {nearest.separated_by})" if nearest.separated_by else ""
     return (f"{title} comes nearest and explains {share} of it, but its size ran to its bound, "
             f"{joined([bound_in_words(each) for each in beyond])}: that is where the fit was stopped and no estimate, "
             f"so that it was not named. Either it is larger than is held for possible, which a measurement of it alone "
-            f"would show{told}, or something else acts like it.")
+            f"would show{remedy}, or something else acts like it.")
 
 
 def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[str], regions: Sequence[RegionGap],
             gaps: tuple[float, float | None, float], untestable: int, unseen: Sequence[HeldOut] = (),
             nearest: CandidateStatement | None = None, repeated: Sequence[str] = (),
             offsets: Sequence[str] = (), scored: Sequence[str] = (), *, stressed: bool = False) -> str:
-    """What was found, in a few sentences.
+    """Summarise a diagnosis in a few sentences.
 
     Args:
-        verdict: in one word. effects: that were added. titles: of all that explain the gap as well.
-        regions: of all tests. gaps: root mean square before and after, and noise, N.
-        untestable: how many effects these tests could not show. unseen: data that the fits have not seen.
-        nearest: effect that explains most.
-        repeated: tests whose recordings leave the same behind.
-        offsets: contact offsets beyond their assumed scatter, which the fit takes out, in words.
-        scored: effects that scores over whole tests show, in words, strongest first.
+        verdict: verdict.
+        effects: added effects.
+        titles: titles of all candidates that explain the misfit equally well.
+        regions: regions of all tests.
+        gaps: root mean square of the smooth residuals before and after, and noise, N.
+        untestable: number of effects that the tests cannot show.
+        unseen: predictions of unseen data.
+        nearest: effect that explains most of the misfit.
+        repeated: tests with a common signal in the residuals of their recordings.
+        offsets: descriptions of contact offsets beyond their assumed scatter.
+        scored: descriptions of effects with significant scores, strongest first.
         stressed: whether stress was recorded, Pa.
     """
     before, after, noise = gaps
@@ -78,7 +82,7 @@ def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[s
     closed = "" if after is None else (f" The gap falls from {factor * before:.2g} to {factor * after:.2g} {unit} "
                                        f"({before / noise:.2g} to {after / noise:.2g} of the noise).")
     pairs = [(each.before_N, each.after_N) for each in unseen if each.before_N is not None and each.after_N is not None]
-    if pairs and sum(two**2 for _, two in pairs) > _NO_BETTER * sum(one**2 for one, _ in pairs):
+    if pairs and sum(two**2 for _, two in pairs) > _ERROR_GROWTH * sum(one**2 for one, _ in pairs):
         closed += " Data that the fits have not seen are predicted worse with it: do not rely on it."
     silent = f" {untestable} effects of the catalogue cannot be seen in these tests." if untestable else ""
     match verdict:
@@ -89,7 +93,7 @@ def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[s
                         f"{silent}")
             return f"Nothing is missing that these tests could show.{silent}"
         case "UNKNOWN":
-            worth = nearest is not None and (nearest.explained_percent or 0.0) >= _NEAR
+            worth = nearest is not None and (nearest.explained_percent or 0.0) >= _MIN_EXPLAINED
             near = f" {_comes_nearest(nearest)}" if nearest is not None and worth else ""
             if not where:
                 several = f" ({joined(scored[:3])})" if scored else ""

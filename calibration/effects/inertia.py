@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 from calibration.campaign.campaign import Test
 from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
 from tissue_sim.model import Model
 from tissue_sim.rig.inertia import Inertia as Mass
-from tissue_sim.rig.rig import Rig
 
 #: Trial mass of the tool, kg: a typical mass of a small tool.
 _TRIAL_MASS = 0.1
@@ -52,6 +52,6 @@ def _with_mass(test: Test) -> Test:
     return replace(test, rig=_with_inertia(test.rig))
 
 
-def _with_inertia(rig: Rig) -> Rig:
+def _with_inertia(rig: Any) -> Any:
     """Return a rig with the additional fault `tissue_sim.rig.inertia.Inertia` of mass 0."""
     return replace(rig, faults=[*rig.faults.values(), Mass(0.0)])

@@ -1,1 +1,1 @@
-"""From recordings and a forward model to parameters with uncertainties."""
+"""Parameter estimation: least-squares fits of material laws to recordings, uncertainties and rankings."""

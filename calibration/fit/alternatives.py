@@ -89,11 +89,12 @@ def prefer_positive_exponents(space: ParameterSpace, minima: Sequence[tuple[floa
 
 def find_alternatives(law: Law, parameters: Mapping[str, float], minima: Sequence[tuple[Minimum, Mapping[str, float]]],
                       stretches: tuple[float, float]) -> list[Alternative]:
-    """Minima that fit as well as the estimate and are another material.
+    """Return the minima that fit as well as the estimate and describe another material.
 
     Args:
-        parameters: of the law at the estimate, SI.
-        minima: every distinct minimum with the parameters of the law there, SI.
+        law: fitted law.
+        parameters: parameters of the law at the estimate, SI.
+        minima: distinct minima, each with the parameters of the law, SI.
         stretches: smallest and largest principal stretch of the data.
     """
     found: list[Alternative] = []
@@ -111,7 +112,7 @@ def find_alternatives(law: Law, parameters: Mapping[str, float], minima: Sequenc
 
 def describe_alternatives(alternatives: Sequence[Alternative], symbols: Mapping[str, str],
                           units: Mapping[str, str]) -> str:
-    """One sentence on the alternatives of a fit; empty where there is none."""
+    """Describe the alternatives of a fit; empty if there are none."""
     parts = []
     for each in alternatives:
         values = ", ".join(f"{symbols[name]} {value:.4g}{'' if units[name] == '1' else ' ' + units[name]}"
@@ -124,11 +125,16 @@ def describe_alternatives(alternatives: Sequence[Alternative], symbols: Mapping[
 
 def without_errors_of(space: ParameterSpace, spread: Uncertainty, theta: np.ndarray,
                       alternatives: Sequence[Alternative]) -> Uncertainty:
-    """The uncertainty without standard errors that mislead: of parameters that differ between equal optima, and of
-    parameters with two bounds whose standard error exceeds the distance of the bounds.
+    """Replace misleading standard errors by infinity.
+
+    These are the standard errors of parameters that differ between equally good optima, and of parameters with two
+    bounds whose standard error exceeds the distance of the bounds.
 
     Args:
+        space: parameter space.
+        spread: uncertainty of the estimate.
         theta: free parameters at the estimate, SI, shape (p,).
+        alternatives: other optima that fit equally well.
     """
     errors = spread.standard_errors.copy()
     for place, name in enumerate(space.free):

@@ -1,4 +1,4 @@
-"""From an estimate to what people need to know about it."""
+"""Assembly of a `Fit` record from an estimate: intervals, stability, population and usability."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from calibration.fit.alternatives import find_alternatives, without_errors_of
 from calibration.fit.determination import Determination, determine
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator, Findings
-from calibration.fit.fit import Covariance, Fit, Profile
+from calibration.fit.fit import Fit, Profile
 from calibration.fit.identifiability import not_identifiable
 from calibration.fit.population import differing_specimens, find_specimens
+from calibration.fit.population_records import Covariance
 from calibration.fit.profiles import ProfileSide
 from calibration.fit.self_weight import sags
 from calibration.fit.trust_region import Descent
@@ -28,11 +29,15 @@ from tissue_sim.laws.stability import STRETCH_RANGE
 
 def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
            sides: Sequence[ProfileSide], campaign: Campaign) -> Fit:
-    """The `Fit` of an estimate; what it cost, and its rank, are not in it yet.
+    """Return the `Fit` of an estimate, without computing effort and rank.
 
     Args:
-        estimator: the weights. estimate: the minimum. spread: its uncertainty. descents: of all starts.
-        sides: of the profiles. campaign: what was asked.
+        estimator: method of the fit.
+        estimate: minimum of the sum of squares.
+        spread: uncertainty of the estimate.
+        descents: descents from all starts.
+        sides: sides of the profile likelihoods.
+        campaign: campaign.
     """
     problem, space = estimate.problem, estimate.problem.space
     law = find_law(space.law)
@@ -60,8 +65,8 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
     aic, bic = information_criteria(*spread.criteria, problem.bounds[0].size)
     order = list(space.names)
     covariance = np.zeros((len(order), len(order)))
-    places = [order.index(name) for name in space.free]
-    covariance[np.ix_(places, places)] = spread.covariance[free, free]
+    indices = [order.index(name) for name in space.free]
+    covariance[np.ix_(indices, indices)] = spread.covariance[free, free]
     shared = {
         "law": law.name, "formula": law.formula(), "parameters": values, "symbols": space.symbols,
         "units": units, "alternatives": alternatives, "clauses": clauses,
@@ -86,8 +91,10 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
 
 
 def _determination(estimate: Estimate, spread: Uncertainty, mu0: float, campaign: Campaign) -> Determination | None:
-    """Knowledge of the shear modulus; None where it is not positive, or where specimens have moduli of their own, which
-    the clause `population` judges."""
+    """Return how well the tests determine the shear modulus.
+
+    None if the modulus is not positive, or if each specimen has its own moduli, which the clause `population` judges.
+    """
     space = estimate.problem.space
     if not mu0 > 0 or any(each.of_law and each.specimen is not None for each in space.unknowns):
         return None
@@ -97,7 +104,7 @@ def _determination(estimate: Estimate, spread: Uncertainty, mu0: float, campaign
 
 
 def _derivatives(estimate: Estimate, theta: np.ndarray) -> dict[str, str]:
-    """Free parameter -> ``"exact"``, or ``"difference"`` where it is one in any test."""
+    """Return free parameter -> ``"difference"`` if any test uses finite differences for it, otherwise ``"exact"``."""
     problem, names = estimate.problem, set()
     for test in problem.tests:
         names |= test.differenced_parameters(test.solve(problem.space, theta, problem.solves))
@@ -106,7 +113,7 @@ def _derivatives(estimate: Estimate, theta: np.ndarray) -> dict[str, str]:
 
 def _other_losses(stability: Stability, reached: Mapping[str, StretchRange],
                   stretches: tuple[float, float]) -> list[str]:
-    """A warning where loading that was not measured is unstable inside the stretches of the data."""
+    """Return a warning if the law is unstable in other modes of loading within the measured stretches."""
     measured = {one.mode for one in reached.values()}
     found = [loss for mode in stability.limits if mode not in measured
              if (loss := losses(stability, mode, stretches))]
@@ -114,6 +121,7 @@ def _other_losses(stability: Stability, reached: Mapping[str, StretchRange],
 
 
 def _profiles(estimate: Estimate, spread: Uncertainty, sides: Sequence[ProfileSide]):
+    """Return profiles, 95 % intervals and notes on the intervals, each by name of the parameter."""
     space, theta = estimate.problem.space, estimate.theta
     values = space.values(theta[: len(space.free)])
     profiles: dict[str, Profile] = {}
@@ -128,7 +136,7 @@ def _profiles(estimate: Estimate, spread: Uncertainty, sides: Sequence[ProfileSi
             cuts = [f"{end}: {side.note}" for end, side in (("low", down), ("high", up)) if side.note]
             profiles[name] = Profile(values=[v for v, _ in points], rises=[r for _, r in points],
                                      level=float(spread.quantile[i]**2), notes=cuts)
-            # One of several equal optima has no interval.
+            # A parameter that differs between equally good optima has no interval.
             intervals[name] = (down.end, up.end) if np.isfinite(spread.standard_errors[i]) else None
             if cuts:
                 notes[name] = "; ".join(cuts)

@@ -1,4 +1,4 @@
-"""From a campaign and its recordings to the least-squares problem of a law."""
+"""Construction of the least-squares problem of a law from a campaign and its recordings."""
 
 from __future__ import annotations
 
@@ -15,29 +15,32 @@ from calibration.forward.meshes import FAST_MESH_ERRORS
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import Jitter
 
-#: Standard deviation of the zero with which an estimate of the jitter begins, and which is assumed where no test has
-#: two recordings, as a share of the largest force.
+#: First value of the zero's standard deviation as a fraction of the largest force; it is kept if no test has two
+#: recordings.
 FIRST_ZERO = 0.002
 
 
 def build_problem(law: str, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]],
                   solves: SimulationCache) -> Problem:
-    """The least-squares problem of one law over all tests that are not held out.
+    """Return the least-squares problem of one law over all tests that are not held out.
 
     Args:
-        law: its name. campaign: what is asked. measured: test -> its recordings. solves: what has been simulated.
+        law: name of the law.
+        campaign: campaign.
+        measured: test -> its recordings.
+        solves: cache of simulations.
     """
     names = {test: [curve.name for curve in curves] for test, curves in measured.items()}
     space = ParameterSpace.of(law, campaign, names)
     fitted = [test for test in campaign.tests if not test.hold_out]
     jitter = first_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
     tests = tuple(build_test(test, measured[test.name], campaign.fit, jitter.contact) for test in fitted)
-    # What the fast mesh is off is no misfit that offsets should make up for.
+    # With the error of the fast mesh in the covariance, offsets do not compensate for this error.
     return Problem(space, tests, solves, jitter, tuple(mesh_uncertainty(test, FAST_MESH_ERRORS) for test in tests))
 
 
 def first_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> Jitter:
-    """What is stated, and a first guess where it is to be estimated."""
+    """Return the stated jitter, and first guesses of values that are estimated later."""
     fit, noise = campaign.fit, campaign.noise
     contact, zero, freedom = noise.contact_jitter, noise.zero_jitter, None
     largest = float(np.median([np.abs(curve.force).max() for curve in curves]))

@@ -1,4 +1,4 @@
-"""What is refused before an inverse fit begins, because nothing good would come of it."""
+"""Checks of the first start of an inverse fit."""
 
 from __future__ import annotations
 
@@ -11,20 +11,22 @@ from calibration.forward.contract import InfeasibleError
 from tissue_sim.errors import InputError
 from tissue_sim.laws import check_stability, find_law
 
-#: A parameter is unseen where a change by its own size moves all forces together by less than this, in units of
-#: their noise.
+#: Norm of the change of all forces, in units of their noise, below which a change of a parameter by its own size counts
+#: as undetectable.
 UNSEEN = 0.1
 
 
 def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
-    """Simulate the first start once and look at it.
+    """Simulate the first start and check it.
 
     Args:
-        problem: of one law. campaign: where it comes from. number: of the law in ``fit.laws``.
+        problem: problem of one law.
+        campaign: campaign of the problem.
+        number: index of the law in ``fit.laws``.
 
     Raises:
-        InputError: a stated start (or fixed value) that no material has or that is unstable inside the data, more
-            unknowns than samples, a parameter that no test can see; with the file and the field.
+        InputError: a stated start or fixed value is invalid or unstable within the data, there are more unknowns than
+            samples, or no test depends on a parameter; with file and field.
     """
     space, law = problem.space, find_law(problem.space.law)
     if problem.samples <= len(space.free):
@@ -38,7 +40,7 @@ def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
     try:
         space.material(values)
     except InputError as error:
-        raise InputError(f"{law.name} is no material with this start: {error.problem}", file=campaign.path,
+        raise InputError(f"{law.name} is no valid material with this start: {error.problem}", file=campaign.path,
                          field=f"fit.{key}") from None
     if stated:
         _check_stable(problem, theta, campaign, key)
@@ -46,20 +48,20 @@ def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
         evaluation = problem.evaluate(theta)
     except InfeasibleError as error:
         if stated:
-            raise InputError(f"the simulation does not get through the data with this start ({error}); state another "
-                             "one, or a smaller max_strain", file=campaign.path, field=f"fit.{key}") from None
+            raise InputError(f"the simulation fails within the data with this start ({error}); state another start, or "
+                             "a smaller max_strain", file=campaign.path, field=f"fit.{key}") from None
         return
     seen = np.linalg.norm(evaluation.rates, axis=0) * space.sizes(values)
     for name, size in zip(space.free, seen, strict=True):
         if size < UNSEEN and not np.isfinite(space.prior_deviation[space.free.index(name)]):
             field = f"fit.start.{name}" if name in campaign.fit.start else f"fit.laws[{number}]"
-            raise InputError(f"no test can see {name}: changing it by its own size moves all forces together by "
-                             f"{size:.2g} of their noise; fix it in [fit.fixed], or add a test that it acts on",
+            raise InputError(f"no test depends on {name}: a change by its own size changes all forces together by "
+                             f"{size:.2g} of their noise; fix it in [fit.fixed], or add a test that depends on it",
                              file=campaign.path, field=field)
 
 
 def _check_stable(problem: Problem, theta: np.ndarray, campaign: Campaign, key: str) -> None:
-    """Refuse a stated law that loses stability in a homogeneous test inside its data."""
+    """Raise an `InputError` if stated values make the law unstable within the data of a homogeneous test."""
     law, space = find_law(problem.space.law), problem.space
     own = law.as_array(space.of_law(space.values(theta)))
     for test in problem.tests:

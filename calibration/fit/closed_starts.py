@@ -1,4 +1,4 @@
-"""Where a fit to closed forms begins: exponents from a grid, moduli and relaxing shares from linear solves there."""
+"""Starting values of fits with closed forms: exponents from a grid, other parameters from linear least squares."""
 
 from __future__ import annotations
 
@@ -12,55 +12,66 @@ from calibration.fit.ordinary_problem import OrdinaryProblem, feasible
 from calibration.fit.variables import LongTerm
 from tissue_sim.laws import find_law
 
-#: Exponents and other numbers without unit that the starts are made of. 0 is the limit of a power law: in simple shear
-#: the stress is even in the exponent, so that a descent from elsewhere approaches 0 slowly.
+#: Grid of exponents and other dimensionless parameters. The grid includes 0, the limit of a power law: in simple shear
+#: the stress is even in the exponent, so that descents approach 0 slowly.
 EXPONENTS = (-20.0, -10.0, -5.0, -2.0, -0.5, 0.0, 1.0, 2.0, 4.0, 8.0, 15.0, 25.0)
+#: Largest number of elastic starts.
 MAX_STARTS = 12
-#: Shares of the bound of a contact offset that the best start is moved by.
-_MOVED = (-0.5, -0.1, -0.01, 0.01, 0.1, 0.5)
-#: Grid of relaxation times per decade that the starts are chosen from, and how many candidates are refined.
-TIMES_PER_DECADE, RELAXING_STARTS = 3, 3
+#: Contact offsets of additional starts, as fractions of the bound.
+_TRIAL_OFFSETS = (-0.5, -0.1, -0.01, 0.01, 0.1, 0.5)
+#: Relaxation times per decade of the grid for Prony terms.
+TIMES_PER_DECADE = 3
+#: Number of sets of exponents that are refined for a law with Prony terms.
+RELAXING_STARTS = 3
 
 
 def closed_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
-    """Starts of a law, best first; what the campaign states comes before all of them.
+    """Return the starting values of a law, best first; values that the campaign states come before all others.
+
+    Args:
+        problem: problem of the law.
 
     Returns:
-        Unknowns, each of shape (k,), inside their bounds; empty where no start gives a finite stress.
+        Unknowns inside their bounds, SI, each of shape (k,); empty if no start gives a finite stress.
     """
     space = problem.space
     relaxing = problem.relaxing
     found = _elastic_starts(problem) if relaxing is None else _relaxing_starts(problem, relaxing)
     if found and problem.shifted:
-        # Moving a contact moves samples in and out of contact, which makes minima of its own.
-        for share in _MOVED:
+        # A contact offset moves samples across first contact, so the sum of squares may have several minima.
+        for fraction in _TRIAL_OFFSETS:
             moved = found[0].copy()
-            moved[len(space.free)::2] = share * problem.settings.offset_bound
+            moved[len(space.free)::2] = fraction * problem.settings.offset_bound
             found.append(moved)
     if space.start:
         stated = found[0].copy() if found else np.clip(np.zeros(problem.bounds[0].size), *problem.bounds)
-        for place, name in enumerate(space.free):
-            stated[place] = space.start.get(name, stated[place])
+        for index, name in enumerate(space.free):
+            stated[index] = space.start.get(name, stated[index])
         found.insert(0, stated)
     return found
 
 
 def _grids(count: int) -> Iterator[tuple[float, ...]]:
-    """Exponents to begin with: not all of them the same."""
+    """Yield combinations of exponents that are not all equal."""
     for grid in combinations_with_replacement(EXPONENTS, count):
         if len(set(grid)) >= min(count, 2):
             yield grid
 
 
 def _elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
+    """Return starts of a law without Prony terms, by the sum of squares.
+
+    For each combination of exponents, linear least squares gives the moduli.
+    """
     space = problem.space
     of_law = [each.of_law for each in space.varied]
     moduli = [i for i, each in enumerate(space.varied) if each.of_law and each.is_modulus]
     exponents = [i for i, each in enumerate(space.varied) if each.is_exponent]
-    # One grid for the exponents of the law, whichever specimen they are of.
+    # The exponents of all specimens have the same starting values.
     paths = [space.varied[i].path for i in exponents]
     kinds = list(dict.fromkeys(paths))
-    # Stress is linear in the moduli without weight, and bent a little with it: solved for in turn, it starts a fit.
+    # The stress is linear in the moduli without self-weight and slightly nonlinear with it: further linear solves
+    # follow.
     weightless = problem.weightless
     solves = [weightless] if all(test.proportional for test in problem.tests) else [weightless, problem, problem]
     strain = max(float(np.ptp(np.concatenate([test.strain(curve.displacement) for curve in test.measured])))
@@ -71,8 +82,8 @@ def _elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
     candidates = []
     for grid in _grids(len(kinds)):
         unknowns = np.zeros(low.size)
-        for place, name in enumerate(space.free):
-            unknowns[place] = guess if of_law[place] else space.start.get(name, 0.0)
+        for index, name in enumerate(space.free):
+            unknowns[index] = guess if of_law[index] else space.start.get(name, 0.0)
         unknowns[exponents] = [grid[kinds.index(path)] for path in paths]
         tried = [np.clip(unknowns, low, high)]
         for solved_on in solves if moduli else ():
@@ -83,7 +94,7 @@ def _elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
             solved = tried[-1].copy()
             solved[moduli] = np.clip(solved[moduli] + step, low[moduli], high[moduli])
             tried.append(solved)
-        # Where an exponent leaves the moduli nothing, they come out as zero, and a law without them is no start.
+        # With unsuitable exponents all moduli are zero, and such a start is omitted.
         evaluations = [(feasible(problem, trial), trial) for trial in tried if not moduli or trial[moduli].any()]
         candidates += sorted(((e.error, i, trial) for i, (e, trial) in enumerate(evaluations) if e is not None),
                              key=lambda item: item[:2])[:1]
@@ -92,9 +103,15 @@ def _elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
 
 
 class _Relaxing:
-    """Stress of all recordings as elastic + sum r_i relaxing_i: long-term moduli, and r_i = g_i / (1 - sum g).
+    """Stress of all recordings as P_elastic + sum r_i P_relaxing(tau_i), with r_i = g_i / (1 - sum g).
 
-    Source: variable projection as a start, O'Leary and Rust, Comput. Optim. Appl. 54 (2013) 579.
+    The stress is bilinear in the long-term moduli and the ratios r_i, so linear least squares for moduli and ratios
+    alternate (variable projection).
+
+    Args:
+        problem: problem of a law with Prony terms.
+
+    Source: O'Leary and Rust, Comput. Optim. Appl. 54 (2013) 579.
     """
 
     def __init__(self, problem: OrdinaryProblem):
@@ -104,20 +121,33 @@ class _Relaxing:
         self.histories = [(problem.tests[t].kind.sign, problem.tests[t].history(r)) for t, r in problem.places]
 
     def parts(self, values: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """Elastic and relaxing stresses, positive under load, shape (n, 1 + terms)."""
+        """Return elastic and relaxing stresses, positive under load, Pa, shape (n, 1 + terms).
+
+        Args:
+            values: long-term parameters of the law, SI.
+            tau: relaxation times, s, shape (terms,).
+        """
         with np.errstate(all="ignore"):
             parts = [(sign, *history.parts(self.law, values, tau)) for sign, history in self.histories]
         return np.concatenate([sign * np.column_stack([elastic, relaxing]) for sign, elastic, relaxing in parts])
 
-    def solved(self, exponents: np.ndarray, grid: np.ndarray) -> tuple[float, np.ndarray, np.ndarray] | None:
-        """Misfit, long-term parameters and shares at the times of a grid: moduli and shares in turn."""
-        values, shares = exponents, np.zeros(grid.size)
+    def solve(self, exponents: np.ndarray, grid: np.ndarray) -> tuple[float, np.ndarray, np.ndarray] | None:
+        """Solve for moduli and ratios by alternating linear least squares with given exponents.
+
+        Args:
+            exponents: parameters of the law with the given exponents.
+            grid: relaxation times, s.
+
+        Returns:
+            Misfit, long-term parameters, and ratios at the relaxation times; None if the stress is not finite.
+        """
+        values, ratios = exponents, np.zeros(grid.size)
         for _ in range(3):
             columns = []
-            for place in np.flatnonzero(self.moduli):
+            for index in np.flatnonzero(self.moduli):
                 alone = np.where(self.moduli, 0.0, values)
-                alone[place] = 1.0
-                columns.append(self.parts(alone, grid) @ np.append(1.0, shares))
+                alone[index] = 1.0
+                columns.append(self.parts(alone, grid) @ np.append(1.0, ratios))
             matrix = np.column_stack(columns)
             if not np.isfinite(matrix).all():
                 return None
@@ -130,13 +160,14 @@ class _Relaxing:
             if not weights.any():
                 return None
             rest = max(weights[0], 1e-2 * weights.sum())
-            values, shares = np.where(self.moduli, rest * values, values), weights[1:] / rest
-        return misfit, values, shares
+            values, ratios = np.where(self.moduli, rest * values, values), weights[1:] / rest
+        return misfit, values, ratios
 
 
-def _relaxing_starts(problem: OrdinaryProblem, places: LongTerm) -> list[np.ndarray]:
+def _relaxing_starts(problem: OrdinaryProblem, variables: LongTerm) -> list[np.ndarray]:
+    """Return starts of a law with Prony terms, by the misfit of a fit with a grid of relaxation times."""
     model = _Relaxing(problem)
-    terms = places.g.size
+    terms = variables.g.size
     shortest, longest = problem.time_range
     count = int(np.clip(TIMES_PER_DECADE * np.log10(longest / shortest), terms + 1, 16))
     grid = np.geomspace(shortest, longest, count)
@@ -144,38 +175,47 @@ def _relaxing_starts(problem: OrdinaryProblem, places: LongTerm) -> list[np.ndar
     for exponents in _grids(int((~model.moduli).sum())):
         values = np.ones(model.moduli.size)
         values[~model.moduli] = exponents
-        if (solved := model.solved(values, grid)) is not None:
+        if (solved := model.solve(values, grid)) is not None:
             candidates.append(solved)
     candidates.sort(key=lambda item: item[0])
     found = []
-    for _, values, shares in candidates[:RELAXING_STARTS]:
-        for r, log_tau in (_clusters(grid, shares, terms), _even(grid, shares, terms)):
+    for _, values, ratios in candidates[:RELAXING_STARTS]:
+        for r, log_tau in (_clusters(grid, ratios, terms), _equal_bins(grid, ratios, terms)):
             order, factor = np.argsort(log_tau), 1.0 + r.sum()
             unknowns = np.empty(len(problem.space.free))
             unknowns[[problem.space.free.index(name) for name in model.law.parameters]] = np.where(
                 model.moduli, factor * values, values)
-            unknowns[places.g], unknowns[places.tau] = r[order] / factor, np.exp(log_tau[order])
+            unknowns[variables.g], unknowns[variables.tau] = r[order] / factor, np.exp(log_tau[order])
             found.append(np.clip(unknowns, *problem.bounds))
     return found
 
 
-def _clusters(grid: np.ndarray, shares: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
-    """Neighbours on the grid of times that carry something, each group as one term; the largest `terms` of them."""
-    active = np.flatnonzero(shares > 0)
+def _clusters(grid: np.ndarray, ratios: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
+    """Merge neighbouring relaxation times with positive ratios, and return the largest `terms` groups.
+
+    Args:
+        grid: relaxation times, s.
+        ratios: ratios at these times.
+        terms: number of Prony terms.
+
+    Returns:
+        Ratios and logarithms of the relaxation times, shapes (terms,).
+    """
+    active = np.flatnonzero(ratios > 0)
     groups: Sequence[np.ndarray] = np.split(active, np.flatnonzero(np.diff(active) > 1) + 1) if active.size else []
-    groups = sorted(groups, key=lambda group: -shares[group].sum())[:terms]
-    r = np.array([shares[group].sum() for group in groups])
-    log_tau = np.array([np.average(np.log(grid[group]), weights=shares[group]) for group in groups])
+    groups = sorted(groups, key=lambda group: -ratios[group].sum())[:terms]
+    r = np.array([ratios[group].sum() for group in groups])
+    log_tau = np.array([np.average(np.log(grid[group]), weights=ratios[group]) for group in groups])
     while log_tau.size < terms:
-        # Each further time lies in the middle of the largest gap.
+        # Further relaxation times are placed in the middle of the largest gap.
         edges = np.sort(np.concatenate([np.log(grid[[0, -1]]), log_tau]))
         widest = int(np.argmax(np.diff(edges)))
         log_tau, r = np.append(log_tau, edges[widest:widest + 2].mean()), np.append(r, 1e-2)
     return r, log_tau
 
 
-def _even(grid: np.ndarray, shares: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
-    """Times evenly over the window, with the shares of the grid around them."""
+def _equal_bins(grid: np.ndarray, ratios: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
+    """Divide the grid of relaxation times into equal bins, and sum the ratios in each bin; see `_clusters`."""
     nearest = np.arange(grid.size) * terms // grid.size
     log_tau = np.array([np.log(grid[nearest == i]).mean() for i in range(terms)])
-    return np.array([max(shares[nearest == i].sum(), 1e-2) for i in range(terms)]), log_tau
+    return np.array([max(ratios[nearest == i].sum(), 1e-2) for i in range(terms)]), log_tau

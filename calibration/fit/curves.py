@@ -1,4 +1,4 @@
-"""Curves of an estimate for tables and pictures: model, its error, and the band for a new recording."""
+"""Curves of an estimate for tables and figures: model, standard error, and prediction bands for a new recording."""
 
 from __future__ import annotations
 
@@ -18,26 +18,29 @@ from calibration.statistics.bands import KNOWN_VARIANCE, Scatter, prediction_ban
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.uncertainty import Uncertainty
 
+#: Number of points of a curve.
 POINTS = 101
-#: So many recordings of a test tell their scatter better than an estimate of contact and zero.
-ENOUGH = 3
+#: Number of recordings from which the observed scatter replaces the scatter of contact and zero.
+MIN_RECORDINGS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class TestCurves:
-    """One test as one fitted law sees it.
+    """Curves of one test for one fitted law.
 
-    Forces in N, displacements in m; Pa and strain where `test.specimen` is None.
+    Forces in N and displacements in m; stress in Pa and strain if `test.specimen` is None.
 
     Attributes:
-        test: the test. measured: its recordings.
-        time: of the model's path, s, shape (k,), or None where the rate does not matter.
-        displacement: of the path, shape (k,). force: of the model there, without offset and zero, shape (k,).
-        force_error: standard error of that, from the parameters and the mesh, shape (k,).
-        band: half width of the band that holds 95 % of the samples of new recordings, with noise, offset, zero and
-            what the model lacks, shape (k,). whole_band: of the one that holds 95 % of new recordings wholly.
-        fitted: of each recording the model's force at its samples, with its own offset and zero.
-        area: cross-section of the nominal stress, m2 (1 where stress was recorded); None where that is not homogeneous.
+        test: test.
+        measured: recordings of the test.
+        time: time along the path of the model, s, shape (k,); None if the force does not depend on time.
+        displacement: displacement along the path, shape (k,).
+        force: force of the model along the path, without contact offset and zero, shape (k,).
+        force_error: standard error of the force from parameters and mesh, shape (k,).
+        band: half width of the pointwise 95 % prediction band of a new recording, shape (k,).
+        whole_band: half width of the simultaneous 95 % prediction band, shape (k,).
+        fitted: for each recording the force of the model at its samples, with its contact offset and zero.
+        area: cross-section of the nominal stress, m2 (1 if stress was recorded); None if the stress is not homogeneous.
     """
 
     test: Test
@@ -54,15 +57,17 @@ class TestCurves:
 
 def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[ForwardTest, float]],
                 scatter: Jitter | None, predictors: Mapping[str, Predictor] | None = None) -> list[TestCurves]:
-    """The curves of each test; not a number where the model does not get through.
+    """Compute the curves of tests; NaN if the simulation fails.
 
-    The bands of a test that was fitted follow its recordings; those of one that was held out, or that the model does
-    not get through, know chance alone: noise, scatter and the uncertainty of the parameters.
+    The bands of a fitted test include the deviations of its recordings from the model. The bands of a held-out test
+    include noise, scatter and parameter uncertainty only.
 
     Args:
-        estimate: the minimum. spread: its uncertainty. tests: with the relative error of the mesh in each.
-        scatter: between recordings; None where nobody says.
-        predictors: test -> what predicts it, where that is not the estimate itself.
+        estimate: minimum of the fit.
+        spread: uncertainty of the estimate.
+        tests: forward models, each with the relative error of its mesh.
+        scatter: scatter of contact and zero between recordings; None: unknown.
+        predictors: test -> predictor, for tests that are not predicted by the estimate itself.
     """
     problem, found = estimate.problem, []
     own, others = Predictor.of(problem.space, estimate.theta, spread), predictors or {}
@@ -79,11 +84,11 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
                            for curve, (force, *_) in zip(test.measured, seen, strict=True))
             gaps = [curve.force - force for curve, (force, *_) in zip(test.measured, seen, strict=True)]
             known, count = all(curve.name in fitted for curve in test.measured), len(test.measured)
-            # Recordings of the test itself tell of any scatter, and not of contact and zero alone.
-            told = scatter if not known or count < ENOUGH or (scatter and scatter.freedom is None) else None
-            deviations = assess_deviations(test.measured, gaps, [contact for *_, contact in seen], path, told) \
+            # With enough recordings their observed scatter is used, which includes more than contact and zero.
+            used = scatter if not known or count < MIN_RECORDINGS or (scatter and scatter.freedom is None) else None
+            deviations = assess_deviations(test.measured, gaps, [contact for *_, contact in seen], path, used) \
                 if known else None
-            force, error, bands = _along(problem.solves, predictor, test, path, mesh_error, told, deviations)
+            force, error, bands = _along(problem.solves, predictor, test, path, mesh_error, used, deviations)
         except InfeasibleError:
             force = error = np.full(path.displacement.size, np.nan)
             bands = force, force
@@ -95,8 +100,8 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
 
 def _along(solves: SimulationCache, predictor: Predictor, test: ForwardTest, path: MeasuredCurve, mesh_error: float,
            scatter: Jitter | None, deviations: Deviations | None):
-    """Force along the path, its standard error, and half widths of the bands of a new recording."""
-    # The path is that of a recording without scatter, seen by the same test.
+    """Return the force along a path, its standard error, and the half widths of both prediction bands."""
+    # The test is evaluated for one recording that follows the path.
     seen: ForwardTest = replace(test, measured=(path,))
     answer = seen.solve(predictor.space, predictor.theta, solves)
     force, rates, contact = seen.evaluate(answer, 0, 0.0)
@@ -104,7 +109,7 @@ def _along(solves: SimulationCache, predictor: Predictor, test: ForwardTest, pat
     unsure = [Scatter(np.column_stack([first.columns, mesh_error * force])), *sampled]
     found = deviations or Deviations(np.zeros(force.size), [], np.full(force.size, path.noise.deviation))
     scatters, count = list(found.scatters), len(test.measured)
-    # The mean of the recordings, as far as the curve is off, says what the parameters err by; it errs itself.
+    # Variance of a new recording about the mean of the recordings: 1 + 1 / count.
     mean_errs = np.sqrt(1.0 + 1.0 / count) if scatters else 1.0
     if scatter is not None:
         freedom = float(scatter.freedom or KNOWN_VARIANCE)
@@ -112,7 +117,7 @@ def _along(solves: SimulationCache, predictor: Predictor, test: ForwardTest, pat
                      Scatter(np.full((force.size, 1), mean_errs * scatter.zero), freedom)]
     bias = found.bias
     if found.scatters:
-        # Of the mean's distance from the curve, what the mean errs by is no misfit (James and Stein, positive part).
+        # The squared bias is reduced by the variance of the mean (positive-part James-Stein estimator).
         errs = sum(scatter.variance for scatter in scatters) / (count + 1.0)
         bias = np.sign(bias) * np.sqrt(np.maximum(bias**2 - errs, 0.0))
     else:
@@ -123,7 +128,7 @@ def _along(solves: SimulationCache, predictor: Predictor, test: ForwardTest, pat
 
 
 def _path(test: ForwardTest) -> MeasuredCurve:
-    """What a perfect recording of the test would have for its motion."""
+    """Return the path of the model as a recording without force: the motion of the first recording, or one loading."""
     first, segment = test.measured[0], None
     time: np.ndarray | None = None
     reached = np.concatenate([curve.displacement for curve in test.measured])
@@ -132,7 +137,7 @@ def _path(test: ForwardTest) -> MeasuredCurve:
         time, displacement = even, np.interp(even, first.clock, first.displacement)
         segment = np.full(displacement.size, "")
     else:
-        # A gripped specimen may be loaded to both sides: there the path leads from one end to the other.
+        # A gripped specimen may be loaded in both directions.
         start = min(0.0, float(reached.min())) if first.test.kind.gripped else 0.0
         displacement = np.linspace(start, max(0.0, float(reached.max())), POINTS)
         if first.time is not None:

@@ -1,4 +1,4 @@
-"""Whether the tests determine the shear modulus of a fit, and whether it depends on bounds that were not stated.
+"""Determination of the shear modulus of a fit by the tests, and its dependence on bounds that were not stated.
 
 The modulus decides, since one parameter of a law may be undetermined where the modulus is known: C20 on the data of a
 neo-Hookean solid, or C10 and C01 in simple shear, where their sum acts.

@@ -1,4 +1,4 @@
-"""From the fast mesh's minimum to the estimate: mesh difference and jitter settle together with the parameters."""
+"""Estimate of an inverse fit: fixed-point iteration of parameters, mesh correction and jitter."""
 
 from __future__ import annotations
 
@@ -16,23 +16,27 @@ from calibration.forward.forms import mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FAST_MESH_ERRORS
 from calibration.statistics.jitter import Jitter, estimate_jitter
 
-#: The difference of the meshes is computed again until that moves no parameter by more than this share of its size;
-#: the next move is taken for the last one times the relative difference, times a factor for safety.
-SETTLED, SAFETY = 5e-4, 5.0
-#: The same for a change of the jitter, relative.
-JITTER_SETTLED = 0.05
-MOST_REFRESHES = 8
+#: Expected relative change of the parameters by a further mesh correction at which the iteration ends.
+PARAMETER_TOLERANCE = 5e-4
+#: Safety factor of the expected change, which is the last change times the relative mesh difference.
+SAFETY = 5.0
+#: Relative change of the jitter at which the iteration ends.
+JITTER_TOLERANCE = 0.05
+#: Maximum number of mesh corrections.
+MAX_REFRESHES = 8
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Estimate(Descent):
-    """The minimum of the corrected problem.
+    """Minimum of a problem with mesh correction and jitter.
 
     Attributes:
         problem: `Problem` with its corrections and jitter, or `OrdinaryProblem`.
-        differences: accurate against fast mesh for each test, relative to the largest force; NaN where the accurate
-            mesh did not get through. refreshes: how often they were computed.
-        minima: distinct ends of the starts, best first.
+        differences: for each test the difference of the accurate and the fast mesh relative to the largest force; NaN
+            if the accurate mesh did not converge.
+        refreshes: number of computations of these differences.
+        warnings: warnings of the iteration.
+        minima: distinct minima of all starts, best first.
     """
 
     problem: Any
@@ -43,17 +47,21 @@ class Estimate(Descent):
 
     @property
     def evaluation(self) -> Evaluation:
-        """Everything at the minimum."""
+        """Residuals and derivatives at the minimum."""
         return self.problem.evaluate(self.theta)
 
 
 def settle(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, past: int = 0,
            listen: Listener | None = None) -> Estimate:
-    """Refresh the difference of the meshes and the jitter until neither moves the parameters.
+    """Repeat mesh correction, jitter estimate and descent until the parameters no longer change.
 
     Args:
-        problem: uncorrected. theta: its minimum. stated: jitter; None of it: to be estimated.
-        start, past, listen: as in `descend`.
+        problem: problem without mesh correction.
+        theta: minimum of the problem, SI, shape (p,).
+        stated: stated jitter; None values are estimated.
+        start: see `calibration.fit.trust_region.descend`.
+        past: see `calibration.fit.trust_region.descend`.
+        listen: see `calibration.fit.trust_region.descend`.
     """
     spent = problem.solves.meter()
     history: list[Iteration] = []
@@ -71,7 +79,7 @@ def settle(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, p
         jitter = problem.jitter
         if None in (stated.contact_jitter, stated.zero_jitter):
             _estimate_jitter(problem, theta, stated)
-        problem.forget()
+        problem.reset_nuisances()
         descent = descend(problem, theta, start=start, corrected=True, listen=listen,
                           past=past + len(history))
         history += descent.history
@@ -79,19 +87,24 @@ def settle(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, p
             break
         moved = np.abs(descent.theta - theta) / problem.space.sizes(problem.space.values(theta))
         theta = descent.theta
-        # The difference changes as the parameters do, so that the next move is this one times the difference.
-        share = max((difference for difference in differences if np.isfinite(difference)), default=0.0)
-        if moved.max(initial=0.0) * min(1.0, SAFETY * share) < SETTLED and _alike(jitter, problem.jitter):
+        # The correction is nearly proportional to the parameters, so the next change is about this one times the
+        # relative difference of the meshes.
+        largest = max((difference for difference in differences if np.isfinite(difference)), default=0.0)
+        if moved.max(initial=0.0) * min(1.0, SAFETY * largest) < PARAMETER_TOLERANCE and _is_close(jitter,
+                                                                                                  problem.jitter):
             break
-        if refreshes == MOST_REFRESHES:
-            warnings.append(f"the parameters still moved after {MOST_REFRESHES} refreshes of the mesh difference")
+        if refreshes == MAX_REFRESHES:
+            warnings.append(f"the parameters still changed after {MAX_REFRESHES} mesh corrections")
             break
     return Estimate(start, theta, descent.error, descent.converged, descent.failure, tuple(history), *spent(),
                     problem=problem, differences=differences, refreshes=refreshes, warnings=tuple(warnings))
 
 
 def _refine(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[float, ...]:
-    """New corrections; a test whose accurate mesh fails keeps the fast one, and carries its error."""
+    """Update the mesh correction of each test, and return the relative differences of the meshes.
+
+    A test whose accurate mesh fails has no correction and the larger error of the fast mesh.
+    """
     found, errors = [], []
     for test in problem.tests:
         try:
@@ -101,7 +114,7 @@ def _refine(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[f
             test.drop_correction()
             found.append(float("nan"))
             errors.append(mesh_uncertainty(test, FAST_MESH_ERRORS))
-            warning = f"{test.name}: the accurate mesh does not get through, so the fast one's error is carried"
+            warning = f"{test.name}: the accurate mesh does not converge, so the error of the fast mesh is used"
             if warning not in warnings:
                 warnings.append(warning)
     problem.mesh_error = tuple(errors)
@@ -109,15 +122,16 @@ def _refine(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[f
 
 
 def _estimate_jitter(problem: Problem, theta: np.ndarray, stated: Noise) -> None:
-    """New jitter; where no test has two recordings the first guess stays, with freedom 0."""
+    """Estimate the jitter of a problem; without repeated recordings the first guess stays (0 degrees of freedom)."""
     if all(len(test.measured) < 2 for test in problem.tests):
         return
-    problem.forget()
+    problem.reset_nuisances()
     replicates = problem.replicates(theta)
     problem.jitter = estimate_jitter(replicates, contact=stated.contact_jitter, zero=stated.zero_jitter)
-    problem.forget()
+    problem.reset_nuisances()
 
 
-def _alike(one: Jitter, other: Jitter) -> bool:
-    return all(abs(a - b) <= JITTER_SETTLED * max(a, b) for a, b in ((one.contact, other.contact),
+def _is_close(one: Jitter, other: Jitter) -> bool:
+    """Return whether two jitters agree within `JITTER_TOLERANCE`."""
+    return all(abs(a - b) <= JITTER_TOLERANCE * max(a, b) for a, b in ((one.contact, other.contact),
                                                                      (one.zero, other.zero)))

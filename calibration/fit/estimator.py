@@ -1,4 +1,4 @@
-"""The two ways to weigh residuals, and what each does its own way along the one pipeline."""
+"""Base class of the two estimation methods (ordinary and generalised least squares) in the calibration pipeline."""
 
 from __future__ import annotations
 
@@ -22,12 +22,17 @@ from calibration.statistics.uncertainty import Uncertainty
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What is known of an estimate before anybody has put it into words.
+    """Results of an estimate from which `Estimator.describe` derives text and further fields.
 
     Attributes:
-        estimate, spread: the minimum. descents: of all starts.
-        values: all parameters. loose: names that the data do not determine.
-        status, unusable: the verdict. lost: warnings of stability in loading that was not measured.
+        estimate: minimum of the fit.
+        spread: uncertainty of the estimate.
+        descents: descents from all starts.
+        values: name -> value of all parameters, SI.
+        loose: names of parameters that the data do not determine.
+        status: status of the fit.
+        unusable: reason why the fit is not usable; None: it is usable.
+        lost: further warnings, such as instability in other modes of loading.
     """
 
     estimate: Estimate
@@ -41,11 +46,14 @@ class Findings:
 
 
 class Estimator(ABC):
-    """Weights, and what follows from them.
+    """Estimation method of a campaign.
 
     Attributes:
-        explores: whether profiles are computed, and simulations kept.
-        words: what is fitted how, for material files.
+        explores: whether profile likelihoods are computed and simulations are kept on disk.
+        words: description of the method for material files.
+        campaign: campaign.
+        measured: test -> its recordings.
+        solves: cache of simulations.
     """
 
     explores: bool
@@ -56,35 +64,52 @@ class Estimator(ABC):
 
     @property
     def pooled_noise(self) -> float | None:
-        """Of the nominal stress, Pa; None where each test has its own."""
+        """Pooled noise of the nominal stress, Pa; None if each test has its own noise."""
         return None
 
     @abstractmethod
     def check(self, law: str, number: int) -> None:
-        """Refuse what cannot be fitted: a law, and its number in ``fit.laws``.
+        """Check that a law can be fitted.
+
+        Args:
+            law: name of the law.
+            number: index of the law in ``fit.laws``.
 
         Raises:
-            InputError: with file and field.
+            InputError: the law cannot be fitted; with file and field.
         """
 
     @abstractmethod
     def estimate(self, laws: Sequence[str], context: RunContext) -> dict[str, tuple[list[Descent], Estimate | str]]:
-        """Law -> its descents and its estimate, or why it has none."""
+        """Fit laws.
+
+        Args:
+            laws: names of the laws.
+            context: workers and listeners.
+
+        Returns:
+            Law -> its descents, and its estimate or the reason of the failure.
+        """
 
     @property
     @abstractmethod
     def uncertainty(self) -> Callable[[Any, Evaluation], Uncertainty]:
-        """Of the unknowns of a problem at its minimum; it travels to worker processes."""
+        """Function that returns the uncertainty of a problem at its minimum; it can be pickled for worker processes."""
 
     @abstractmethod
     def describe(self, found: Findings) -> dict[str, Any]:
-        """Fields of the `Fit` that say it in words, and those that only this way to weigh has."""
+        """Return the fields of `Fit` with messages, and those that only this method computes."""
 
     @abstractmethod
     def held_out(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
-        """A test that was not fitted, ready to be predicted with these parameters, and the relative error of its
-        mesh."""
+        """Return the forward model of a held-out test, and the relative error of its mesh.
+
+        Args:
+            test: held-out test.
+            estimate: minimum of the fit.
+            predictor: parameters for the prediction.
+        """
 
     def scatter(self, estimate: Estimate) -> Jitter | None:
-        """What differs from recording to recording beside the noise; None where nobody says."""
+        """Return the scatter of contact and zero between recordings; None: unknown."""
         return None

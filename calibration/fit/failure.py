@@ -9,20 +9,32 @@ from typing import Any
 from calibration.forward.contract import InfeasibleError
 from tissue_sim.errors import ConvergenceError
 
-#: What the numbers of one law can raise: no convergence, no force, no such material (`InputError` is a `ValueError`),
-#: overflow, a singular matrix (`LinAlgError` is a `ValueError`).
+#: Exceptions that the parameter values of one law can cause: no convergence, no force, an invalid material
+#: (`InputError` is a `ValueError`), overflow, a singular matrix (`LinAlgError` is a `ValueError`).
 LAW_ERRORS = (ConvergenceError, InfeasibleError, ArithmeticError, ValueError)
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a part of a calibration has no result."""
+    """Failed part of a calibration.
+
+    Attributes:
+        reason: description of the failure.
+    """
 
     reason: str
 
 
 def attempt(function: Callable[..., Any], *arguments: Any) -> Any:
-    """The result of a function, or a `Failure` with the reason where the numbers of a law go out of range."""
+    """Call a function and convert exceptions of `LAW_ERRORS` to a `Failure`.
+
+    Args:
+        function: function to call.
+        arguments: arguments of the function.
+
+    Returns:
+        Result of the function, or a `Failure`.
+    """
     try:
         return function(*arguments)
     except LAW_ERRORS as error:

@@ -1,4 +1,4 @@
-"""What a calibration answers: one `Fit` a law, and predictions of the held-out tests."""
+"""Records of a calibration: one `Fit` per law, predictions of held-out tests, and their parts."""
 
 from __future__ import annotations
 
@@ -6,17 +6,18 @@ from collections.abc import Iterable
 
 import msgspec
 
+from calibration.fit.population_records import Covariance, PopulationStatement
 from calibration.fit.usability_records import Alternative, Clause
 
 
 class Minimum(msgspec.Struct, frozen=True, kw_only=True):
-    """A local minimum of the sum of squares that some of the starts ended in.
+    """Local minimum of the sum of squares.
 
     Attributes:
         parameters: name -> value, SI.
-        R2: coefficient of determination there.
-        starts: how many starts ended in it.
-        rise: its sum of squares less that of the best, in units of the variance of the residuals.
+        R2: coefficient of determination.
+        starts: number of starts that ended in this minimum.
+        rise: sum of squares minus that of the best minimum, in units of the variance of the residuals.
     """
 
     parameters: dict[str, float]
@@ -26,14 +27,15 @@ class Minimum(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Nuisance(msgspec.Struct, frozen=True, kw_only=True):
-    """Contact offset and zero of one replicate, in the units of the file.
+    """Contact offset and zero of one replicate.
 
     Attributes:
-        replicate: its name.
-        contact_offset_mm: reported displacement at which the tool truly touches.
-        zero_offset_N: reading without load.
-        contact_offset_error_mm, zero_offset_error_N: standard errors; None on a bound, or where not determined.
-        on_bound: names of those that ended on their bound.
+        replicate: name of the replicate.
+        contact_offset_mm: reported displacement at first contact, mm.
+        contact_offset_error_mm: standard error, mm; None on a bound or if not determined.
+        zero_offset_N: reading without load, N.
+        zero_offset_error_N: standard error, N; None on a bound or if not determined.
+        on_bound: names of the fields that ended on a bound.
     """
 
     replicate: str
@@ -45,22 +47,22 @@ class Nuisance(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Prediction(msgspec.Struct, frozen=True, kw_only=True):
-    """A test as a law predicts it that was fitted without that test.
+    """Prediction of a test by a law that was fitted without this test.
+
+    All errors are None if the simulation fails or the other tests do not determine the parameters.
 
     Attributes:
-        test, law: names.
-        RMSE_N: root mean square error of the force; None without a specimen.
-        RMSE_Pa: of the nominal stress; None where the deformation is not homogeneous.
-        percent: error relative to the largest measured stress, or force.
-        expected_N: RMSE that noise, jitter and the uncertainty of the parameters would make; None where unknown.
-        fitted: tests that the law was fitted to for this; empty: all that are not held out.
-        note: why there is no prediction; empty where there is one.
-        mean_of: specimens whose mean predicts, as nothing else tells the numbers of the test's own; empty: they are
-            known. What is expected then includes the scatter between specimens.
-        parameters: free ones of the fit that predicts, name -> value, SI, of an inverse fit.
-
-    Errors are None where the law does not carry the specimen as far as the test went, or where the other tests leave a
-    parameter open.
+        test: name of the test.
+        law: name of the law.
+        RMSE_N: root mean square error of the force, N; None without a specimen.
+        RMSE_Pa: root mean square error of the nominal stress, Pa; None if the deformation is not homogeneous.
+        percent: error relative to the largest measured force or stress, %.
+        expected_N: expected error from noise, jitter and parameter uncertainty, N; None if unknown.
+        fitted: names of the fitted tests; empty: all tests that are not held out.
+        note: reason why there is no prediction; empty otherwise.
+        mean_of: specimens whose mean parameters predict the test, because its own are unknown; `expected_N` then
+            includes the scatter between specimens. Empty: the parameters of the test are known.
+        parameters: name -> value of the free parameters of the predicting inverse fit, SI.
     """
 
     test: str
@@ -76,12 +78,15 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Iteration(msgspec.Struct, frozen=True, kw_only=True):
-    """One solve of an inverse fit: all tests simulated at one set of parameters.
+    """Evaluation of an inverse fit: simulation of all tests at one set of parameters.
 
     Attributes:
-        start: number of the start, from 1. run: number of the solve from that start, from 1.
-        parameters: free ones, name -> value, SI. error: sum of squares of the whitened residuals and priors.
-        RMSE_N: of all samples. corrected: whether the difference to the accurate mesh was in.
+        start: number of the start, from 1.
+        run: number of the evaluation from this start, from 1.
+        parameters: name -> value of the free parameters, SI.
+        error: sum of squares of whitened residuals, nuisances and priors.
+        RMSE_N: root mean square error of all samples, N.
+        corrected: whether the mesh correction was included.
     """
 
     start: int
@@ -93,14 +98,13 @@ class Iteration(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Profile(msgspec.Struct, frozen=True, kw_only=True):
-    """Profile likelihood of one parameter: the smallest sum of squares for each of its values.
+    """Profile likelihood of one parameter: smallest sum of squares for each value of the parameter.
 
     Attributes:
-        values: ascending, SI; the estimate is among them.
-        rises: of the sum of squares above its minimum there, in units of the noise (or of the residuals where these
-            exceed it).
+        values: values of the parameter in ascending order including the estimate, SI.
+        rises: rise of the sum of squares above its minimum, in units of the variance of noise or residuals.
         level: rise at the ends of the 95 % interval.
-        notes: what ended the interval early, such as ``"low: bound 0"``.
+        notes: reasons why an end is not at this rise, such as ``"low: bound 0"``.
     """
 
     values: list[float]
@@ -110,15 +114,20 @@ class Profile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Region(msgspec.Struct, frozen=True, kw_only=True):
-    """Whether a smooth misfit is left in one part of one test.
+    """Test for a smooth misfit in one part of one test.
 
     Attributes:
-        test, segment: names. start, end: displacement at its ends, mm (strain where the test has no specimen).
-        p: probability of so large a misfit by chance, adjusted for the number of regions (Holm).
-        statistic, freedom: of the test, see `calibration.statistics.adequacy`.
-        misfit_N: root mean square of the smooth part of model minus data (Pa where the test has no specimen).
-        largest_N, at: where that is largest: its value with sign, and the displacement there, mm.
-        adequate: p above 0.05.
+        test: name of the test.
+        segment: name of the segment, or third of a loading.
+        start: smallest displacement, mm (strain without a specimen).
+        end: largest displacement, mm (strain without a specimen).
+        p: p value, adjusted for the number of regions (Holm).
+        statistic: statistic of the score test, see `calibration.statistics.adequacy`.
+        freedom: degrees of freedom of the statistic.
+        misfit_N: root mean square of the smooth part of model minus data, N (Pa without a specimen).
+        largest_N: largest smooth misfit with its sign, N (Pa without a specimen).
+        at: displacement at the largest misfit, mm (strain without a specimen).
+        adequate: whether p exceeds 0.05.
     """
 
     test: str
@@ -135,11 +144,11 @@ class Region(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Direction(msgspec.Struct, frozen=True, kw_only=True):
-    """A combination of parameters that the tests tell poorly.
+    """Weakly determined combination of parameters.
 
     Attributes:
         shares: parameter -> component of the unit vector of relative changes.
-        relative_error: standard error along it, relative to the parameters.
+        relative_error: relative standard error along this vector.
     """
 
     shares: dict[str, float]
@@ -147,11 +156,11 @@ class Direction(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Suggestion(msgspec.Struct, frozen=True, kw_only=True):
-    """A further test, and what it would do.
+    """Suggested further test.
 
     Attributes:
-        test: in words.
-        standard_errors: name -> standard error with it, SI.
+        test: description of the test.
+        standard_errors: name -> expected standard error with this test, SI.
     """
 
     test: str
@@ -159,18 +168,25 @@ class Suggestion(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Window(msgspec.Struct, frozen=True, kw_only=True):
-    """The free parameters, SI, from the samples up to a share of the largest strain of each test."""
+    """Parameters from the samples up to a fraction of the largest displacement of each test.
+
+    Attributes:
+        share: fraction of the largest displacement.
+        parameters: name -> value of the free parameters, SI.
+    """
 
     share: float
     parameters: dict[str, float]
 
 
 class SensorStatement(msgspec.Struct, frozen=True, kw_only=True):
-    """Noise of one test's recordings, as stated or estimated.
+    """Noise of the recordings of one test.
 
     Attributes:
-        test: name. deviation_N: standard deviation (Pa where the test has no specimen).
-        correlation_time_s: 0 for white noise. source: ``"stated"``, ``"estimated"`` or ``"resolution"``.
+        test: name of the test.
+        deviation_N: standard deviation, N (Pa without a specimen).
+        correlation_time_s: correlation time, s; 0: white noise.
+        source: ``"stated"``, ``"estimated"`` or ``"resolution"``.
     """
 
     test: str
@@ -183,9 +199,10 @@ class JitterStatement(msgspec.Struct, frozen=True, kw_only=True):
     """Scatter between recordings.
 
     Attributes:
-        contact_mm, zero_N: standard deviations; of tests without a specimen 1000 times strain, and Pa.
-        freedom: degrees of freedom of an estimate; 0: assumed; None: stated.
-        stressed: whether all tests are without a specimen.
+        contact_mm: standard deviation of the contact, mm (1000 times strain without a specimen).
+        zero_N: standard deviation of the zero, N (Pa without a specimen).
+        freedom: degrees of freedom of the estimate; 0: assumed; None: stated.
+        stressed: whether no test has a specimen.
     """
 
     contact_mm: float
@@ -195,26 +212,32 @@ class JitterStatement(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def sizes(self) -> tuple[str, str]:
-        """Contact and zero, with their units."""
+        """Contact and zero with their units, such as ``30 µm`` and ``5 mN``."""
         if self.stressed:
             return f"{self.contact_mm * 1e-3:.2g} of strain", f"{self.zero_N:.2g} Pa"
         return _in_digits(self.contact_mm, "mm", "µm", "nm"), _in_digits(self.zero_N, "N", "mN", "µN", "nN", "pN")
 
 
 def _in_digits(value: float, *units: str) -> str:
-    """Two digits in the first of these units, each a thousandth of the one before, in which it is 0.001 or more."""
-    place = next((i for i in range(len(units)) if abs(value) * 1e3**i >= 1e-3), len(units) - 1) if value else 0
-    return f"{value * 1e3**place:.2g} {units[place]}"
+    """Format a value with two digits in the first unit in which it is at least 0.001.
+
+    Args:
+        value: value in the first unit.
+        units: units in descending order, each a thousandth of the previous one.
+    """
+    index = next((i for i in range(len(units)) if abs(value) * 1e3**i >= 1e-3), len(units) - 1) if value else 0
+    return f"{value * 1e3**index:.2g} {units[index]}"
 
 
 class MeshCorrection(msgspec.Struct, frozen=True, kw_only=True):
-    """Accurate mesh against fast mesh in one test.
+    """Difference of the accurate and the fast mesh in one test.
 
     Attributes:
-        test: name. largest_percent: largest difference, relative to the largest force; None where the accurate mesh
-            did not get through.
-        remainder_percent: standard deviation of what the mesh that counts is off, relative to the force.
-        refreshes: how often the difference was computed.
+        test: name of the test.
+        largest_percent: largest difference relative to the largest force, %; None if the accurate mesh did not
+            converge.
+        remainder_percent: assumed standard deviation of the remaining mesh error relative to the force, %.
+        refreshes: number of computations of the difference.
     """
 
     test: str
@@ -223,98 +246,74 @@ class MeshCorrection(msgspec.Struct, frozen=True, kw_only=True):
     refreshes: int
 
 
-class Covariance(msgspec.Struct, frozen=True, kw_only=True):
-    """Covariance of the parameters, SI, in a stated order."""
-
-    order: list[str]
-    matrix: list[list[float]]
-
-
-class PopulationStatement(msgspec.Struct, frozen=True, kw_only=True):
-    """The population that specimens with numbers of their own come from, SI; see
-    `calibration.statistics.population.Population`.
-
-    Attributes:
-        order: paths of the parameters. specimens: names of those that went in; `Fit.left_out_specimens` are the others.
-        mean, mean_errors, mean_intervals, mean_covariance: of the population. covariance: of the mean together with the
-            numbers that all specimens share.
-        between: covariance between specimens. spread, spread_intervals: its standard deviations.
-        next_specimen: 95 % interval for a specimen that was not measured.
-        estimates, errors: of each specimen alone. shrunken, shrunken_errors: of each with what the others tell.
-    """
-
-    order: list[str]
-    specimens: list[str]
-    mean: list[float]
-    mean_errors: list[float]
-    mean_intervals: list[tuple[float, float]]
-    mean_covariance: list[list[float]]
-    covariance: Covariance
-    between: list[list[float]]
-    spread: list[float]
-    spread_intervals: list[tuple[float, float]]
-    next_specimen: list[tuple[float, float]]
-    estimates: list[list[float]]
-    errors: list[list[float]]
-    shrunken: list[list[float]]
-    shrunken_errors: list[list[float]]
-
-
 class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0": "mu0_Pa"}):
-    """A law fitted to a campaign. Encoded, it is an entry of ``fits`` in ``fit.json``.
+    """Law fitted to a campaign; an entry of ``fits`` in ``fit.json``.
 
     Attributes:
-        law, formula: name and energy.
-        parameters: name, a path in the model, -> value, SI. symbols: name -> as reports write it, such as ``g1``.
-        units: name -> SI unit; ``"1"`` of a number.
-        standard_errors: name -> standard deviation of the estimate; None where not determined or on a bound; 0 if
-            fixed.
-        derivatives: free parameter -> ``"exact"`` or ``"difference"``: how its derivatives were found.
-        covariance: of the parameters, zero for those that are fixed or on a bound. correlation: in the same order.
-        covariance_from: ``"noise"``, ``"residuals"`` or ``"replicates"``: what the standard errors rest on.
-        intervals95: name -> (low, high) inside the bounds, None without a standard error.
-        not_identifiable: names whose standard error exceeds the value or that lie in a singular direction.
-        on_bound: parameters and nuisances that ended on a bound.
-        R2: of the nominal stress. RMSE_N: None without a specimen. RMSE_Pa: of the nominal stress.
-        noise_ratio: root mean square of the residuals, each in units of its noise.
-        AIC, BIC: with the noise taken as known and priors as penalties, up to a constant that all laws share.
-        E0, mu0: initial Young's and shear modulus of the incompressible law, Pa.
-        stable_from, stable_to: stretches that are Drucker-stable in all three modes of loading; stability: the same
-            in words; stretch_range: of all principal stretches of the data.
-        sag_mm: specimen that weighs -> by how much it sags with this law and its own numbers (of one that was not
-            fitted, those of the material).
-        nuisances: of the replicates when offsets are fitted or their jitter is marginalised.
-        minima: best first. starts: how many were tried.
-        alternatives: other parameters that fit as well; standard errors of parameters that differ between them are
-            None.
+        law: name of the law.
+        formula: strain energy.
+        parameters: name (a path in the model) -> value, SI.
+        symbols: name -> symbol in reports, such as ``g1``.
+        units: name -> SI unit; ``"1"`` for a dimensionless parameter.
+        standard_errors: name -> standard error, SI; None if not determined or on a bound; 0 if fixed.
+        derivatives: free parameter -> ``"exact"`` or ``"difference"`` (finite difference).
+        covariance: covariance of the parameters; zero for fixed parameters and those on a bound.
+        correlation: correlation matrix in the order of `covariance`.
+        covariance_from: source of the standard errors: ``"noise"``, ``"residuals"`` or ``"replicates"``.
+        intervals95: name -> 95 % interval within the bounds, SI; None without a standard error.
+        not_identifiable: names of parameters whose standard error exceeds their size or that lie in a singular
+            direction.
+        on_bound: names of parameters and nuisances on a bound.
+        R2: coefficient of determination of the nominal stress (force of an inverse fit).
+        RMSE_N: root mean square error of the force, N; None without a specimen.
+        RMSE_Pa: root mean square error of the nominal stress, Pa.
+        noise_ratio: root mean square of the residuals in units of their noise.
+        AIC: Akaike information criterion for known noise and priors as penalties, up to a constant common to all laws.
+        BIC: Schwarz criterion, likewise.
+        E0: initial Young's modulus of the incompressible law, Pa.
+        mu0: initial shear modulus, Pa.
+        stable_from: smallest stretch that is Drucker-stable in all three modes of loading.
+        stable_to: largest such stretch.
+        stability: description of the stable stretches.
+        stretch_range: range of all principal stretches of the data.
+        sag_mm: specimen with self-weight -> sag with this law and the parameters of the specimen, mm.
+        nuisances: contact offset and zero of each replicate if they are fitted or marginalised.
+        minima: distinct minima, best first.
+        starts: number of starts.
+        alternatives: other materials that fit equally well; parameters that differ between them have no standard error.
         misfits: fitted test -> root mean square residual, % of its largest force.
         status: ``"converged"``, or that of the first clause that fails: ``"misfit"`` (does not describe the data),
             ``"ambiguous"`` (other parameters fit as well), ``"not_determined"`` (the shear modulus by the tests),
             ``"unstable"`` (in the measured loading over the data),
             ``"not_physical"``, ``"not_converged"`` or ``"no_population"`` (specimens with numbers of their own, of
             which fewer than two are determined). Only the first is usable.
-        clauses: of the rule of usable, in the order of their weight.
-        unusable: why it is not usable; None where it is.
-        warnings: what to mind, usable or not: bounds that hold unknowns, loss of stability in other loading.
-        message: for people; holds both.
-        iterations: evaluations of the model. fem_solves: simulated tests; 0 for a closed form. cpu_s: processor
-            seconds.
-        influence: recording -> free parameters without it, SI; of tests of three recordings or more.
-        odd_recordings: those that disagree with the others. windows: parameters from parts of the strain.
-        material_file: name of the file, None where the fit gives no material.
-        population: of the specimens, where each has numbers of its own; the material is then its mean.
-        material_of: specimens whose mean the material, E0, mu0 and stability are; one: its own; empty: all share them.
-        left_out_specimens: specimen -> why its numbers are not in that mean.
-        left_out: percent, root mean square over the tests, of the predictions that rank the laws.
-
-    Of an inverse fit only:
-        interval_notes: name -> what cut its interval. profiles: name -> profile likelihood.
-        regions: where a smooth misfit is left. history: every solve of every start.
-        condition: of the information, each parameter scaled by its value. directions: those told poorly.
-        suggestions: further tests, best first, where something is not identifiable.
-        jitter, mesh: what was marginalised and corrected.
-        estimate_cpu_s: processor seconds from the best start to the estimate, the rest of `cpu_s` went into other
-            starts, profiles, left-out tests and pictures.
+        clauses: clauses of the usability rule, the most important first.
+        unusable: reason why the fit is not usable; None: it is usable.
+        warnings: warnings, such as parameters on bounds and instability in other modes of loading.
+        message: status, reasons and warnings in one text.
+        iterations: number of evaluations of the model.
+        fem_solves: number of simulated tests; 0 for a closed form.
+        cpu_s: processor time, s.
+        influence: recording -> free parameters without it, SI; for tests with at least three recordings.
+        odd_recordings: names of recordings that disagree with the others.
+        windows: parameters from parts of the strain.
+        material_file: name of the material file; None if the fit gives no material.
+        population: population of specimens with individual parameters; the material is then its mean.
+        material_of: specimens whose mean the material is, including E0, mu0 and stability; empty: all specimens share
+            it.
+        left_out_specimens: specimen -> reason why it is not included in this mean.
+        left_out: root mean square error over the predicted tests that ranks the laws, %.
+        interval_notes: name -> reason why its interval ends early.
+        profiles: name -> profile likelihood.
+        regions: tests for smooth misfit.
+        history: all evaluations of all starts.
+        condition: condition number of the scaled information.
+        directions: weakly determined directions.
+        suggestions: further tests, best first, if parameters are not identifiable.
+        jitter: marginalised scatter between recordings.
+        mesh: mesh corrections.
+        estimate_cpu_s: processor time from the best start to the estimate, s, without other starts, profiles, left-out
+            tests and figures.
     """
 
     law: str
@@ -376,14 +375,14 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     estimate_cpu_s: float = 0.0
 
     def unit(self, name: str) -> str:
-        """Of a parameter, as people read it: empty for a number."""
+        """Return the unit of a parameter for display; empty for a dimensionless parameter."""
         return "" if self.units[name] == "1" else self.units[name]
 
     @property
     def held(self) -> list[str]:
-        """Parameters that a bound holds."""
+        """Names of parameters on a bound."""
         return [name for name in self.on_bound if name in self.parameters]
 
     def in_symbols(self, names: Iterable[str]) -> str:
-        """Symbols of parameters, such as ``C10, g1``."""
+        """Return the symbols of parameters as a list, such as ``C10, g1``."""
         return ", ".join(self.symbols[name] for name in names)

@@ -1,4 +1,4 @@
-"""Generalised least squares along the pipeline: starts on the fast mesh, the accurate mesh's difference, marginals."""
+"""Estimation by generalised least squares on forces, with finite elements and marginalised nuisances."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from calibration.fit.problem import Evaluation, Problem
 from calibration.fit.regions import judge_regions, name_misfits
 from calibration.fit.run_context import RunContext
 from calibration.fit.starts import starts
-from calibration.fit.trust_region import ENOUGH_OF_A_START, Descent, Listener, descend, distinct
+from calibration.fit.trust_region import MIN_GAIN_OF_A_START, Descent, Listener, descend, distinct
 from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.forms import build_test, mesh_uncertainty
@@ -30,30 +30,30 @@ from calibration.statistics.jitter import Jitter
 from calibration.statistics.statistics import MODEL_ERROR_RATIO, r_squared
 from calibration.statistics.uncertainty import Uncertainty
 
-#: Minima whose parameters differ by less than this share of their size are one.
+#: Relative difference of parameters below which two minima are identical.
 _SAME = 1e-2
-#: A nuisance so many standard deviations away is not chance.
+#: Nuisance, in standard deviations, above which a warning is given.
 SUSPECT = 4.0
-#: Degrees of freedom below which an estimated scatter of 0 is doubted.
+#: Degrees of freedom below which an estimated scatter of 0 gives a warning.
 FEW = 6
 
 
 class Generalised(Estimator):
-    """Any test, force, weights from noise, jitter and mesh error; see `calibration.fit.estimator.Estimator`."""
+    """Inverse fit of any tests: residuals of the force, weighted by noise, jitter and mesh error; see `Estimator`."""
 
     explores = True
     words = "inverse FEM: generalised least squares on force"
 
     def problem(self, law: str) -> Problem:
-        """The least-squares problem of one law over all tests that are not held out."""
+        """Return the least-squares problem of one law over all tests that are not held out."""
         return build_problem(law, self.campaign, self.measured, self.solves)
 
     def check(self, law: str, number: int) -> None:
-        """Refuse a start that the law or the tests do not bear, or a parameter that no test can see."""
+        """Check the first start of a law; see `calibration.fit.checks.check_start`."""
         check_start(self.problem(law), self.campaign, number)
 
     def estimate(self, laws: Sequence[str], context: RunContext) -> dict[str, tuple[list[Descent], Estimate | str]]:
-        """As `Estimator.estimate`: all starts of all laws at once, then all mesh differences."""
+        """Fit laws: descents from all starts of all laws in parallel, then all mesh corrections in parallel."""
         problems = {law: self.problem(law) for law in laws}
         keys = [(law, number, theta) for law in laws
                 for number, theta in enumerate(starts(problems[law].space, self.campaign.fit.starts), 1)]
@@ -78,7 +78,7 @@ class Generalised(Estimator):
 
     def _add_mirrored(self, laws: Sequence[str], problems: Mapping[str, Problem], descents: dict[str, list[Descent]],
                       context: RunContext) -> None:
-        """Descents in the basins of the other signs of the exponents, from the best minimum of each law."""
+        """Add descents from the best minimum of each law with other signs of the exponents."""
         keys = []
         for law in laws:
             best = min(descents[law], key=lambda end: end.error)
@@ -93,39 +93,39 @@ class Generalised(Estimator):
                 descents[law].append(end)
 
     def stated(self, problem: Problem) -> Noise:
-        """The jitter that is not to be estimated: fitted offsets have their priors."""
+        """Return the stated jitter, or the priors of fitted offsets; None values are estimated."""
         if self.campaign.fit.offset == "fit":
             return Noise(contact_jitter=problem.jitter.contact, zero_jitter=problem.jitter.zero)
         return self.campaign.noise
 
     @property
     def uncertainty(self) -> Callable[[Problem, Evaluation], Uncertainty]:
-        """That of the parameters, with the nuisances marginalised."""
+        """Function that returns the uncertainty of the parameters with the nuisances marginalised."""
         return assess_uncertainty
 
     def describe(self, found: Findings) -> dict[str, Any]:
-        """As `Estimator.describe`."""
+        """Return messages and fields of an inverse fit; see `Estimator.describe`."""
         estimate, spread, evaluation = found.estimate, found.spread, found.estimate.evaluation
         problem, space = estimate.problem, estimate.problem.space
         on_bound = [name for name, hit in zip(space.free, spread.on_bound, strict=True) if hit]
         regions = judge_regions(problem, evaluation)
         directions = weak_directions(space, spread)
         held = [f"{space.symbols[name]} ended on its bound {found.values[name]:.6g}" for name in on_bound]
-        warnings = [*estimate.warnings, *held, *found.lost, *_doubts(problem, evaluation, spread)]
+        warnings = [*estimate.warnings, *held, *found.lost, *_warnings(problem, evaluation, spread)]
         stressed = [curve for curve in problem.measured if curve.test.specimen is None]
         residual = evaluation.force - problem.data
         root = float(np.sqrt(np.mean(residual**2)))
         history = [entry for descent in found.descents for entry in descent.history] + list(estimate.history)
         best = min(descent.error for descent in found.descents)
-        # A descent ends within its tolerance of the minimum.
+        # The tolerance accounts for the end of a descent near the minimum.
         same = sum(descent.error <= best * (1 + 1e-4) for descent in found.descents)
         count = len(found.descents)
         parts = [f"converged; {same} of {count} start{'s' if count != 1 else ''} ended there"
                  if found.unusable is None else found.unusable]
         if bad := name_misfits(regions):
-            parts.append(f"a smooth misfit is left in {bad}")
+            parts.append(f"a smooth misfit remains in {bad}")
         elif regions:
-            parts.append("no smooth misfit is left in any test")
+            parts.append("no smooth misfit remains in any test")
         if found.loose:
             parts.append(f"the tests do not determine {space.in_symbols(found.loose)}")
         return {
@@ -143,7 +143,7 @@ class Generalised(Estimator):
                                                         strict=True)]}
 
     def held_out(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
-        """With a mesh difference of its own."""
+        """Return a held-out test with its mesh correction, and its relative mesh error."""
         problem = estimate.problem
         found = build_test(test, self.measured[test.name], self.campaign.fit, problem.jitter.contact)
         try:
@@ -155,18 +155,18 @@ class Generalised(Estimator):
         return found, mesh_uncertainty(found, error)
 
     def scatter(self, estimate: Estimate) -> Jitter | None:
-        """The jitter that was marginalised."""
+        """Return the marginalised jitter."""
         return estimate.problem.jitter
 
 
 def run_start(problem: Problem, number: int, theta: np.ndarray, listen: Listener | None = None) -> Descent:
-    """From one start to its minimum on the fast mesh."""
-    return descend(problem, theta, start=number, enough=ENOUGH_OF_A_START, listen=listen)
+    """Run a descent from one start on the fast mesh."""
+    return descend(problem, theta, start=number, enough=MIN_GAIN_OF_A_START, listen=listen)
 
 
 def run_mirrored(problem: Problem, number: int, theta: np.ndarray, limit: float,
                  listen: Listener | None = None) -> Descent:
-    """As `run_start`; ends after one solve where the sum of squares at the start is above `limit`."""
+    """Run a descent from one start, unless the sum of squares at the start exceeds `limit`."""
     spent = problem.solves.meter()
     try:
         error = problem.evaluate(theta).error
@@ -178,7 +178,7 @@ def run_mirrored(problem: Problem, number: int, theta: np.ndarray, limit: float,
 
 
 def _best_of(descents: Sequence[Descent], problem: Problem) -> Descent:
-    """The descent whose minimum is reported: the best; of equal ones that with most positive exponents."""
+    """Return the best descent; among equally good ones that with most positive exponents."""
     ordered = sorted(descents, key=lambda end: end.error)
     if not np.isfinite(ordered[0].error):
         return ordered[0]
@@ -188,54 +188,56 @@ def _best_of(descents: Sequence[Descent], problem: Problem) -> Descent:
 
 
 def _scale(error: float, problem: Problem) -> float:
-    """Variance of the residuals in units of the noise, at least 1."""
+    """Return the variance of the residuals in units of the noise, at least 1."""
     return max(1.0, error / max(problem.samples - len(problem.space.free), 1))
 
 
 def run_settle(problem: Problem, best: Descent, stated: Noise, listen: Listener | None = None) -> Estimate:
-    """From the best minimum to the estimate."""
+    """Compute the estimate from the best minimum; see `calibration.fit.estimate.settle`."""
     return settle(problem, best.theta, stated, start=best.start, past=len(best.history), listen=listen)
 
 
 def _jitter(problem: Problem) -> JitterStatement:
+    """Return the record of the jitter."""
     return JitterStatement(contact_mm=problem.jitter.contact * 1e3, zero_N=problem.jitter.zero,
                            freedom=problem.jitter.freedom, stressed=all(curve.stressed for curve in problem.measured))
 
 
-def _doubts(problem: Problem, evaluation: Evaluation, spread: Uncertainty) -> list[str]:
-    """What speaks against trusting the numbers."""
+def _warnings(problem: Problem, evaluation: Evaluation, spread: Uncertainty) -> list[str]:
+    """Return warnings on unused samples, jitter, large residuals and large nuisances."""
     warnings, jitter = [], problem.jitter
     if later := sum(curve.later for curve in problem.measured):
         names = dict.fromkeys(curve.test.name for curve in problem.measured if curve.later)
-        warnings.append(f"what comes after the loading in {', '.join(names)} is not fitted ({later} samples): an "
-                        'elastic material has no holds and returns of its own; name "viscoelastic.terms[0].g" and '
+        warnings.append(f"samples after the loading in {', '.join(names)} are not fitted ({later} samples), because an "
+                        'elastic material has no relaxation and no hysteresis; name "viscoelastic.terms[0].g" and '
                         '".tau_s", or "softening.loss", in fit.start to use them')
     few = jitter.freedom is not None and 0 < jitter.freedom < FEW
     if few and not (jitter.contact and jitter.zero):
-        what = "contact" if not jitter.contact else "zero"
-        warnings.append(f"the scatter of the {what} comes out as 0 from few recordings, which does not prove it: state "
-                        f"{'contact_jitter_mm' if what == 'contact' else 'zero_jitter_N'}")
+        kind = "contact" if not jitter.contact else "zero"
+        warnings.append(f"the estimated scatter of the {kind} from few recordings is 0, which may be chance: state "
+                        f"{'contact_jitter_mm' if kind == 'contact' else 'zero_jitter_N'}")
     if jitter.freedom == 0:
-        said = _jitter(problem)
-        of_strain = " (1000 times strain, and Pa)" if said.stressed else ""
+        assumed = _jitter(problem)
+        of_strain = " (1000 times strain, and Pa)" if assumed.stressed else ""
         warnings.append("no test has two recordings, so the scatter between recordings is not known and was assumed: "
-                        f"contact {said.sizes[0]}, zero {said.sizes[1]}; state contact_jitter_mm and "
+                        f"contact {assumed.sizes[0]}, zero {assumed.sizes[1]}; state contact_jitter_mm and "
                         f"zero_jitter_N{of_strain}")
     if spread.ratio > MODEL_ERROR_RATIO:
-        warnings.append(f"residuals are {spread.ratio:.3g} times the noise: the model misses something, and the "
-                        "standard errors are no more than a guess")
-    away = np.abs(evaluation.nuisances)
+        warnings.append(f"residuals are {spread.ratio:.3g} times the noise: the model is incomplete, and the standard "
+                        "errors are rough estimates")
+    sizes = np.abs(evaluation.nuisances)
     if stuck := [curve.name for columns, curve in zip(problem.offset_columns, problem.measured, strict=True)
-                 if away[columns].max(initial=0.0) > SUSPECT]:
+                 if sizes[columns].max(initial=0.0) > SUSPECT]:
         warnings.append(f"contact or zero of {', '.join(stuck)} is more than {SUSPECT:g} times the stated or estimated "
-                        "scatter away: check where these recordings touch, or what the model lacks")
-    if away[len(problem.offset_columns) * len(problem.kinds):].max(initial=0.0) > SUSPECT:
-        warnings.append(f"the mesh error would be more than {SUSPECT:g} times what is known of it: something that the "
-                        "model lacks hides there")
+                        "scatter away: check the contact of these recordings, or the model")
+    if sizes[len(problem.offset_columns) * len(problem.kinds):].max(initial=0.0) > SUSPECT:
+        warnings.append(f"the fitted mesh error is more than {SUSPECT:g} times its standard deviation: it compensates "
+                        "an error of the model")
     return warnings
 
 
 def _nuisances(problem: Problem, evaluation: Evaluation) -> list[Nuisance]:
+    """Return contact offset and zero of each recording with their conditional standard errors."""
     if not problem.kinds:
         return []
     matrix = np.linalg.inv(np.eye(evaluation.nuisances.size) + evaluation.columns.T @ evaluation.columns)
@@ -255,7 +257,7 @@ def _nuisances(problem: Problem, evaluation: Evaluation) -> list[Nuisance]:
 
 
 def _minima(descents: Sequence[Descent], problem: Problem) -> list[Minimum]:
-    """Distinct ends of the starts, before the mesh difference was in."""
+    """Return the distinct minima of all starts on the fast mesh."""
     total = float(np.sum((problem.data - problem.data.mean())**2))
     kept = distinct([(d, 1) for d in descents if d.history and np.isfinite(d.error)],
                     lambda one, other: np.abs(one - other) <= _SAME * problem.sizes(one))

@@ -1,4 +1,4 @@
-"""The relaxation of a hold of force alone, for tools without a closed form."""
+"""Fit of a Prony series to the force of a hold, for tools without a closed form."""
 
 from __future__ import annotations
 
@@ -20,22 +20,26 @@ from tissue_sim.material.parts import find_declaration
 from tissue_sim.material.viscoelasticity import MOST_TERMS, Prony
 from tissue_sim.recording.recording import Recording
 
-#: A hold that moves more than this share of its displacement is not one.
-HELD = 0.05
-#: Shear at which a Neo-Hookean solid is linear to the last digits.
+#: Largest change of the displacement during a hold, relative to the displacement.
+MAX_DRIFT = 0.05
+#: Shear strain at which a Neo-Hookean solid is linear in floating-point precision.
 _SMALL = 1e-6
+#: Law of the equivalent solid.
 _LAW = "neo_hooke"
 
 
 @dataclass(frozen=True)
 class HoldFit:
-    """A Prony series fitted to a hold.
+    """Prony series fitted to a hold.
 
     Attributes:
-        force: of a sudden test to the same depth, N (Pa where nominal stress was recorded).
-        prony: the series; moduli are instantaneous.
-        standard_errors: ``force``, and paths such as ``viscoelastic.terms[0].g``: None where not determined.
-        RMSE: of all samples, N. status, message: as of a `Fit`.
+        force: force of an instantaneous test to the same depth, N (Pa if nominal stress was recorded).
+        prony: Prony series of instantaneous moduli.
+        standard_errors: ``force`` and paths such as ``viscoelastic.terms[0].g`` -> standard error, SI; None if not
+            determined.
+        RMSE: root mean square error of all samples, N.
+        status: see `calibration.fit.fit.Fit`.
+        message: see `calibration.fit.fit.Fit`.
     """
 
     force: float
@@ -47,30 +51,33 @@ class HoldFit:
 
 
 def fit_hold(recording: Recording, terms: int = 1, ramp: float = 0.0) -> HoldFit:
-    """Fit a Prony series to the force of a hold: g and tau only.
+    """Fit a Prony series (g_i and tau_i) to the force of a hold.
 
-    At constant depth the force of a linear solid is proportional to its relaxation modulus, whatever the tool (Lee and
-    Radok, J. Appl. Mech. 27 (1960) 438): a spherical tip and shallow depth, as in atomic force microscopy, or small
-    strain. So the hold is fitted as that of a linear solid in shear, like any relaxation of a campaign.
+    At constant depth the force of a linear viscoelastic solid is proportional to its relaxation modulus for every tool,
+    F(t) = F_0 (1 - sum g_i (1 - exp(-t / tau_i))). The hold is therefore fitted as that of a linear solid in shear. The
+    proportionality holds for small strains or shallow depths, as in atomic force microscopy.
 
     Args:
-        recording: ``time`` and ``force`` (or ``nominal stress``) of the hold, from its first sample on.
-        terms: 1 to 4.
-        ramp: how long the loading before it took, s; the elastic force is taken as linear in time within it.
+        recording: ``time`` and ``force`` (or ``nominal stress``) of the hold, beginning with its first sample.
+        terms: number of Prony terms, 1 to 4.
+        ramp: duration of the loading before the hold, s; the elastic force increases linearly in this time.
 
     Raises:
-        InputError: a channel missing, a displacement that moves more than 5 % of itself, too few samples or too many
-            terms.
+        InputError: a channel is missing, the displacement changes by more than 5 %, or there are too few samples or too
+            many terms.
         ConvergenceError: no start gives a finite force.
+
+    Source: Lee and Radok, J. Appl. Mech. 27 (1960) 438.
     """
     if not 0 <= ramp < np.inf:
-        raise InputError(f"{ramp:g} s is not a duration; give the time that the loading took", field="ramp")
+        raise InputError(f"ramp must be 0 or positive; got {ramp:g} s", field="ramp")
     if not 1 <= terms <= MOST_TERMS:
-        raise InputError(f"{terms} terms; give 1 to {MOST_TERMS}", field="terms")
+        raise InputError(f"terms must be 1 to {MOST_TERMS}; got {terms}", field="terms")
     channel = "nominal stress" if "nominal stress" in recording and "force" not in recording else "force"
     force, time = recording.channel(channel), recording.time
-    if "displacement" in recording and np.ptp(recording.displacement) > HELD * np.abs(recording.displacement).max():
-        raise InputError("the displacement moves during the hold; select the samples of the hold, "
+    if "displacement" in recording and \
+            np.ptp(recording.displacement) > MAX_DRIFT * np.abs(recording.displacement).max():
+        raise InputError("displacement must be constant during the hold; select the samples of the hold, "
                          "recording.select(recording.labels['segment'] == 'hold')", field="displacement")
     if force.size <= 1 + 2 * terms:
         raise InputError(f"{force.size} samples cannot determine {1 + 2 * terms} unknowns; give more samples or fewer "

@@ -1,8 +1,9 @@
-"""What the tests cannot tell, and which further test would."""
+"""Identifiability: undetermined parameters, weakly determined directions, and further tests that determine them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,20 +25,46 @@ from tissue_sim.experiment.tools.plate import Plate
 from tissue_sim.model import Model
 from tissue_sim.specimen.cylinder import Cylinder
 
-#: A combination whose relative standard error is larger than this is poorly told.
+#: Relative standard error above which a direction counts as weakly determined.
 WEAK = 0.2
-#: What a suggested test is taken to be like: samples of a recording, and recordings.
-_SAMPLES, _REPLICATES, _POINTS = 400, 3, 11
-_HOLD_S, _STRAIN, _DEEPER, _NEEDLE = 60.0, 0.14, 1.6, 0.2
-_MOST_SUGGESTIONS = 3
-#: Noise, N, and jitter, m and N, of a rig such as the study's, for campaigns that recorded stress.
-_RIG = 0.02, (0.03e-3, 0.01)
-#: The study's specimen, for campaigns whose tests have none.
+
+
+@dataclass(frozen=True)
+class SuggestionSettings:
+    """Assumptions on further tests.
+
+    Attributes:
+        samples: samples per recording.
+        replicates: recordings per test.
+        points: points of the simulation.
+        hold: duration of a hold, s.
+        strain: largest nominal strain.
+        depth_factor: factor of the strain of deeper tests.
+        needle_fraction: radius of the needle relative to the radius of the specimen.
+        max_suggestions: largest number of suggestions.
+        noise: noise of the sensor for campaigns that recorded stress, N: that of the reference study.
+        jitter: jitter of contact, m, and zero, N, for such campaigns.
+    """
+
+    samples: int = 400
+    replicates: int = 3
+    points: int = 11
+    hold: float = 60.0
+    strain: float = 0.14
+    depth_factor: float = 1.6
+    needle_fraction: float = 0.2
+    max_suggestions: int = 3
+    noise: float = 0.02
+    jitter: tuple[float, float] = (0.03e-3, 0.01)
+
+
+_SETTINGS = SuggestionSettings()
+#: Specimen of the reference study, for campaigns without specimens.
 _SPECIMEN = Cylinder(0.040, 0.070)
 
 
 def condition(spread: Uncertainty) -> float | None:
-    """Largest over smallest eigenvalue of the scaled information; None where one is zero."""
+    """Return the condition number of the scaled Fisher information; None if it is singular."""
     free = ~spread.on_bound
     if not free.any():
         return None
@@ -46,7 +73,7 @@ def condition(spread: Uncertainty) -> float | None:
 
 
 def weak_directions(space: ParameterSpace, spread: Uncertainty) -> list[Direction]:
-    """Combinations of relative changes that the tests tell poorly, worst first."""
+    """Return the eigenvectors of the scaled information with a relative standard error above `WEAK`, worst first."""
     free = np.flatnonzero(~spread.on_bound)
     values, vectors = np.linalg.eigh(spread.information[np.ix_(free, free)])
     found = []
@@ -61,23 +88,28 @@ def weak_directions(space: ParameterSpace, spread: Uncertainty) -> list[Directio
 
 
 def not_identifiable(space: ParameterSpace, spread: Uncertainty) -> list[str]:
-    """Parameters whose standard error exceeds their size."""
+    """Return the names of parameters whose standard error exceeds their size."""
     return [name for name, error, size in zip(space.free, spread.standard_errors, spread.sizes, strict=False)
             if not error <= size and not np.isnan(error)]
 
 
 def suggest_tests(problem: Problem, theta: np.ndarray, spread: Uncertainty) -> list[Suggestion]:
-    """Further tests that tell the weakest direction better, best first; each is simulated once.
+    """Suggest further tests that determine the weakest direction better, best first.
 
-    They are of the specimen that the weakest direction is about, and tell no other's numbers. A test counts as three
-    recordings of 400 samples with the noise and jitter of the campaign.
+    Each test is simulated once on the specimen of the weakest direction. Its information is that of
+    `SuggestionSettings.replicates` recordings with the noise and jitter of the campaign.
+
+    Args:
+        problem: problem of the fit.
+        theta: free parameters at the minimum, SI, shape (p,).
+        spread: uncertainty at the minimum.
     """
     free = np.flatnonzero(~spread.on_bound)
     rated = []
     information = spread.information[np.ix_(free, free)] / spread.inflation
     axis = np.linalg.eigh(information)[1][:, 0]
     mechanical = [curve.noise.deviation for curve in problem.measured if curve.test.specimen is not None]
-    noise, jitter = _RIG if not mechanical else (
+    noise, jitter = (_SETTINGS.noise, _SETTINGS.jitter) if not mechanical else (
         float(np.median(mechanical)), (problem.jitter.contact, problem.jitter.zero))
     about = problem.space.varied[free[np.argmax(np.abs(axis))]]
     acting = [test for test in problem.tests if about.acts_in(test.name, None)] or list(problem.tests)
@@ -92,23 +124,23 @@ def suggest_tests(problem: Problem, theta: np.ndarray, spread: Uncertainty) -> l
         words += f", of {about.specimen}" if about.specimen is not None else ""
         rated.append((float(axis @ gained[np.ix_(free, free)] @ axis), Suggestion(test=words, standard_errors=errors)))
     rated.sort(key=lambda item: -item[0])
-    # What tells the weak direction less than the tests that are there is no remedy.
-    worth = float(axis @ information @ axis)
-    return [suggestion for gain, suggestion in rated[:_MOST_SUGGESTIONS] if gain > worth]
+    # A test is suggested only if it gives more information on the weak direction than the existing tests.
+    existing = float(axis @ information @ axis)
+    return [suggestion for gain, suggestion in rated[:_SETTINGS.max_suggestions] if gain > existing]
 
 
 def _candidates(problem: Problem, theta: np.ndarray, of: ForwardTest) -> Sequence[tuple[str, Experiment]]:
-    """Tests in words, as experiments on the specimen of a test."""
+    """Return possible further tests on the specimen of a test: descriptions and experiments."""
     specimen = of.specimen or _SPECIMEN
     if specimen.is_prism and not (specimen.is_round or isinstance(of, SimulatedTest)):
-        # Of a closed form the cross-section is all that counts.
+        # A closed form depends on the cross-section only, so a cylinder with the same area is equivalent.
         specimen = Cylinder(float(np.sqrt(specimen.area / np.pi)), specimen.height)
     ageing = problem.space.material(problem.space.values(theta), test=of.name).remembers
     found = []
-    for strain in (_STRAIN, min(_DEEPER * _STRAIN, 0.3)):
+    for strain in (_SETTINGS.strain, min(_SETTINGS.depth_factor * _SETTINGS.strain, 0.3)):
         depth = strain * specimen.depth_at()
         millimetres = f"{depth * 1e3:.3g} mm"
-        needle = Flat(radius=_NEEDLE * specimen.margin())
+        needle = Flat(radius=_SETTINGS.needle_fraction * specimen.margin())
         for words, tool, friction in (
                 (f"lubricated compression to {millimetres}", Plate(), "frictionless"),
                 (f"bonded compression to {millimetres}", Plate(), "bonded"),
@@ -119,19 +151,33 @@ def _candidates(problem: Problem, theta: np.ndarray, of: ForwardTest) -> Sequenc
 
 
 def _protocols(depth: float, ageing: bool) -> list[tuple[str, Protocol]]:
+    """Return motions to a depth, m, with the end of their description; with holds for a material with memory."""
+    points, hold = _SETTINGS.points, _SETTINGS.hold
     if not ageing:
-        return [("", Protocol.ramp(depth, _POINTS))]
-    text = f"ramp {depth * 1e3:.6g}mm @{STUDY_SPEED * 1e3:.6g}mm/s; hold {_HOLD_S:g}s"
-    return [(f" with a hold of {_HOLD_S:g} s", Protocol.parse(text, points=_POINTS)),
-            (" with a hold and a return", Protocol.parse(text + "; unload", points=_POINTS)),
+        return [("", Protocol.ramp(depth, points))]
+    text = f"ramp {depth * 1e3:.6g}mm @{STUDY_SPEED * 1e3:.6g}mm/s; hold {hold:g}s"
+    return [(f" with a hold of {hold:g} s", Protocol.parse(text, points=points)),
+            (" with a hold and unloading", Protocol.parse(text + "; unload", points=points)),
             (" ten times as fast, with a hold", Protocol.parse(
-                text.replace(f"@{STUDY_SPEED * 1e3:.6g}", f"@{STUDY_SPEED * 1e4:.6g}"), points=_POINTS))]
+                text.replace(f"@{STUDY_SPEED * 1e3:.6g}", f"@{STUDY_SPEED * 1e4:.6g}"), points=points))]
 
 
 def _information(problem: Problem, theta: np.ndarray, experiment: Experiment, test: str, spread: Uncertainty,
                  noise: float, jitter: tuple[float, float]) -> np.ndarray | None:
-    """Scaled information of three recordings with the jitter marginalised, about the numbers that act in a test too;
-    None where it stops."""
+    """Return the scaled information of a further test with the jitter marginalised, shape (p, p).
+
+    Args:
+        problem: problem of the fit.
+        theta: free parameters, SI, shape (p,).
+        experiment: further test.
+        test: name of the existing test whose parameters act in the further test.
+        spread: uncertainty at the minimum.
+        noise: noise of the sensor, N.
+        jitter: jitter of contact, m, and zero, N.
+
+    Returns:
+        Information; None if the simulation fails.
+    """
     space = problem.space
     try:
         own = [i for i, each in enumerate(space.varied) if each.of_material and each.recording is None
@@ -142,10 +188,10 @@ def _information(problem: Problem, theta: np.ndarray, experiment: Experiment, te
     except (ConvergenceError, InputError):
         return None
     recording = answer.recording
-    weight = np.sqrt(_SAMPLES / recording.force.size) / noise
+    weight = np.sqrt(_SETTINGS.samples / recording.force.size) / noise
     rates = np.zeros((recording.force.size, len(space.free)))
     rates[:, own] = weight * answer.values * spread.sizes[own]
     contact, zero = jitter
     columns = weight * np.column_stack([contact * offset_derivative(recording), zero * np.ones_like(recording.force)])
     inner = np.linalg.inv(np.eye(2) + columns.T @ columns)
-    return _REPLICATES * (rates.T @ rates - rates.T @ columns @ inner @ columns.T @ rates)
+    return _SETTINGS.replicates * (rates.T @ rates - rates.T @ columns @ inner @ columns.T @ rates)

@@ -1,4 +1,4 @@
-"""What the parameters hang on: each recording, and how far the data go."""
+"""Influence of single recordings and of the strain range on the parameters."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ from calibration.fit.trust_region import descend
 from calibration.statistics.uncertainty import inverse_root
 from tissue_sim.recording.recording import MIN_POINTS
 
-#: Recordings fewer than this cannot say which of them is the odd one.
-FEWEST = 3
-#: A recording whose own parameter is so far from that of the others by chance, over all recordings and parameters, with
-#: this probability, and by this share of it, disagrees.
-LEVEL, SHARE = 0.05, 0.05
-#: Shares of the largest strain that the parameters are estimated to again.
+#: Smallest number of recordings among which an outlier can be identified.
+MIN_RECORDINGS = 3
+#: Significance level of the test for outlying recordings, over all recordings and parameters.
+LEVEL = 0.05
+#: Smallest relative deviation of an outlying recording.
+MIN_DEVIATION = 0.05
+#: Fractions of the largest displacement for which the parameters are estimated again.
 WINDOWS = (0.4, 0.6, 0.8)
-
-#: Gain in the sum of squares that is not worth a solve here, as windows differ by little; and when a valley is so flat
-#: that a window tells nothing.
-_ENOUGH, _MOST_SOLVES = 1e-4, 30
+#: Predicted decrease of the sum of squares at which the descent in a window ends; windows differ by little.
+_GAIN = 1e-4
+#: Maximum number of evaluations in a window; more are needed only if the window does not determine the parameters.
+_MAX_SOLVES = 30
 
 
 def add_influence(fit: Fit, problem: LeastSquares, evaluation: Evaluation) -> Fit:
-    """The fit with what its parameters hang on, and a warning where a recording disagrees."""
+    """Return the fit with the influence of recordings and windows, and with a warning for outlying recordings."""
     influence = leave_recordings_out(problem, evaluation)
     odd = name_odd_ones(influence, fit)
     words = [f"{', '.join(odd)} disagree{'s' if len(odd) == 1 else ''} with the other recordings: without "
@@ -38,16 +39,21 @@ def add_influence(fit: Fit, problem: LeastSquares, evaluation: Evaluation) -> Fi
 
 
 def _changes(fit: Fit, without: Mapping[str, float]) -> str:
-    """``C10 is 1400 instead of 1600 Pa``."""
+    """Describe the parameters without a recording, such as ``C10 is 1400 instead of 1600 Pa``."""
     changes = (f"{fit.symbols[name]} is {value:.4g} instead of {fit.parameters[name]:.4g} {fit.unit(name)}"
                for name, value in without.items() if _moved(fit.parameters[name], value))
     return ", ".join(map(str.rstrip, changes))
 
 
 def leave_recordings_out(problem: LeastSquares, evaluation: Evaluation) -> dict[str, dict[str, float]]:
-    """Recording -> free parameters, SI, without it; empty where there are fewer than two recordings of each test.
+    """Estimate the parameters without each recording by one linear step from the estimate (deletion diagnostics).
 
-    One linear step from the estimate, without a simulation: the problem is almost linear there.
+    Args:
+        problem: least-squares problem.
+        evaluation: evaluation at the minimum.
+
+    Returns:
+        Recording -> name -> value of the free parameters without it, SI; for tests with at least three recordings.
 
     Source: Cook and Weisberg, Residuals and Influence in Regression, 1982, section 3.4.
     """
@@ -58,7 +64,7 @@ def leave_recordings_out(problem: LeastSquares, evaluation: Evaluation) -> dict[
     if not free:
         return found
     for rows, curve, (number, _) in zip(problem.rows, problem.measured, problem.places, strict=True):
-        if len(problem.tests[number].measured) < FEWEST:
+        if len(problem.tests[number].measured) < MIN_RECORDINGS:
             continue
         rest, gap = np.delete(design, np.r_[rows], axis=0), np.delete(residual, np.r_[rows])
         root, _ = inverse_root(rest.T @ rest)
@@ -69,60 +75,69 @@ def leave_recordings_out(problem: LeastSquares, evaluation: Evaluation) -> dict[
 
 
 def name_odd_ones(influence: Mapping[str, Mapping[str, float]], fit: Fit) -> list[str]:
-    """Recordings that disagree with the others of their campaign.
+    """Return the names of recordings whose parameters disagree with those of the other recordings.
 
-    Of each parameter a recording's own value is the pseudo-value of the jackknife; it is held against mean and scatter
-    of those of the others, with Student's t and for as many questions as are asked (Bonferroni).
+    The value of a recording is the jackknife pseudo-value n theta - (n - 1) theta_(-i). It is compared with mean
+    and scatter of the other recordings by Student's t with Bonferroni's correction.
 
-    Source: Tukey, Annals of Mathematical Statistics 29 (1958) 614; the deleted residual of Cook and Weisberg, 1982.
+    Args:
+        influence: recording -> parameters without it, from `leave_recordings_out`.
+        fit: fit of all recordings.
+
+    Source: Tukey, Annals of Mathematical Statistics 29 (1958) 614; Cook and Weisberg, Residuals and Influence in
+    Regression, 1982 (deleted residual).
     """
-    # Recordings of one test are alike, and of a parameter those count that tell it.
+    # Recordings of one test are compared, for the parameters that they influence.
     asked: dict[tuple[str, str], list[str]] = {}
     for name, parameters in influence.items():
         for parameter, value in parameters.items():
             if _moved(fit.parameters[parameter], value):
                 asked.setdefault((name.rpartition("/")[0], parameter), []).append(name)
-    asked = {place: names for place, names in asked.items() if len(names) >= FEWEST}
+    asked = {place: names for place, names in asked.items() if len(names) >= MIN_RECORDINGS}
     questions, odd = sum(map(len, asked.values())), []
     for (_, parameter), names in asked.items():
         count = len(names)
         quantile = -special.stdtrit(count - 2, 0.5 * LEVEL / questions)
         without = np.array([influence[name][parameter] for name in names])
         value = fit.parameters[parameter]
-        # A small modulus beside a large one is no stiffness of its own.
+        # Deviations are relative to the largest parameter of the same unit, since a small modulus contributes little.
         size = max(abs(fit.parameters[name]) for name in influence[names[0]] if fit.units[name] == fit.units[parameter])
         own = count * value - (count - 1) * without
         for i, name in enumerate(names):
             others = np.delete(own, i)
-            away, scatter = own[i] - others.mean(), others.std(ddof=1) * np.sqrt(1.0 + 1.0 / others.size)
-            if abs(away) > quantile * scatter and abs(away) > SHARE * size and name not in odd:
+            deviation, scatter = own[i] - others.mean(), others.std(ddof=1) * np.sqrt(1.0 + 1.0 / others.size)
+            if abs(deviation) > quantile * scatter and abs(deviation) > MIN_DEVIATION * size and name not in odd:
                 odd.append(name)
     return odd
 
 
 def _moved(value: float, without: float) -> bool:
-    """Whether a recording has a say in a parameter at all."""
+    """Return whether a recording influences a parameter."""
     return abs(without - value) > 1e-9 * abs(value)
 
 
 def narrow_windows(problem: LeastSquares, theta: np.ndarray) -> list[Window]:
-    """The parameters from the first parts of the strain of each test, narrowest first, all of it last.
+    """Estimate the parameters from the samples up to fractions of the largest displacement, smallest fraction first.
 
-    Empty where a force depends on how it came about: a part of a history is another test.
+    The last window contains all samples. The list is empty if a test is path-dependent.
+
+    Args:
+        problem: least-squares problem.
+        theta: unknowns at the minimum, SI, shape (k,).
     """
     if any(test.is_path_dependent for test in problem.tests):
         return []
     free = len(problem.space.free)
 
-    def window(share: float, values: np.ndarray) -> Window:
-        return Window(share=share, parameters=dict(zip(problem.space.free, values[:free].tolist(), strict=True)))
+    def window(fraction: float, values: np.ndarray) -> Window:
+        return Window(share=fraction, parameters=dict(zip(problem.space.free, values[:free].tolist(), strict=True)))
 
     found = []
-    for share in WINDOWS:
-        narrow = problem.within(share)
+    for fraction in WINDOWS:
+        narrow = problem.within(fraction)
         if min(curve.force.size for curve in narrow.measured) < MIN_POINTS or narrow.samples <= theta.size:
             continue
-        descent = descend(narrow, theta, corrected=True, enough=_ENOUGH, most_solves=_MOST_SOLVES)
+        descent = descend(narrow, theta, corrected=True, enough=_GAIN, max_solves=_MAX_SOLVES)
         if descent.converged:
-            found.append(window(share, descent.theta))
+            found.append(window(fraction, descent.theta))
     return [*found, window(1.0, theta)]

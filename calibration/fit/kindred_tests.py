@@ -29,7 +29,7 @@ class TestDisagreement:
     high: float
 
     def describe(self) -> str:
-        """The finding and its remedy."""
+        """Describe the disagreement and its remedy."""
         unit, what, ends = ("kPa", "secant modulus at strains of", (self.low, self.high)) if self.has_modulus else \
             ("N/mm", "secant stiffness at displacements in mm of", (1e3 * self.low, 1e3 * self.high))
         values = ", ".join(f"{name} {1e-3 * value:.3g} {unit}" for name, value in self.secants.items())
@@ -39,7 +39,7 @@ class TestDisagreement:
 
 
 def find_test_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]) -> list[TestDisagreement]:
-    """Kinds of test whose tests fall into two groups of different stiffness.
+    """Find kinds of test whose tests fall into two groups of different stiffness.
 
     Args:
         measured: test -> its recordings.

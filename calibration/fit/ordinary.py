@@ -1,4 +1,4 @@
-"""Ordinary least squares along the pipeline: several starts on few samples, the best minima on all, a sandwich."""
+"""Estimation by ordinary least squares on nominal stress with closed forms."""
 
 from __future__ import annotations
 
@@ -32,19 +32,30 @@ from calibration.statistics.statistics import CURVATURE_RATIO, MODEL_ERROR_RATIO
 from calibration.statistics.uncertainty import Uncertainty, sandwich_covariance
 from tissue_sim.errors import InputError
 
-#: Starts are refined on a thinned curve, its best distinct minima on all samples.
-THINNED_POINTS, MAX_MINIMA = 200, 2
-THINNED_SOLVES, SOLVES, THINNED_TOLERANCE, TOLERANCE = 300, 80, 1e-8, 1e-10
-#: The same of a law that relaxes, whose starts are refined once.
-RELAXING_SOLVES, RELAXING_TOLERANCE = 100, 1e-9
-#: Minima whose parameters differ by less than this share are one.
+#: Approximate number of samples of a thinned problem, on which all starts are refined.
+THINNED_POINTS = 200
+#: Number of distinct minima of the thinned problem that are refined on all samples.
+MAX_MINIMA = 2
+#: Maximum number of evaluations per start of the thinned problem.
+THINNED_SOLVES = 300
+#: Relative tolerance of descents of the thinned problem.
+THINNED_TOLERANCE = 1e-8
+#: Maximum number of evaluations per minimum on all samples.
+SOLVES = 80
+#: Relative tolerance of descents on all samples.
+TOLERANCE = 1e-10
+#: Maximum number of evaluations per start of a law with Prony terms, which is fitted to all samples at once.
+RELAXING_SOLVES = 100
+#: Relative tolerance of descents of a law with Prony terms.
+RELAXING_TOLERANCE = 1e-9
+#: Relative difference of parameters below which two minima are identical.
 _SAME = 1e-2
-#: Residuals whose neighbours correlate more than this are a model error, not noise.
+#: Correlation of neighbouring residuals above which they are reported as a model error.
 CORRELATED = 0.5
 
 
 class Ordinary(Estimator):
-    """Closed forms, nominal stress, all samples alike; see `calibration.fit.estimator.Estimator`."""
+    """Analytical fit of closed forms: unweighted residuals of the nominal stress; see `Estimator`."""
 
     explores = False
     words = "analytical: least squares on nominal stress"
@@ -54,24 +65,26 @@ class Ordinary(Estimator):
         self.fitted = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
 
     def problem(self, law: str) -> OrdinaryProblem:
-        """The least-squares problem of one law over all tests that are not held out."""
+        """Return the least-squares problem of one law over all tests that are not held out."""
         tests = [self._test(test) for test in self.campaign.tests if not test.hold_out]
         return OrdinaryProblem.of(self._space(law), tests, self.campaign.fit, self.solves)
 
     @property
     def pooled_noise(self) -> float | None:
-        """Of the nominal stress, over all samples, Pa."""
+        """Pooled noise of the nominal stress over all samples, Pa."""
         return self.problem(self.campaign.fit.laws[0]).noise
 
     def _space(self, law: str) -> ParameterSpace:
+        """Return the parameter space of a law."""
         return ParameterSpace.of(law, self.campaign, {name: [curve.name for curve in curves]
                                                       for name, curves in self.measured.items()})
 
     def _test(self, test: Test) -> ClosedFormTest:
+        """Return the closed form of a test."""
         return build_analytical_test(test, self.measured[test.name], self.campaign.fit)
 
     def check(self, law: str, number: int) -> None:
-        """Refuse laws with more parameters than the tests have samples."""
+        """Check that the tests have more samples than the law has parameters."""
         samples = sum(curve.force.size for curve in self.fitted)
         unknowns = len(self._space(law).names)
         if samples <= unknowns:
@@ -79,7 +92,7 @@ class Ordinary(Estimator):
                              "or take a simpler law", file=self.campaign.path, field=f"fit.laws[{number}]")
 
     def estimate(self, laws: Sequence[str], context: RunContext) -> dict[str, tuple[list[Descent], Estimate | str]]:
-        """As `Estimator.estimate`; one law after the other in this process."""
+        """Fit laws one after the other in this process; see `Estimator.estimate`."""
         found: dict[str, tuple[list[Descent], Estimate | str]] = {}
         for law in laws:
             plural = "s" if len(self.fitted) != 1 else ""
@@ -90,11 +103,11 @@ class Ordinary(Estimator):
 
     @property
     def uncertainty(self) -> Callable[[OrdinaryProblem, Evaluation], Uncertainty]:
-        """The sandwich of the unknowns."""
+        """Function that returns the sandwich covariance of the unknowns."""
         return partial(assess_sandwich, stated=self.campaign.noise)
 
     def describe(self, found: Findings) -> dict[str, Any]:
-        """As `Estimator.describe`."""
+        """Return messages and fields of an analytical fit; see `Estimator.describe`."""
         problem, spread = found.estimate.problem, found.spread
         on_bound = [name for name, hit in zip(problem.space.free, spread.on_bound, strict=False) if hit]
         nuisances = _nuisances(problem, found.estimate.theta, spread)
@@ -114,6 +127,7 @@ class Ordinary(Estimator):
             "message": "; ".join([*self._remarks(found), *_relaxation(problem, found), *warnings])}
 
     def _remarks(self, found: Findings) -> list[str]:
+        """Return remarks on convergence, noise, standard errors and undetermined parameters."""
         spread, count = found.spread, len(found.descents)
         parts = [f"converged from {count} start{'s' if count != 1 else ''}" if found.unusable is None
                  else found.unusable]
@@ -130,33 +144,40 @@ class Ordinary(Estimator):
         return parts
 
     def scatter(self, estimate: Estimate) -> Jitter | None:
-        """The jitter, where it is stated."""
+        """Return the stated jitter; None if none is stated."""
         noise = self.campaign.noise
         stated = noise.contact_jitter or noise.zero_jitter
         return Jitter(noise.contact_jitter or 0.0, noise.zero_jitter or 0.0, None) if stated else None
 
     def held_out(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
-        """A closed form is exact."""
+        """Return the closed form of a held-out test, whose mesh error is 0."""
         return self._test(test), 0.0
 
 
 def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
-    """The descents of all starts of one law and its estimate, or why there is none."""
+    """Fit one law: descents from all starts on thinned samples, then the best minima on all samples.
+
+    Args:
+        problem: least-squares problem of the law.
+
+    Returns:
+        All descents, and the estimate or the reason of the failure.
+    """
     spent, law = problem.solves.meter(), problem.space.law
-    # The force of a history needs all of its motion.
+    # The stress of a material with memory depends on the whole motion, so its samples are not thinned.
     stride = 1 if problem.remembers else -(-problem.samples // THINNED_POINTS)
     thin = problem if stride == 1 else problem.thinned(stride)
 
     def end_of(target: OrdinaryProblem, start: np.ndarray, number: int, most: int,
                tolerance: float = TOLERANCE) -> Descent:
         return descend(target, start, start=number, enough=0.0, tolerance=tolerance, gradient=tolerance,
-                       most_solves=most)
+                       max_solves=most)
 
     def near(one: np.ndarray, other: np.ndarray) -> np.ndarray:
         return (np.abs(one - other) <= _SAME * np.abs(other) + 1e-9)[: len(problem.space.free)]
 
-    how = (RELAXING_SOLVES, RELAXING_TOLERANCE) if problem.relaxing else (THINNED_SOLVES, THINNED_TOLERANCE)
-    descents = [end_of(thin, start, number, *how) for number, start in enumerate(closed_starts(thin), 1)]
+    limits = (RELAXING_SOLVES, RELAXING_TOLERANCE) if problem.relaxing else (THINNED_SOLVES, THINNED_TOLERANCE)
+    descents = [end_of(thin, start, number, *limits) for number, start in enumerate(closed_starts(thin), 1)]
     ends = distinct([(d, 1) for d in descents if np.isfinite(d.error)], near)
     refined = ends if problem.relaxing else [(end_of(problem, end.theta, end.start, SOLVES), count)
                                              for end, count in ends[:MAX_MINIMA]]
@@ -168,7 +189,7 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
     for start in mirrored_starts(problem.space, refined[0][0].theta):
         if problem.relaxing and not _is_promising(problem, start, refined[0][0].error):
             continue
-        descents.append(end_of(thin, start, len(descents) + 1, *how))
+        descents.append(end_of(thin, start, len(descents) + 1, *limits))
         if np.isfinite(descents[-1].error):
             refined.append((end_of(problem, descents[-1].theta, descents[-1].start, SOLVES), 1))
     refined = distinct([item for item in refined if np.isfinite(item[0].error)], near)
@@ -188,23 +209,26 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
 
 
 def _is_promising(problem: OrdinaryProblem, start: np.ndarray, best: float) -> bool:
-    """Whether the sum of squares at a start is near enough to the best one to be worth a descent over histories."""
+    """Return whether the sum of squares at a start is below `PROMISING` times the best one."""
     evaluation = feasible(problem, start)
     return evaluation is not None and evaluation.error < PROMISING * max(best, problem.samples)
 
 
 def assess_sandwich(problem: OrdinaryProblem, evaluation: Evaluation, stated: Noise) -> Uncertainty:
-    """The sandwich of the unknowns: parameters first, then offsets and zeros.
+    """Return the sandwich covariance of the unknowns: parameters first, then offsets and zeros.
 
     Args:
-        problem, evaluation: at the minimum. stated: noise and jitter of the campaign.
+        problem: least-squares problem.
+        evaluation: evaluation at the minimum.
+        stated: noise and jitter of the campaign.
     """
     theta = evaluation.theta
     on_bound = problem.on_bound(theta)
     noise = np.array([curve.noise.deviation / problem.tests[t].area
                       for (t, _), curve in zip(problem.places, problem.measured, strict=True)])
     correlation = neighbour_correlation(problem, evaluation)
-    # A smooth model error repeats itself: fewer samples than there are tell anything new (Bayley, Hammersley 1946).
+    # Smooth residuals are autocorrelated, which reduces the number of independent samples by (1 - r) / (1 + r)
+    # (Bayley and Hammersley 1946).
     repeats = (1.0 + max(correlation, 0.0)) / (1.0 - min(correlation, 0.999)) if problem.remembers else 1.0
     spread = sandwich_covariance(
         evaluation.rates * problem.noise, evaluation.residual * problem.noise, problem.index, noise,
@@ -216,14 +240,14 @@ def assess_sandwich(problem: OrdinaryProblem, evaluation: Evaluation, stated: No
 
 
 def neighbour_correlation(problem: OrdinaryProblem, evaluation: Evaluation) -> float:
-    """Correlation of each residual with the next of its recording."""
+    """Return the lag-1 autocorrelation of the residuals within recordings."""
     residual, same = evaluation.residual, np.diff(problem.index) == 0
     squares = float(residual @ residual)
     return float(residual[:-1][same] @ residual[1:][same]) / squares if squares else 0.0
 
 
 def _relaxation(problem: OrdinaryProblem, found: Findings) -> list[str]:
-    """What a material that remembers asks of its record."""
+    """Return remarks on the relaxation times and the smoothness of the residuals of a material with memory."""
     if not problem.remembers:
         return []
     shortest, longest = problem.time_range
@@ -238,6 +262,7 @@ def _relaxation(problem: OrdinaryProblem, found: Findings) -> list[str]:
 
 
 def _nuisances(problem: OrdinaryProblem, theta: np.ndarray, spread: Uncertainty) -> list[Nuisance]:
+    """Return contact offset and zero of each recording that has them."""
     free, names = len(problem.space.free), np.array(["contact_offset_mm", "zero_offset_N"])
     values = problem.offsets(theta)[problem.shifted]
     errors, hits = spread.standard_errors[free:].reshape(-1, 2), spread.on_bound[free:].reshape(-1, 2)

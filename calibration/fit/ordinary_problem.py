@@ -1,4 +1,4 @@
-"""Ordinary least squares on nominal stress: all samples count alike, offsets and zeros are unknowns inside bounds."""
+"""Ordinary least-squares problem on nominal stress, with contact offsets and zeros as bounded unknowns."""
 
 from __future__ import annotations
 
@@ -19,21 +19,27 @@ from calibration.statistics.statistics import pooled_noise
 from tissue_sim.laws import find_law
 from tissue_sim.material.viscoelasticity import MOST_TERMS
 
-#: Prior standard deviation of a zero that the campaign does not state, in force noises, and bounds in such deviations.
-_ZERO_PRIOR, _ZERO_BOUND = 5.0, 10.0
-#: An unknown this near to its bound, as a share of their distance, is on it.
+#: Default prior standard deviation of a zero, in units of the force noise.
+_ZERO_PRIOR = 5.0
+#: Default bound of a zero, in prior standard deviations.
+_ZERO_BOUND = 10.0
+#: Distance to a bound at which an unknown counts as on the bound, relative to the distance of its bounds.
 ON_BOUND = 1e-6
 
 
 @dataclass(eq=False)
 class OrdinaryProblem(LeastSquares):
-    """Residuals are those of the nominal stress in units of one noise. The unknowns are the free parameters, then
-    contact offset, m, and zero, N, of each recording that has them.
+    """Least-squares problem with residuals of the nominal stress in units of one pooled noise.
+
+    The unknowns are the free parameters, then contact offset, m, and zero, N, of each recording that has them.
 
     Attributes:
-        settings: offsets, their bounds and priors.
-        noise: of the nominal stress, pooled over all samples, Pa. force_noise: the largest of the recordings', N.
-        shifted: numbers of the recordings that have an offset and a zero.
+        tests: closed forms of the fitted tests.
+        settings: settings of the fit, including bounds and priors of offsets.
+        noise: pooled noise of the nominal stress, Pa.
+        force_noise: largest force noise of the recordings, N.
+        area: cross-section at each sample, m2, shape (N,).
+        shifted: indices of the recordings with a contact offset and a zero.
     """
 
     tests: tuple[ClosedFormTest, ...]
@@ -60,7 +66,14 @@ class OrdinaryProblem(LeastSquares):
     @classmethod
     def of(cls, space: ParameterSpace, tests: Sequence[ClosedFormTest], settings: FitSettings,
            solves: SimulationCache) -> OrdinaryProblem:
-        """The problem with the noise of its recordings."""
+        """Return the problem with the pooled noise of its recordings.
+
+        Args:
+            space: parameter space.
+            tests: closed forms of the fitted tests.
+            settings: settings of the fit.
+            solves: cache of simulations.
+        """
         pairs = [(curve, test.area) for test in tests for curve in test.measured]
         index = np.repeat(np.arange(len(pairs)), [curve.force.size for curve, _ in pairs])
         noise = pooled_noise(np.array([curve.noise.deviation / area for curve, area in pairs]), index)
@@ -69,23 +82,23 @@ class OrdinaryProblem(LeastSquares):
 
     @property
     def index(self) -> np.ndarray:
-        """Number of the recording of each sample, shape (N,)."""
+        """Index of the recording of each sample, shape (N,)."""
         return np.repeat(np.arange(len(self.rows)), [rows.stop - rows.start for rows in self.rows])
 
     @property
     def time_range(self) -> tuple[float, float]:
-        """The usual step and the length of the longest recording, s."""
+        """Median sampling interval and duration of the longest recording, s."""
         steps = np.concatenate([np.diff(curve.clock) for curve in self.measured])
         return float(np.median(steps[steps > 0])), max(float(np.ptp(curve.clock)) for curve in self.measured)
 
     @property
     def remembers(self) -> bool:
-        """Whether the force depends on what was before."""
+        """Whether the force depends on the history of the deformation."""
         return any(curve.segment is not None for curve in self.measured)
 
     @property
     def relaxing(self) -> LongTerm | None:
-        """The variables of a law whose relaxing terms are all unknown, where nothing else acts; None elsewhere."""
+        """Variables of a law with Prony terms if all parameters are free and without stated bounds; otherwise None."""
         law, free = find_law(self.space.law), self.space.free
         terms = [pair for i in range(MOST_TERMS) if set(pair := (
             f"viscoelastic.terms[{i}].g", f"viscoelastic.terms[{i}].tau")) <= set(free)]
@@ -93,15 +106,17 @@ class OrdinaryProblem(LeastSquares):
         if not terms or set(names) != set(self.space.names) or set(names) != set(free) or self.shifted \
                 or self.settings.bounds or self.settings.prior:
             return None
-        places = {name: place for place, name in enumerate(free)}
+        index_of = {name: index for index, name in enumerate(free)}
         moduli = [law.units[name] != "1" for name in law.parameters]
-        own = np.array([places[name] for name in law.parameters])
-        return LongTerm(own[moduli], own[np.logical_not(moduli)], np.array([places[g] for g, _ in terms]),
-                        np.array([places[tau] for _, tau in terms]), self.time_range)
+        own = np.array([index_of[name] for name in law.parameters])
+        return LongTerm(own[moduli], own[np.logical_not(moduli)], np.array([index_of[g] for g, _ in terms]),
+                        np.array([index_of[tau] for _, tau in terms]), self.time_range)
 
     def thinned(self, stride: int) -> OrdinaryProblem:
-        """The same problem with every so-manieth sample; where recordings have nothing of their own each test has one
-        of them all, which costs a fraction."""
+        """Return the problem with every `stride`-th sample, for cheaper descents.
+
+        The recordings of a test are merged to one if they have no individual unknowns.
+        """
         def thin(curve: MeasuredCurve) -> MeasuredCurve:
             time = None if curve.time is None else curve.time[::stride]
             return replace(curve, displacement=curve.displacement[::stride], force=curve.force[::stride], time=time)
@@ -116,7 +131,7 @@ class OrdinaryProblem(LeastSquares):
                                          for test in self.tests))
 
     def without(self, number: int, theta: np.ndarray) -> tuple[OrdinaryProblem, np.ndarray]:
-        """As `LeastSquares.without`."""
+        """Return the problem without one test; see `LeastSquares.without`."""
         free = len(self.space.free)
         kept = [self.places[i][0] != number for i in self.shifted]
         tests = [test for i, test in enumerate(self.tests) if i != number]
@@ -125,20 +140,20 @@ class OrdinaryProblem(LeastSquares):
 
     @property
     def weightless(self) -> OrdinaryProblem:
-        """The same problem without self-weight."""
+        """Problem without self-weight."""
         return replace(self, tests=tuple(test.weightless for test in self.tests))
 
     def sizes(self, theta: np.ndarray) -> np.ndarray:
-        """Of offsets and zeros, their priors."""
+        """Return the scale of each unknown: size of a parameter, prior deviation of an offset or zero; shape (k,)."""
         free = len(self.space.free)
         return np.append(super().sizes(theta[:free]), self.prior_deviation[free:])
 
     def variables(self, theta: np.ndarray) -> Variables:
-        """The unknowns in units of their sizes at `theta`, or those of a material that relaxes."""
+        """Return the variables of a descent: `LongTerm` for Prony terms, otherwise scaled unknowns."""
         return self.relaxing or super().variables(theta)
 
     def on_bound(self, theta: np.ndarray) -> np.ndarray:
-        """Which unknowns a bound holds, bool, shape (k,)."""
+        """Return which unknowns are on a bound, bool, shape (k,)."""
         variables = self.relaxing
         low, high = self.bounds if variables is None else variables.bounds
         u = theta if variables is None else variables.of(theta)
@@ -146,7 +161,7 @@ class OrdinaryProblem(LeastSquares):
         return (u - low <= ON_BOUND * reach) | (high - u <= ON_BOUND * reach)
 
     def offsets(self, theta: np.ndarray) -> np.ndarray:
-        """Contact offset, m, and zero, N, of each recording, shape (recordings, 2)."""
+        """Return contact offset, m, and zero, N, of each recording, shape (recordings, 2)."""
         values = np.zeros((len(self.places), 2))
         values[self.shifted] = theta[len(self.space.free):].reshape(-1, 2)
         return values
@@ -167,9 +182,9 @@ class OrdinaryProblem(LeastSquares):
         return (force - self.data) / unit, rates / unit[:, None], np.zeros((self.samples, 0)), np.zeros(0), force
 
     def jitter_columns(self, theta: np.ndarray, noise: Noise) -> np.ndarray | None:
-        """Nominal stress that one standard deviation of contact and zero jitter makes, Pa, shape (N, 2).
+        """Return the change of the nominal stress per standard deviation of contact and zero jitter, Pa, shape (N, 2).
 
-        None where none is stated; no columns where fitted offsets carry it as their prior.
+        None if no jitter is stated; no columns if fitted offsets have the jitter as their prior.
         """
         if not (noise.contact_jitter or noise.zero_jitter):
             return None
@@ -185,7 +200,7 @@ class OrdinaryProblem(LeastSquares):
 
 
 def feasible(problem: OrdinaryProblem, theta: np.ndarray) -> Evaluation | None:
-    """The evaluation at these unknowns, None where there is none."""
+    """Return the evaluation of a problem; None if the model is infeasible or its values are not finite."""
     try:
         evaluation = problem.evaluate(theta)
     except InfeasibleError:

@@ -12,7 +12,7 @@ _DIFFERENT = 1.05
 
 
 def describe_own_stiffnesses(problem: LeastSquares, model: np.ndarray, smallest_R2: float) -> str:
-    """The remedy of a misfit where the tests of one kind differ in stiffness only; empty where they do not.
+    """Describe the remedy of a misfit if the tests of one kind differ in stiffness only; empty otherwise.
 
     The force of the law is scaled to each test by least squares. The law has the right shape if it then explains the
     variance of the force in every test.

@@ -1,4 +1,4 @@
-"""What a fit says of the population that its specimens come from, and whether specimens that share numbers differ."""
+"""Population of the specimens of a fit, and a test for differences between specimens with shared parameters."""
 
 from __future__ import annotations
 
@@ -10,22 +10,24 @@ from scipy import special
 
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.estimate import Estimate
-from calibration.fit.fit import Covariance, PopulationStatement
+from calibration.fit.population_records import Covariance, PopulationStatement
 from calibration.statistics.adequacy import orthonormal_basis
 from calibration.statistics.population import MIN_SPECIMENS, estimate_population
 
-#: Specimens differ where so large a share of the squares that are left is theirs, and chance has this probability.
-_SHARE, _CHANCE = 0.3, 1e-3
+#: Smallest fraction of the residual sum of squares that differences between specimens explain, for a warning.
+_MIN_FRACTION = 0.3
+#: Largest p value of these differences, for a warning.
+_MAX_P = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Specimens:
-    """What a fit says of specimens whose material has free numbers of its own; empty where there are none.
+    """Specimens with individual material parameters; empty if all specimens share the parameters.
 
     Attributes:
-        population: that they come from; None where fewer than two are determined.
-        material_of: names of those whose mean stands for all; without a population of one alone.
-        left_out: name -> why its numbers are in no mean.
+        population: population of the specimens; None if fewer than two specimens are determined.
+        material_of: names of the specimens whose mean is the material; without a population one specimen.
+        left_out: name of a specimen -> reason why it is not included in the mean.
     """
 
     population: PopulationStatement | None = None
@@ -34,22 +36,26 @@ class Specimens:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of all of them."""
+        """Names of all specimens."""
         return tuple(dict.fromkeys([*self.material_of, *self.left_out]))
 
     @property
     def missing_population(self) -> str | None:
-        """Why several specimens have no mean, for people; None where they have one, or there are not several."""
+        """Reason why several specimens have no population mean; None if they have one, or if there is one specimen."""
         if self.population is not None or len(self.names) < MIN_SPECIMENS:
             return None
         first = self.material_of[0]
-        alone = "" if first in self.left_out else f", or fit {first} in a campaign of its own"
+        alone = "" if first in self.left_out else f", or fit {first} in a separate campaign"
         return (f"no population: of {len(self.names)} specimens these are not determined: {in_words(self.left_out)}; "
                 f"so no material file is written, and E0 and mu0 are those of {first} alone: widen fit.bounds, give "
-                f"what the tests do not tell the scope 'shared'{alone}")
+                f"undetermined parameters the scope 'shared'{alone}")
 
     def warnings(self, unusable: str | None) -> list[str]:
-        """What to mind of whom the material stands for, beside what makes it `unusable`."""
+        """Return warnings on the specimens that the material represents.
+
+        Args:
+            unusable: reason why the fit is not usable, which is not repeated; None: it is usable.
+        """
         missing = self.missing_population
         if missing is not None:
             return [] if missing == unusable else [missing]
@@ -62,7 +68,12 @@ class Specimens:
         return []
 
     def typical(self, space: ParameterSpace, values: Mapping[str, float]) -> dict[str, float]:
-        """The values with those of the material for each specimen: the mean, or those of the one that it is of."""
+        """Return parameter values in which each specimen has those of the representative material.
+
+        Args:
+            space: parameter space.
+            values: name -> value, SI.
+        """
         if self.population is not None:
             known = dict(zip(self.population.order, self.population.mean, strict=True))
         else:
@@ -72,71 +83,82 @@ class Specimens:
 
 
 def find_specimens(space: ParameterSpace, theta: np.ndarray, covariance: np.ndarray, errors: np.ndarray) -> Specimens:
-    """Which specimens are determined, and the population that these come from.
+    """Determine the population of the specimens with individual parameters.
 
     Args:
-        space: of the parameters. theta: the free ones, SI, shape (p,). covariance: of these, shape (p, p).
-        errors: their standard errors, shape (p,); not finite where a number is not determined or stays on its bound.
+        space: parameter space.
+        theta: free parameters, SI, shape (p,).
+        covariance: covariance of the free parameters, shape (p, p).
+        errors: standard errors, shape (p,); not finite for undetermined parameters and those on a bound.
     """
-    places = {(each.path, each.specimen): place for place, each in enumerate(space.varied)
-              if each.specimen is not None and each.of_material}
-    order = list(dict.fromkeys(path for path, _ in places))
-    rows = {specimen: [places[path, specimen] for path in order] for _, specimen in places}
+    index_of = {(each.path, each.specimen): index for index, each in enumerate(space.varied)
+                if each.specimen is not None and each.of_material}
+    order = list(dict.fromkeys(path for path, _ in index_of))
+    rows = {specimen: [index_of[path, specimen] for path in order] for _, specimen in index_of}
     left_out = {specimen: "; ".join(reasons) for specimen, row in rows.items()
-                if (reasons := _lacking(space, theta, errors, row))}
-    told = [specimen for specimen in rows if specimen not in left_out]
-    if len(told) < MIN_SPECIMENS:
-        return Specimens(None, tuple(told or list(rows)[:1]), left_out)
-    table = np.array([rows[specimen] for specimen in told])
-    # Beside numbers that are shared each specimen errs by itself only where these stand still.
-    others = np.setdiff1d(np.flatnonzero(np.diag(covariance) > 0), [place for row in rows.values() for place in row])
+                if (reasons := _undetermined_reasons(space, theta, errors, row))}
+    determined = [specimen for specimen in rows if specimen not in left_out]
+    if len(determined) < MIN_SPECIMENS:
+        return Specimens(None, tuple(determined or list(rows)[:1]), left_out)
+    table = np.array([rows[specimen] for specimen in determined])
+    # The errors of shared parameters are common to all specimens. Given the shared parameters, the errors of different
+    # specimens are independent.
+    others = np.setdiff1d(np.flatnonzero(np.diag(covariance) > 0), [index for row in rows.values() for index in row])
     shared = covariance[np.ix_(others, others)]
     sizes, axes = np.linalg.eigh(shared / np.sqrt(np.outer(np.diag(shared), np.diag(shared))))
     kept = sizes > 1e-12
-    # Columns of unit variance: errors along the axes of the shared numbers.
+    # Directions of the shared parameters with unit variance.
     unit = axes[:, kept] / np.sqrt(sizes[kept]) / np.sqrt(np.diag(shared))[:, None]
     common = np.array([covariance[np.ix_(row, others)] @ unit for row in table])
     alone = np.array([covariance[np.ix_(row, row)] - moved @ moved.T for row, moved in zip(table, common, strict=True)])
-    found = estimate_population(order, told, theta[table], alone, common)
-    # Of one value in all tests: those of single tests and recordings are no part of a further specimen.
-    everywhere = [k for k, place in enumerate(others) if space.varied[place].name == space.varied[place].path]
+    found = estimate_population(order, determined, theta[table], alone, common)
+    # Parameters of single tests or recordings do not belong to a further specimen.
+    everywhere = [k for k, index in enumerate(others) if space.varied[index].name == space.varied[index].path]
     cross = (found.mean_moves @ unit.T @ shared)[:, everywhere]
     together = np.block([[found.mean_covariance, cross], [cross.T, shared[np.ix_(everywhere, everywhere)]]])
     names = ("mean", "mean_errors", "mean_intervals", "mean_covariance", "between", "spread", "spread_intervals",
              "next_specimen", "estimates", "errors", "shrunken", "shrunken_errors")
     return Specimens(PopulationStatement(
-        order=order, specimens=told, covariance=Covariance(
+        order=order, specimens=determined, covariance=Covariance(
             order=[*order, *(space.free[others[k]] for k in everywhere)], matrix=together.tolist()),
-        **{name: getattr(found, name).tolist() for name in names}), tuple(told), left_out)
+        **{name: getattr(found, name).tolist() for name in names}), tuple(determined), left_out)
 
 
-def _lacking(space: ParameterSpace, theta: np.ndarray, errors: np.ndarray, row: Sequence[int]) -> list[str]:
-    """Why numbers of a specimen are not determined, in words."""
+def _undetermined_reasons(space: ParameterSpace, theta: np.ndarray, errors: np.ndarray,
+                          row: Sequence[int]) -> list[str]:
+    """Return the reasons why parameters of a specimen are not determined; empty if all are.
+
+    Args:
+        space: parameter space.
+        theta: free parameters, SI, shape (p,).
+        errors: standard errors, shape (p,).
+        row: indices of the parameters of the specimen.
+    """
     reasons: dict[str, list[str]] = {}
-    for place in row:
-        if np.isfinite(errors[place]) and errors[place] > 0:
+    for index in row:
+        if np.isfinite(errors[index]) and errors[index] > 0:
             continue
-        unit, ends = space.varied[place].declaration.unit, (space.low[place], space.high[place])
-        bound = min(ends, key=lambda end: abs(end - theta[place]))
-        why = f"on its bound {bound:.4g}{'' if unit == '1' else f' {unit}'}" if np.isnan(errors[place]) else \
+        unit, ends = space.varied[index].declaration.unit, (space.low[index], space.high[index])
+        bound = min(ends, key=lambda end: abs(end - theta[index]))
+        why = f"on its bound {bound:.4g}{'' if unit == '1' else f' {unit}'}" if np.isnan(errors[index]) else \
             "not determined by its tests"
-        reasons.setdefault(why, []).append(space.symbols[space.free[place]].partition("@")[0])
+        reasons.setdefault(why, []).append(space.symbols[space.free[index]].partition("@")[0])
     return [f"{', '.join(symbols)} {why}" for why, symbols in reasons.items()]
 
 
 def in_words(left_out: Mapping[str, str]) -> str:
-    """Specimens and why they are in no mean: ``animal_2 (C20 on its bound 0 Pa)``."""
+    """Describe specimens that are not included in a mean, such as ``animal_2 (C20 on its bound 0 Pa)``."""
     return ", ".join(f"{name} ({why})" for name, why in left_out.items())
 
 
 def differing_specimens(estimate: Estimate) -> list[str]:
-    """A warning where specimens that share the numbers of a law differ in them; no second fit is needed for that.
+    """Return a warning if specimens that share the parameters of a law differ significantly.
 
-    The squares that would vanish if each specimen had its own numbers, to first order: the part of the residual in the
-    span of the derivatives, specimen by specimen, that the fit did not have.
+    The test needs no second fit: the decrease of the sum of squares by individual parameters is, to first order, the
+    squared projection of the residual on the derivatives of each specimen, orthogonal to the fitted space.
     """
     problem, evaluation, space = estimate.problem, estimate.evaluation, estimate.problem.space
-    shared = [place for place, each in enumerate(space.varied) if each.of_law and each.tests is None]
+    shared = [index for index, each in enumerate(space.varied) if each.of_law and each.tests is None]
     specimens = [None if curve.test.specimen is None else curve.test.specimen.name for curve in problem.measured]
     if not shared or None in specimens or len(set(specimens)) < MIN_SPECIMENS:
         return []
@@ -149,9 +171,9 @@ def differing_specimens(estimate: Estimate) -> list[str]:
     fitted = orthonormal_basis(design)
     modes -= fitted @ (fitted.T @ modes)
     found = orthonormal_basis(modes)
-    theirs, left = float(np.sum((found.T @ residual)**2)), float(residual @ residual)
-    if theirs < _SHARE * left or special.chdtrc(found.shape[1], theirs) > _CHANCE:
+    decrease, total = float(np.sum((found.T @ residual)**2)), float(residual @ residual)
+    if decrease < _MIN_FRACTION * total or special.chdtrc(found.shape[1], decrease) > _MAX_P:
         return []
-    names = space.in_symbols([space.free[place] for place in shared])
-    return [f"the specimens differ: {theirs / left:.0%} of the squares that are left would vanish if each had its own "
-            f"{names}; that is scatter between specimens: give them the scope 'per_specimen' in [fit.scope]"]
+    names = space.in_symbols([space.free[index] for index in shared])
+    return [f"the specimens differ: individual values of {names} would explain {decrease / total:.0%} of the residual "
+            "sum of squares; give these parameters the scope 'per_specimen' in [fit.scope]"]

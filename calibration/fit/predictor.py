@@ -1,4 +1,4 @@
-"""What predicts a test: the numbers of the fit, or for a specimen that nothing tells the mean of the others."""
+"""Parameters for predictions: those of the fit, or the population mean for a specimen without fitted tests."""
 
 from __future__ import annotations
 
@@ -9,20 +9,22 @@ import numpy as np
 
 from calibration.campaign.campaign import Test
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.fit.fit import PopulationStatement
 from calibration.fit.population import find_specimens
+from calibration.fit.population_records import PopulationStatement
 from calibration.statistics.bands import Scatter
 from calibration.statistics.uncertainty import Uncertainty
 
 
 @dataclass(frozen=True, eq=False)
 class Predictor:
-    """Numbers that predict a test, and what they may err by.
+    """Parameters that predict a test, and their covariance.
 
     Attributes:
-        space: of the parameters. theta: the free ones, SI, shape (p,). covariance: of these, shape (p, p).
-        mean_of: specimens whose mean stands for the test's own; empty: its own numbers are known.
-        sampled: the part of the covariance that is known from so few specimens only, shape (p, p); None: none is.
+        space: parameter space.
+        theta: free parameters, SI, shape (p,).
+        covariance: covariance of the free parameters, shape (p, p).
+        mean_of: specimens whose mean replaces the parameters of the test's specimen; empty: they are known.
+        sampled: part of the covariance that was estimated from the specimens in `mean_of`, shape (p, p); None: none.
     """
 
     space: ParameterSpace
@@ -33,15 +35,15 @@ class Predictor:
 
     @classmethod
     def of(cls, space: ParameterSpace, theta: np.ndarray, spread: Uncertainty) -> Predictor:
-        """That of an estimate; unknowns beside the parameters, such as offsets, are no part of it."""
+        """Return the predictor of an estimate, without unknowns other than the parameters, such as offsets."""
         free = len(space.free)
         return cls(space, theta[:free], spread.covariance[:free, :free])
 
     def scatters(self, rates: np.ndarray) -> list[Scatter]:
-        """How a force errs with the numbers.
+        """Return the scatter of a predicted force by the uncertainty of the parameters.
 
         Args:
-            rates: its derivatives, shape (n, p).
+            rates: derivatives of the force with the free parameters, shape (n, p).
         """
         if self.sampled is None:
             return [Scatter(rates @ _root(self.covariance))]
@@ -50,46 +52,52 @@ class Predictor:
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
+    """Return R with R R' = covariance."""
     values, vectors = np.linalg.eigh(covariance)
     return vectors * np.sqrt(np.clip(values, 0.0, None))
 
 
-def stand_in(space: ParameterSpace, theta: np.ndarray, population: PopulationStatement, specimen: str) -> Predictor:
-    """The mean of a population for all numbers of a specimen that is no part of it.
+def predict_by_mean(space: ParameterSpace, theta: np.ndarray, population: PopulationStatement,
+                    specimen: str) -> Predictor:
+    """Return a predictor with the population mean for all parameters of a further specimen.
 
-    It errs by the scatter between specimens, by the error of the mean, and together with the mean by the numbers that
-    all specimens share. Numbers that do not act in its tests err by nothing here.
+    Its covariance is the between-specimen covariance plus the joint covariance of the mean and the shared parameters.
 
     Args:
-        space: of the parameters. theta: the free ones, SI, shape (p,). specimen: its name.
+        space: parameter space with the parameters of the specimen.
+        theta: free parameters, SI, shape (p,).
+        population: population that does not contain the specimen.
+        specimen: name of the specimen.
     """
     order, known = population.order, population.covariance
-    own = [place for place, each in enumerate(space.varied) if each.specimen == specimen and each.path in order]
-    of_mean = [order.index(space.varied[place].path) for place in own]
-    places = [*own, *(space.free.index(name) for name in known.order[len(order):])]
+    own = [index for index, each in enumerate(space.varied) if each.specimen == specimen and each.path in order]
+    of_mean = [order.index(space.varied[index].path) for index in own]
+    indices = [*own, *(space.free.index(name) for name in known.order[len(order):])]
     rows = [*of_mean, *range(len(order), len(known.order))]
     theta, covariance, sampled = theta.copy(), *np.zeros((2, theta.size, theta.size))
     theta[own] = np.array(population.mean)[of_mean]
     together = np.array(known.matrix)[np.ix_(rows, rows)]
-    covariance[np.ix_(places, places)] = together
+    covariance[np.ix_(indices, indices)] = together
     covariance[np.ix_(own, own)] += np.array(population.between)[np.ix_(of_mean, of_mean)]
-    # Of the mean's own error, that which comes from the choice of specimens and not from what they share.
+    # The conditional covariance given the shared parameters is due to the choice of the specimens.
     cross, shared = together[:len(own), len(own):], together[len(own):, len(own):]
     sampled[np.ix_(own, own)] = covariance[np.ix_(own, own)] - cross @ _inverse(shared) @ cross.T
     return Predictor(space, theta, covariance, tuple(population.specimens), sampled)
 
 
 def _inverse(covariance: np.ndarray) -> np.ndarray:
-    """Of a covariance of numbers of any units, without directions that have no variance."""
+    """Return the pseudo-inverse of a covariance of parameters with different units."""
     sizes = np.sqrt(np.diag(covariance))
     return np.linalg.pinv(covariance / np.outer(sizes, sizes), rcond=1e-12, hermitian=True) / np.outer(sizes, sizes)
 
 
 def predictor_of_held_out(test: Test, predictor: Predictor, population: PopulationStatement | None) -> Predictor | None:
-    """What predicts a test that no fit has seen; None where its specimen has numbers of its own that nothing tells.
+    """Return the predictor of a held-out test; None if its specimen has unknown parameters and there is no population.
 
     Args:
-        test: as asked. predictor: of the estimate. population: of the specimens that were fitted.
+        test: held-out test.
+        predictor: predictor of the estimate.
+        population: population of the fitted specimens; None: none.
     """
     space, theta = predictor.space, predictor.theta
     if test.specimen is None:
@@ -100,17 +108,22 @@ def predictor_of_held_out(test: Test, predictor: Predictor, population: Populati
         return Predictor(further, theta, predictor.covariance)
     if population is None:
         return None
-    return stand_in(further, np.append(theta, np.zeros(added)), population, test.specimen.name)
+    return predict_by_mean(further, np.append(theta, np.zeros(added)), population, test.specimen.name)
 
 
-def predictor_without(predictor: Predictor, spread: Uncertainty, untold: Sequence[str]) -> Predictor | None:
-    """What predicts a test from a fit to the others; None where these leave something open that no mean stands for.
+def predictor_without(predictor: Predictor, spread: Uncertainty, undetermined: Sequence[str]) -> Predictor | None:
+    """Return the predictor of a test from a fit to the other tests.
 
     Args:
-        predictor: of that fit. spread: its uncertainty. untold: names of what acts in the test and is not determined.
+        predictor: predictor of the fit to the other tests.
+        spread: uncertainty of this fit.
+        undetermined: names of parameters that act in the test and are not determined by the other tests.
+
+    Returns:
+        The predictor, with the population mean if all undetermined parameters belong to one specimen; otherwise None.
     """
     space = predictor.space
-    owners = {space.unknown(name).specimen if space.unknown(name).of_material else None for name in untold}
+    owners = {space.unknown(name).specimen if space.unknown(name).of_material else None for name in undetermined}
     if not owners:
         return predictor
     owner = owners.pop()
@@ -119,4 +132,4 @@ def predictor_without(predictor: Predictor, spread: Uncertainty, untold: Sequenc
     errors = np.where([each.specimen == owner for each in space.varied], np.inf,
                       spread.standard_errors[: len(space.free)])
     population = find_specimens(space, predictor.theta, predictor.covariance, errors).population
-    return None if population is None else stand_in(space, predictor.theta, population, owner)
+    return None if population is None else predict_by_mean(space, predictor.theta, population, owner)

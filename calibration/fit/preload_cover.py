@@ -1,4 +1,4 @@
-"""Whether the contact offset of a fit covers a preload at the zero of the displacement.
+"""Check that the contact offset of a fit covers a preload at the zero of the displacement.
 
 The zero of the force does not count: a fit without a contact offset takes the preload for a zero of the force, and its
 modulus is then wrong.
@@ -23,7 +23,7 @@ _MOST = 1.25
 
 
 def fitted_contacts(estimate: Estimate) -> Mapping[str, float]:
-    """Recording -> its fitted contact offset, m, negative where contact lies before the zero of the displacement."""
+    """Return recording -> fitted contact offset, m; negative if contact lies before the zero of the displacement."""
     problem: Any = estimate.problem
     if isinstance(problem, OrdinaryProblem):
         values = problem.offsets(estimate.theta)[:, 0]
@@ -36,10 +36,11 @@ def fitted_contacts(estimate: Estimate) -> Mapping[str, float]:
 
 
 def notes_after_fit(curve: MeasuredCurve, fit: Fit) -> dict[str, str]:
-    """The notes of a recording; where the fitted contact offset covers its preload, the note says so.
+    """Return the notes of a recording, with a note on a preload that the fitted contact offset covers.
 
     Args:
-        fit: the best one.
+        curve: recording.
+        fit: best fit.
     """
     notes, preload = dict(curve.notes), curve.screening.preload
     contacts = {each.replicate: 1e-3 * each.contact_offset_mm for each in fit.nuisances}
@@ -53,6 +54,6 @@ def notes_after_fit(curve: MeasuredCurve, fit: Fit) -> dict[str, str]:
 
 
 def covers_preload(curve: MeasuredCurve, contact: float) -> bool:
-    """Whether a fitted contact offset, m, explains the load at the zero of the displacement."""
+    """Return whether a fitted contact offset, m, explains the load at the zero of the displacement."""
     preload = curve.screening.preload
     return preload is None or preload.is_settled or _LEAST <= -contact / preload.shift <= _MOST

@@ -1,4 +1,4 @@
-"""The least-squares problem: all tests at once, whitened, with what differs from recording to recording eliminated."""
+"""Least-squares problems over all tests of a campaign: whitened residuals, priors, and elimination of nuisances."""
 
 from __future__ import annotations
 
@@ -17,33 +17,50 @@ from calibration.statistics.jitter import Jitter, WhitenedReplicate
 from calibration.statistics.sensor_noise import whiten
 from tissue_sim.errors import InputError
 
-#: Offsets are found by this many linear steps at most, to this share of their standard deviation; the force is almost
-#: a straight line over their size.
-_OFFSET_STEPS, _OFFSET_SETTLED = 10, 3e-4
-#: Beyond so many standard deviations of the contact offset the force goes on straight: nothing was simulated there, and
-#: from a start far from the minimum a curve would lead astray.
-FARTHEST = 4.0
-#: Relative distance of two offsets whose derivatives are compared.
-_CLOSE = 1e-3
-#: Offsets that are tried first: to so many standard deviations on either side, a quarter of one apart.
-_SCANNED, _SCAN_POINTS = 3.0, 25
-#: Smooth shapes of the error that the accurate mesh is left with: constant and linear along the way.
+
+@dataclass(frozen=True)
+class NuisanceSettings:
+    """Settings of the elimination of nuisances.
+
+    Attributes:
+        max_steps: maximum number of Gauss-Newton steps for the nuisances; the force is nearly linear in them.
+        tolerance: change of a nuisance at which the iteration ends, in standard deviations.
+        extrapolation: contact offset, in standard deviations, beyond which the force is extrapolated linearly, because
+            no larger depth was simulated.
+        relative_step: relative difference of two offsets for the derivative of the rates in the extrapolation.
+        scan_range: largest trial contact offset, in standard deviations.
+        scan_points: number of trial contact offsets.
+    """
+
+    max_steps: int = 10
+    tolerance: float = 3e-4
+    extrapolation: float = 4.0
+    relative_step: float = 1e-3
+    scan_range: float = 3.0
+    scan_points: int = 25
+
+
+_SETTINGS = NuisanceSettings()
+#: Number of modes of the mesh error: proportional to the force, and to the force times the displacement.
 MESH_MODES = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """All recordings at one set of parameters, with the nuisances that fit best there.
+    """Residuals and derivatives at one set of parameters, with the best nuisances.
 
-    Nuisances are in units of their standard deviation: contact offset and zero of each recording, then the modes of
-    the error of each mesh, m in all. N samples, p parameters.
+    The m nuisances are in units of their standard deviations: contact offset and zero of each recording, then the modes
+    of each mesh error. N is the number of samples, p that of parameters, q that of priors.
 
     Attributes:
-        theta: shape (p,). residual: whitened model minus data at these nuisances, shape (N,).
-        rates: whitened derivatives with the parameters, (N, p). columns: with the nuisances, (N, m).
-        nuisances: shape (m,).
-        prior_residual: of the parameters with a prior, shape (q,). prior_rates: (q, p).
-        force: model in N at all samples, with offsets and zeros but without the modes of the mesh, shape (N,).
+        theta: unknowns, SI, shape (p,).
+        residual: whitened model minus data with these nuisances, shape (N,).
+        rates: whitened derivatives with the parameters, shape (N, p).
+        columns: whitened derivatives with the nuisances, shape (N, m).
+        nuisances: nuisances, shape (m,).
+        prior_residual: deviations of the parameters from their priors in standard deviations, shape (q,).
+        prior_rates: derivatives of `prior_residual`, shape (q, p).
+        force: force of the model with offsets and zeros and without the mesh error, N, shape (N,).
     """
 
     theta: np.ndarray
@@ -57,28 +74,34 @@ class Evaluation:
 
     @property
     def error(self) -> float:
-        """Sum of squares that is minimised: samples, nuisances and priors."""
+        """Minimised sum of squares: residuals, nuisances and prior residuals."""
         return float(self.residual @ self.residual + self.nuisances @ self.nuisances
                      + self.prior_residual @ self.prior_residual)
 
     @property
     def log_determinant(self) -> float:
-        """Logarithm of the determinant of the covariance of the samples, less that of the noise alone."""
+        """Log determinant of the covariance of the whitened samples, log det(I + C C') with C = `columns`."""
         m = self.columns.shape[1]
         return float(np.linalg.slogdet(np.eye(m) + self.columns.T @ self.columns)[1])
 
     @property
     def projected(self) -> tuple[np.ndarray, np.ndarray]:
-        """Residual and Jacobian of the outer problem: nuisances follow the parameters, shapes (M,) and (M, p).
+        """Residual, shape (M,), and Jacobian, shape (M, p), after elimination of the nuisances (variable projection).
 
-        Source: Kaufman, BIT 15 (1975) 49, variable projection with the simplified Jacobian.
+        The derivative of the nuisances with the parameters is -(I + C'C)^-1 C'J with the rates J and C = `columns`.
+
+        Source: Kaufman, BIT 15 (1975) 49.
         """
-        follow = self._following(self.rates)
+        response = self._nuisance_response(self.rates)
         return (np.concatenate([self.residual, self.nuisances, self.prior_residual]),
-                np.concatenate([self.rates + self.columns @ follow, follow, self.prior_rates]))
+                np.concatenate([self.rates + self.columns @ response, response, self.prior_rates]))
 
-    def _following(self, columns: np.ndarray) -> np.ndarray:
-        """How the nuisances move to make up for a change of the model, shape (m, ...)."""
+    def _nuisance_response(self, columns: np.ndarray) -> np.ndarray:
+        """Return the change of the nuisances that compensates changes of the model, shape (m, ...).
+
+        Args:
+            columns: whitened changes of the model, shape (N, ...).
+        """
         if not self.columns.shape[1]:
             return np.zeros((0, *columns.shape[1:]))
         factor = cho_factor(np.eye(self.columns.shape[1]) + self.columns.T @ self.columns)
@@ -86,7 +109,7 @@ class Evaluation:
 
     @property
     def design(self) -> tuple[np.ndarray, np.ndarray]:
-        """Residual and Jacobian of the problem with all unknowns, parameters first: shapes (M,) and (M, p + m)."""
+        """Residual, shape (M,), and Jacobian, shape (M, p + m), with parameters and nuisances as unknowns."""
         p, m = self.rates.shape[1], self.columns.shape[1]
         rows = [np.hstack([self.rates, self.columns]), np.hstack([np.zeros((m, p)), np.eye(m)]),
                 np.hstack([self.prior_rates, np.zeros((self.prior_rates.shape[0], m))])]
@@ -95,13 +118,18 @@ class Evaluation:
 
 @dataclass(eq=False)
 class LeastSquares(ABC):
-    """All fitted tests of a campaign with one law, as residuals of unknowns: the free parameters, then others, if any.
+    """Least-squares problem of one law over all fitted tests; the k unknowns begin with the free parameters.
 
     Attributes:
-        space: parameters. tests: those that count. solves: what has been simulated.
-        places: test and number of each recording. rows: of its samples. data: measured force, N, shape (N,).
-        bounds: lowest and highest values of the unknowns, shapes (k,).
-        prior_mean, prior_deviation: shapes (k,); deviation inf where there is no prior.
+        space: parameter space.
+        tests: forward models of the fitted tests.
+        solves: cache of simulations.
+        places: for each recording the index of its test and its index in the test.
+        rows: for each recording the slice of its samples.
+        data: measured force of all samples, N, shape (N,).
+        bounds: lower and upper bounds of the unknowns, shapes (k,).
+        prior_mean: means of the priors, shape (k,).
+        prior_deviation: standard deviations of the priors, shape (k,); inf without a prior.
     """
 
     space: ParameterSpace
@@ -120,23 +148,26 @@ class LeastSquares(ABC):
 
     @property
     def measured(self) -> list[MeasuredCurve]:
-        """The recordings, in the order of the rows."""
+        """Recordings in the order of the rows."""
         return [self.tests[t].measured[r] for t, r in self.places]
 
     def sizes(self, theta: np.ndarray) -> np.ndarray:
-        """How large a change of each unknown is a whole one, shape (k,)."""
+        """Return the scale of each unknown, SI, shape (k,)."""
         return self.space.sizes(self.space.values(theta))
 
     def variables(self, theta: np.ndarray) -> Variables:
-        """What is varied from `theta` on: the unknowns in units of their sizes there."""
+        """Return the variables of a descent from `theta`: the unknowns in units of their scales there."""
         sizes, (low, high) = self.sizes(theta), self.bounds
         return Scaled(sizes, (low / sizes, high / sizes))
 
     def evaluate(self, theta: np.ndarray) -> Evaluation:
-        """Everything at these unknowns, shape (k,); the same ones again cost nothing.
+        """Evaluate residuals and derivatives; the last evaluation is cached.
+
+        Args:
+            theta: unknowns, SI, shape (k,).
 
         Raises:
-            InfeasibleError: no such material, no convergence, or no finite force.
+            InfeasibleError: the material is invalid, the solver does not converge, or the force is not finite.
         """
         theta = np.array(theta, dtype=float)
         if self._last is None or not np.array_equal(self._last.theta, theta):
@@ -151,10 +182,10 @@ class LeastSquares(ABC):
 
     @abstractmethod
     def _weighted(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Residual, rates, columns, nuisances and force of an `Evaluation`."""
+        """Return residual, rates, columns, nuisances and force of an `Evaluation`."""
 
-    def within(self, share: float) -> LeastSquares:
-        """The problem with the first samples of each test, to a share of its largest displacement to either side."""
+    def within(self, fraction: float) -> LeastSquares:
+        """Return the problem with the samples of each test up to a fraction of its largest displacement."""
         def cut(curve: MeasuredCurve, reach: float) -> MeasuredCurve:
             kept = np.flatnonzero(np.abs(curve.displacement) <= reach)
             return replace(curve, displacement=curve.displacement[kept], force=curve.force[kept],
@@ -164,23 +195,28 @@ class LeastSquares(ABC):
 
         tests = []
         for test in self.tests:
-            reach = share * max(float(np.abs(curve.displacement).max()) for curve in test.measured)
+            reach = fraction * max(float(np.abs(curve.displacement).max()) for curve in test.measured)
             tests.append(replace(test, measured=tuple(cut(curve, reach) for curve in test.measured)))
         return replace(self, tests=tuple(tests))
 
     @abstractmethod
     def without(self, number: int, theta: np.ndarray) -> tuple[LeastSquares, np.ndarray]:
-        """The problem without one of its tests, and those of the unknowns that it still has."""
+        """Return the problem without one test, and its unknowns.
+
+        Args:
+            number: index of the test.
+            theta: unknowns of this problem, SI, shape (k,).
+        """
 
 
 @dataclass(eq=False)
 class Problem(LeastSquares):
-    """Generalised least squares, with what differs from recording to recording eliminated.
+    """Generalised least-squares problem on forces; contact offsets, zeros and mesh errors are eliminated as nuisances.
 
     Attributes:
         jitter: standard deviations of contact offset and zero.
-        mesh_error: standard deviation of each test's mesh error, relative to the model's force. Tests on one mesh have
-            one error.
+        mesh_error: standard deviation of the mesh error of each test, relative to the force of the model. Tests with
+            one mesh share one error.
     """
 
     jitter: Jitter
@@ -188,10 +224,10 @@ class Problem(LeastSquares):
 
     def __post_init__(self):
         super().__post_init__()
-        self.forget()
+        self.reset_nuisances()
 
-    def forget(self) -> None:
-        """Count the nuisance columns of each recording and each test again: corrections or jitter are others."""
+    def reset_nuisances(self) -> None:
+        """Assign the nuisance columns again and drop the cached evaluation, after a change of correction or jitter."""
         self._last, count = None, len(self.places)
         self.kinds = [name for name in ("contact", "zero") if getattr(self.jitter, name) > 0]
         self.offset_columns = [slice(i * len(self.kinds), (i + 1) * len(self.kinds)) for i in range(count)]
@@ -206,7 +242,7 @@ class Problem(LeastSquares):
         self.nuisances = end
 
     def without(self, number: int, theta: np.ndarray) -> tuple[Problem, np.ndarray]:
-        """As `LeastSquares.without`."""
+        """Return the problem without one test; see `LeastSquares.without`."""
         kept = [i for i in range(len(self.tests)) if i != number]
         return Problem(self.space, tuple(self.tests[i] for i in kept), self.solves, self.jitter,
                        tuple(self.mesh_error[i] for i in kept)), theta
@@ -220,66 +256,68 @@ class Problem(LeastSquares):
         nuisances, (residual, rates, columns, force) = self._best_nuisances(answers)
         return residual, rates, columns, nuisances, force
 
-    def bare(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Whitened residual (N,) and rates (N, p) without any nuisance.
+    def linearise_without_nuisances(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return whitened residual, shape (N,), and rates, shape (N, p), with all nuisances zero.
 
         Raises:
-            InfeasibleError: as `evaluate`.
+            InfeasibleError: see `evaluate`.
         """
         answers = [test.solve(self.space, theta, self.solves) for test in self.tests]
         return self._linearise(answers, np.zeros(self.nuisances))[:2]
 
     def _best_nuisances(self, answers: list) -> tuple[np.ndarray, tuple]:
-        """The nuisances that fit best, shape (m,), and the problem linearised there.
+        """Return the nuisances that minimise the sum of squares, shape (m,), and the linearised problem.
 
-        From a scan each time, so that the sum of squares is a function of the parameters alone.
+        Gauss-Newton with step halving. Each call begins with a scan, so that the sum of squares is a function of the
+        parameters alone and does not depend on earlier calls.
         """
-        trial, reach, share = self._scanned(answers), np.inf, 1.0
+        trial, lowest, step = self._scan_offsets(answers), np.inf, 1.0
         best, found, change = trial, (), trial
-        for _ in range(_OFFSET_STEPS):
+        for _ in range(_SETTINGS.max_steps):
             linearised = self._linearise(answers, trial)
             residual, columns = linearised[0], linearised[2]
             error = residual @ residual + trial @ trial
-            if found and error > reach:
-                share *= 0.5
-                trial = best + share * change
+            if found and error > lowest:
+                step *= 0.5
+                trial = best + step * change
                 continue
-            best, reach, found, share = trial, error, linearised, 1.0
+            best, lowest, found, step = trial, error, linearised, 1.0
             if not trial.size:
                 break
             change = -cho_solve(cho_factor(np.eye(trial.size) + columns.T @ columns), columns.T @ residual + trial)
-            if np.abs(change).max() < _OFFSET_SETTLED:
+            if np.abs(change).max() < _SETTINGS.tolerance:
                 break
             trial = trial + change
         return best, found
 
-    def _scanned(self, answers: list) -> np.ndarray:
-        """Nuisances to begin with, shape (m,): the best contact offset of each recording on a grid, and its zero.
+    def _scan_offsets(self, answers: list) -> np.ndarray:
+        """Return starting values of the nuisances, shape (m,): the best trial contact offset of each recording.
 
-        Each sample that the touch passes may make a minimum of its own, in which a descent from zero would stop.
+        The sum of squares may have a local minimum for each sample that first contact passes, so Gauss-Newton from
+        offset zero could end in a wrong one.
         """
         trial = np.zeros(self.nuisances)
         if "contact" not in self.kinds:
             return trial
-        places = np.linspace(-_SCANNED, _SCANNED, _SCAN_POINTS)
+        offsets = np.linspace(-_SETTINGS.scan_range, _SETTINGS.scan_range, _SETTINGS.scan_points)
         for columns, (t, r) in zip(self.offset_columns, self.places, strict=True):
             test, measured = self.tests[t], self.tests[t].measured[r]
-            if not hasattr(test, "scan"):
+            if not hasattr(test, "forces_at_offsets"):
                 continue
-            gaps = test.forces_at_offsets(answers[t], r, places * self.jitter.contact) - measured.force[:, None]
+            gaps = test.forces_at_offsets(answers[t], r, offsets * self.jitter.contact) - measured.force[:, None]
             white = whiten(np.column_stack([gaps, np.full(measured.force.size, self.jitter.zero)]), measured.time,
                            measured.noise)
             gaps, zero = white[:, :-1], white[:, -1]
-            # The zero that goes best with each offset is linear.
+            # The zero enters linearly, so its best value for each offset has a closed form.
             zeros = -(zero @ gaps) / (1.0 + zero @ zero)
-            squares = np.einsum("ng,ng->g", gaps, gaps) - (1.0 + zero @ zero) * zeros**2 + places**2
+            squares = np.einsum("ng,ng->g", gaps, gaps) - (1.0 + zero @ zero) * zeros**2 + offsets**2
             best = int(np.argmin(squares))
-            found = {"contact": places[best], "zero": zeros[best]}
+            found = {"contact": offsets[best], "zero": zeros[best]}
             trial[columns] = [found[kind] for kind in self.kinds]
         return trial
 
     def _linearise(self, answers: list, nuisances: np.ndarray):
-        """Whitened residual (N,), rates (N, p) and columns (N, m) at these nuisances, and force in N (N,)."""
+        """Return whitened residual (N,), rates (N, p) and columns (N, m) at these nuisances, and the force, N, (N,)."""
         residual = np.empty(self.samples)
         rates = np.empty((self.samples, len(self.space.free)))
         columns = np.zeros((self.samples, self.nuisances))
@@ -288,16 +326,17 @@ class Problem(LeastSquares):
         for rows, places, (t, r) in zip(self.rows, self.offset_columns, self.places, strict=True):
             test, measured = self.tests[t], self.tests[t].measured[r]
             values = dict(zip(self.kinds, nuisances[places] * sizes, strict=True))
-            offset, farthest = values.get("contact", 0.0), FARTHEST * self.jitter.contact
+            offset, farthest = values.get("contact", 0.0), _SETTINGS.extrapolation * self.jitter.contact
             near = float(np.clip(offset, -farthest, farthest))
             model, model_rates, contact_rate = test.evaluate(answers[t], r, near)
             if offset != near:
-                # The derivatives go on straight too, or they would not be those of the force.
-                other = test.evaluate(answers[t], r, (1 - _CLOSE) * near)[1]
-                model_rates = model_rates + (offset - near) * (model_rates - other) / (_CLOSE * near)
+                # The derivatives are extrapolated too, so that they are those of the extrapolated force.
+                close = _SETTINGS.relative_step
+                other = test.evaluate(answers[t], r, (1 - close) * near)[1]
+                model_rates = model_rates + (offset - near) * (model_rates - other) / (close * near)
                 model = model + (offset - near) * contact_rate
             modes, weights = self._mesh_columns(t, measured, model), nuisances[self.shared[t]]
-            # An error in proportion to the force changes its derivatives too.
+            # A mesh error proportional to the force changes the derivatives by the same factor.
             factor = 1.0 + self._mesh_columns(t, measured, np.ones_like(model)) @ weights
             nuisance_columns = {"contact": factor * contact_rate, "zero": np.ones_like(model)}
             force[rows] = model + values.get("zero", 0.0)
@@ -310,17 +349,19 @@ class Problem(LeastSquares):
             columns[rows, places] = white[:, p + 1:p + 1 + len(self.kinds)]
             columns[rows, self.shared[t]] = white[:, p + 1 + len(self.kinds):]
         if not np.isfinite(residual).all():
-            raise InfeasibleError("the model gives a force that is not a number")
+            raise InfeasibleError("the force of the model is not finite")
         return residual, rates, columns, force
 
     def _mesh_columns(self, number: int, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:
-        """Modes of the mesh error, N, each of one standard deviation, shape (n, modes).
+        """Return the modes of the mesh error for one standard deviation each, N, shape (n, modes).
 
-        Of the model's force: as a share of the measured one an error would shrink the noise with the force, and pull
-        all moduli down by the number of samples times the variance of the error.
+        The modes are proportional to the force of the model. Modes proportional to the measured force would bias all
+        moduli low (Peelle's pertinent puzzle).
 
         Args:
-            number: of the test. measured: the recording. force: of the model, N, shape (n,).
+            number: index of the test.
+            measured: recording.
+            force: force of the model, N, shape (n,).
 
         Source: D'Agostini, Nucl. Instrum. Methods A 346 (1994) 306.
         """
@@ -330,7 +371,11 @@ class Problem(LeastSquares):
         return self.mesh_error[number] * np.column_stack([force, along * force])
 
     def replicates(self, theta: np.ndarray) -> list[list[WhitenedReplicate]]:
-        """What `calibration.statistics.jitter` needs of each test, at these parameters, shape (p,)."""
+        """Return the linearised replicates of each test for `calibration.statistics.jitter.estimate_jitter`.
+
+        Args:
+            theta: unknowns, SI, shape (p,).
+        """
         answers = [test.solve(self.space, theta, self.solves) for test in self.tests]
         found: list[list[WhitenedReplicate]] = [[] for _ in self.tests]
         for t, r in self.places:

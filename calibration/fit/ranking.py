@@ -1,4 +1,4 @@
-"""Which law to prefer: the one that predicts tests that it has not seen."""
+"""Ranking of laws by their predictions of tests that were not fitted."""
 
 from __future__ import annotations
 
@@ -13,25 +13,31 @@ from calibration.fit.fit import Fit, Prediction
 from calibration.fit.regions import name_misfits
 from calibration.statistics.statistics import CURVATURE_RATIO, MODEL_ERROR_RATIO
 
-#: Laws whose predictions differ by less than this share are not told apart by them.
+#: Relative difference of prediction errors below which they do not decide between two laws.
 ALIKE = 0.1
-#: A prediction error, in %, that nobody would call a prediction.
+#: Prediction error above which a law counts as not predictive, %.
 FAR_OFF = 10.0
-#: Times what chance makes of the prediction of a further specimen, up to which it is the scatter between specimens.
+#: Ratio of the error to its expected value up to which the error of a further specimen is scatter between specimens.
 SCATTER = 2.0
 
+#: Fit of a law, its predictions, and its curves.
 Fitted = tuple[Fit, list[Prediction], Sequence[TestCurves]]
 
 
 def rank(fitted: Sequence[Fitted]) -> tuple[list[Fit], list[Prediction], dict[str, Sequence[TestCurves]]]:
-    """Fits, predictions and curves, best law first.
+    """Sort laws: usable fits first, then fits without parameters on bounds, then fits with a material.
 
-    Usable laws first, of these the ones inside their bounds, then those with a material; then by the root mean square
-    of the prediction errors in % over all tests that were held out (where there are any) or left out one at a time; by
-    BIC where nothing is predicted.
+    Within these groups the root mean square prediction error in % decides: over the held-out tests if there are any,
+    otherwise over tests that were left out one at a time. Without predictions BIC decides.
+
+    Args:
+        fitted: fit, predictions and curves of each law.
+
+    Returns:
+        Fits, predictions, and law -> curves, best law first.
     """
-    told = {p.test for _, predictions, _ in fitted for p in predictions if p.percent is not None}
-    fitted = [(replace(fit, left_out=_score([p for p in predictions if p.test in told])), predictions, curves)
+    predicted = {p.test for _, predictions, _ in fitted for p in predictions if p.percent is not None}
+    fitted = [(replace(fit, left_out=_score([p for p in predictions if p.test in predicted])), predictions, curves)
               for fit, predictions, curves in fitted]
 
     def order(item: Fitted):
@@ -44,22 +50,24 @@ def rank(fitted: Sequence[Fitted]) -> tuple[list[Fit], list[Prediction], dict[st
 
 
 def _figure(fit: Fit) -> float:
-    """What ranks: the error of the predictions, %, or BIC where there are none."""
+    """Return the criterion of the ranking: prediction error, %, or BIC without predictions."""
     return fit.BIC if fit.left_out is None else fit.left_out
 
 
 def _score(predictions: Sequence[Prediction]) -> float | None:
-    """Root mean square error in %; a test that this law does not predict, but another does, counts as 100 %."""
+    """Return the root mean square prediction error, %; a test that only other laws can predict counts as 100 %."""
     held_out = [p for p in predictions if not p.fitted]
     errors = [100.0 if p.percent is None else p.percent for p in held_out or predictions]
     return float(np.sqrt(np.mean(np.square(errors)))) if errors else None
 
 
 def rank_message(fits: Sequence[Fit], predictions: Sequence[Prediction], fitted: Sequence[MeasuredCurve]) -> str:
-    """What the first place is worth.
+    """Explain the ranking and its limits.
 
     Args:
-        fits: best first. predictions: of all laws. fitted: the recordings that the laws were fitted to.
+        fits: fits, best first.
+        predictions: predictions of all laws.
+        fitted: fitted recordings.
     """
     best = fits[0]
     if best.unusable is not None:
@@ -80,7 +88,7 @@ def rank_message(fits: Sequence[Fit], predictions: Sequence[Prediction], fitted:
                   and (fit.left_out is None) == (best.left_out is None) and _figure(fit) < _figure(best)]:
         parts.append(f"{'lower BIC' if best.left_out is None else 'less wrong'}, but not usable: {', '.join(passed)}")
     if bad := name_misfits(best.regions):
-        parts.append(f"it leaves a smooth misfit in {bad}, so something is missing in the model")
+        parts.append(f"a smooth misfit remains in {bad}, so the model is incomplete")
     if best.not_identifiable:
         parts.append(f"the tests do not determine {best.in_symbols(best.not_identifiable)}"
                      + (f"; {best.suggestions[0].test} would" if best.suggestions else ""))
@@ -90,17 +98,17 @@ def rank_message(fits: Sequence[Fit], predictions: Sequence[Prediction], fitted:
 
 
 def ranked_by_held_out(predictions: Sequence[Prediction]) -> bool:
-    """Whether tests that are held out rank the laws: those count that any law predicts."""
+    """Return whether held-out tests rank the laws, which requires that at least one law predicts one of them."""
     return any(not p.fitted and p.percent is not None for p in predictions)
 
 
 def _passed(fit: Fit) -> str:
-    """A law that was passed over, and why."""
+    """Describe a law with a better criterion that is ranked lower, with the reason."""
     return f"{fit.law} ({fit.unusable or f'held by the bounds of {fit.in_symbols(fit.held)}'})"
 
 
 def _predicting(fits: Sequence[Fit], predictions: Sequence[Prediction]) -> list[str]:
-    """How well the first law predicts, and who else does."""
+    """Describe the predictions of the first law, and other laws with similar prediction errors."""
     best = fits[0]
     mine = [p for p in predictions if p.law == best.law]
     held_out = ranked_by_held_out(predictions)
@@ -122,7 +130,7 @@ def _predicting(fits: Sequence[Fit], predictions: Sequence[Prediction]) -> list[
 
 
 def _worth(fits: Sequence[Fit], fitted: Sequence[MeasuredCurve]) -> str:
-    """What the first place by BIC is worth, as the end of a sentence."""
+    """Describe the reliability of a ranking by BIC, as the end of a sentence."""
     best = fits[0]
     if best.noise_ratio > MODEL_ERROR_RATIO:
         return (f"; its residuals are {best.noise_ratio:.3g} times the noise, so model error dominates and the ranking "
@@ -136,7 +144,7 @@ def _worth(fits: Sequence[Fit], fitted: Sequence[MeasuredCurve]) -> str:
 
 
 def _doubted_noise(best: Fit, fitted: Sequence[MeasuredCurve]) -> str:
-    """Why the noise is not believed; empty where it is."""
+    """Describe why the estimated noise is unreliable; empty if it is reliable or stated."""
     guessed = [curve for curve in fitted if curve.noise.source == "estimated"]
     if best.noise_ratio >= CURVATURE_RATIO or not guessed:
         return ""
@@ -146,6 +154,7 @@ def _doubted_noise(best: Fit, fitted: Sequence[MeasuredCurve]) -> str:
 
 
 def _words(prediction: Prediction) -> str:
+    """Describe a prediction, such as ``needle within 0.02 N, 3.1 %``."""
     if prediction.percent is None:
         return f"{prediction.test} not ({prediction.note})"
     force = f"{prediction.RMSE_N:.3g} N, " if prediction.RMSE_N is not None else "" if prediction.RMSE_Pa is None \
@@ -156,6 +165,6 @@ def _words(prediction: Prediction) -> str:
 
 
 def _is_scatter(prediction: Prediction) -> bool:
-    """Whether an error is no larger than what the scatter between specimens makes by chance."""
+    """Return whether the error of a prediction by a mean is compatible with the scatter between specimens."""
     rmse, expected = prediction.RMSE_N, prediction.expected_N
     return bool(prediction.mean_of) and rmse is not None and expected is not None and rmse <= SCATTER * expected

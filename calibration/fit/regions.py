@@ -1,4 +1,4 @@
-"""Where a smooth misfit is left: residual tests by test and segment."""
+"""Tests for smooth misfit in the residuals of each test and segment."""
 
 from __future__ import annotations
 
@@ -12,18 +12,24 @@ from calibration.fit.problem import Evaluation, Problem
 from calibration.statistics.adequacy import adjust_holm, cosine_modes, score_test
 from calibration.statistics.sensor_noise import whiten
 
-#: Parts of a single loading, by displacement, and cosine modes in each and in a whole segment.
+#: Names of the parts of a single loading, by displacement.
 THIRDS = ("first third", "middle third", "last third")
-THIRD_MODES, SEGMENT_MODES = 3, 5
+#: Number of cosine modes in a third of a loading.
+THIRD_MODES = 3
+#: Number of cosine modes in a segment.
+SEGMENT_MODES = 5
+#: Adjusted p value below which a region is inadequate.
 LEVEL = 0.05
-_FEWEST = 8
+#: Smallest number of samples of a region.
+_MIN_SAMPLES = 8
 
 
 def judge_regions(problem: Problem, evaluation: Evaluation) -> list[Region]:
-    """A region for each segment of each test, and for each third of a test that only loads.
+    """Test each segment of each test, or each third of a test with a single loading, for smooth misfit.
 
     Args:
-        problem, evaluation: at the minimum.
+        problem: least-squares problem.
+        evaluation: evaluation at the minimum.
     """
     residual, design = evaluation.design
     found = []
@@ -36,7 +42,7 @@ def judge_regions(problem: Problem, evaluation: Evaluation) -> list[Region]:
             shapes.append(waves[inside])
             columns[rows] = whiten(waves, curve.time, curve.noise)
         answer = score_test(residual, design, columns)
-        # Model minus data, of what is smooth.
+        # Smooth part of model minus data.
         smooth = -np.concatenate(shapes) @ answer.amplitudes
         factor = 1.0 if test.measured[0].test.specimen is None else 1e3
         displacement = factor * np.concatenate([curve.displacement[inside] for curve, (inside, _) in zip(
@@ -52,7 +58,7 @@ def judge_regions(problem: Problem, evaluation: Evaluation) -> list[Region]:
 
 
 def name_misfits(regions: Sequence[Region]) -> str:
-    """Where a smooth misfit is left, in words: whole tests by their name; empty where none is."""
+    """Name the regions with a smooth misfit; a test with misfit in all regions by its name only. Empty if none."""
     found = []
     for test in dict.fromkeys(region.test for region in regions):
         mine = [region for region in regions if region.test == test]
@@ -63,7 +69,12 @@ def name_misfits(regions: Sequence[Region]) -> str:
 
 
 def _regions(problem: Problem) -> Iterator[tuple[int, str, int, list[tuple[np.ndarray, np.ndarray]]]]:
-    """Test, name, modes, and for each recording of the test the samples of a region and their place in it, 0 to 1."""
+    """Yield the regions of all tests.
+
+    Yields:
+        Index of the test, name of the region, number of modes, and for each recording the samples of the region and the
+        position of all samples in it, 0 to 1.
+    """
     for number, test in enumerate(problem.tests):
         segments = dict.fromkeys(name for curve in test.measured if curve.segment is not None
                                  for name in curve.segment.tolist())
@@ -72,19 +83,20 @@ def _regions(problem: Problem) -> Iterator[tuple[int, str, int, list[tuple[np.nd
                                                  for curve in test.measured]) for segment in segments]
         else:
             deepest = max(curve.displacement.max() for curve in test.measured)
-            # From rest, or from the other end where the specimen was loaded to both sides.
-            least = min(0.0, *(curve.displacement.min() for curve in test.measured)) \
+            # Loading begins at rest, or at the largest compression of a gripped specimen.
+            lowest = min(0.0, *(curve.displacement.min() for curve in test.measured)) \
                 if test.measured[0].test.kind.gripped else 0.0
-            shares = [np.clip((curve.displacement - least) / (deepest - least), 0.0, 1.0) * 3
-                      for curve in test.measured]
+            positions = [np.clip((curve.displacement - lowest) / (deepest - lowest), 0.0, 1.0) * 3
+                         for curve in test.measured]
             regions = [(name, THIRD_MODES, [(((s > third) | (third == 0)) & (s - third <= 1),
-                                             np.clip(s - third, 0.0, 1.0)) for s in shares])
+                                             np.clip(s - third, 0.0, 1.0)) for s in positions])
                        for third, name in enumerate(THIRDS)]
-        yield from ((number, *region) for region in regions if sum(inside.sum() for inside, _ in region[2]) >= _FEWEST)
+        yield from ((number, *region) for region in regions
+                    if sum(inside.sum() for inside, _ in region[2]) >= _MIN_SAMPLES)
 
 
 def _along(time: np.ndarray | None, inside: np.ndarray) -> np.ndarray:
-    """Place in time between the first and the last sample of a segment, 0 to 1, shape (n,)."""
+    """Return the relative time of all samples between first and last sample of a segment, 0 to 1, shape (n,)."""
     if time is None or inside.sum() < 2:
         return np.zeros(inside.size)
     first, last = time[inside][[0, -1]]

@@ -49,7 +49,7 @@ class Disagreement:
     ratio: float
 
     def describe(self) -> str:
-        """The finding and its remedy."""
+        """Describe the disagreement and its remedy."""
         ratio = self.ratio
         if ratio <= 0:
             what = "have a force of the other sign than"
@@ -66,7 +66,7 @@ class Disagreement:
 
 
 def find_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]) -> list[Disagreement]:
-    """Tests whose recordings fall into two groups of different stiffness.
+    """Find tests whose recordings fall into two groups of different stiffness.
 
     Args:
         measured: test -> its recordings.

@@ -1,4 +1,4 @@
-"""One calibrated campaign, and its JSON."""
+"""Result of a calibration, and its JSON."""
 
 from __future__ import annotations
 
@@ -19,20 +19,21 @@ from tissue_sim.decode import read_json
 
 @dataclass(frozen=True)
 class CalibrationResult:
-    """One campaign, calibrated.
+    """Result of the calibration of one campaign.
 
     Attributes:
-        campaign: what was asked.
-        fits: best first; laws that are not usable over the data come after those that are, then by how well a law
-            predicts tests that it has not seen, or by BIC where there are none.
-        predictions: of the held-out tests, and of each test by a fit to the others; for each law.
-        message: for people: what the ranking is worth.
-        output: folder of this campaign's files. digest: of everything that the result depends on.
-        noise_Pa: pooled standard deviation of the nominal stress; None of an inverse fit.
+        campaign: campaign.
+        fits: fits of all laws, best first: usable fits before others, then by prediction error, or by BIC without
+            predictions.
+        predictions: for each law predictions of the held-out tests and of each test by a fit to the others.
+        message: explanation of the ranking.
+        output: output folder.
+        digest: hash of all inputs of the result.
+        noise_Pa: pooled noise of the nominal stress, Pa; None for an inverse fit.
         noise_source: ``"stated"``, ``"estimated"``, ``"resolution"`` (of the sensor) or ``"mixed"``.
-        noise: of the sensor in each test, of an inverse fit.
-        failures: law -> why it has no fit.
-        resumed: read back from an earlier run instead of computed.
+        noise: noise of each test of an inverse fit.
+        failures: law -> reason why it has no fit.
+        resumed: whether the result was read from an earlier run.
     """
 
     campaign: Campaign
@@ -49,20 +50,20 @@ class CalibrationResult:
 
     @property
     def best(self) -> Fit:
-        """The fit at the top of the ranking."""
+        """First fit of the ranking."""
         return self.fits[0]
 
 
 def agreement(results: Sequence[CalibrationResult]) -> list[str]:
-    """Whether methods that were given the same recordings in one call agree, a sentence for each law."""
+    """Return a sentence for each law on the agreement of methods with the same recordings."""
     return compare_methods([(result.campaign, result.fits) for result in results])
 
 
 def to_json(results: Sequence[CalibrationResult]) -> dict[str, Any]:
-    """The object of ``calibrate --json`` and of ``fit.json``: one campaign plainly, several under ``campaigns``.
+    """Return the JSON object of ``calibrate --json`` and ``fit.json``.
 
-    ``output`` is the folder of the campaign's files as it was named in the call; each ``material_file`` is relative to
-    it, so that ``fit.json`` stays true when the folder moves.
+    Several campaigns are a list under the key ``campaigns``. ``output`` is the output folder as given by the caller.
+    Each ``material_file`` is relative to it, so that ``fit.json`` remains valid if the folder moves.
     """
     if len(results) != 1:
         return {"campaigns": [to_json([result]) for result in results], "agreement": agreement(results)}
@@ -78,7 +79,16 @@ def to_json(results: Sequence[CalibrationResult]) -> dict[str, Any]:
 
 
 def read_back(campaign: Campaign, folder: Path, digest: str) -> CalibrationResult | None:
-    """The finished result of the same work, None where there is none that can be read or a file of it is missing."""
+    """Read the result of an earlier run with the same inputs.
+
+    Args:
+        campaign: campaign.
+        folder: output folder.
+        digest: hash of all inputs.
+
+    Returns:
+        The result; None if it is missing, unreadable or incomplete, or belongs to other inputs.
+    """
     try:
         found = read_json(folder / FIT_FILE, "a finished calibration")
         if found["work"] != digest:

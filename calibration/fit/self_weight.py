@@ -1,4 +1,4 @@
-"""What a calibration assumed about gravity: the sag of each specimen, and one sentence for reports and files."""
+"""Sag of the specimens under self-weight, and a sentence on the assumptions of a calibration about gravity."""
 
 from __future__ import annotations
 
@@ -13,19 +13,22 @@ from tissue_sim.errors import InputError
 from tissue_sim.laws import find_law
 from tissue_sim.specimen import STANDARD_GRAVITY, Specimen
 
-#: Of water, kg/m3: what a specimen of unknown density is taken for when its sag is estimated.
+#: Density of water, kg/m3, assumed for the sag of a specimen of unknown density.
 WATER_DENSITY = 1000.0
 
 
 def sags(fit: Fit, campaign: Campaign) -> dict[str, float]:
-    """Specimen that weighs -> its sag with this law and its own numbers, mm; without those that it does not carry."""
+    """Return specimen with self-weight -> its sag with the fitted law, mm.
+
+    Specimens without equilibrium under their weight are omitted.
+    """
     found = {specimen.name: _sag(specimen, fit, campaign) for specimen in _columns(campaign)
              if specimen.specific_weight}
     return {name: 1e3 * sag for name, sag in found.items() if sag is not None}
 
 
 def statement(campaign: Campaign, fit: Fit) -> str:
-    """What was assumed about gravity in a campaign, sags of compressed columns with this fit; for people."""
+    """Describe the assumptions of a campaign about gravity, with the sag of compressed columns for a fit."""
     alike: dict[str, dict[str, float | None]] = {}
     columns = _columns(campaign)
     for specimen in dict.fromkeys([*columns, *(test.specimen for test in campaign.tests if test.specimen is not None
@@ -40,12 +43,21 @@ def statement(campaign: Campaign, fit: Fit) -> str:
 
 
 def _sentence(specimen: Specimen, fit: Fit, campaign: Campaign, *, column: bool) -> tuple[str, float | None]:
-    """What follows on "Self-weight of" the specimen, with a place for its sag in two digits or in three; and that,
-    mm."""
+    """Return the sentence after "Self-weight of NAME", with placeholders for the sag in two or three digits.
+
+    Args:
+        specimen: specimen.
+        fit: fit.
+        campaign: campaign.
+        column: whether plates compress the specimen between frictionless faces, so that its sag has a closed form.
+
+    Returns:
+        Sentence, and the sag, mm; None: unknown.
+    """
     height = f"{specimen.height * 1e3:.4g} mm as {specimen.height_is}"
     if specimen.specific_weight:
         sag = fit.sag_mm.get(specimen.name)
-        # How far another face or base lets it sag, the finite elements know.
+        # Other boundary conditions have no closed form of the sag.
         settled = ", sag {1} mm" if sag is not None else f", which {fit.law} does not carry" if column else ""
         return (f": {specimen.density:g} kg/m3 at {specimen.gravity:g} m/s2, settled before the "
                 f"test; height {height}{settled}."), sag
@@ -58,19 +70,19 @@ def _sentence(specimen: Specimen, fit: Fit, campaign: Campaign, *, column: bool)
 
 
 def _range(sags: Collection[float | None], digits: int) -> str:
-    """``2.8``, or of specimens that differ ``2.5 to 3.1``."""
+    """Format the sags of several specimens, such as ``2.8`` or ``2.5 to 3.1``."""
     known = sorted(sag for sag in sags if sag is not None)
     return " to ".join(dict.fromkeys(f"{sag:.{digits}g}" for sag in known[:1] + known[-1:]))
 
 
 def _columns(campaign: Campaign) -> list[Specimen]:
-    """Specimens that a plate compresses between smooth faces, each once."""
+    """Return the specimens that a plate compresses between frictionless faces, without repetition."""
     return list(dict.fromkeys(test.specimen for test in campaign.tests
                               if test.kind.settles and test.specimen is not None and test.specimen.is_prism))
 
 
 def _sag(specimen: Specimen, fit: Fit, campaign: Campaign) -> float | None:
-    """m; None where the law does not carry the specimen, or nothing tells a number of it."""
+    """Return the sag of a specimen, m; None without equilibrium or with unknown parameters."""
     law, material = find_law(fit.law), typical_material(fit)
     values = {path: _own_number(path, specimen, fit, campaign, material.parameters.get(path))
               for path in law.parameters}
@@ -81,7 +93,7 @@ def _sag(specimen: Specimen, fit: Fit, campaign: Campaign) -> float | None:
 
 
 def _own_number(path: str, specimen: Specimen, fit: Fit, campaign: Campaign, typical: float | None) -> float | None:
-    """A number of the law in a specimen: its own, that of the first of its tests or recordings, or that of all."""
+    """Return a parameter of the law for a specimen: its own, that of its first test or recording, or the shared one."""
     tests = [test.name for test in campaign.tests if test.specimen is not None and test.specimen.name == specimen.name]
     for mark in (specimen.name, *tests):
         if f"{path}@{mark}" in fit.parameters:

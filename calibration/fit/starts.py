@@ -1,4 +1,4 @@
-"""Where an inverse fit begins."""
+"""Starting values of an inverse fit."""
 
 from __future__ import annotations
 
@@ -8,23 +8,28 @@ import numpy as np
 
 from calibration.campaign.parameter_space import ParameterSpace
 
-#: Exponents, first ones first; moduli take care of themselves.
+#: Starting values of exponents in the order of their use. Moduli need no such list: the fit rescales them at once.
 EXPONENTS = (2.0, 8.0, -4.0, 15.0, -10.0, 4.0, -2.0)
-#: What later starts multiply moduli and effects with, one after the other.
+#: Factors of single parameters in further starts.
 FACTORS = (3.0, 1.0 / 3.0, 10.0, 0.1)
+#: Starting value of the first modulus, Pa; that of modulus i is smaller by 1 / i.
 _MODULUS = 1000.0
 
 
 def starts(space: ParameterSpace, count: int) -> list[np.ndarray]:
-    """Starts of a law, at most `count`: what the campaign states, then others spread around it.
+    """Return starting values of a law: those that the campaign states, then others spread around them.
+
+    Args:
+        space: parameter space of the law.
+        count: maximum number of starts.
 
     Returns:
-        Free parameters, SI, each of shape (p,), inside their bounds.
+        Free parameters inside their bounds, SI, each of shape (p,).
     """
     exponents = [each.name for each in space.varied if each.is_exponent]
     grids = [grid for grid in combinations_with_replacement(EXPONENTS, len(exponents))
              if len(set(grid)) == len(grid)] or [()]
-    # The most different ones first: two terms with one sign each before two with the same.
+    # Exponents of different signs come before those of equal signs.
     grids.sort(key=lambda grid: (len({np.sign(e) for e in grid}) < min(len(grid), 2), sum(EXPONENTS.index(e)
                                                                                          for e in grid)))
     found: list[np.ndarray] = []

@@ -1,4 +1,4 @@
-"""From a start to the nearest minimum, and from the fast mesh's minimum to the accurate one's."""
+"""Nonlinear least squares from one start by SciPy's trust region reflective method (`scipy.optimize.least_squares`)."""
 
 from __future__ import annotations
 
@@ -13,30 +13,39 @@ from calibration.fit.fit import Iteration
 from calibration.fit.problem import Evaluation, LeastSquares, Problem
 from calibration.forward.contract import InfeasibleError
 
-#: A step that lowers the sum of squares by less than this share of it ends the descent.
+#: Relative decrease of the sum of squares, and relative step, at which SciPy ends a descent (ftol, xtol).
 TOLERANCE = 1e-7
-#: A step that would lower the sum of squares by less than this is not made: it is a fraction sqrt(ENOUGH) of a standard
-#: error. A start is only to tell its minimum from others.
-ENOUGH, ENOUGH_OF_A_START = 1e-3, 3e-2
-MOST_SOLVES = 60
-#: An unknown this near to its bound, relative to itself, is on it.
+#: Predicted decrease of the sum of squares, in units of the variance of the noise or the residuals, below which a
+#: descent ends. The remaining step is about sqrt(MIN_GAIN) = 3 % of a standard error.
+MIN_GAIN = 1e-3
+#: The same for a descent from one of several starts, which only has to distinguish its minimum from others.
+MIN_GAIN_OF_A_START = 3e-2
+#: Maximum number of evaluations of the model per descent.
+MAX_SOLVES = 60
+#: Distance to a bound at which an unknown counts as on the bound, relative to the unknown.
 _ON_BOUND = 1e-3
-#: Rounding of unknowns that become variables and unknowns again, relative.
+#: Relative rounding error of the conversion of unknowns to variables and back.
 _ROUNDING = 1e-12
-#: Of scipy's test of the gradient, which the gain replaces.
+#: Tolerance of SciPy's test of the gradient (gtol); effectively off, since the predicted gain decides.
 GRADIENT = 1e-14
 
+#: Function that receives each iteration of a descent.
 Listener = Callable[[Iteration], None]
 
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Where a start led.
+    """Result of a descent from one start.
 
     Attributes:
-        start: its number, from 1. theta: the end, SI, shape (p,). error: sum of squares there, inf where the start has
-            no force. converged: whether the optimiser said so. failure: why not.
-        history: every solve. simulations: (test, resolution) -> simulations that were done. cpu_s: processor seconds.
+        start: number of the start, from 1.
+        theta: unknowns at the end, SI, shape (k,).
+        error: sum of squares at the end; inf if the model has no solution at the start.
+        converged: whether the descent converged.
+        failure: reason of a failure; empty if converged.
+        history: all iterations.
+        simulations: (test, resolution) -> number of simulations.
+        cpu_s: processor time, s.
     """
 
     start: int
@@ -49,13 +58,24 @@ class Descent:
     cpu_s: float
 
 
-class _Outer:
-    """The problem as scipy sees it."""
+class _ReducedProblem:
+    """Residual and Jacobian for SciPy, with the nuisances eliminated (variable projection).
+
+    Args:
+        problem: least-squares problem.
+        theta: start, SI, shape (k,).
+        note: function that receives each evaluation.
+        enough: predicted decrease of the sum of squares below which the descent ends; 0: never.
+        stalled: see `descend`.
+    """
+
+    #: Number of residuals; known after the first evaluation.
+    size = 1
 
     def __init__(self, problem: LeastSquares, theta: np.ndarray, note: Callable, enough: float,
                  stalled: tuple[int, float] | None):
         self.problem, self.note, self.enough, self.stalled = problem, note, enough, stalled
-        #: Sums of squares so far, and unknowns of the least.
+        # Sums of squares of all evaluations, and the unknowns of the smallest one.
         self.errors: list[float] = []
         self.best = theta
         self.variables = problem.variables(theta)
@@ -64,13 +84,20 @@ class _Outer:
         self.failure = ""
 
     def unknowns(self, u: np.ndarray) -> np.ndarray:
-        """The unknowns of these variables, shape (k,); those that the descent starts from to the last digit, so that
-        what was simulated for them is not simulated again."""
+        """Return the unknowns of variables `u`, shape (k,).
+
+        For the start the original values are returned, without rounding errors, so that cached simulations are found.
+        """
         unknowns = self.variables.unknowns(u)
         same = np.array_equal(u, self.start) and np.allclose(unknowns, self.first, rtol=_ROUNDING, atol=0.0)
         return self.first if same else unknowns
 
     def residual(self, u: np.ndarray) -> np.ndarray:
+        """Return the residual at variables `u`; infinite if the model has no solution, so that SciPy shortens the step.
+
+        Raises:
+            _SettledError: the descent has stalled.
+        """
         try:
             evaluation = self.problem.evaluate(self.unknowns(u))
         except InfeasibleError as error:
@@ -90,11 +117,15 @@ class _Outer:
         return residual
 
     def jacobian(self, u: np.ndarray) -> np.ndarray:
+        """Return the Jacobian at variables `u`.
+
+        Raises:
+            _SettledError: the predicted decrease of a Gauss-Newton step is below the limit.
+        """
         evaluation = self.problem.evaluate(self.unknowns(u))
         residual, jacobian = evaluation.projected
-        jacobian = self.variables.times(jacobian, u)
+        jacobian = self.variables.transform_jacobian(jacobian, u)
         if self.enough:
-            # What the best step would still gain; it is not worth a solve when it does not count.
             bound = self._bound(u, jacobian.T @ residual)
             inside = jacobian[:, ~np.isfinite(bound)]
             gain = float(np.sum((inside @ np.linalg.lstsq(inside, residual, rcond=1e-12)[0])**2))
@@ -103,26 +134,29 @@ class _Outer:
         return jacobian
 
     def _bound(self, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-        """The bound that an unknown is near to and that the descent would cross, shape (k,); NaN: none."""
+        """Return the bound that each variable is close to and would cross, shape (k,); NaN: none."""
         low, high = self.variables.bounds
         near = _ON_BOUND * np.maximum(np.abs(u), _ON_BOUND)
         return np.where((u - low <= near) & (gradient > 0), low, np.where(
             (high - u <= near) & (gradient < 0), high, np.nan))
 
     def _settled(self, u: np.ndarray, evaluation: Evaluation) -> _SettledError:
-        """The end of the descent: on the bounds that it would cross, unless that is no better."""
+        """Return the end of the descent: with variables moved onto the bounds `u` unless this increases the error."""
         try:
-            there = self.problem.evaluate(np.clip(self.unknowns(u), *self.problem.bounds))
+            on_bounds = self.problem.evaluate(np.clip(self.unknowns(u), *self.problem.bounds))
         except InfeasibleError:
-            there = evaluation
-        best = there if there.error <= evaluation.error else evaluation
+            on_bounds = evaluation
+        best = on_bounds if on_bounds.error <= evaluation.error else evaluation
         return _SettledError(best.theta, best.error)
-
-    size = 1
 
 
 class _SettledError(Exception):
-    """The minimum is as near as it matters."""
+    """Raised to end a descent whose remaining decrease of the sum of squares is negligible.
+
+    Args:
+        theta: unknowns at the end, SI, shape (k,).
+        error: sum of squares.
+    """
 
     def __init__(self, theta: np.ndarray, error: float):
         super().__init__()
@@ -130,26 +164,32 @@ class _SettledError(Exception):
 
 
 def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, corrected: bool = False,
-            enough: float = ENOUGH, tolerance: float = TOLERANCE, gradient: float = GRADIENT,
-            most_solves: int = MOST_SOLVES, stalled: tuple[int, float] | None = None, listen: Listener | None = None,
+            enough: float = MIN_GAIN, tolerance: float = TOLERANCE, gradient: float = GRADIENT,
+            max_solves: int = MAX_SOLVES, stalled: tuple[int, float] | None = None, listen: Listener | None = None,
             past: int = 0) -> Descent:
-    """Trust-region Levenberg-Marquardt from `theta`.
+    """Minimise the sum of squares from a start by the trust region reflective method.
 
-    Where forces are proportional to the moduli and none is fixed, the first solve finds the factor that suits all of
-    them; that costs no second one. A mesh difference belongs to one place, so a corrected problem goes without.
+    The descent ends early if the predicted decrease of a Gauss-Newton step is below `enough`. If forces are
+    proportional to free moduli, the moduli of the start are first multiplied by the common factor that minimises the
+    linearised sum of squares; a problem with a mesh correction omits this step, since the correction holds for one set
+    of moduli.
 
     Args:
-        problem: what to fit. theta: start, SI, shape (p,).
-        start: number for the history. corrected: whether the difference to the accurate mesh is in.
-        enough: gain in the sum of squares, in units of the noise or the residuals, that is not worth a solve; 0: any
-            gain is, and the tolerances alone end the descent. tolerance, gradient, most_solves: scipy's.
-        stalled: so many solves that lower the sum of squares by less than so much, all together and in the same units,
-            end it; None: none do.
-        listen: called after each solve. past: solves of this start so far.
+        problem: least-squares problem.
+        theta: start, SI, shape (k,).
+        start: number of the start for the history.
+        corrected: whether the problem has a mesh correction.
+        enough: predicted decrease of the sum of squares, in units of the variance of the noise or the residuals, below
+            which the descent ends; 0: only the tolerances of SciPy end it.
+        tolerance: ``ftol`` and ``xtol`` of SciPy.
+        gradient: ``gtol`` of SciPy.
+        max_solves: maximum number of evaluations (``max_nfev``).
+        stalled: number n and decrease d: the descent ends if n evaluations in succession lower the sum of squares by
+            less than d, in the units of `enough`; None: no such test.
+        listen: function that receives each iteration.
+        past: number of earlier evaluations of this start.
 
-    Source: trust region reflective method of scipy.optimize.least_squares (Branch, Coleman, Li, SIAM J. Sci. Comput.
-    21 (1999) 1); the step is that of Levenberg and Marquardt in its form of Moré, Lecture Notes in Mathematics 630
-    (1978) 105.
+    Source: Branch, Coleman and Li, SIAM J. Sci. Comput. 21 (1999) 1, as in scipy.optimize.least_squares.
     """
     space = problem.space
     spent = problem.solves.meter()
@@ -180,26 +220,27 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, correct
         return done(theta, np.inf, False, str(error))
     if not theta.size:
         return done(theta, evaluation.error, True, "")
-    outer = _Outer(problem, theta, note, enough, stalled)
+    reduced = _ReducedProblem(problem, theta, note, enough, stalled)
     try:
-        # Scaled by the columns of the Jacobian: Pa, exponents, metres and newtons stand side by side.
+        # Scaling by the columns of the Jacobian makes the method independent of the units of the unknowns.
         result = least_squares(
-            outer.residual, outer.start, outer.jacobian, x_scale="jac", bounds=outer.variables.bounds,
-            ftol=tolerance, xtol=tolerance, gtol=gradient, max_nfev=most_solves)
+            reduced.residual, reduced.start, reduced.jacobian, x_scale="jac", bounds=reduced.variables.bounds,
+            ftol=tolerance, xtol=tolerance, gtol=gradient, max_nfev=max_solves)
     except _SettledError as settled:
         return done(settled.theta, settled.error, True, "")
-    theta = outer.unknowns(result.x)
+    theta = reduced.unknowns(result.x)
     failure = "" if result.status > 0 else \
-        f"no minimum after {most_solves} solves{f'; {outer.failure}' if outer.failure else ''}"
+        f"no minimum after {max_solves} solves{f'; {reduced.failure}' if reduced.failure else ''}"
     return done(theta, float(2 * result.cost), result.status > 0, failure)
 
 
 def distinct(ends: Iterable[tuple[Descent, int]],
              near: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> list[tuple[Descent, int]]:
-    """Minima that differ, best first, with how many starts fell into each.
+    """Return the distinct minima, best first, each with the number of starts that ended in it.
 
     Args:
-        ends: with how many starts each stands for. near: which parameters of two ends are alike.
+        ends: descents, each with the number of starts that it represents.
+        near: function that returns for two sets of unknowns which of them agree, bool, shape (k,).
     """
     kept: list[tuple[Descent, int]] = []
     for end, count in sorted(ends, key=lambda item: item[0].error):
@@ -212,15 +253,15 @@ def distinct(ends: Iterable[tuple[Descent, int]],
 
 
 def _rescaled(problem: LeastSquares, theta: np.ndarray) -> np.ndarray:
-    """The same ratios of moduli, with the factor that fits best."""
+    """Return the unknowns with all moduli multiplied by the best common factor; unchanged if this is impossible."""
     space = problem.space
     moduli = np.array([each.is_modulus for each in space.varied])
     fixed = any(space.unknown(name).is_modulus for name in space.fixed)
     if fixed or not moduli.any() or not space.of_material_alone or not all(test.proportional for test in problem.tests):
         return theta
-    # Without offsets and zeros, which far from the minimum would make up for a wrong size.
-    residual, rates = cast(Problem, problem).bare(theta)
-    # Euler: what all moduli together do to the force is their sum of C dF/dC.
+    # Offsets and zeros stay 0: far from the minimum they would compensate a wrong factor.
+    residual, rates = cast(Problem, problem).linearise_without_nuisances(theta)
+    # Euler's theorem: the derivative of the force with the common factor is sum C_i dF/dC_i.
     direction = rates[:, moduli] @ theta[moduli]
     if not direction @ direction > 0:
         return theta

@@ -1,4 +1,4 @@
-"""The material that stands for all specimens, as a finished fit tells it."""
+"""Representative material of a fit: shared parameters and the mean of individual ones."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from calibration.fit.fit import Fit
 
 @dataclass(frozen=True, eq=False)
 class TypicalMaterial:
-    """Numbers that all specimens share, and of those that differ between specimens the mean, or those of the single
-    specimen that the material is of; SI.
+    """Shared parameters, and the mean over specimens of individual parameters (or those of the only specimen).
 
     Attributes:
-        parameters: path -> value. errors: path -> standard error; 0 of a fixed one, None where there is none.
-        covariance: in the order of these, shape (p, p); zero beside what is fixed or on a bound.
+        parameters: path -> value, SI.
+        errors: path -> standard error, SI; 0 if fixed, None if not determined.
+        covariance: covariance in the order of `parameters`, SI, shape (p, p); zero for fixed parameters and bounds.
     """
 
     parameters: dict[str, float]
@@ -25,16 +25,16 @@ class TypicalMaterial:
 
 
 def typical_material(fit: Fit) -> TypicalMaterial:
-    """The material of a fit; without numbers that differ between tests or recordings."""
+    """Return the representative material of a fit, without parameters of single tests or recordings."""
     name_of: dict[str, str] = {}
     for name in fit.parameters:
         path, at, mark = name.partition("@")
         if not at or mark in fit.material_of[:1]:
             name_of[path] = name
-    order, places = list(name_of), [fit.covariance.order.index(name) for name in name_of.values()]
+    order, indices = list(name_of), [fit.covariance.order.index(name) for name in name_of.values()]
     parameters = {path: fit.parameters[name] for path, name in name_of.items()}
     errors = {path: fit.standard_errors[name] for path, name in name_of.items()}
-    covariance = np.array(fit.covariance.matrix)[np.ix_(places, places)]
+    covariance = np.array(fit.covariance.matrix)[np.ix_(indices, indices)]
     if fit.population is not None:
         found = fit.population
         parameters |= dict(zip(found.order, found.mean, strict=True))

@@ -1,4 +1,4 @@
-"""What the minimum of a generalised least-squares problem is worth: the covariance of its parameters."""
+"""Covariance of the parameters of a generalised least-squares problem, with the nuisances marginalised."""
 
 from __future__ import annotations
 
@@ -8,19 +8,24 @@ from scipy import special
 from calibration.fit.problem import Evaluation, Problem
 from calibration.statistics.uncertainty import RESIDUAL_RATIO, Uncertainty, inverse_root
 
-#: A parameter this near to its bound, relative to its size, is on it.
+#: Distance to a bound at which a parameter counts as on the bound, relative to its scale.
 ON_BOUND = 1e-6
-#: Factor of a variance of the jitter for a derivative.
-_MORE = 1.2
+#: Factor of the jitter's variance in the central difference of logarithms.
+_VARIANCE_FACTOR = 1.2
 
 
 def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
-    """The uncertainty of the parameters where the sum of squares is smallest.
+    """Compute the covariance of the parameters at the minimum of the sum of squares.
 
-    The nuisances are marginalised: the projected Jacobian J holds what they cannot make up for, and the covariance is
-    (J'J)^-1. Where the residuals exceed the noise it is multiplied with chi-square per degree of freedom.
+    With the Jacobian J of the problem after elimination of the nuisances, the covariance is (J'J)^-1, which equals that
+    of generalised least squares with the nuisances marginalised. If the residuals exceed the noise, the covariance is
+    multiplied by chi-square per degree of freedom. With an estimated jitter the quantiles are those of Student's t.
 
-    Source: Golub and Pereyra, Inverse Problems 19 (2003) R1, section 2; Aitken's generalised least squares.
+    Args:
+        problem: least-squares problem.
+        evaluation: evaluation at the minimum.
+
+    Source: Golub and Pereyra, Inverse Problems 19 (2003) R1, section 2; Aitken, Proc. R. Soc. Edinburgh 55 (1935) 42.
     """
     space = problem.space
     _, jacobian = evaluation.projected
@@ -36,41 +41,53 @@ def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
         inflation, basis = chi_square / freedom, "residuals"
     inside = np.flatnonzero(~on_bound)
     covariance = np.zeros_like(information)
-    root, loose = inverse_root(information[np.ix_(inside, inside)])
+    root, undetermined = inverse_root(information[np.ix_(inside, inside)])
     covariance[np.ix_(inside, inside)] = inflation * root @ root.T * np.outer(sizes[inside], sizes[inside])
     errors = np.where(on_bound, np.nan, np.sqrt(np.diag(covariance)))
-    errors[inside[loose]] = np.inf
+    errors[inside[undetermined]] = np.inf
     if problem.jitter.freedom and inside.size:
         basis = "residuals" if basis == "residuals" else "replicates"
         quantile[inside] = special.stdtrit(_freedom(problem, evaluation, sizes, inside), 0.975)
     ratio = float(np.sqrt(np.mean(evaluation.residual**2)))
-    # Laws may come to another jitter, so that the determinant of the covariance counts.
+    # The log determinant is part of the likelihood: it differs between laws with different estimates of the jitter.
     criteria = evaluation.error + evaluation.log_determinant, float(problem.samples)
     return Uncertainty(covariance, errors, on_bound, basis, quantile, float(inflation), ratio, criteria, sizes,
                        information)
 
 
 def _freedom(problem: Problem, evaluation: Evaluation, sizes: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """Degrees of freedom of the variances of some parameters where the jitter is an estimate, shape (len(inside),).
+    """Return Satterthwaite's degrees of freedom of the parameters' variances for an estimated jitter.
 
-    The jitter's variances are known to a relative variance of 2 / freedom each, and a parameter's variance follows them
-    by its logarithmic derivative: offsets that the samples tell do not matter.
+    Each variance component s_k of the jitter has the relative variance 2 / f with its degrees of freedom f. The
+    variance v of a parameter has the logarithmic derivatives d ln v / d ln s_k, hence f / sum_k (d ln v / d ln s_k)^2
+    degrees of freedom.
+
+    Args:
+        problem: least-squares problem.
+        evaluation: evaluation at the minimum.
+        sizes: scales of the parameters, SI, shape (p,).
+        inside: indices of the parameters that are not on a bound.
+
+    Returns:
+        Degrees of freedom, shape of `inside`.
 
     Source: Satterthwaite, Biometrics Bulletin 2 (1946) 110, as in Kenward and Roger, Biometrics 53 (1997) 983.
     """
     rates = (evaluation.rates * sizes)[:, inside]
     priors = (evaluation.prior_rates * sizes)[:, inside]
-    # The columns of all recordings for one kind of jitter stand at a stride.
+    # The columns of one kind of jitter are every len(kinds)-th of the first columns.
     own = len(problem.places) * len(problem.kinds)
 
     def variances(kind: int, factor: float) -> np.ndarray:
         columns = evaluation.columns.copy()
         columns[:, kind:own:len(problem.kinds)] *= np.sqrt(factor)
         cross = columns.T @ rates
-        taken = cross.T @ np.linalg.solve(np.eye(columns.shape[1]) + columns.T @ columns, cross)
-        # A direction that nothing determines has no variance here, and no freedom to be asked for.
-        return np.maximum(np.diag(np.linalg.pinv(rates.T @ rates - taken + priors.T @ priors, hermitian=True)), 1e-300)
+        absorbed = cross.T @ np.linalg.solve(np.eye(columns.shape[1]) + columns.T @ columns, cross)
+        # The lower limit keeps the logarithm finite in undetermined directions.
+        information = rates.T @ rates - absorbed + priors.T @ priors
+        return np.maximum(np.diag(np.linalg.pinv(information, hermitian=True)), 1e-300)
 
-    squares = sum(((np.log(variances(kind, _MORE)) - np.log(variances(kind, 1 / _MORE))) / (2 * np.log(_MORE)))**2
+    factor = _VARIANCE_FACTOR
+    squares = sum(((np.log(variances(kind, factor)) - np.log(variances(kind, 1 / factor))) / (2 * np.log(factor)))**2
                   for kind in range(len(problem.kinds)))
     return problem.jitter.freedom / np.maximum(squares, 1e-9)

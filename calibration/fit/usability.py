@@ -1,4 +1,4 @@
-"""The rule by which a fit is called usable: a list of clauses, each of which holds or fails with a reason and a remedy.
+"""Usability rule of a fit: a list of clauses, each of which holds or fails with a reason and a remedy.
 
 Values between the clauses are compared after noise and the scatter between recordings have been taken out, so that a
 noisy recording of the right law is usable and a precise recording of the wrong law is not. A fit whose residuals are
@@ -101,7 +101,7 @@ def judge(evidence: Evidence) -> tuple[list[Clause], str, str | None]:
 
 
 def _clause(name: str, status: str, reason: str, remedy: str = "") -> Clause:
-    """A clause that holds where `reason` is empty."""
+    """Return a clause, which holds if `reason` is empty."""
     return Clause(name=name, holds=not reason, status=status, reason=reason, remedy=remedy if reason else "")
 
 
@@ -117,9 +117,9 @@ def _physical(evidence: Evidence) -> Clause:
 
 
 def _falls(curve: MeasuredCurve) -> bool:
-    """Whether the force of a recording falls as its displacement grows, over the whole recording."""
-    away = curve.displacement - curve.displacement.mean()
-    return float(away @ curve.force) < 0
+    """Return whether force and displacement of a recording are negatively correlated."""
+    centred = curve.displacement - curve.displacement.mean()
+    return float(centred @ curve.force) < 0
 
 
 def _converged(evidence: Evidence) -> Clause:
@@ -141,7 +141,7 @@ def _stable(evidence: Evidence) -> Clause:
 
 
 def losses(stability: Stability, mode: str, stretches: tuple[float, float]) -> str:
-    """Where one mode loses Drucker stability inside these stretches, in words; empty where it does not."""
+    """Describe where one mode of loading loses Drucker stability inside these stretches; empty if it is stable."""
     (low, high), (lower, upper) = stretches, stability.limits[mode]
     if lower == upper == 1.0:
         return f"in {mode} loading at every stretch"
@@ -241,8 +241,11 @@ def _explained(evidence: Evidence) -> Clause:
 
 
 def _misfit_remedy(evidence: Evidence) -> str:
-    """The remedy of a misfit: the zero of the load cell where a recording begins under a force against the load, or the
-    stiffnesses of tests that the law describes one by one."""
+    """Return the remedy of a misfit.
+
+    The remedy is the zero of the load cell if a recording begins with a force against the load, separate materials if
+    the law describes the tests one by one, and otherwise another law.
+    """
     problem = evidence.estimate.problem
     found = [f"{curve.name}: the force begins at {start:.3g} {'Pa' if curve.stressed else 'N'}, against the load, so "
              "the load cell was not zeroed: set offset = \"start\" for the force in columns"

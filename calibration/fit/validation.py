@@ -1,4 +1,4 @@
-"""Tests that a fit has not seen: left out one at a time, or held out by the campaign."""
+"""Predictions of tests that were not fitted: left out one at a time, or held out by the campaign."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ from calibration.statistics.uncertainty import Uncertainty
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """A test predicted by a fit to the others.
+    """Prediction of a test by a fit to the other tests.
 
     Attributes:
-        prediction: errors in N and %.
-        simulations: (test, resolution) -> simulations that were done. cpu_s: processor seconds.
+        prediction: prediction and its errors.
+        simulations: (test, resolution) -> number of simulations.
+        cpu_s: processor time, s.
     """
 
     prediction: Prediction
@@ -35,11 +36,14 @@ class LeftOut:
 
 def leave_out(problem: LeastSquares, theta: np.ndarray, number: int,
               uncertainty: Callable[[Any, Evaluation], Uncertainty], scatter: Jitter | None) -> LeftOut:
-    """Fit all tests but one from the joint estimate, and predict that one.
+    """Fit all tests except one, starting from the joint estimate, and predict this test.
 
     Args:
-        problem: at its minimum, corrected. theta: there, shape (k,). number: of the test.
-        uncertainty: of the unknowns at a minimum. scatter: between recordings; None where nobody says.
+        problem: problem with mesh correction.
+        theta: unknowns at its minimum, SI, shape (k,).
+        number: index of the test that is left out.
+        uncertainty: function that returns the uncertainty of a problem at its minimum.
+        scatter: scatter of contact and zero between recordings; None: unknown.
     """
     spent = problem.solves.meter()
     test = problem.tests[number]
@@ -49,43 +53,46 @@ def leave_out(problem: LeastSquares, theta: np.ndarray, number: int,
     if not np.isfinite(descent.error):
         return LeftOut(unpredicted(problem, test, names, f"no fit to the others: {descent.failure}"), *spent())
     spread = uncertainty(rest, rest.evaluate(descent.theta))
-    untold = _untold(problem.space, spread, test.name, names)
-    predictor = predictor_without(Predictor.of(problem.space, descent.theta, spread), spread, untold)
+    unknown = _undetermined(problem.space, spread, test.name, names)
+    predictor = predictor_without(Predictor.of(problem.space, descent.theta, spread), spread, unknown)
     answer = unpredicted(problem, test, names, "the other tests do not determine "
-                         f"{problem.space.in_symbols(untold)}") if predictor is None else \
+                         f"{problem.space.in_symbols(unknown)}") if predictor is None else \
         predict(problem, test, predictor, names, scatter)
     return LeftOut(answer, *spent())
 
 
-def _untold(space: ParameterSpace, spread: Uncertainty, test: str, others: Sequence[str]) -> list[str]:
-    """What acts in a test and would stay where this test has put it, as its fit to the others does not tell."""
+def _undetermined(space: ParameterSpace, spread: Uncertainty, test: str, others: Sequence[str]) -> list[str]:
+    """Return the names of parameters that act in a test and that the other tests do not determine."""
     loose = set(not_identifiable(space, spread))
-    # A bound that it stays on without data is no answer of the others either.
-    return [each.name for place, each in enumerate(space.varied) if each.acts_in(test, None) and (
-        each.name in loose or not (np.isfinite(space.prior_deviation[place])
+    # A parameter without data may stay on its bound, where it has no standard error; it is undetermined too.
+    return [each.name for index, each in enumerate(space.varied) if each.acts_in(test, None) and (
+        each.name in loose or not (np.isfinite(space.prior_deviation[index])
                                    or any(each.acts_in(other, None) for other in others)))]
 
 
 def predict_held_out(problem: LeastSquares, test: ForwardTest, predictor: Predictor | None,
                      scatter: Jitter | None) -> Prediction:
-    """How an estimate predicts a test that the campaign holds out, where anything does."""
+    """Predict a held-out test; without a predictor the prediction contains the reason."""
     if predictor is not None:
         return predict(problem, test, predictor, [], scatter)
     specimen = test.measured[0].test.specimen
-    return unpredicted(problem, test, [], f"no test of {'it' if specimen is None else specimen.name} is fitted, and "
-                       "there is no mean of other specimens to predict it by")
+    name = "its specimen" if specimen is None else specimen.name
+    return unpredicted(problem, test, [], f"no test of {name} is fitted, and there is no mean of other specimens")
 
 
 def predict(problem: LeastSquares, test: ForwardTest, predictor: Predictor, fitted: list[str],
             scatter: Jitter | None) -> Prediction:
-    """How parameters predict a test, with no offset and no zero of its own.
+    """Predict a test without contact offsets and zeros, and compare the prediction with its recordings.
 
     Args:
-        problem: for what is simulated. test: with its recordings. predictor: the parameters.
-        fitted: tests that these come from. scatter: between recordings.
+        problem: problem with the law and the cache of simulations.
+        test: forward model with its recordings.
+        predictor: parameters of the prediction.
+        fitted: names of the fitted tests; empty: all tests that are not held out.
+        scatter: scatter of contact and zero between recordings; None: unknown.
     """
     space, covariance = predictor.space, predictor.covariance
-    # What specimens differ by is known where that of recordings is not, and is the larger by far.
+    # The scatter between specimens is much larger than an unknown scatter between recordings.
     jitter = Jitter(0.0, 0.0, None) if scatter is None and predictor.mean_of else scatter
     try:
         answer = test.solve(space, predictor.theta, problem.solves)
@@ -113,6 +120,6 @@ def predict(problem: LeastSquares, test: ForwardTest, predictor: Predictor, fitt
 
 
 def unpredicted(problem: LeastSquares, test: ForwardTest, fitted: list[str], note: str) -> Prediction:
-    """A prediction that there is none of, and why."""
+    """Return a prediction without errors, with the reason in its note."""
     return Prediction(test=test.name, law=problem.space.law, RMSE_N=None, RMSE_Pa=None, percent=None, fitted=fitted,
                       note=note)

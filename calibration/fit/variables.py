@@ -1,4 +1,4 @@
-"""What the optimiser varies instead of the unknowns themselves."""
+"""Transformations between the unknowns of a problem and the variables of the optimiser."""
 
 from __future__ import annotations
 
@@ -6,43 +6,56 @@ from dataclasses import dataclass
 
 import numpy as np
 
-#: Each g over what never relaxes is at most this.
-LARGEST_SHARE = 1e3
-#: Largest size of an exponent, and how far a relaxation time may run beyond the shortest step and the longest record.
-_EXPONENT, TIME_MARGIN = 50.0, 10.0
+#: Largest ratio r_i = g_i / (1 - sum g) of a relaxing to the long-term stiffness.
+MAX_RATIO = 1e3
+#: Largest absolute value of an exponent.
+_MAX_EXPONENT = 50.0
+#: Factor by which a relaxation time may be shorter than the sampling interval or longer than the longest recording.
+TIME_MARGIN = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class Scaled:
-    """Unknowns in units of their sizes; all of shape (k,).
+    """Variables that are the unknowns divided by their sizes; all arrays have shape (k,).
 
     Attributes:
-        sizes: of the unknowns. bounds: of the variables, low and high.
+        sizes: scale of each unknown.
+        bounds: lower and upper bounds of the variables.
     """
 
     sizes: np.ndarray
     bounds: tuple[np.ndarray, np.ndarray]
 
     def of(self, unknowns: np.ndarray) -> np.ndarray:
-        """Variables of these unknowns, shape (k,)."""
+        """Return the variables of unknowns, shape (k,)."""
         return unknowns / self.sizes
 
     def unknowns(self, variables: np.ndarray) -> np.ndarray:
-        """Unknowns of these variables, shape (k,)."""
+        """Return the unknowns of variables, shape (k,)."""
         return variables * self.sizes
 
-    def times(self, jacobian: np.ndarray, variables: np.ndarray) -> np.ndarray:
-        """A Jacobian with the unknowns, shape (n, k), as one with the variables."""
+    def transform_jacobian(self, jacobian: np.ndarray, variables: np.ndarray) -> np.ndarray:
+        """Convert a Jacobian with the unknowns to one with the variables (chain rule).
+
+        Args:
+            jacobian: derivatives with the unknowns, shape (n, k).
+            variables: variables at which the Jacobian holds, shape (k,).
+        """
         return jacobian * self.sizes
 
 
 @dataclass(frozen=True, eq=False)
 class LongTerm:
-    """As `Scaled`: long-term moduli, r_i = g_i / (1 - sum g), and logarithms of times: no share is out of bounds.
+    """Variables of a law with Prony terms: long-term moduli, ratios r_i = g_i / (1 - sum g), and ln tau_i.
+
+    Every set of ratios r_i >= 0 gives fractions g_i with sum g < 1, so simple bounds suffice.
 
     Attributes:
-        moduli, exponents, g, tau: places of these among the unknowns.
-        time_range: the usual step and the length of the longest record, s.
+        moduli: indices of the moduli among the unknowns.
+        exponents: indices of the exponents.
+        g: indices of the fractions g_i.
+        tau: indices of the relaxation times.
+        time_range: sampling interval and duration of the longest recording, s.
     """
 
     moduli: np.ndarray
@@ -53,33 +66,36 @@ class LongTerm:
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of the variables, low and high."""
+        """Lower and upper bounds of the variables, shapes (k,)."""
         low = np.full(self.moduli.size + self.exponents.size + self.g.size + self.tau.size, -np.inf)
         high = -low
-        low[self.exponents], high[self.exponents] = -_EXPONENT, _EXPONENT
-        low[self.g], high[self.g] = 0.0, LARGEST_SHARE
+        low[self.exponents], high[self.exponents] = -_MAX_EXPONENT, _MAX_EXPONENT
+        low[self.g], high[self.g] = 0.0, MAX_RATIO
         low[self.tau], high[self.tau] = np.log([self.time_range[0] / TIME_MARGIN, self.time_range[1] * TIME_MARGIN])
         return low, high
 
     def of(self, unknowns: np.ndarray) -> np.ndarray:
-        rest, variables = max(1.0 - unknowns[self.g].sum(), 1.0 / LARGEST_SHARE), unknowns.copy()
+        """Return the variables of unknowns, shape (k,)."""
+        rest, variables = max(1.0 - unknowns[self.g].sum(), 1.0 / MAX_RATIO), unknowns.copy()
         variables[self.moduli] *= rest
         variables[self.g] /= rest
         variables[self.tau] = np.log(unknowns[self.tau])
         return variables
 
     def unknowns(self, variables: np.ndarray) -> np.ndarray:
+        """Return the unknowns of variables, shape (k,)."""
         factor, unknowns = 1.0 + variables[self.g].sum(), variables.copy()
         unknowns[self.moduli] *= factor
         unknowns[self.g] /= factor
         unknowns[self.tau] = np.exp(variables[self.tau])
         return unknowns
 
-    def times(self, jacobian: np.ndarray, variables: np.ndarray) -> np.ndarray:
+    def transform_jacobian(self, jacobian: np.ndarray, variables: np.ndarray) -> np.ndarray:
+        """Convert a Jacobian with the unknowns to one with the variables; see `Scaled.transform_jacobian`."""
         factor, changed = 1.0 + variables[self.g].sum(), jacobian.copy()
         changed[:, self.moduli] *= factor
         changed[:, self.tau] *= np.exp(variables[self.tau])
-        # Every r takes from all the moduli and all the shares.
+        # Each r_i changes all instantaneous moduli and all fractions g_j.
         shared = jacobian[:, self.moduli] @ variables[self.moduli] - jacobian[:, self.g] @ variables[self.g] / factor**2
         changed[:, self.g] = jacobian[:, self.g] / factor + shared[:, None]
         return changed

@@ -86,7 +86,7 @@ class ClosedFormTest:
 
     @property
     def weightless(self) -> ClosedFormTest:
-        """The test without self-weight."""
+        """Test without self-weight."""
         return self
 
     @property

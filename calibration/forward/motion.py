@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator, make_interp_spline
@@ -273,7 +274,7 @@ class _TimedCurve:
             self._parts.append(interpolate(motion.time[part], columns[part]))
         self._ends = motion.time[[last for _, last in motion.legs[:-1]]]
 
-    def __call__(self, time: np.ndarray, displacement: np.ndarray, offset: float) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, time: Any, displacement: np.ndarray, offset: float) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate the curve at samples.
 
         Args:
@@ -297,7 +298,7 @@ class _TimedCurve:
         values[((leg_of == 0) | self._separates) & (position < offset)] = 0.0
         return values[:, :-1], values[:, -1]
 
-    def forces(self, time: np.ndarray, displacement: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    def forces(self, time: Any, displacement: np.ndarray, offsets: np.ndarray) -> np.ndarray:
         """Return the force at samples for several contact offsets, m; shape (n, offsets)."""
         return np.column_stack([self(time, displacement, offset)[0][:, 0] for offset in offsets])
 

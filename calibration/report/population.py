@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.fit.fit import Fit, PopulationStatement
+from calibration.fit.fit import Fit
 from calibration.fit.population import in_words
+from calibration.fit.population_records import PopulationStatement
 from calibration.report.drawing import COLOURS, Pictures, in_rows, legend_above, panels
 from calibration.report.page import html_table, title_of, with_minus
 from calibration.report.rounding import error_text, interval_text, value_and_error

@@ -1,6 +1,6 @@
 """Population of specimens: mean and between-specimen covariance of material parameters (random-effects model).
 
-The estimate x_i of specimen i has the covariance V_i of its own fit, and the specimens come from a population with mean
+The estimate x_i of specimen i has the covariance V_i of its fit, and the specimens come from a population with mean
 m and between-specimen covariance W: x_i ~ N(m, W + V_i). Restricted maximum likelihood estimates W and m, which is the
 Laplace approximation of the nonlinear mixed-effects model if each fit is nearly linear. The intervals are valid for few
 specimens.

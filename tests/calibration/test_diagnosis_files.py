@@ -14,7 +14,7 @@ from calibration.campaign.campaign import load_campaign
 from calibration.campaign.planned import read_planned
 from calibration.diagnosis.design import design
 from calibration.diagnosis.diagnosis import CandidateStatement, FoundEffect, HeldOut, Number, RegionGap
-from calibration.diagnosis.evidence import doubted, whole_campaign
+from calibration.diagnosis.evidence import upper_jitter, whole_campaign
 from calibration.diagnosis.next_experiment import plans
 from calibration.diagnosis.words import message
 from calibration.effects.machine_compliance import MachineCompliance
@@ -130,12 +130,12 @@ def test_few_recordings_do_not_prove_that_nothing_scatters(drifting):
     problem, theta = found.before.problem, found.before.estimate.theta
     noise = found.before.campaign.noise
     problem.jitter = replace(problem.jitter, contact=0.0, zero=0.0)
-    problem.forget()
-    larger = doubted(problem, theta, noise)
+    problem.reset_nuisances()
+    larger = upper_jitter(problem, theta, noise)
     assert 0 < larger.zero < 0.03 and larger.contact > 0
-    assert doubted(problem, theta, replace(noise, zero_jitter=0.0)).zero == 0.0
+    assert upper_jitter(problem, theta, replace(noise, zero_jitter=0.0)).zero == 0.0
     problem.jitter = replace(problem.jitter, zero=0.02)
-    assert 0.02 < doubted(problem, theta, noise).zero < 0.08
+    assert 0.02 < upper_jitter(problem, theta, noise).zero < 0.08
 
 
 def test_plans_change_one_thing(drifting):

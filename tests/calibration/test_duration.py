@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 import calibration
 import tissue_sim as ts
 from calibration.diagnosis import duration
-from calibration.diagnosis.duration import in_words, seconds_of_each
+from calibration.diagnosis.duration import in_words, simulation_seconds
 from calibration.diagnosis.evidence import whole_campaign
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
@@ -70,7 +70,7 @@ def glued(tmp_path, monkeypatch):
 
 
 def test_it_says_what_it_tries_and_how_long_to_expect(glued, tmp_path, monkeypatch):
-    monkeypatch.setattr(duration, "_WORTH_A_WORD", 0.0)
+    monkeypatch.setattr(duration, "_MIN_ANNOUNCED", 0.0)
     said, announced = [], []
     result, = calibration.diagnose([glued], tmp_path / "out", figures=False, announce=announced.append,
                                    progress=lambda sentence, *counts: said.append((sentence, counts)))
@@ -87,10 +87,10 @@ def test_it_says_what_it_tries_and_how_long_to_expect(glued, tmp_path, monkeypat
 def test_on_the_axis_there_is_nothing_to_wait_for(glued):
     campaign = whole_campaign(calibration.load_campaign(glued))
     problem = build_problem("neo_hooke", campaign, calibration.read_measured(campaign), SimulationCache())
-    seconds = seconds_of_each(problem)
+    seconds = simulation_seconds(problem)
     assert list(seconds) == ["glued"] and seconds["glued"] > 0.0
     problem.tests = tuple(replace(test, solver="axisymmetric") for test in problem.tests)
-    assert seconds_of_each(problem) == {}
+    assert simulation_seconds(problem) == {}
 
 
 @pytest.mark.parametrize(("seconds", "words"), [

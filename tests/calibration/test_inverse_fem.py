@@ -131,7 +131,7 @@ class TestProblem:
         problem.jitter = Jitter(0.0, 0.015, None)
         theta, errors = np.array([1390.0, 700.0]), (0.0, 0.002)
         problem.mesh_error = errors
-        problem.forget()
+        problem.reset_nuisances()
         total = 0.0
         for test, error in zip(problem.tests, errors, strict=True):
             answer = test.solve(problem.space, theta, problem.solves)
@@ -156,7 +156,7 @@ class TestProblem:
         _, problem = problem_of(plates, campaign_text("lubricated"))
         free = descend(problem, np.array([1400.0, 600.0])).theta
         problem.mesh_error = (0.008,)
-        problem.forget()
+        problem.reset_nuisances()
         held = descend(problem, free, corrected=True).theta
         errors = assess_uncertainty(problem, problem.evaluate(held)).standard_errors
         # The carried error is in the standard error, and moves nothing.
@@ -169,7 +169,7 @@ class TestProblem:
         write_recordings(plates, "lubricated", depth, lambda d: lubricated_force(np.maximum(d - 0.6e-3, 0.0)))
         (plates / "study.toml").write_text(campaign_text("lubricated"), encoding="utf-8")
         result, = calibration.calibrate([plates / "study.toml"], plates / "out", figures=False)
-        warning, = (warning for warning in result.best.warnings if "check where these recordings touch" in warning)
+        warning, = (warning for warning in result.best.warnings if "check the contact of these recordings" in warning)
         assert all(f"lubricated/lubricated_{number}" in warning for number in (1, 2, 3))
 
     def test_force_is_proportional_to_the_moduli(self, plates):
@@ -239,7 +239,7 @@ class TestStudy:
         ends = []
         for start in ((1400.0, 600.0), (140.0, 6990.0), (14000.0, 70.0)):
             problem.solves = SimulationCache()
-            problem.forget()
+            problem.reset_nuisances()
             descent = descend(problem, np.array(start))
             assert descent.converged
             assert max(descent.simulations.values()) <= 9
@@ -568,7 +568,7 @@ class TestRefused:
         (lambda t: t.replace("C10 = 1400.0", "C10 = -1400.0"), "fit.start", "is no material"),
         (lambda t: t.replace("lubricated_*.csv", "none_*.csv"), "test[0].recordings[0]", "no file matches"),
         (lambda t: t.replace("C20 = 600.0", 'C20 = 600.0, "softening.loss" = 0.3'), "fit.start.softening.loss",
-         "no test can see"),
+         "no test depends on"),
         (lambda t: t.replace("C20 = 600.0", 'C20 = 600.0, "viscoelastic.terms[0].g" = 0.3'),
          "fit.start.viscoelastic.terms[0].tau_s", "missing"),
         (lambda t: t.replace("C20 = 600.0", 'C20 = 600.0, "viscoelastic.terms[0].tao" = 0.3'),

@@ -13,7 +13,6 @@ from calibration.campaign.campaign import Test as CampaignTest
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.curves import TestCurves as CurvesOfTest
 from calibration.fit.fit import (
-    Covariance,
     Direction,
     Fit,
     Iteration,
@@ -26,6 +25,7 @@ from calibration.fit.fit import (
     SensorStatement,
     Suggestion,
 )
+from calibration.fit.population_records import Covariance
 from calibration.fit.result import CalibrationResult
 from calibration.report import curve_figures, estimate_figures, figures
 from calibration.report.drawing import Pictures

@@ -70,6 +70,6 @@ def fitted(name, axis, strength, gain=50.0):
 def test_two_need_each_other(axis, alone, beside, rival, needed, monkeypatch):
     first, second = fitted("first", [1, 0, 0], 8.0), fitted("second", axis, beside)
     plain = fitted("second", axis, alone).proposal
-    monkeypatch.setattr("calibration.diagnosis.pairs.rescored", lambda proposal, evidence: plain)
+    monkeypatch.setattr("calibration.diagnosis.pairs.rescore", lambda proposal, evidence: plain)
     good = [first] if rival is None else [first, fitted("second", axis, alone, gain=rival)]
     assert _both_needed(first, second, good, None) is needed

@@ -96,7 +96,7 @@ def test_too_few_specimens_and_undetermined_parameters_are_refused():
         alone([1.0], [1.0])
     with pytest.raises(InputError, match="the fit of 1 does not determine a"):
         alone([1.0, 2.0], [1.0, np.inf])
-    with pytest.raises(InputError, match="expected"):
+    with pytest.raises(InputError, match="must have the shapes"):
         estimate_population(["a"], ["x", "y"], np.zeros((2, 2)), np.zeros((2, 2, 2)))
 
 
@@ -131,7 +131,7 @@ def test_pooled_specimens_are_said_to_differ(animals, tmp_path):
     result, = calibration.calibrate([folder / "pooled.toml"], tmp_path / "out", figures=False)
     assert result.best.population is None
     warning, = (each for each in result.best.warnings if "the specimens differ" in each)
-    assert "its own C10, C20" in warning and "'per_specimen'" in warning
+    assert "individual values of C10, C20" in warning and "'per_specimen'" in warning
 
 
 def test_one_material_in_all_specimens_differs_in_nothing(animals, tmp_path):

@@ -159,9 +159,9 @@ def test_the_page_shows_the_hold_against_time(fit_relaxation):
     (lambda fit: fit(ts.Recording({"stretch": STRETCH, "nominal stress": 1e3 * (STRETCH - 1)}), "neo_hooke"),
      "has no time"),
     (lambda fit: fit(recording(), "neo_hooke", test="max_strain = 0.01"), "at least 5"),
-    (lambda _: fit_hold(recording().with_channels(displacement=STRETCH), 1), "moves during the hold"),
-    (lambda _: fit_hold(hold(0.0), 1, ramp=-1.0), "not a duration"),
-    (lambda _: fit_hold(hold(0.0), 5), "5 terms; give 1 to 4"),
+    (lambda _: fit_hold(recording().with_channels(displacement=STRETCH), 1), "must be constant during the hold"),
+    (lambda _: fit_hold(hold(0.0), 1, ramp=-1.0), "ramp must be 0 or positive; got -1 s"),
+    (lambda _: fit_hold(hold(0.0), 5), "terms must be 1 to 4; got 5"),
     (lambda _: fit_hold(hold(0.0).select(slice(0, 5)), 2), "5 samples cannot determine 5 unknowns"),
 ])
 def test_refused(run, message, fit_relaxation):

@@ -176,7 +176,7 @@ def test_a_specimen_that_no_fit_has_seen_needs_others(tmp_path):
     result = calibrated(campaign(tmp_path, FIVE[:2], held=(2,)))
     prediction, = result.predictions
     assert prediction.percent is None and prediction.mean_of == []
-    assert prediction.note == "no test of animal_2 is fitted, and there is no mean of other specimens to predict it by"
+    assert prediction.note == "no test of animal_2 is fitted, and there is no mean of other specimens"
 
 
 def test_a_bound_is_no_answer_of_the_others(tmp_path):

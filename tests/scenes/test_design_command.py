@@ -104,7 +104,7 @@ def test_default_scatter_is_proportional_to_the_force(tmp_path):
     ("force_N = 0.01\n", "", "state the standard deviation of the force sensor"),
     ("; hold 30s; unload", "; hold 30", "'30'"),
     ("ramp 3mm", "ramp 30mm", "plan.toml: test[0].protocol"),
-    ("start = { C10 = 1500.0 }\n", "", "a design needs a material to begin with; state C10"),
+    ("start = { C10 = 1500.0 }\n", "", "fit.start must give the material of a design; state C10"),
     ('"inverse_fem"', '"analytical"', "inverse_fem"),
     ("protocol =", "protokol =", "protokol"),
 ], ids=["noise", "protocol", "depth", "start", "method", "key"])

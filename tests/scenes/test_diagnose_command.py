@@ -212,7 +212,7 @@ def test_a_killed_run_resumes(answer, study, tmp_path, capsys):
 @pytest.mark.parametrize(("method", "more", "words", "expected"), [
     ("analytical", "", [], 'a diagnosis simulates the tests; set method = "inverse_fem"'),
     ("inverse_fem", INVERSE, ["--law", "ogden_1"], "'ogden_1' is not among its laws (neo_hooke)"),
-    ("inverse_fem", INVERSE.replace("C10 = 1500", "C10 = -1500"), [], "neo_hooke is no material with this start"),
+    ("inverse_fem", INVERSE.replace("C10 = 1500", "C10 = -1500"), [], "neo_hooke is no valid material with this start"),
 ])
 def test_bad_input_is_one_sentence(method, more, words, expected, study, tmp_path, capsys):
     for path in study.parent.glob("*.csv"):
