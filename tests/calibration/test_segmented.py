@@ -57,7 +57,7 @@ def test_a_fit_that_begins_in_air_is_warned_of(tmp_path):
     assert 'contact = "find"' in result.message
     assert "1 more recording of this test" in result.message
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    section = page[page.index("<h2>Segments"):page.index("<h2>What was assumed")]
+    section = page[page.index("<h2>Segments"):page.index("<h2>Assumptions")]
     assert "found: approach, ramp" in section and "moduli come out too small" in section
     picture, = re.findall(r'base64,([^"]+)"', section)
     assert base64.b64decode(picture).startswith(b"\x89PNG")

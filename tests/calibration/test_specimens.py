@@ -80,7 +80,7 @@ def test_specimens_that_are_left_out_are_named_with_the_reason(tmp_path, capsys)
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "Not in the population of" in report and ": animal_2 (C20 on its bound 0 Pa).</p>" in report
     methods = (tmp_path / "out" / "methods.txt").read_text(encoding="utf-8")
-    assert "Of the 2 specimens" in methods and "not in it: animal_2 (C20 on its bound 0 Pa)" in methods
+    assert "Population of 2 specimens" in methods and "not included: animal_2 (C20 on its bound 0 Pa)" in methods
 
 
 def test_without_two_determined_specimens_there_is_no_material(tmp_path, capsys):
