@@ -18,7 +18,7 @@ import numpy as np
 
 from calibration.campaign.campaign import Campaign, FitSettings, Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.campaign.parameters import SHARED, Named, declared_around
+from calibration.campaign.parameters import SHARED, NamedParameter, declared_around
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import find_law
@@ -294,13 +294,13 @@ class Candidate:
             if tests is not None:
                 having = tuple(name for name in tests if name in having)
             scope = self.scope if self.tests is None or self.scope != SHARED else having
-            named[path] = Named(path, what, of_law, scope, having)
+            named[path] = NamedParameter(path, what, of_law, scope, having)
             if path in self.bounds:
                 bounds[path] = self.bounds[path]
         # A wider law holds what neither it nor the campaign's own law has.
         held = {name: 0.0 for name in wider if name not in find_law(settings.laws[0]).parameters and name not in values}
         for name in held:
-            named[name] = Named(name, law_declaration(find_law(str(self.law)), name), True, SHARED, everywhere)
+            named[name] = NamedParameter(name, law_declaration(find_law(str(self.law)), name), True, SHARED, everywhere)
         start, fixed = dict(settings.start), {**settings.fixed, **held}
         for path, value in values.items():
             here, elsewhere = (start, fixed) if free and path != self.jump else (fixed, start)

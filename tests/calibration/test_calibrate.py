@@ -166,7 +166,7 @@ def test_overwrite_spares_what_no_calibration_wrote(campaign, tmp_path):
     campaign.write_text(TEXT.replace('"mooney_rivlin", ', '"ogden_1", '), encoding="utf-8")
     (tmp_path / "ogden_1.material.json").write_text("by hand", encoding="utf-8")
     before = listing(tmp_path)
-    with pytest.raises(ts.InputError, match=r"ogden_1\.material\.json: is in the way"):
+    with pytest.raises(ts.InputError, match=r"ogden_1\.material\.json: a result would replace this file"):
         calibration.calibrate([campaign], tmp_path, overwrite=True, figures=False)
     assert listing(tmp_path) == before
 
@@ -176,7 +176,7 @@ def test_a_result_never_replaces_what_it_is_made_from(campaign, tmp_path):
     (tmp_path / "fit_1.json").rename(tmp_path / "curves.json")
     campaign.write_text(TEXT.replace('"fit_*.csv"', '"fit_*.csv", "curves.csv"'), encoding="utf-8")
     before = listing(tmp_path)
-    with pytest.raises(ts.InputError, match=r"curves\.csv: is read here"):
+    with pytest.raises(ts.InputError, match=r"curves\.csv: a result would replace this input file"):
         calibration.calibrate([campaign], tmp_path, overwrite=True, figures=False)
     assert listing(tmp_path) == before
 
@@ -185,7 +185,7 @@ def test_a_recording_called_fit_keeps_its_sidecar(campaign, tmp_path):
     (tmp_path / "fit_1.csv").rename(tmp_path / "fit.csv")
     (tmp_path / "fit_1.json").rename(tmp_path / "fit.json")
     campaign.write_text(TEXT.replace('"fit_*.csv"', '"fit.csv"'), encoding="utf-8")
-    with pytest.raises(ts.InputError, match=r"fit\.json: is read here"):
+    with pytest.raises(ts.InputError, match=r"fit\.json: a result would replace this input file"):
         calibration.calibrate([campaign], tmp_path, overwrite=True, figures=False)
 
 

@@ -178,9 +178,9 @@ def test_several_campaigns_have_folders_and_are_read_back(campaign, tmp_path):
     assert [result.diagnosis for result in again] == [result.diagnosis for result in results]
     with pytest.raises(ts.InputError, match="the results of other work"):
         calibration.diagnose([campaign, other], tmp_path, law="reduced_polynomial_2")
-    with pytest.raises(ts.InputError, match="two campaign files are called 'plain'"):
+    with pytest.raises(ts.InputError, match="got 'plain' twice"):
         calibration.diagnose([campaign, campaign], tmp_path / "twice")
-    with pytest.raises(ts.InputError, match="pictures are written as"):
+    with pytest.raises(ts.InputError, match="figures_format must be"):
         calibration.diagnose([campaign], tmp_path / "gif", figures_format="gif")
     assert not (tmp_path / "twice").exists() and not (tmp_path / "gif").exists()
 

@@ -200,7 +200,7 @@ def test_iteration_table_is_live_on_a_terminal(joint, tmp_path, capsys, monkeypa
     stdout, stderr = capsys.readouterr()
     assert "run" not in stdout.split() and "corrected" not in stdout.split() and stderr == ""
     shown = frames(stream)
-    for sentence in ("looking at the start of reduced_polynomial_2", "1 start", "the difference of the accurate mesh",
+    for sentence in ("checking the start values of reduced_polynomial_2", "1 start", "the difference of the accurate mesh",
                      "profiles", "tests left out, one at a time", "writing the report"):
         assert any(f"study: {sentence}" in frame for frame in shown)
     (fit,) = read(tmp_path / "out")["fits"]
