@@ -145,7 +145,7 @@ def test_foreign_folder_and_file_are_left_alone(campaign, tmp_path):
     with pytest.raises(ts.InputError, match="other files"):
         calibration.calibrate([campaign], out)
     assert [path.name for path in out.iterdir()] == ["thesis.txt"]
-    with pytest.raises(ts.InputError, match="is a file"):
+    with pytest.raises(ts.InputError, match="this is a file"):
         calibration.calibrate([campaign], out / "thesis.txt")
 
 
@@ -296,13 +296,13 @@ def test_several_campaigns(campaign, tmp_path):
 def test_a_bad_second_campaign_writes_nothing(campaign, tmp_path):
     bad = tmp_path / "bad.toml"
     bad.write_text(TEXT.replace("height_mm = 70.0", "height_mm = 20.0"), encoding="utf-8")
-    with pytest.raises(ts.InputError, match="deeper than the specimen"):
+    with pytest.raises(ts.InputError, match="must be smaller than the height"):
         calibration.calibrate([campaign, bad], tmp_path / "out")
     same = tmp_path / "again"
     same.mkdir()
     moved = TEXT.replace('["fit_', '["../fit_').replace('["later', '["../later')
     (same / "study.toml").write_text(moved, encoding="utf-8")
-    with pytest.raises(ts.InputError, match="rename one"):
+    with pytest.raises(ts.InputError, match="Rename one"):
         calibration.calibrate([campaign, same / "study.toml"], tmp_path / "out")
     with pytest.raises(ts.InputError, match="at least one campaign"):
         calibration.calibrate([], tmp_path / "out")

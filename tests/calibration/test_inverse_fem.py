@@ -562,7 +562,8 @@ BOUNDS = "\n[fit.bounds]\nC20 = [0.0, 500.0]\n"
 
 class TestRefused:
     @pytest.mark.parametrize(("change", "field", "hint"), [
-        (lambda t: t.replace("height_mm = 70.0", "height_mm = 9.0"), "test[0].recordings", "deeper than the specimen"),
+        (lambda t: t.replace("height_mm = 70.0", "height_mm = 9.0"), "test[0].recordings",
+         "must be smaller than the height"),
         (lambda t: t + BOUNDS, "fit.start.C20", "outside its bounds"),
         (lambda t: t.replace("C20 = 600.0", "C20 = -6000.0"), "fit.start", "loses stability"),
         (lambda t: t.replace("C10 = 1400.0", "C10 = -1400.0"), "fit.start", "is no material"),

@@ -268,7 +268,7 @@ def test_the_page_is_self_contained_and_begins_with_the_summary(campaign, tmp_pa
     # Misfits, the least probable first, and no region that is as noise.
     assert verdict.index("hold at 10 mm: 0.047 N") < verdict.index("unload from 0 to 10 mm: 0.058 N")
     assert "0.012 N" not in verdict
-    for words in ("low: bound 0", "0.028 mm and the zero by 0.0094 N", "6 degrees of freedom", "up to 0.62 %",
+    for words in ("low: bound 0", "0.028 mm and the force zero by 0.0094 N", "6 degrees of freedom", "up to 0.62 %",
                   "1.00 C20 − 0.08 C10, known to ±\u00a03.5", "4.1e+06", record(PLATES, 1).sha256):
         assert words in page
     last = [step for fit in campaign[0].fits for step in fit.history if step.start == 20]

@@ -75,7 +75,7 @@ def test_pictures_are_files_beside_the_report_and_are_made_when_asked_for_later(
     assert [axes.get_title() or axes.get_title(loc="left") for axes in views[:5]] == [
         "Force and displacement", "Stress and strain", "Tangent modulus", "Load over time", "Relaxation in holds"]
     hold = views[4]
-    assert hold.get_xscale() == "log" and hold.get_xlabel() == "time since the hold began [s]"
+    assert hold.get_xscale() == "log" and hold.get_xlabel() == "time since the start of the hold [s]"
     law = next(line for line in hold.lines if line.get_label() == "Neo-Hooke")
     assert law.get_xdata()[0] == pytest.approx(0.4) and law.get_xdata()[-1] == pytest.approx(40.0)
     result, = calibrate([campaign], out, figures_format="svg")
