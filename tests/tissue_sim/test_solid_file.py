@@ -272,11 +272,13 @@ def test_a_mesh_that_is_torn_or_touches_itself_is_refused(tmp_path):
     volume = np.linalg.det(third[extra[0, 1:]] - third[extra[0, 0]])
     meshio.Mesh(third, [("tetra", np.concatenate([cells, extra if volume > 0 else extra[:, [0, 2, 1, 3]]]))
                         ]).write(tmp_path / "three.vtu")
-    with pytest.raises(ts.InputError, match="share one side, but a side belongs to at most two elements; the mesh overlaps itself"):
+    with pytest.raises(ts.InputError, match="share one side, but a side belongs to at most two "
+                                            "elements; the mesh overlaps itself"):
         read_file_mesh(tmp_path / "three.vtu")
 
 
-@pytest.mark.parametrize(("unit", "expected"), [("m", "got 20 m with the unit m"), ("um", "got 2e-05 m with the unit um"),
+@pytest.mark.parametrize(("unit", "expected"), [("m", "got 20 m with the unit m"),
+                                                ("um", "got 2e-05 m with the unit um"),
                                                 ("furlong", "unknown unit 'furlong'; known: m, cm")])
 def test_a_wrong_scale_is_refused(tmp_path, unit, expected):
     with pytest.raises(ts.InputError, match=expected):
