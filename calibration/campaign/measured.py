@@ -11,9 +11,9 @@ import numpy as np
 
 from calibration.campaign.campaign import DEFAULT_OFFSET_BOUND, DEFAULT_OFFSET_PRIOR, Campaign, Test
 from calibration.campaign.loading import check_motion, elastic_samples, require_loading
-from calibration.campaign.schema import PRISM
 from calibration.campaign.screened import check_left_out, clean_recording, screening_notes, with_control, with_preload
 from calibration.campaign.segmented import SegmentedRecording, notes_with_air, origin_notes, segment_recording
+from calibration.campaign.specimen_check import check_size
 from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_stamps
 from calibration.statistics.statistics import estimate_noise, resolution
 from tissue_sim.errors import InputError
@@ -27,8 +27,6 @@ from tissue_sim.specimen.specimen import with_article
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-#: Largest relative difference between the specimen size in a recording and in the campaign.
-SIZE_TOLERANCE = 0.02
 #: Segments that are not part of the first loading; an elastic law is not fitted to them.
 NOT_LOADING = ("approach", "preconditioning", "hold", "unload", "reload", "retract")
 #: Largest default standard deviation of a contact offset, as a fraction of the displacement of a test.
@@ -185,31 +183,6 @@ def scale_offsets(campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCu
 def names_of(recordings: Sequence[Recording], path: Path, test: Test) -> list[str]:
     """Return the names of the recordings in one file: the file name, or the recording names if there are several."""
     return [f"{test.name}/{path.stem if len(recordings) == 1 else recording.name}" for recording in recordings]
-
-
-def check_size(recording: Recording, test: Test, campaign: Campaign, path: Path) -> None:
-    """Reject a recording whose metadata state another shape or size of the specimen than the campaign.
-
-    Metadata with ``radius_mm`` and without a shape mean a cylinder (older files). The shape is not compared if the test
-    depends on the cross-section only.
-
-    Raises:
-        InputError: shape or size differ; the error states the field of the specimen.
-    """
-    if test.specimen is None or not isinstance(metadata := recording.metadata.get("specimen"), Mapping):
-        return
-    field = f"specimen[{list(campaign.specimens).index(test.specimen.name)}]"
-    shape = test.specimen.shape
-    recorded = metadata.get("shape", "cylinder" if "radius_mm" in metadata else None)
-    any_shape = test.kind.gripped or campaign.fit.method == "analytical" or test.specimen.name in campaign.prisms
-    if not any_shape and isinstance(recorded, str) and recorded not in (shape, PRISM):
-        raise InputError(f"the campaign states {with_article(shape)} and {path.name} states {with_article(recorded)}; "
-                         "correct the wrong one", file=campaign.path, field=f"{field}.shape")
-    for key, size in test.specimen.sizes.items():
-        stated = metadata.get(key)
-        if isinstance(stated, int | float) and abs(stated - size) > SIZE_TOLERANCE * size:
-            raise InputError(f"the campaign states {size:g} mm and {path.name} states {stated:g} mm; correct the "
-                             "wrong one", file=campaign.path, field=f"{field}.{key}")
 
 
 def _curve(recording: Recording, screening: Screening, name: str, path: Path, test: Test,

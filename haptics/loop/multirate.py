@@ -7,14 +7,13 @@ import threading
 import time as clock
 from collections import deque
 from dataclasses import replace
-from functools import partial
 from typing import Any, NoReturn
 
 from haptics.loop.bulk_link import BulkLink, BulkProcess
 from haptics.loop.model_transition import ModelTransition
 from haptics.loop.touch_frame import TouchFrame, first_touch
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.model import LINEARISATIONS, CondensedContact
+from tissue_sim.fem.condensed.model import CondensedContact
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStep
 from tissue_sim.kernel_owner import CopyError, KernelOwner, exclusive
 from tissue_sim.live_material import require_same_layers, require_tissue
@@ -24,7 +23,6 @@ from tissue_sim.model import Model
 from tissue_sim.motion_limits import LimitError, MotionLimits, checked_pose
 from tissue_sim.parameters import with_values
 from tissue_sim.pose import Pose, added, scaled
-from tissue_sim.simulator import Simulator
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import (
     ERROR_FLOOR,
@@ -38,7 +36,7 @@ from tissue_sim.tool_force import (
     scaled_matrix,
 )
 
-__all__ = ["ERROR_FLOOR", "ERROR_SHARE", "OLDEST", "MultiRateTissue", "real_time_tissue"]
+__all__ = ["ERROR_FLOOR", "ERROR_SHARE", "OLDEST", "MultiRateTissue"]
 
 #: Largest age of the model of a CONVERGED force, s.
 OLDEST = 1.0
@@ -387,33 +385,3 @@ class MultiRateTissue(KernelOwner):
         """Return the tissue at one of the last models, in the frame of the bulk."""
         self.warm_up()
         return self._link.snapshot() or Snapshot(self._link.surface.start, self._link.surface.datum, None)
-
-
-def real_time_tissue(model: Model, *, solver: str, resolution: str, budget: float | None, inertia: str = "auto",
-                     looks_ahead: bool = False, simulator: type[Simulator] = Simulator,
-                     mesh: Any = None) -> partial[Any]:
-    """Return a factory of a tissue for steps at 1 kHz; the factory can be sent to another process.
-
-    The tissue is a `MultiRateTissue` if the bulk of the solver can be linearised, otherwise a `Simulator`.
-
-    Args:
-        model: experiment and material.
-        solver: name of the solver.
-        resolution: resolution of the mesh.
-        budget: computing time per step, s; see `Simulator`.
-        inertia: ``auto``, ``on`` or ``off``; see `Simulator`.
-        looks_ahead: see `Simulator`.
-        simulator: class used instead of `Simulator`.
-        mesh: mesh; None: generated with `resolution`.
-
-    Raises:
-        InputError: ``inertia = 'on'`` for a solver without inertia.
-    """
-    if solver not in LINEARISATIONS:
-        given = {} if mesh is None else {"mesh": mesh}
-        return partial(simulator, model, resolution=resolution, inertia=inertia, looks_ahead=looks_ahead, budget=budget,
-                       solver=solver, **given)
-    if inertia == "on":
-        raise InputError(f"inertia must be 'auto' or 'off' for a multirate solid, which has no mass ({solver!r}); got "
-                         "'on'", field="inertia")
-    return partial(MultiRateTissue, model, solver=solver, resolution=resolution, mesh=mesh)

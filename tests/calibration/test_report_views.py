@@ -89,7 +89,7 @@ def test_pictures_are_files_beside_the_report_and_are_made_when_asked_for_later(
     assert result.resumed
     calibrate([campaign], out, figures_format="pdf", overwrite=True)
     assert {path.suffix for path in out.glob("report_*")} == {".pdf"}, "those of the earlier call are removed"
-    with pytest.raises(InputError, match="svg, pdf, png, not as 'eps'"):
+    with pytest.raises(InputError, match="must be svg, pdf, png or None; got 'eps'"):
         calibrate([campaign], tmp_path / "other", figures_format="eps")
     assert not (tmp_path / "other").exists()
 

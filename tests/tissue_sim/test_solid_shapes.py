@@ -230,7 +230,7 @@ def test_a_block_in_a_campaign(tmp_path):
     result, = calibration.calibrate([path], tmp_path / "out", figures=False)
     assert result.best.parameters["C10"] == pytest.approx(1500.0, rel=1e-3)
     for old, new, words in (
-            ("width_mm = 20.0\n", "", r"specimen\[0\]\.width_mm: a block needs width_mm"),
+            ("width_mm = 20.0\n", "", r"specimen\[0\]\.width_mm: a block requires width_mm"),
             ("width_mm = 20.0", "width_mm = 20.0\nradius_mm = 3.0", "a block has length_mm, not radius_mm")):
         path.write_text(CAMPAIGN.replace(old, new), encoding="utf-8")
         with pytest.raises(ts.InputError, match=words):
