@@ -136,7 +136,7 @@ def test_report_begins_with_the_verdict(answer):
     page = Page()
     page.feed(text)
     assert page.open == [] and "http://" not in text and "https://" not in text
-    assert page.texts[:2] == [("dt", "Named"), ("dd", found["message"])]
+    assert page.texts[:2] == [("dt", "One effect"), ("dd", found["message"])]
     cells = [cell for tag, cell in page.texts if tag == "td"]
     assert "viscoelasticity" in cells and "machine compliance" in cells and any("mm/N" in cell for cell in cells)
     # Figures of one test, the regions and the candidates.
