@@ -1,6 +1,6 @@
-"""calibration: from recordings to a material with uncertainties.
+"""calibration: estimate material parameters with uncertainties from recordings.
 
-Public names are listed once, in `__init__.pyi`, and imported on first use, so that ``import calibration`` is instant.
+Public names are listed in `__init__.pyi` and imported on first use, so that ``import calibration`` is fast.
 """
 
 from tissue_sim.public_names import import_on_use as _import_on_use

@@ -1,4 +1,4 @@
-"""One campaign, from its recordings to what a plain model misses in them."""
+"""Diagnose one campaign: find the effects that a plain model misses in its recordings."""
 
 from __future__ import annotations
 
@@ -45,11 +45,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosed:
-    """A diagnosis and what it stands on.
+    """A diagnosis with the fits and scores on which it is based.
 
     Attributes:
-        diagnosis: the answer. before, after: evidence without and with what was added; after: None where nothing was.
-        proposals: the catalogue on the data.
+        diagnosis: the result.
+        before: the fit without additional effects.
+        after: the fit with the effects found; None if no effect was found.
+        proposals: scores of all effects of the catalogue.
     """
 
     diagnosis: Diagnosis
@@ -60,7 +62,12 @@ class Diagnosed:
 
 @dataclass
 class _Clock:
-    """What took how long."""
+    """Measure the time and the simulations of each stage.
+
+    Attributes:
+        solves: store of simulations, which counts them.
+        stages: finished stages.
+    """
 
     solves: SimulationCache
     stages: list[Stage] = field(default_factory=list)
@@ -73,21 +80,23 @@ class _Clock:
                                  simulations=self._simulations() - before))
 
     def _simulations(self) -> int:
-        # Other processes count their own; all keep them in the folder.
+        # Worker processes have separate counters; the folder contains the simulations of all processes.
         folder = self.solves.folder
         return self.solves.counts.total() if folder is None else sum(1 for _ in folder.glob("*.msgpack"))
 
 
 def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
                       solves: SimulationCache | None = None) -> Diagnosed:
-    """Diagnose one campaign that has been read; nothing is written.
+    """Diagnose a campaign without writing files.
 
     Args:
-        campaign: see `calibration.diagnosis.evidence.whole_campaign`. measured: all recordings, as `read_measured`
-            reads them for it. steps: where the parts run, and who is told. solves: what has been simulated.
+        campaign: campaign with one law, see `calibration.diagnosis.evidence.whole_campaign`.
+        measured: all recordings of each test, see `read_measured`.
+        steps: task executor and progress reports.
+        solves: store of finished simulations; None: an empty store.
 
     Raises:
-        ConvergenceError: no start gets through the data.
+        ConvergenceError: no start converges.
     """
     solves = solves or SimulationCache()
     campaign = scale_offsets(campaign, measured)
@@ -100,7 +109,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
         judgement = judge(before, proposals, steps)
     after: Evidence | None = None
     with clock.stage("last fit and unseen data"):
-        steps.report_progress("the last fit, and data that the fits have not seen")
+        steps.report_progress("final fit and prediction of data that were not fitted")
         if judgement.added:
             after = judgement.evidence
         held_out = [*unseen_replicates(before, after), *unseen_tests(before, after)]
@@ -110,7 +119,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
         effects = [] if after is None else found_effects(judgement, before, after)
         regions = region_gaps(before, after)
     with clock.stage("the next experiment"):
-        steps.report_progress("what to measure next")
+        steps.report_progress("choosing the next experiment")
         further = next_experiments(before, proposals, judgement)
     gaps = gap(before), None if after is None else gap(after)
     noises = [curve.noise for curve in before.problem.measured]
@@ -134,7 +143,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
 
 
 def _fit_of(evidence: Evidence) -> Fit:
-    """The fit as a calibration states it, without profiles."""
+    """Return the fit in the form of a calibration, without profiles."""
     estimate = evidence.estimate
     estimator = Generalised(evidence.campaign, evidence.measured, evidence.problem.solves)
     spread = assess_uncertainty(evidence.problem, evidence.evaluation)
@@ -143,10 +152,17 @@ def _fit_of(evidence: Evidence) -> Fit:
 
 def read_for_diagnosis(path: str | Path, law: str | None = None
                        ) -> tuple[Campaign, dict[str, tuple[MeasuredCurve, ...]]]:
-    """A campaign with one law, and its whole recordings.
+    """Read a campaign with one law and its recordings, including holds and unloading.
+
+    Args:
+        path: campaign file.
+        law: one of its laws; None: its first.
+
+    Returns:
+        The campaign and the recordings of each test.
 
     Raises:
-        InputError: anything wrong in the campaign or a recording, an analytical campaign, a law that it does not list.
+        InputError: the campaign or a recording is invalid, the campaign is analytical, or it does not list the law.
     """
     campaign = whole_campaign(load_campaign(path), law)
     return campaign, read_measured(campaign)
@@ -154,10 +170,17 @@ def read_for_diagnosis(path: str | Path, law: str | None = None
 
 def diagnose_file(path: str | Path, *, law: str | None = None, workers: Workers | None = None,
                   progress: Progress | None = None) -> Diagnosed:
-    """Diagnose one campaign file; nothing is written.
+    """Diagnose a campaign file without writing files.
+
+    Args:
+        path: campaign file.
+        law: one of its laws; None: its first.
+        workers: worker processes; None: this process only.
+        progress: receives the progress, see `calibration.calibrate`.
 
     Raises:
-        InputError, ConvergenceError: as `diagnose`.
+        InputError: the campaign or a recording is invalid.
+        ConvergenceError: no start converges.
     """
     campaign, measured = read_for_diagnosis(path, law)
     with open_tasks(workers or Workers()) as tasks:
@@ -165,46 +188,52 @@ def diagnose_file(path: str | Path, *, law: str | None = None, workers: Workers 
 
 
 class CampaignDiagnosis:
-    """A campaign that has been read, in a folder.
+    """Diagnose one campaign and write the results to a folder.
 
     Args:
-        campaign, measured: as `read_for_diagnosis` reads them. folder: of its results. steps: where its parts run, and
-            who is told.
+        campaign: campaign with one law, see `read_for_diagnosis`.
+        measured: recordings of each test, see `read_for_diagnosis`.
+        folder: folder of the results.
+        steps: task executor and progress reports.
 
     Attributes:
-        recordings: all of them. digest: of everything that the answer depends on: campaign, recordings, law, catalogue,
-            and the source of solver and calibration.
+        recordings: all recordings.
+        digest: digest of all inputs of the diagnosis: campaign, recordings, law, catalogue, and source code of solver
+            and calibration.
     """
 
     def __init__(self, campaign: Campaign, measured: Measured, folder: Path, steps: RunContext):
         self.campaign, self.measured, self.folder, self.steps = campaign, measured, folder, steps
         self.recordings = [curve for curves in measured.values() for curve in curves]
         self.digest = content_key("diagnosis", digest_of(campaign, self.recordings), campaign.fit.laws[0],
-                                  sorted(CATALOGUE), _source())
+                                  sorted(CATALOGUE), _source_digest())
         self.solves = SimulationCache()
         self._clock = _Clock(self.solves)
 
     def check(self) -> None:
-        """Refuse what cannot be fitted, before anything is written; not asked of what is finished.
+        """Check that the campaign can be fitted, before any file is written.
 
         Raises:
-            InputError: with file and field.
+            InputError: the campaign cannot be fitted; the error states file and field.
         """
         self.solves.read_from(self.folder / SOLVES)
-        self.steps.report_progress("looking at the start")
+        self.steps.report_progress("checking the start values")
         campaign = scale_offsets(self.campaign, self.measured)
-        with self._clock.stage("look at the start"):
+        with self._clock.stage("check of the start values"):
             estimator, law = Generalised(campaign, self.measured, self.solves), campaign.fit.laws[0]
             estimator.check(law, 0)
             if self.steps.announce is not None and (words := in_words(simulation_seconds(estimator.problem(law)))):
                 self.steps.announce(f"{campaign.name}: {words}")
 
     def run(self, *, figures: bool, figures_format: str | None = None) -> DiagnosisResult:
-        """Diagnose it and write everything into the folder; ``diagnosis.json`` last, because it says that it is
-        finished.
+        """Diagnose the campaign and write all results; ``diagnosis.json`` is last and marks the campaign as finished.
+
+        Args:
+            figures: whether the report includes figures.
+            figures_format: format of separate figure files; None: no figure files.
 
         Raises:
-            ConvergenceError: no start gets through the data.
+            ConvergenceError: no start converges.
         """
         self.solves.move_to(self.folder / SOLVES)
         found = diagnose_campaign(self.campaign, self.measured, self.steps, self.solves)
@@ -216,8 +245,8 @@ class CampaignDiagnosis:
 
 
 @cache
-def _source() -> str:
-    """What would make the same data another answer: the source of the package."""
+def _source_digest() -> str:
+    """Return the SHA-256 digest of the source code of this package, which affects the result."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(path.read_bytes())

@@ -1,4 +1,4 @@
-"""One campaign, from its recordings to its results: the same steps whatever the weights and the forward models."""
+"""Fit one campaign and write its results, with the analytical or the inverse finite element method."""
 
 from __future__ import annotations
 
@@ -39,19 +39,23 @@ from calibration.report.outputs import write_campaign, write_failure
 from calibration.statistics.uncertainty import Uncertainty
 from tissue_sim.errors import ConvergenceError
 
-#: Method of a campaign -> its weights.
+#: Method of a campaign -> estimator.
 ESTIMATORS: dict[str, type[Estimator]] = {"analytical": Ordinary, "inverse_fem": Generalised}
 
 
 class CampaignFit:
-    """A campaign that has been read.
+    """Fit all laws of one campaign and write the results to a folder.
 
     Args:
-        campaign: what is asked. measured: test -> its recordings, as `read_measured` reads them.
-        folder: of its results. steps: where its parts run, and who is told.
+        campaign: the campaign.
+        measured: recordings of each test, see `read_measured`.
+        folder: folder of the results.
+        steps: task executor and progress reports.
 
     Attributes:
-        recordings: all of them. digest: of everything that the results depend on.
+        recordings: all recordings.
+        digest: digest of all inputs on which the results depend.
+        estimator: estimator of the method.
     """
 
     def __init__(self, campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]], folder: Path,
@@ -62,31 +66,33 @@ class CampaignFit:
         self.digest = digest_of(campaign, self.recordings)
         self.solves = SimulationCache()
         self.estimator: Estimator = ESTIMATORS[campaign.fit.method](campaign, self.measured, self.solves)
-        #: Law -> simulations that the check of its start took.
+        #: Law -> number of simulations in the check of its start values.
         self.checked: dict[str, int] = {}
 
     def check(self) -> None:
-        """Refuse what cannot be fitted, before anything is written; not asked of what is finished. What an earlier run
-        of the same campaign kept may be read.
+        """Check that the campaign can be fitted, before any file is written.
+
+        Stored simulations of an earlier run of the same campaign are used.
 
         Raises:
-            InputError: with file and field.
+            InputError: the campaign cannot be fitted; the error states file and field.
         """
         self.solves.read_from(self.folder / SOLVES)
         if self.estimator.explores:
             check_geometry(self.campaign)
         for number, law in enumerate(self.campaign.fit.laws):
             if self.estimator.explores:
-                self.steps.report_progress(f"looking at the start of {law}")
+                self.steps.report_progress(f"checking the start values of {law}")
             before = self.solves.counts.total()
             self.estimator.check(law, number)
             self.checked[law] = self.solves.counts.total() - before
 
     def run(self, *, figures: bool, figures_format: str | None = None) -> CalibrationResult:
-        """Fit all laws and write everything into the folder; ``fit.json`` last, because it says that it is finished.
+        """Fit all laws and write all results; ``fit.json`` is last and marks the campaign as finished.
 
         Args:
-            figures: whether the report gets its pictures. figures_format: of these as files beside it; None: no files.
+            figures: whether the report includes figures.
+            figures_format: format of separate figure files; None: no figure files.
 
         Raises:
             ConvergenceError: no law could be fitted.
@@ -97,8 +103,8 @@ class CampaignFit:
         found, failures = self._fit()
         if not found:
             write_failure(self.campaign, failures, self.folder)
-            raise ConvergenceError(f"{self.campaign.path}: no start of any law gets through the data "
-                                   f"({next(iter(failures.values()), '')}); state another one in fit.start, or take a "
+            raise ConvergenceError(f"{self.campaign.path}: no start of any law converges "
+                                   f"({next(iter(failures.values()), '')}); state other values in fit.start, or use a "
                                    "smaller max_strain")
         fits, predictions, curves = rank(found)
         fitted = [curve for test in self.campaign.tests if not test.hold_out for curve in self.measured[test.name]]
@@ -107,12 +113,12 @@ class CampaignFit:
             message = message if disagreement in message else f"{disagreement}. {message}"
         for law, failure in failures.items():
             message += f" {law} has no fit: {failure}."
-        said = message
-        # Relaxation and creep are what a material with a memory describes.
+        message_before_notes = message
+        # A material with memory describes relaxation and creep, so these need no note.
         left_out = {"control"} if self.campaign.fit.material.remembers else set()
         message += notes_in_short((curve.test.name, curve.name, {
             subject: note for subject, note in notes_after_fit(curve, fits[0]).items()
-            if note not in said and subject not in left_out})
+            if note not in message_before_notes and subject not in left_out})
             for curve in self.recordings)
         noises = {name: several[0].noise for name, several in self.measured.items()}
         noise = tuple(SensorStatement(test=name, deviation_N=one.deviation, correlation_time_s=one.correlation_time,
@@ -129,7 +135,7 @@ class CampaignFit:
         return result
 
     def _fit(self) -> tuple[list[Fitted], dict[str, str]]:
-        """Each law that has an estimate, and why the others have none."""
+        """Return the results of the fitted laws, and the reason of failure of each other law."""
         laws = self.campaign.fit.laws
         ends = self.estimator.estimate(laws, self.steps)
         estimates = {law: estimate for law, (_, estimate) in ends.items() if isinstance(estimate, Estimate)}
@@ -146,17 +152,17 @@ class CampaignFit:
         answers: list[Fitted] = []
         for law, estimate in estimates.items():
             if self.estimator.explores:
-                self.steps.report_progress(f"what {law} tells")
-            answer = attempt(self._answer, estimate, spreads[law], ends[law][0], sides_of[law], left_of[law])
+                self.steps.report_progress(f"uncertainty and predictions of {law}")
+            answer = attempt(self._assess, estimate, spreads[law], ends[law][0], sides_of[law], left_of[law])
             if isinstance(answer, Failure):
                 failures[law] = answer.reason
             else:
                 answers.append(answer)
         return answers, failures
 
-    def _answer(self, estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
+    def _assess(self, estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
                 sides: Sequence[ProfileSide], left: Sequence[LeftOut]) -> Fitted:
-        """Fit, predictions and curves of one law."""
+        """Return fit, predictions and curves of one law."""
         campaign, law = self.campaign, estimate.problem.space.law
         spent = self.solves.meter()
         fit = assess(self.estimator, estimate, spread, descents, sides, campaign)
@@ -182,7 +188,11 @@ class CampaignFit:
 
     def _explore(self, estimates: dict[str, Estimate], spreads: dict[str, Uncertainty]
                  ) -> tuple[dict[str, list[ProfileSide]], dict[str, list[LeftOut]]]:
-        """Profiles of all parameters that have a standard error, and each test left out, of each law."""
+        """Compute the profiles of all parameters with a standard error, and the fits with one test left out.
+
+        Returns:
+            The sides of the profiles by law, and the left-out results by law.
+        """
         sides_of: dict[str, list[ProfileSide]] = {law: [] for law in estimates}
         left_of: dict[str, list[LeftOut]] = {law: [] for law in estimates}
         sides, left = [], []
@@ -200,13 +210,13 @@ class CampaignFit:
             answers = self.steps.run_all(partial(attempt, function), [arguments for _, arguments in tasks], words) \
                 if tasks else []
             for (law, _), answer in zip(tasks, answers, strict=True):
-                # A profile or a left-out test without a result leaves the fit as it is.
+                # A failed profile or left-out test does not invalidate the fit.
                 if not isinstance(answer, Failure):
                     found[law].append(answer)
         return sides_of, left_of
 
     def _disagreements(self) -> list[str]:
-        """Recordings that disagree, in words and announced before they are pooled."""
+        """Return a sentence for each group of disagreeing recordings, and announce them before they are pooled."""
         found = [each.describe() for each in find_disagreements(self.measured)]
         for sentence in found:
             self.steps.report_progress(sentence)
@@ -214,5 +224,5 @@ class CampaignFit:
 
 
 def _uncertainty_at(estimator: Estimator, estimate: Estimate) -> Uncertainty:
-    """Uncertainty at the estimate."""
+    """Return the uncertainty at the estimate."""
     return estimator.uncertainty(estimate.problem, estimate.evaluation)

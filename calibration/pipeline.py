@@ -1,4 +1,4 @@
-"""Calibration, diagnosis and design, whole: campaign files in; material files, tables and reports out."""
+"""Run calibration, diagnosis and design from campaign files to material files, tables and reports."""
 
 from __future__ import annotations
 
@@ -27,33 +27,36 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
               workers: Workers | None = None) -> list[CalibrationResult]:
     """Fit every law of every campaign and write the results.
 
-    ``LAW.material.json``, ``fit.json``, ``report.html``, ``curves.csv`` and ``residuals.csv`` go into `output`, or into
-    one subfolder a campaign, named by its file's stem, with a ``summary.csv`` beside them when there are several. A
-    campaign that is finished in `output` is read back instead of computed; of one that is not, the simulations that
-    were done are found in its folder ``solves``. ``work.json`` lists what was written; files that it does not list are
-    never removed or replaced.
+    ``LAW.material.json``, ``fit.json``, ``report.html``, ``curves.csv`` and ``residuals.csv`` are written to `output`.
+    Several campaigns are written to subfolders named by the stems of their files, with a common ``summary.csv``. A
+    campaign that is already finished in `output` is read instead of computed. An interrupted campaign continues with
+    the simulations stored in its folder ``solves``. ``work.json`` lists all written files; files that it does not list
+    are never removed or replaced.
 
     Args:
         paths: campaign files.
-        output: folder, created where missing.
-        overwrite: replace the results of other work in `output`.
-        progress: called with a sentence before each part, how many of its tasks are done, and of how many (0 and 0
-            where it has none).
+        output: folder of the results; created if missing.
+        overwrite: whether results of other campaigns in `output` may be replaced.
+        progress: called with a description of the current part, the number of its finished tasks and the number of all
+            its tasks (0 and 0 for a part without tasks).
         listen: called with the campaign, the law and each solve of an inverse fit.
-        figures: whether the report gets its pictures.
-        figures_format: ``svg``, ``pdf`` or ``png``: each picture is also a file beside the report; None: no files.
-        workers: who computes the parts of inverse fits; None: this process.
+        figures: whether the report includes figures.
+        figures_format: ``svg``, ``pdf`` or ``png`` to write each figure also as a file; None: no figure files.
+        workers: worker processes for inverse fits; None: this process only.
+
+    Returns:
+        The result of each campaign.
 
     Raises:
-        InputError: anything wrong in a campaign or a recording, or `output` holds something else; nothing is written.
-        ConvergenceError: no law of a campaign could be fitted; those of the other campaigns are written.
-        WorkerError: a worker process dies each time that it is given a part.
+        InputError: a campaign or recording is invalid, or `output` contains other files; nothing is written.
+        ConvergenceError: no law of a campaign could be fitted; the results of the other campaigns are written.
+        WorkerError: a worker process ends each time it works on a part.
     """
     output = Path(output)
     _check_format(figures_format)
     campaigns = _distinct([load_campaign(path) for path in paths])
     measured = [read_measured(campaign) for campaign in campaigns]
-    # On use: what is wrong in a file is said at once, before the fit and all of scipy are there.
+    # Imported on use: errors in files are reported before the slow imports of the fit and of SciPy.
     from calibration.campaign_fit import CampaignFit
     from calibration.fit.result import read_back
     from calibration.fit.run_context import RunContext
@@ -75,20 +78,30 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
              progress: Progress | None = None, figures: bool = True, figures_format: str | None = None,
              workers: Workers | None = None, law: str | None = None,
              announce: Callable[[str], None] | None = None) -> list[DiagnosisResult]:
-    """Find what a plain model misses in every campaign, name it, and write the results.
+    """Find and name the effects that a plain model misses in each campaign, and write the results.
 
-    ``diagnosis.json``, ``report.html``, ``residuals.csv`` and the files that carry what was found go into `output`, or
-    into one subfolder a campaign, named by its file's stem. Folders are resumed as those of `calibrate` are.
+    ``diagnosis.json``, ``report.html``, ``residuals.csv`` and the files that include the effects found are written to
+    `output`, for several campaigns to subfolders named by the stems of their files. Finished and interrupted campaigns
+    are treated as in `calibrate`.
 
     Args:
-        paths: campaign files, of ``method = "inverse_fem"``. law: one of each campaign; None: its first.
-        output, overwrite, progress, figures, figures_format, workers: as in `calibrate`.
-        announce: called with how long to expect, where tests in space make it a minute or more.
+        paths: campaign files with ``method = "inverse_fem"``.
+        output: folder of the results; created if missing.
+        overwrite: whether results of other campaigns in `output` may be replaced.
+        progress: receives the progress, see `calibrate`.
+        figures: whether the report includes figures.
+        figures_format: format of separate figure files; None: no figure files.
+        workers: worker processes; None: this process only.
+        law: one law of each campaign; None: its first.
+        announce: called with the expected duration if it is a minute or more because of three-dimensional tests.
+
+    Returns:
+        The result of each campaign.
 
     Raises:
-        InputError: anything wrong in a campaign or a recording, or `output` holds something else; nothing is written.
-        ConvergenceError: a campaign could not be fitted; the others are written.
-        WorkerError: a worker process dies each time that it is given a part.
+        InputError: a campaign or recording is invalid, or `output` contains other files; nothing is written.
+        ConvergenceError: a campaign could not be fitted; the results of the others are written.
+        WorkerError: a worker process ends each time it works on a part.
     """
     output = Path(output)
     _check_format(figures_format)
@@ -113,11 +126,19 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
 
 def _run(parts: Sequence[Any], output: Path, read_back: Callable[..., Any], overwrite: bool, figures: bool,
          figures_format: str | None, files_of: Callable[..., list[Path]] = result_files) -> tuple[list[Any], list[str]]:
-    """Results of campaigns that have been read, and why others have none; what is finished is read back.
+    """Run several campaigns, and read the results of finished campaigns.
 
     Args:
-        parts: `CampaignFit` or `CampaignDiagnosis`, one a campaign. read_back: finished result of a campaign, or None.
-        files_of: every file that may be written for a campaign.
+        parts: a `CampaignFit` or `CampaignDiagnosis` for each campaign.
+        output: folder of all results.
+        read_back: returns the result of a finished campaign, or None.
+        overwrite: whether finished campaigns are computed again and other results replaced.
+        figures: whether the reports include figures.
+        figures_format: format of separate figure files; None: no figure files.
+        files_of: returns the paths of all files that may be written for a campaign.
+
+    Returns:
+        The results, and the messages of campaigns that failed.
     """
     finished = [None if overwrite or not (figures_format is None or pictures_written(
         part.campaign, part.folder, figures_format)) else read_back(part.campaign, part.folder, part.digest)
@@ -133,7 +154,7 @@ def _run(parts: Sequence[Any], output: Path, read_back: Callable[..., Any], over
         try:
             results.append(result or part.run(figures=figures, figures_format=figures_format))
         except ConvergenceError as failure:
-            # The others are not to wait for it.
+            # A failed campaign does not stop the others.
             failures.append(str(failure))
     return results, failures
 
@@ -141,20 +162,23 @@ def _run(parts: Sequence[Any], output: Path, read_back: Callable[..., Any], over
 def design_experiments(path: str | Path, *, law: str | None = None, replicates: int = REPLICATES,
                        samples: int = SAMPLES, workers: Workers | None = None,
                        progress: Progress | None = None) -> Design:
-    """What the experiments of a campaign could tell, before any of them is done; nothing is written.
+    """Predict what the planned experiments of a campaign will determine, without writing files.
 
-    Its tests state a ``protocol`` in place of recordings, ``[noise]`` the force sensor's, and ``start`` a material to
-    expect. A test that has recordings counts with these.
+    Planned tests state a ``protocol`` instead of recordings; ``[noise]`` states the noise of the force sensor and
+    ``start`` the expected material. Tests with recordings use their recordings.
 
     Args:
-        path: of the campaign file, of ``method = "inverse_fem"``. law: one of its laws; None: its first.
-        replicates, samples: recordings of a planned test, and samples of each, evenly in time.
-        workers, progress: as in `calibrate`.
+        path: campaign file with ``method = "inverse_fem"``.
+        law: one of its laws; None: its first.
+        replicates: number of recordings of a planned test.
+        samples: number of samples per planned recording, evenly spaced in time.
+        workers: worker processes; None: this process only.
+        progress: receives the progress, see `calibrate`.
 
     Raises:
-        InputError: anything wrong in the campaign, a protocol that is none or deeper than the specimen, no noise or no
-            start stated, no recording or too few samples.
-        WorkerError: a worker process dies each time that it is given a part.
+        InputError: the campaign is invalid, a protocol is invalid or deeper than the specimen, noise or start values
+            are missing, or there are too few replicates or samples.
+        WorkerError: a worker process ends each time it works on a part.
     """
     from calibration.diagnosis.evidence import whole_campaign
 
@@ -169,16 +193,16 @@ def design_experiments(path: str | Path, *, law: str | None = None, replicates: 
 
 def _check_format(figures_format: str | None) -> None:
     if figures_format not in (None, *PICTURE_FORMATS):
-        raise InputError(f"pictures are written as {', '.join(PICTURE_FORMATS)}, not as {figures_format!r}",
+        raise InputError(f"figures_format must be {', '.join(PICTURE_FORMATS)} or None; got {figures_format!r}",
                          field="figures_format")
 
 
 def _distinct(campaigns: list[Campaign]) -> list[Campaign]:
-    """The campaigns, which must be some, of different names."""
+    """Return the campaigns after checking that there is at least one and that their names differ."""
     if not campaigns:
-        raise InputError("give at least one campaign file")
+        raise InputError("at least one campaign file is required")
     for i, campaign in enumerate(campaigns):
         if any(other.name == campaign.name for other in campaigns[:i]):
-            raise InputError(f"two campaign files are called {campaign.name!r}; results go into a folder of that name, "
-                             "so rename one", file=campaign.path)
+            raise InputError(f"names of campaign files must be different, because they name the folders of the "
+                             f"results; got {campaign.name!r} twice. Rename one file", file=campaign.path)
     return campaigns

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.report.png import as_png
+from calibration.report.png import render_png
 from scenes.colour_scale import colour_scale
 from scenes.field_labels import LABELS
 from scenes.solid_figures import RIGID, draw_cut, draw_surface, label_axes, tool_pose
@@ -229,7 +229,7 @@ def save(figure, path: Path) -> None:
     """Write a matplotlib figure atomically, in the format of the file's suffix (png without a suffix)."""
     kind = Path(path).suffix.lstrip(".").lower() or "png"
     if kind == "png":
-        write_bytes(Path(path), as_png(figure))
+        write_bytes(Path(path), render_png(figure))
         return
     buffer = io.BytesIO()
     figure.savefig(buffer, format=kind, dpi=150)

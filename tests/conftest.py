@@ -70,7 +70,7 @@ def undrawn(monkeypatch):
 
     pixel = io.BytesIO()
     Image.new("RGB", (1, 1)).save(pixel, "png")
-    monkeypatch.setattr("calibration.report.drawing.as_png", lambda figure: pixel.getvalue())
+    monkeypatch.setattr("calibration.report.drawing.render_png", lambda figure: pixel.getvalue())
 
 
 class Compilation:

@@ -3,8 +3,8 @@
 import meshio
 import numpy as np
 
+from tissue_sim.mesh.element_conversion import join_at_corners, split_hexahedra
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
-from tissue_sim.mesh.raising import joined_at_corners, split_hexahedra
 from tissue_sim.mesh.solid import block_mesh, needle_solid, with_surface, with_tool_sets
 from tissue_sim.mesh.tetrahedra import TET15P1
 
@@ -16,8 +16,8 @@ def block(x, y, z, element, move=None):
         mesh.nodes[:] = move(mesh.nodes)
     if not isinstance(element, Hexahedron):
         return split_hexahedra(mesh, element)
-    places = np.einsum("nc,eci->eni", element.corner_shares, mesh.nodes[mesh.connectivity])
-    return with_surface(element, *joined_at_corners(element, mesh.connectivity, places))
+    places = np.einsum("nc,eci->eni", element.corner_weights, mesh.nodes[mesh.connectivity])
+    return with_surface(element, *join_at_corners(element, mesh.connectivity, places))
 
 
 def punched_cylinder(element, radius=8e-3, centre=(0.0, 0.0), **sizes):

@@ -1,1 +1,1 @@
-"""What is asked: campaign files, and the recordings that they name."""
+"""Campaign files: read a campaign, its specimens, tests, fit settings and recordings."""

@@ -1,4 +1,4 @@
-"""A campaign: which specimens were tested how, where the recordings are, and how to fit them. SI inside."""
+"""Read a campaign file: specimens, tests, recordings and fit settings, converted to SI units."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from calibration.campaign.checks import (
 from calibration.campaign.experiments import read_experiment, read_rig, read_solver
 from calibration.campaign.parameters import (
     PER_SPECIMEN,
-    Named,
+    NamedParameter,
     check_values,
     declared_around,
     find_named,
@@ -49,14 +49,14 @@ from tissue_sim.recording.formats.columns import check_decimal, check_delimiter
 from tissue_sim.rig.rig import Rig
 from tissue_sim.specimen import Specimen
 
-#: Prior standard deviation of a contact offset when neither the fit nor the noise states one, m; that of a short test
-#: is smaller.
+#: Default standard deviation of the prior of a contact offset, m; reduced for tests with small displacements.
 DEFAULT_OFFSET_PRIOR = 0.05e-3
-#: Half width of the bounds of a contact offset of an analytical fit where the campaign does not say, m; the same.
+#: Default half width of the bounds of a contact offset in an analytical fit, m; reduced in the same way.
 DEFAULT_OFFSET_BOUND = 0.5e-3
-#: Starts of an inverse fit where the campaign does not say.
+#: Default number of starts of an inverse fit.
 DEFAULT_STARTS = 3
-MOST_STARTS = 1000
+#: Maximum number of starts of an inverse fit.
+MAX_STARTS = 1000
 
 
 def _read_only(values: Mapping | None = None) -> Mapping:
@@ -65,24 +65,26 @@ def _read_only(values: Mapping | None = None) -> Mapping:
 
 @dataclass(frozen=True)
 class Test:
-    """One test and its replicates.
+    """One test with its replicate recordings.
 
     Attributes:
-        name: unique in the campaign.
-        kind: what it is.
-        specimen: None where the recordings are stretch and stress already.
-        recordings: files, sorted, at least one.
-        reading: how to read them, the options of `tissue_sim.read_recordings`.
-        max_strain: fitted window of the nominal strain (shear strain for shear), or None for everything.
-        hold_out: predicted, not fitted. place: where it stands in the campaign file, such as ``test[0]``.
-        experiment: everything but the motion, which is a short one here; None of a gripped specimen.
-        rig: what stands between the tissue and the recordings; without noise and resolution.
-        contact: displacement at which it touches, m; ``"recorded"``: the recording's own zero; ``"find"``: found.
-        failure: what becomes of a recording from its failure on: ``"cut"``, ``"keep"`` or ``"refuse"``.
-        control: quantity that the machine controls, ``"displacement"`` or ``"force"``; ``"find"``: by the signals.
-        protocol: its motion, where it is planned and has no recordings. solver: name of what simulates it.
-        leave_out: name of a recording -> numbers of the samples that are left out, from 1; the name ``""`` is that of
-            the only recording. Outliers of the other recordings are found.
+        name: name, unique in the campaign.
+        kind: kind of test.
+        specimen: tested specimen; None if the recordings contain stretch and stress.
+        recordings: sorted paths of the recordings, at least one.
+        reading: options for `tissue_sim.read_recordings`.
+        max_strain: largest fitted nominal strain (shear strain for shear); None: all samples are fitted.
+        hold_out: whether the test is predicted and not fitted.
+        place: position of the test in the campaign file, such as ``test[0]``.
+        experiment: experiment with a short placeholder motion; None for a gripped specimen.
+        rig: test rig without noise and resolution.
+        contact: displacement at contact, m; ``"recorded"``: the zero of the recording; ``"find"``: detected.
+        failure: treatment of samples after a failure: ``"cut"``, ``"keep"`` or ``"refuse"``.
+        control: quantity that the machine controls, ``"displacement"`` or ``"force"``; ``"find"``: detected.
+        protocol: motion of a planned test without recordings, as text.
+        solver: name of the solver that simulates the test.
+        leave_out: name of a recording -> numbers of the samples to leave out, counted from 1; the name ``""`` means
+            the only recording. In recordings that are not listed, outliers are detected.
     """
 
     name: str
@@ -105,22 +107,26 @@ class Test:
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How to fit.
+    """Settings of a fit.
 
     Attributes:
-        laws: names in `tissue_sim.laws.LAWS`.
+        laws: names of the laws to fit, see `tissue_sim.laws.LAWS`.
         method: ``"analytical"`` (homogeneous tests, closed forms) or ``"inverse_fem"``.
-        bulk: bulk response that goes into the material files; the analytical fit itself is incompressible.
-        offset: ``"none"`` or ``"fit"``: a contact offset and a zero per replicate.
-        offset_bound, offset_prior: m, half width of the bounds and standard deviation of the prior.
-        offset_usual: which of these two nobody stated.
-        zero_bound, zero_prior: N; None: ten times the prior, which is five times the noise of the force.
-        strain_points: evenly spaced strains that every replicate is interpolated to, or None for its own samples.
-        starts: how many an inverse fit tries.
-        whole: whether holds and returns are compared with a material that does not remember, too.
-        named: path -> what it is, of every parameter that the campaign names; see `calibration.campaign.parameters`.
-        start, fixed: path -> value, SI; parts of the material that they name it then has. prior: path -> (mean,
-            standard deviation). bounds: (low, high).
+        bulk: bulk response written to the material files; the analytical fit assumes an incompressible material.
+        offset: ``"none"``, or ``"fit"`` to fit a contact offset and a force zero per replicate.
+        offset_bound: half width of the bounds of a contact offset, m.
+        offset_prior: standard deviation of the prior of a contact offset, m.
+        offset_usual: names of the two fields above that have default values because the campaign does not state them.
+        zero_bound: half width of the bounds of a force zero, N; None: ten times the prior.
+        zero_prior: standard deviation of the prior of a force zero, N; None: five times the noise of the force.
+        strain_points: number of evenly spaced strains to which each replicate is interpolated; None: no interpolation.
+        starts: number of starts of an inverse fit.
+        whole: whether holds and unloading are fitted also for a material without memory.
+        named: parameters that the campaign names, by path; see `calibration.campaign.parameters`.
+        start: start values by path, SI; they also define the parts of the material.
+        fixed: fixed values by path, SI; they also define the parts of the material.
+        prior: (mean, standard deviation) by path, SI.
+        bounds: (low, high) by path, SI.
     """
 
     laws: tuple[str, ...]
@@ -135,7 +141,7 @@ class FitSettings:
     starts: int = DEFAULT_STARTS
     method: str = "analytical"
     whole: bool = False
-    named: Mapping[str, Named] = field(default_factory=_read_only)
+    named: Mapping[str, NamedParameter] = field(default_factory=_read_only)
     start: Mapping[str, float] = field(default_factory=_read_only)
     fixed: Mapping[str, float] = field(default_factory=_read_only)
     prior: Mapping[str, tuple[float, float]] = field(default_factory=_read_only)
@@ -143,25 +149,25 @@ class FitSettings:
 
     @property
     def others(self) -> tuple[str, ...]:
-        """Paths of the parameters that are fitted or stated beside those of the laws."""
+        """Paths of the stated or fitted parameters that are not parameters of a law."""
         return tuple(path for path in (*self.start, *self.fixed) if path in self.named and not self.named[path].of_law)
 
     @property
     def material(self) -> Material:
-        """A material of whatever law with the parts that the campaign names: to ask what it does."""
+        """Material with a placeholder law and the parts that the campaign names, to query its memory and layers."""
         return stated_material({**self.start, **self.fixed}, self.named)
 
 
 @dataclass(frozen=True)
 class Noise:
-    """What is known about the scatter of the measurement, as standard deviations.
+    """Stated standard deviations of the measurement.
 
     Attributes:
-        force: N; None: estimated from the samples.
-        nominal_stress: Pa, for tests that are recorded as stress; None: estimated.
-        contact_jitter: m, of the contact point between replicates; None: estimated (inverse fits).
-        zero_jitter: N, of the zero between replicates; None: estimated (inverse fits).
-        correlation_time: s, of the force noise; 0 is white; None: estimated (inverse fits).
+        force: noise of the force, N; None: estimated from the samples.
+        nominal_stress: noise of the stress, Pa, for tests recorded as stress; None: estimated.
+        contact_jitter: scatter of the contact point between replicates, m; None: estimated (inverse fits).
+        zero_jitter: scatter of the force zero between replicates, N; None: estimated (inverse fits).
+        correlation_time: correlation time of the force noise, s; 0: white noise; None: estimated (inverse fits).
     """
 
     force: float | None = None
@@ -173,16 +179,18 @@ class Noise:
 
 @dataclass(frozen=True)
 class Campaign:
-    """Everything that a calibration depends on, apart from the content of the recordings.
+    """Content of a campaign file; the recordings are listed but not read.
 
     Attributes:
-        path: the campaign file.
-        name: its stem.
-        specimens: by name.
-        tests: at least one that is not held out.
-        sha256: of the campaign file.
-        density: kg/m3, where all fitted tests state the same for their specimens; None otherwise.
-        prisms: names of the specimens that are known by their cross-section and height only.
+        path: path of the campaign file.
+        name: stem of the file name.
+        specimens: specimens by name.
+        tests: tests, at least one of them not held out.
+        fit: settings of the fit.
+        noise: stated standard deviations of the measurement.
+        sha256: SHA-256 of the campaign file.
+        density: density, kg/m3, if the specimens of all fitted tests have the same; otherwise None.
+        prisms: names of the specimens of which only cross-section and height are known.
     """
 
     path: Path
@@ -200,11 +208,16 @@ class Campaign:
 
 
 def load_campaign(path: str | Path, *, planned: bool = False) -> Campaign:
-    """Read and check a campaign file; recordings are resolved (globs expanded, sorted) but not read. Tests of a
-    `planned` one may have a protocol instead.
+    """Read and check a campaign file.
+
+    Patterns of recordings are expanded and sorted; the recordings are not read.
+
+    Args:
+        path: path of the campaign file.
+        planned: whether tests may have a protocol instead of recordings.
 
     Raises:
-        InputError: anything wrong in the file, with the file and the dotted field.
+        InputError: the file is invalid; the error states the file and the dotted field.
     """
     path = Path(path)
     table, data, defaults = decode_campaign(path)
@@ -212,8 +225,8 @@ def load_campaign(path: str | Path, *, planned: bool = False) -> Campaign:
         with located(file=path):
             if table.questions:
                 first = table.questions[0].partition("?")[0]
-                raise InputError(f"{first}? Import again with the flag that decides, or delete this key to accept the "
-                                 "assumed values", field="questions")
+                raise InputError(f"{first}? Import again with the flag that answers the question, or delete this key "
+                                 "to accept the assumed values", field="questions")
             tests = _tests(table, specimens := read_specimens(table, path.parent), path.parent, planned)
             prisms = frozenset(name for name, entry in zip(specimens, table.specimen, strict=True)
                                if entry.shape == PRISM)
@@ -238,26 +251,26 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
         same_kind = sum(other.kind == entry.kind for other in table.test) > 1
         name = entry.name if entry.name is not None else f"{entry.kind}_{i + 1}" if same_kind else entry.kind
         if name in tests:
-            raise InputError(f"the name {name!r} is taken by another test; names must be unique", field=f"{field}.name")
+            raise InputError(f"names of tests must be unique; got {name!r} twice", field=f"{field}.name")
         if table.fit.method == "analytical":
             check_available(entry, field)
         elif entry.protocol is not None and not planned:
-            raise InputError("the motion of a test is that of its recordings; leave the protocol out",
+            raise InputError("a test with recordings uses their motion; leave the protocol out",
                              field=f"{field}.protocol")
         require_positive(entry.speed_mm_s, f"{field}.speed_mm_s", " mm/s")
         require_positive(entry.max_strain, f"{field}.max_strain")
         kind = KINDS[entry.kind]
         if entry.max_strain is not None and kind.sign < 0 and entry.max_strain >= 1:
-            raise InputError(f"{entry.max_strain:g} is not below 1, where the specimen would have no height left",
+            raise InputError(f"max_strain must be below 1 in compression; got {entry.max_strain:g}",
                              field=f"{field}.max_strain")
         if not isinstance(entry.contact, str) and not np.isfinite(entry.contact):
-            raise InputError(f"{entry.contact} is no place; give a number of mm, 'recorded' or 'find'",
+            raise InputError(f"contact must be a displacement in mm, 'recorded' or 'find'; got {entry.contact}",
                              field=f"{field}.contact")
         if entry.skip_lines is not None and entry.skip_lines < 0:
-            raise InputError(f"{entry.skip_lines} is negative; give a number of lines", field=f"{field}.skip_lines")
+            raise InputError(f"skip_lines must be at least 0; got {entry.skip_lines}", field=f"{field}.skip_lines")
         for key in ("skip_lines", "delimiter", "decimal"):
             if getattr(entry, key) and entry.columns is None:
-                raise InputError(f"{key} is for files whose columns are named; give columns too, or leave it out",
+                raise InputError(f"{key} requires columns; state the columns too, or leave {key} out",
                                  field=f"{field}.{key}")
         if entry.delimiter:
             check_delimiter(entry.delimiter, f"{field}.delimiter")
@@ -272,13 +285,13 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
             entry.contact if isinstance(entry.contact, str) else 1e-3 * entry.contact, entry.failure, entry.protocol,
             read_solver(entry, specimen, field), _leave_out(entry, f"{field}.leave_out"), entry.control)
     if all(test.hold_out for test in tests.values()):
-        raise InputError("every test is held out, so there is nothing to fit; set hold_out = false on one",
+        raise InputError("at least one test must be fitted, but all are held out; set hold_out = false for one",
                          field="test[0].hold_out")
     return tuple(tests.values())
 
 
 def _leave_out(entry: TestTable, field: str) -> Mapping[str, tuple[int, ...]]:
-    """`Test.leave_out` of a table."""
+    """Return `Test.leave_out` for a test table."""
     stated = entry.leave_out
     if isinstance(stated, str):
         return _read_only()
@@ -292,7 +305,7 @@ def _leave_out(entry: TestTable, field: str) -> Mapping[str, tuple[int, ...]]:
 
 
 def _reading(entry: TestTable, columns: Mapping[str, Any] | None) -> Mapping[str, Any]:
-    """Options of `tissue_sim.read_recordings`, those that the test states."""
+    """Return the options for `tissue_sim.read_recordings` that the test states."""
     stated = {"columns": columns, "skip_lines": entry.skip_lines, "delimiter": entry.delimiter, "sheet": entry.sheet,
               "curve": entry.curve, "decimal": entry.decimal,
               "speed": None if entry.speed_mm_s is None else entry.speed_mm_s * 1e-3}
@@ -301,7 +314,7 @@ def _reading(entry: TestTable, columns: Mapping[str, Any] | None) -> Mapping[str
 
 def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -> FitSettings:
     if not table.laws:
-        raise InputError(f"name at least one law; known: {', '.join(LAWS)}", field="fit.laws")
+        raise InputError(f"laws must list at least one law; known laws: {', '.join(LAWS)}", field="fit.laws")
     for i, name in enumerate(table.laws):
         if name not in LAWS:
             raise InputError(f"unknown law {name!r}{nearest(name, LAWS)}", field=f"fit.laws[{i}]")
@@ -311,23 +324,24 @@ def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -
         require_positive(getattr(table, key), f"fit.{key}")
     check_bulk_ratio(table.bulk_ratio)
     if table.strain_points is not None and table.strain_points < 5:
-        raise InputError(f"{table.strain_points} points are too few; give at least 5", field="fit.strain_points")
-    if table.starts is not None and not 1 <= table.starts <= MOST_STARTS:
-        raise InputError(f"{table.starts} starts; give 1 to {MOST_STARTS}", field="fit.starts")
+        raise InputError(f"strain_points must be at least 5; got {table.strain_points}", field="fit.strain_points")
+    if table.starts is not None and not 1 <= table.starts <= MAX_STARTS:
+        raise InputError(f"starts must be 1 to {MAX_STARTS}; got {table.starts}", field="fit.starts")
     check_unused(table, noise)
     check_parameters(table)
     named = find_named(table, {test.name: declared_around(None if test.specimen is None else test.experiment, test.rig)
                                for test in tests},
                        {test.name: () if test.specimen is None else test.specimen.region_names for test in tests})
     check_values(table, named)
-    for name, what in named.items():
-        bare = [test.name for test in tests if test.specimen is None and not test.hold_out and test.name in what.tests]
-        if what.scope == PER_SPECIMEN and bare:
-            raise InputError(f"{', '.join(bare)} names no specimen, so none has a value of its own; add a "
-                             "[[specimen]], or give the scope 'per_test'", field=f"fit.scope.{name}")
+    for name, parameter in named.items():
+        bare = [test.name for test in tests
+                if test.specimen is None and not test.hold_out and test.name in parameter.tests]
+        if parameter.scope == PER_SPECIMEN and bare:
+            raise InputError(f"the scope 'per_specimen' requires a specimen in each test; {', '.join(bare)} has none. "
+                             "Add a [[specimen]], or use the scope 'per_test'", field=f"fit.scope.{name}")
     if table.method == "analytical":
         check_closed(table, named)
-    by_path = {what.path: what for what in named.values()}
+    by_path = {parameter.path: parameter for parameter in named.values()}
     start, fixed, prior, bounds = (
         {named[name].path: tuple(factor * end for end in value) if isinstance(value, tuple) else factor * value
          for name, value in getattr(table, key).items() for factor in (named[name].declaration.factor,)}
@@ -357,15 +371,16 @@ def _noise(table: NoiseTable, method: str) -> Noise:
         value = getattr(table, key)
         if method == "analytical":
             if value == "estimate":
-                raise InputError('"estimate" needs fit.method = "inverse_fem"; state a standard deviation or leave it '
-                                 "out", field=f"noise.{key}")
+                raise InputError('"estimate" requires fit.method = "inverse_fem"; state a standard deviation, or leave '
+                                 f"{key} out", field=f"noise.{key}")
             if key == "correlation_time_s" and value:
-                raise InputError('coloured noise needs fit.method = "inverse_fem"; leave it out', field=f"noise.{key}")
+                raise InputError(f'correlated noise requires fit.method = "inverse_fem"; leave {key} out',
+                                 field=f"noise.{key}")
             value = value or 0.0
-        # What an inverse fit estimates unless it is stated.
+        # None: an inverse fit estimates the value.
         known[key] = None if value in (None, "estimate") else float(value)
         if value not in (None, "estimate") and not (np.isfinite(value) and value >= 0):
-            raise InputError(f"{value:g} is negative; give 0 or more", field=f"noise.{key}")
+            raise InputError(f"{key} must be at least 0 and finite; got {value:g}", field=f"noise.{key}")
     contact = known["contact_jitter_mm"]
     return Noise(
         force=None if table.force_N == "estimate" else table.force_N,

@@ -1,4 +1,4 @@
-"""Checks of single campaign tables; every failure names the field."""
+"""Check single tables of a campaign file; each error states the field."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.campaign.parameters import Named
+from calibration.campaign.parameters import NamedParameter
 from calibration.campaign.schema import BY_PARAMETER, FitTable, NoiseTable, TestTable
 from tissue_sim.bounded import bounded
 from tissue_sim.errors import InputError, located
@@ -21,37 +21,46 @@ from tissue_sim.recording.formats.columns import check_columns
 
 
 def require_positive(value: float | None, field: str, unit: str = "") -> None:
-    """Refuse zero, negative and non-finite numbers; None passes."""
+    """Require a positive finite number or None.
+
+    Args:
+        value: the number.
+        field: dotted field for the error message.
+        unit: unit for the error message, with a leading space.
+
+    Raises:
+        InputError: the number is zero, negative or not finite.
+    """
     if value is not None and not (np.isfinite(value) and value > 0):
-        raise InputError(f"{value:g}{unit} is not positive; give a number above zero", field=field)
+        raise InputError(f"{field.rpartition('.')[2]} must be positive; got {value:g}{unit}", field=field)
 
 
 def check_bulk_ratio(ratio: float | None) -> None:
-    """Refuse a K / mu0 that the finite elements would refuse later; None passes."""
+    """Require a ratio K / mu0 within the validated range of the finite elements, or None."""
     if ratio is not None and not BULK_RATIOS[0] <= ratio <= BULK_RATIOS[1]:
-        raise InputError(f"K / mu0 = {ratio:g} is outside {BULK_RATIOS[0]:g} to {BULK_RATIOS[1]:g}, which the finite "
-                         "elements are checked for; leave it out for an incompressible material",
+        raise InputError(f"bulk_ratio must be {BULK_RATIOS[0]:g} to {BULK_RATIOS[1]:g}, the validated range of the "
+                         f"finite elements; got {ratio:g}. Leave bulk_ratio out for an incompressible material",
                          field="fit.bulk_ratio")
 
 
 def check_available(entry: TestTable, field: str) -> None:
-    """Refuse kinds, tools and keys that the analytical method does not take."""
+    """Reject kinds of test, tools and keys that the analytical method does not support."""
     kind = KINDS[entry.kind]
     if kind.closed_form is None:
         known = ", ".join(name for name, other in KINDS.items() if other.closed_form is not None)
-        raise InputError(f"the analytical method takes {known}; for {entry.kind!r} set fit.method = 'inverse_fem'",
-                         field=f"{field}.kind")
+        raise InputError(f"kind must be one of {known} for the analytical method; got {entry.kind!r}. Set fit.method = "
+                         "'inverse_fem' for other kinds", field=f"{field}.kind")
     if entry.tool is not None and not TOOLS.find(read_shape(entry.tool)[0], f"{field}.tool").is_plate:
-        raise InputError(f"a homogeneous test is done with a plate, not with {entry.tool!r}; leave it out",
+        raise InputError(f"tool must be a plate in a homogeneous test; got {entry.tool!r}. Leave tool out",
                          field=f"{field}.tool")
     for key in ("protocol", "rig"):
         if getattr(entry, key) is not None:
-            raise InputError("does not belong to the analytical method; leave it out, or set fit.method = "
+            raise InputError(f"the analytical method does not use {key}; leave {key} out, or set fit.method = "
                              "'inverse_fem'", field=f"{field}.{key}")
 
 
 def read_columns_key(entry: TestTable, field: str) -> Mapping[str, Any] | None:
-    """Column map for `tissue_sim.read_recording`, None where the file names its own channels."""
+    """Return the column map for `tissue_sim.read_recording`; None if the test states no columns."""
     if entry.columns is None:
         return None
     try:
@@ -65,85 +74,91 @@ def read_columns_key(entry: TestTable, field: str) -> Mapping[str, Any] | None:
 
 
 def find_recordings(patterns: list[str], folder: Path, field: str) -> tuple[Path, ...]:
-    """Files of the patterns, sorted, relative to the campaign's folder."""
+    """Return the sorted files that match the patterns, relative to the folder of the campaign.
+
+    Raises:
+        InputError: no pattern, a pattern without matching file, or a file that is listed twice.
+    """
     if not patterns:
         raise InputError("a test needs at least one recording", field=field)
     found: list[Path] = []
     for i, pattern in enumerate(patterns):
-        place = f"{field}[{i}]"
+        entry_field = f"{field}[{i}]"
         path = Path(pattern)
         base, relative = (Path(path.anchor), path.relative_to(path.anchor)) if path.is_absolute() else (folder, path)
         if not pattern.strip() or relative == Path():
-            raise InputError(f"{pattern!r} names no file; give a path or a pattern such as 'run_*.csv'", field=place)
-        # A plain path wins over its reading as a pattern: file names may hold brackets.
+            raise InputError(f"a recording must be a path or a pattern such as 'run_*.csv'; got {pattern!r}",
+                             field=entry_field)
+        # An existing file has priority over a pattern, because file names may contain brackets.
         plain = base / relative
         matches = [plain] if exists(plain) else []
         if not matches and set("*?[") & set(pattern):
-            # A pattern can be one that looks at the whole disk.
-            with located(field=place):
+            # The search is limited: a pattern may match the whole disk.
+            with located(field=entry_field):
                 matches = bounded(find_files, base, str(relative), file=base, size=0)
         if not matches:
             raise InputError(f"no file matches {pattern!r} in {base}; paths are relative to the campaign file",
-                             field=place)
+                             field=entry_field)
         for match in matches:
             if match.resolve() in {other.resolve() for other in found}:
-                raise InputError(f"{match.name} is listed twice; a replicate counts once", field=place)
+                raise InputError(f"{match.name} is listed twice; list each replicate once", field=entry_field)
             found.append(match)
     return tuple(sorted(found))
 
 
 def check_unused(table: FitTable, noise: NoiseTable) -> None:
-    """Refuse keys that would be read and have no effect."""
+    """Reject keys that have no effect with the other settings."""
     if table.method == "analytical":
         if table.starts is not None:
-            raise InputError("the analytical method makes its own starts; leave it out", field="fit.starts")
+            raise InputError("the analytical method does not use starts; leave starts out", field="fit.starts")
     else:
         if table.strain_points is not None:
-            raise InputError("an inverse fit takes the samples as they are; leave it out", field="fit.strain_points")
+            raise InputError("an inverse fit does not interpolate the samples; leave strain_points out",
+                             field="fit.strain_points")
         for key in ("offset_bounds_mm", "zero_bounds_N"):
             if getattr(table, key) is not None:
-                raise InputError("an inverse fit holds offsets and zeros by their priors, not by bounds; leave it out",
+                raise InputError(f"an inverse fit limits offsets and zeros by priors, not by bounds; leave {key} out",
                                  field=f"fit.{key}")
     if table.offset == "none":
         for key in ("offset_bounds_mm", "offset_prior_mm", "zero_bounds_N", "zero_prior_N"):
             if getattr(table, key) is not None:
-                raise InputError('it counts with offset = "fit" only; leave it out or set that', field=f"fit.{key}")
+                raise InputError(f'{key} requires offset = "fit"; set offset, or leave {key} out', field=f"fit.{key}")
     elif table.method == "inverse_fem":
         for key in ("contact_jitter_mm", "zero_jitter_N"):
             if getattr(noise, key) == "estimate" or getattr(noise, key) == 0:
-                raise InputError('offset = "fit" needs the prior of the offsets: give a standard deviation, or leave '
-                                 "offset out", field=f"noise.{key}")
+                raise InputError(f'{key} must be a positive standard deviation with offset = "fit"; got '
+                                 f"{getattr(noise, key)!r}. State one, or leave offset out", field=f"noise.{key}")
 
 
-def check_closed(table: FitTable, named: Mapping[str, Named]) -> None:
-    """Refuse parameters that a closed form does not have."""
+def check_closed(table: FitTable, named: Mapping[str, NamedParameter]) -> None:
+    """Reject parameters and settings that the closed forms of the analytical method do not support."""
     others = [name for name in named if not named[name].of_law]
     if others and table.strain_points is not None:
-        raise InputError(f"points at even strains have no history, and {others[0]} needs one; leave it out",
+        raise InputError(f"strain_points removes the time history that {others[0]} requires; leave strain_points out",
                          field="fit.strain_points")
-    for name, what in named.items():
-        if not what.of_material:
+    for name, parameter in named.items():
+        if not parameter.of_material:
             key = next(key for key in ("scope", *BY_PARAMETER) if name in getattr(table, key))
-            raise InputError("the analytical method fits material alone; leave it out, or set fit.method = "
-                             "'inverse_fem'", field=f"fit.{key}.{name}")
+            raise InputError(f"the analytical method fits material parameters only; leave {name} out, or set "
+                             "fit.method = 'inverse_fem'", field=f"fit.{key}.{name}")
 
 
 def check_parameters(table: FitTable) -> None:
-    """Refuse numbers of start, fixed, prior and bounds that contradict each other or are none."""
+    """Reject numbers of start, fixed, prior and bounds that are invalid or contradict each other."""
     for key in BY_PARAMETER:
         for name, value in getattr(table, key).items():
             if np.isnan(value).any() or (key != "bounds" and not np.isfinite(value).all()):
-                raise InputError(f"{value} is not finite; give a number", field=f"fit.{key}.{name}")
+                raise InputError(f"{key} must be finite; got {value}", field=f"fit.{key}.{name}")
     for name, (low, high) in table.bounds.items():
         if not low < high:
-            raise InputError(f"[{low:g}, {high:g}] is empty; give the lower bound first", field=f"fit.bounds.{name}")
+            raise InputError(f"bounds must be [low, high] with low < high; got [{low:g}, {high:g}]",
+                             field=f"fit.bounds.{name}")
     for name, (_, deviation) in table.prior.items():
         if deviation <= 0:
-            raise InputError(f"the standard deviation {deviation:g} is not positive; a prior is [mean, standard "
-                             "deviation]",
-                             field=f"fit.prior.{name}")
+            raise InputError("a prior must be [mean, standard deviation] with a positive standard deviation; got "
+                             f"{deviation:g}", field=f"fit.prior.{name}")
     for name in table.fixed:
         for key in ("start", "prior"):
             if name in getattr(table, key):
-                raise InputError(f"{name} is fixed, so it takes no {key}; keep one of the two",
+                raise InputError(f"{name} is fixed and has a {key}; keep one of the two",
                                  field=f"fit.{key}.{name}")

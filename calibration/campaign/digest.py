@@ -1,4 +1,4 @@
-"""What the results of a campaign depend on, in one number."""
+"""Digest of all inputs on which the results of a campaign depend."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from calibration.campaign.measured import MeasuredCurve
 
 
 def digest_of(campaign: Campaign, recordings: Sequence[MeasuredCurve]) -> str:
-    """Of everything that the results depend on: campaign, recordings, rigs, profiles, meshes of specimens, version."""
+    """Return the SHA-256 digest of campaign, recordings, rigs, tool profiles, specimen meshes and program version."""
     content = [campaign.sha256, *(f"{curve.name} {curve.sha256}" for curve in recordings)]
     for test in campaign.tests:
         if test.experiment is not None:

@@ -1,4 +1,4 @@
-"""Recordings as curves of force against displacement, ready to fit."""
+"""Read the recordings of a campaign as curves of force against displacement."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 
 from calibration.campaign.campaign import DEFAULT_OFFSET_BOUND, DEFAULT_OFFSET_PRIOR, Campaign, Test
 from calibration.campaign.loading import check_motion, elastic_samples, require_loading
-from calibration.campaign.schema import PRISM
-from calibration.campaign.screened import check_left_out, cleaned, notes_of, with_control, with_preload
-from calibration.campaign.segmented import SegmentedRecording, from_elsewhere, segment_recording, with_air_noted
+from calibration.campaign.screened import check_left_out, clean_recording, screening_notes, with_control, with_preload
+from calibration.campaign.segmented import SegmentedRecording, notes_with_air, origin_notes, segment_recording
+from calibration.campaign.specimen_check import check_size
 from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_time_stamps
 from calibration.statistics.statistics import estimate_noise, resolution
 from tissue_sim.errors import InputError
@@ -27,38 +27,42 @@ from tissue_sim.specimen.specimen import with_article
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-#: Largest difference of a specimen's size between a recording's own word and the campaign's, as a share.
-SIZE_TOLERANCE = 0.02
-#: Segments other than a first loading, to which an elastic law is fitted.
+#: Segments that are not part of the first loading; an elastic law is not fitted to them.
 NOT_LOADING = ("approach", "preconditioning", "hold", "unload", "reload", "retract")
-#: Contact offsets that nobody states scatter by no more than this share of the way of a test, and of the strain of one
-#: that was recorded as strain.
-CONTACT_SHARE, STRAIN_SHARE = 0.02, 0.005
-#: Loading has ended where this share of the largest displacement is reached.
+#: Largest default standard deviation of a contact offset, as a fraction of the displacement of a test.
+CONTACT_FRACTION = 0.02
+#: Default standard deviation of a contact offset, as a fraction of the strain of a test recorded as strain.
+STRAIN_FRACTION = 0.005
+#: Loading ends when this fraction of the largest displacement is reached.
 LOADED = 0.98
-#: Replicates of one test may differ by this share in their speed and in their largest displacement.
+#: Largest relative difference between replicates of one test in speed and in largest displacement.
 REPLICATE_TOLERANCE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredCurve:
-    """One recording, as far as it is compared with a model.
+    """The samples of one recording that are compared with a model.
 
-    A test without a specimen was recorded as stretch (or shear strain) and nominal stress. It is taken as done on a
-    cube of 1 m, whose displacement is the strain and whose force in N is the stress in Pa.
+    A test without a specimen was recorded as stretch (or shear strain) and nominal stress. It is treated as a test of a
+    cube with 1 m edges: the displacement in m equals the strain and the force in N equals the stress in Pa.
 
     Attributes:
-        name: of the recording, unique in the campaign. test: it belongs to.
-        time: s, shape (n,), or None. displacement: m, positive under load, shape (n,). force: N, positive under load.
-        segment: labels, shape (n,), or None where everything is one loading.
-        file, sha256: where it came from.
-        stressed: whether it was recorded as strain and stress.
-        later: samples after the loading (holds, returns) that are left out, because the model does not remember.
-        noise: of the sensor; None only while its test is read.
-        interpolation: what takes the samples of the file to these points, shape (n, samples); None: they are samples.
-        whole: all of the recording, with its segments; None of one that is made up.
-        notes: subject -> what a user has to know of it.
-        screening: findings about the signals: samples left out, saturation, preload, control.
+        name: name of the recording, unique in the campaign.
+        test: the test to which the recording belongs.
+        time: time, s, shape (n,), or None.
+        displacement: displacement, m, positive under load, shape (n,).
+        force: force, N, positive under load, shape (n,).
+        segment: label of the segment of each sample, shape (n,); None if all samples are one loading.
+        file: path of the recording.
+        sha256: SHA-256 of the file.
+        stressed: whether strain and stress were recorded.
+        later: number of samples after the loading (holds, unloading) that are left out for a model without memory.
+        noise: noise of the sensor; None only while the test is being read.
+        interpolation: matrix that interpolates the samples of the file to these points, shape (n, samples); None: no
+            interpolation.
+        whole: all samples of the recording with their segments; None for a synthetic recording.
+        notes: subject -> note for the user.
+        screening: findings about the signals: samples left out, saturation, preload, controlled quantity.
     """
 
     name: str
@@ -79,34 +83,41 @@ class MeasuredCurve:
 
     @property
     def clock(self) -> np.ndarray:
-        """The time of a recording that has one, s, shape (n,)."""
+        """Time of the samples, s, shape (n,).
+
+        Raises:
+            InputError: the recording has no time.
+        """
         if self.time is None:
-            raise InputError(f"{self.name} has no time; give a time column, or speed_mm_s", field="recordings")
+            raise InputError(f"{self.name} has no time; state a time column, or speed_mm_s", field="recordings")
         return self.time
 
     @property
     def speed(self) -> float | None:
-        """Of the loading, m/s; None without time."""
+        """Mean speed of the loading, m/s; None without time."""
         if self.time is None:
             return None
-        # A hold trembles and creeps: its largest displacement may be anywhere in it.
+        # Noise and drift in a hold: the largest displacement may occur anywhere in the hold.
         last = int(np.argmax(self.displacement >= LOADED * self.displacement.max()))
-        way, duration = self.displacement[last] - self.displacement[0], self.time[last] - self.time[0]
-        return float(way / duration) if duration > 0 else None
+        travel, duration = self.displacement[last] - self.displacement[0], self.time[last] - self.time[0]
+        return float(travel / duration) if duration > 0 else None
 
 
 def remembers(test: Test, material: Material) -> bool:
-    """Whether force depends on the way of the tool and not on its place alone, so that unloading is fitted too."""
+    """Return whether the force depends on the motion history; if so, holds and unloading are fitted too."""
     return material.remembers or (test.experiment is not None and test.experiment.is_path_dependent)
 
 
 def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
-    """Read and check all recordings of a campaign, held-out tests included: test -> its recordings.
+    """Read and check all recordings of a campaign, including those of held-out tests.
+
+    Returns:
+        The recordings of each test by the name of the test.
 
     Raises:
-        InputError: an unreadable recording, columns that do not fit the kind, a recording deeper than its specimen or
-            of a specimen of another size, force of the wrong sign, too few points, a material that ages and a recording
-            without time; of an inverse fit also replicates that differ in speed or depth.
+        InputError: an unreadable recording; columns that do not match the kind of test; a recording deeper than its
+            specimen or of a specimen of another size; a force of the wrong sign; too few points; no time for a material
+            with memory; for an inverse fit also replicates that differ in speed or depth.
     """
     analytical = campaign.fit.method == "analytical"
     found: dict[str, tuple[MeasuredCurve, ...]] = {}
@@ -116,7 +127,7 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
         for path in test.recordings:
             try:
                 recordings = read_recordings(path, kind=test.kind.name, **test.reading)
-                curves += [_curve(*cleaned(recording, name, test), name, path, test, campaign)
+                curves += [_curve(*clean_recording(recording, name, test), name, path, test, campaign)
                            for recording, name in zip(recordings, names_of(recordings, path, test), strict=True)]
             except InputError as error:
                 field = test.place if error.file is None else None
@@ -124,8 +135,8 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
         check_left_out(test, [curve.name for curve in curves], campaign)
         for curve in curves:
             if curve.name in names:
-                raise InputError(f"two recordings are called {curve.name!r}; give their tests different names",
-                                 file=campaign.path, field=f"{test.place}.recordings")
+                raise InputError(f"names of recordings must be unique; got {curve.name!r} twice. Give their tests "
+                                 "different names", file=campaign.path, field=f"{test.place}.recordings")
             names.add(curve.name)
         if not analytical:
             _check_replicates(curves, test, campaign)
@@ -136,23 +147,29 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
         found[test.name] = tuple(curves)
     fitted = [curve for test in campaign.tests if not test.hold_out for curve in found[test.name]]
     if analytical and campaign.fit.offset == "fit" and all(curve.stressed for curve in fitted):
-        raise InputError('offset = "fit" needs tests recorded as displacement and force; use "none"',
+        raise InputError('offset = "fit" requires tests recorded as displacement and force; set offset = "none"',
                          file=campaign.path, field="fit.offset")
     return found
 
 
-def usual_contact(curves: Sequence[MeasuredCurve]) -> float:
-    """Standard deviation of a contact offset that is assumed where nobody states one, m: the usual one, or a share of
-    the way of the shortest test. Of tests recorded as strain a share of that."""
-    return min(STRAIN_SHARE * way if stressed else min(CONTACT_SHARE * way, DEFAULT_OFFSET_PRIOR)
-               for way, stressed in ((float(np.abs(curve.displacement).max()), curve.stressed) for curve in curves))
+def default_contact_deviation(curves: Sequence[MeasuredCurve]) -> float:
+    """Return the default standard deviation of a contact offset, m.
+
+    The value is `DEFAULT_OFFSET_PRIOR` or a fraction of the displacement of the shortest test, whichever is smaller.
+    For tests recorded as strain the value is a fraction of the strain.
+    """
+    return min(STRAIN_FRACTION * reach if stressed else min(CONTACT_FRACTION * reach, DEFAULT_OFFSET_PRIOR)
+               for reach, stressed in ((float(np.abs(curve.displacement).max()), curve.stressed) for curve in curves))
 
 
 def scale_offsets(campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]]) -> Campaign:
-    """The campaign with prior and bounds of contact offsets that nobody stated in the size of its tests."""
+    """Return the campaign with default priors and bounds of contact offsets adapted to the size of its tests.
+
+    Priors and bounds that the campaign states stay unchanged.
+    """
     curves = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
-    contact = usual_contact(curves)
-    # Where the displacement was zeroed at a preload, contact was so far before it.
+    contact = default_contact_deviation(curves)
+    # If the displacement was zeroed at a preload, contact occurred before the zero by this distance.
     preloads = [abs(curve.screening.preload.shift) for curve in curves if curve.screening.preload is not None]
     contact = max([contact, *preloads])
     fit = campaign.fit
@@ -164,25 +181,8 @@ def scale_offsets(campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCu
 
 
 def names_of(recordings: Sequence[Recording], path: Path, test: Test) -> list[str]:
-    """Names of the recordings of one file: the file's, or their own where it holds several."""
+    """Return the names of the recordings in one file: the file name, or the recording names if there are several."""
     return [f"{test.name}/{path.stem if len(recordings) == 1 else recording.name}" for recording in recordings]
-
-
-def check_size(recording: Recording, test: Test, campaign: Campaign, path: Path) -> None:
-    """Refuse one that says another shape or size of its specimen; cylinders once said no shape, prisms never know."""
-    if test.specimen is None or not isinstance(said := recording.metadata.get("specimen"), Mapping):
-        return
-    place = f"specimen[{list(campaign.specimens).index(test.specimen.name)}]"
-    shape, told = test.specimen.shape, said.get("shape", "cylinder" if "radius_mm" in said else None)
-    any_shape = test.kind.gripped or campaign.fit.method == "analytical" or test.specimen.name in campaign.prisms
-    if not any_shape and isinstance(told, str) and told not in (shape, PRISM):
-        raise InputError(f"{with_article(shape)}, but {path.name} says of itself that it is {with_article(told)}; mend "
-                         "the one that is wrong", file=campaign.path, field=f"{place}.shape")
-    for key, size in test.specimen.sizes.items():
-        stated = said.get(key)
-        if isinstance(stated, int | float) and abs(stated - size) > SIZE_TOLERANCE * size:
-            raise InputError(f"{size:g} mm, but {path.name} says of itself that it is {stated:g} mm; mend the one that "
-                             "is wrong", file=campaign.path, field=f"{place}.{key}")
 
 
 def _curve(recording: Recording, screening: Screening, name: str, path: Path, test: Test,
@@ -193,8 +193,8 @@ def _curve(recording: Recording, screening: Screening, name: str, path: Path, te
     _check_parts(test, material, stressed or closed, path)
     time = np.array(recording.time) if "time" in recording else None
     if time is None and test.rig.needs_time:
-        raise InputError(f"{path.name} has no time, and the rig of its test needs it (latency, damping or drift); give "
-                         "a time column, or speed_mm_s", field="recordings")
+        raise InputError(f"{path.name} has no time, and the rig of the test requires time (latency, damping or drift); "
+                         "state a time column, or speed_mm_s", field="recordings")
     remembering = remembers(test, material) or (campaign.fit.whole and time is not None)
     height = 1.0 if test.specimen is None else test.specimen.height
     screening = with_control(screening, displacement, force, time, test)
@@ -211,54 +211,55 @@ def _curve(recording: Recording, screening: Screening, name: str, path: Path, te
         inside = keep & ~np.isin(labels, ("approach",) if remembering else NOT_LOADING)
         keep = inside if inside.any() else keep
     check_motion(displacement[keep], height, test, path)
-    places, later = np.flatnonzero(keep), 0
+    samples, later = np.flatnonzero(keep), 0
     if remembering:
         if time is None:
-            raise InputError(f"{path.name} has no time, and the force of this material depends on it; give a time "
+            raise InputError(f"{path.name} has no time, and the force of this material depends on time; state a time "
                              "column, or speed_mm_s" if material.ages else
-                             f"{path.name} has no time, which tells loading from unloading; give a time column, or "
-                             "speed_mm_s", field="recordings")
+                             f"{path.name} has no time, which is required to distinguish loading from unloading; state "
+                             "a time column, or speed_mm_s", field="recordings")
         if not np.ptp(time) > 0:
-            raise InputError(f"{path.name} has a time that does not advance; relaxation needs samples at different "
-                             "times", field="recordings")
+            raise InputError(f"{path.name}: the time must increase for a material with memory; all samples have the "
+                             "same time", field="recordings")
     elif time is None and stressed:
-        # A table of stress and stretch has no order in time; sorted, its neighbours tell the noise.
-        places = places[np.argsort(displacement[places], kind="stable")]
+        # A table of stress and stretch has no order in time; neighbours in the sorted table give the noise.
+        samples = samples[np.argsort(displacement[samples], kind="stable")]
     else:
-        places = elastic_samples(places, displacement, screening, path, both_sides=test.kind.gripped)
-        # What comes after a failure is cut with it, and is no hold or return.
+        samples = elastic_samples(samples, displacement, screening, path, both_sides=test.kind.gripped)
+        # Samples after a failure are cut and do not count as hold or unloading.
         failure = whole.segmentation.failure
         end = failure.index + 1 if failure is not None and test.failure == "cut" else displacement.size
-        later = max(end - 1 - int(places[-1]), 0) if time is not None else 0
-    loading = places
-    inside = np.ones(places.size, bool)
+        later = max(end - 1 - int(samples[-1]), 0) if time is not None else 0
+    loading = samples
+    inside = np.ones(samples.size, bool)
     if test.max_strain is not None:
         reached = np.abs(displacement) if test.kind.gripped else displacement
-        inside = reached[places] <= test.max_strain * height * (1 + 1e-9)
-        # A window of the loading; what comes after the first sample beyond it had a history outside it.
+        inside = reached[samples] <= test.max_strain * height * (1 + 1e-9)
+        # With memory, samples after the first one beyond the window depend on a history outside of the window.
         beyond = np.flatnonzero(~inside)
-        places = places[: beyond[0]] if remembering and beyond.size else places[inside]
-    if places.size < MIN_POINTS:
-        raise InputError(f"{path.name} has {places.size} points of loading in the window; at least {MIN_POINTS} are "
-                         "needed, so sort the file by time or widen max_strain", field="recordings")
-    if np.sum(force[places] * displacement[places]) <= 0:
-        raise InputError(f"{path.name} has a force or stress against the load; {test.kind.name} expects force above "
-                         "zero, so turn the column with sign = -1", field="recordings")
-    time = None if time is None else time[places]
+        samples = samples[: beyond[0]] if remembering and beyond.size else samples[inside]
+    if samples.size < MIN_POINTS:
+        raise InputError(f"{path.name} must have at least {MIN_POINTS} points of loading in the window; got "
+                         f"{samples.size}. Sort the file by time, or increase max_strain", field="recordings")
+    if np.sum(force[samples] * displacement[samples]) <= 0:
+        raise InputError(f"{path.name} has a force or stress of the wrong sign; {test.kind.name} requires values above "
+                         "zero under load. Change the sign of the column with sign = -1", field="recordings")
+    time = None if time is None else time[samples]
     if remembering and time is not None:
         if "speed" in test.reading and bool(np.any(np.diff(time) <= 0)):
-            raise InputError(f"{path.name} stands still or turns, and speed_mm_s cannot tell the time there; give a "
-                             "time column", field="speed_mm_s")
+            raise InputError(f"{path.name} has holds or reversals, for which speed_mm_s gives no time; state a time "
+                             "column", field="speed_mm_s")
         if campaign.fit.method != "analytical":
-            # A clock that is coarser than the sampling.
+            # Distinct times, if the clock is coarser than the sampling interval.
             time = spread_time_stamps(time, time.size)
-        labels = number_runs(label_motion(time, displacement[places]) if labels is None else labels[places])
-    used = np.isin(np.arange(displacement.size), places)
-    curve = MeasuredCurve(name, test, time, displacement[places], force[places], labels if remembering else None, path,
-                          str(recording.metadata.get("sha256", "")), stressed, later,
+        labels = number_runs(label_motion(time, displacement[samples]) if labels is None else labels[samples])
+    used = np.isin(np.arange(displacement.size), samples)
+    curve = MeasuredCurve(name, test, time, displacement[samples], force[samples], labels if remembering else None,
+                          path, str(recording.metadata.get("sha256", "")), stressed, later,
                           whole=replace(whole, used=used),
-                          notes=with_air_noted(whole, int(places.min()), stressed=stressed)
-                          | from_elsewhere(recording, test) | notes_of(screening, recording, remembering=remembering),
+                          notes=notes_with_air(whole, int(samples.min()), stressed=stressed)
+                          | origin_notes(recording, test)
+                          | screening_notes(screening, recording, remembering=remembering),
                           screening=screening)
     if campaign.fit.method == "analytical":
         curve = with_noise(replace(curve, displacement=displacement[loading], force=force[loading]), campaign,
@@ -269,10 +270,12 @@ def _curve(recording: Recording, screening: Screening, name: str, path: Path, te
 
 
 def with_noise(loading: MeasuredCurve, campaign: Campaign, window: MeasuredCurve | None = None) -> MeasuredCurve:
-    """A curve with the noise of its samples, stated or estimated, and interpolated where the campaign asks for it.
+    """Return a curve with its stated or estimated noise, interpolated if the campaign states `strain_points`.
 
     Args:
-        loading: all of its samples. campaign: what is stated. window: those that are fitted; None: all.
+        loading: all samples of the loading, from which the noise is estimated.
+        campaign: campaign with the stated noise.
+        window: the fitted samples; None: all samples of the loading.
     """
     stated, window = _stated_noise(loading, campaign), loading if window is None else window
     if stated is None:
@@ -292,62 +295,64 @@ def with_noise(loading: MeasuredCurve, campaign: Campaign, window: MeasuredCurve
 
 def _evenly_spaced(displacement: np.ndarray, curve: MeasuredCurve, campaign: Campaign,
                    points: int) -> tuple[np.ndarray, csr_array]:
-    """Even displacements from rest to the end of the window, and the linear interpolation onto them."""
+    """Return evenly spaced displacements up to the end of the window, and the matrix that interpolates onto them."""
     from scipy.sparse import csr_array
 
     test = curve.test
     height = 1.0 if test.specimen is None else test.specimen.height
     limit = np.inf if test.max_strain is None else test.max_strain * height
-    way, samples = np.unique(displacement, return_index=True)
-    start = max(way[0], -limit if test.kind.gripped else 0.0)
-    grid = np.linspace(start, min(way[-1], limit), points)
-    inside = int(np.sum((way >= grid[0]) & (way <= grid[-1] * (1 + 1e-9))))
+    distinct, samples = np.unique(displacement, return_index=True)
+    start = max(distinct[0], -limit if test.kind.gripped else 0.0)
+    grid = np.linspace(start, min(distinct[-1], limit), points)
+    inside = int(np.sum((distinct >= grid[0]) & (distinct <= grid[-1] * (1 + 1e-9))))
     if points > inside:
-        raise InputError(f"{points} points, but {curve.file.name} has {inside} samples of different strain in the "
-                         f"window; give at most {inside}", file=campaign.path, field="fit.strain_points")
-    right = np.clip(np.searchsorted(way, grid), 1, way.size - 1)
-    share = (grid - way[right - 1]) / (way[right] - way[right - 1])
-    weights = np.concatenate([1.0 - share, share])
-    places = np.tile(np.arange(points), 2), np.concatenate([samples[right - 1], samples[right]])
-    return grid, csr_array((weights, places), shape=(points, displacement.size))
+        raise InputError(f"strain_points must be at most {inside}, the number of different strains of "
+                         f"{curve.file.name} in the window; got {points}", file=campaign.path,
+                         field="fit.strain_points")
+    right = np.clip(np.searchsorted(distinct, grid), 1, distinct.size - 1)
+    fraction = (grid - distinct[right - 1]) / (distinct[right] - distinct[right - 1])
+    weights = np.concatenate([1.0 - fraction, fraction])
+    indices = np.tile(np.arange(points), 2), np.concatenate([samples[right - 1], samples[right]])
+    return grid, csr_array((weights, indices), shape=(points, displacement.size))
 
 
 def _check_parts(test: Test, material: Material, closed: bool, path: Path) -> None:
-    """Refuse what the closed form of a homogeneous test leaves out."""
+    """Reject parts of the model that the closed form of a homogeneous test does not support."""
     if not closed:
         return
     if material.layers:
-        raise InputError(f"a layered specimen does not deform homogeneously, and {path.name} has a closed form only; "
-                         "give displacement and force of a compression or a needle", field="kind")
+        raise InputError(f"{path.name} is computed by a closed form, which requires a homogeneous specimen; for a "
+                         "layered specimen use displacement and force of a compression or a needle test", field="kind")
     if test.specimen is None and material.poroelasticity is not None:
-        raise InputError("a material that drains needs the size of the specimen; add a [[specimen]]", field="specimen")
+        raise InputError("a poroelastic material requires the size of the specimen; add a [[specimen]]",
+                         field="specimen")
     if test.specimen is not None and test.specimen.specific_weight and material.remembers:
-        raise InputError("a specimen that weighs has no closed form of a material that remembers; set gravity = false, "
-                         "or fit.method = 'inverse_fem'", field="specimen")
+        raise InputError("the closed form does not support gravity for a material with memory; set gravity = false, or "
+                         "fit.method = 'inverse_fem'", field="specimen")
     if not test.rig.ideal:
-        raise InputError(f"{path.name} holds stress, which no load frame reads; leave the rig out", field="rig")
+        raise InputError(f"{path.name} contains stress, to which a rig does not apply; leave rig out", field="rig")
 
 
 def _mechanical(recording: Recording, test: Test, path: Path) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Displacement, m, and force, N, positive under load, and whether they were recorded as strain and stress."""
+    """Return displacement (m), force (N), both positive under load, and whether strain and stress were recorded."""
     mechanical, *direct = test.kind.channels
     stated = next((pair for pair in direct if all(name in recording for name in pair)), None)
     if all(name in recording for name in mechanical) and (test.specimen is not None or stated is None):
         if test.specimen is None:
-            raise InputError(f"{path.name} holds displacement and force, which need a [[specimen]] to become stress",
-                             field="specimen")
+            raise InputError(f"{path.name} contains displacement and force, which require a [[specimen]] to compute "
+                             "stress", field="specimen")
         return np.array(recording.displacement), np.array(recording.force), False
     if stated is None:
-        wanted = ", or ".join(" and ".join(pair) for pair in test.kind.channels)
-        raise InputError(f"{path.name} has {', '.join(recording.channels)}; {test.kind.name} needs {wanted}",
+        required = ", or ".join(" and ".join(pair) for pair in test.kind.channels)
+        raise InputError(f"{path.name} has {', '.join(recording.channels)}; {test.kind.name} requires {required}",
                          field="recordings")
     if test.specimen is not None and test.specimen.specific_weight:
-        raise InputError(f"{path.name} holds {' and '.join(stated)}, which differ from slice to slice under gravity = "
-                         f"true; give {' and '.join(mechanical)}, or set gravity = false", field="recordings")
+        raise InputError(f"{path.name} contains {' and '.join(stated)}, which vary over the height with gravity = "
+                         f"true; use {' and '.join(mechanical)}, or set gravity = false", field="recordings")
     motion, load = stated
     if test.specimen is not None and not test.specimen.is_prism:
-        raise InputError(f"{path.name} holds {' and '.join(stated)}, and {test.specimen.name!r} is "
-                         f"{with_article(test.specimen.shape)}, which has not one cross-section; give "
+        raise InputError(f"{path.name} contains {' and '.join(stated)}, and {test.specimen.name!r} is "
+                         f"{with_article(test.specimen.shape)} without constant cross-section; use "
                          f"{' and '.join(mechanical)}", field="recordings")
     height, area = (1.0, 1.0) if test.specimen is None else (test.specimen.height, test.specimen.area)
     return (height * test.kind.strain(recording.channel(motion)), test.kind.sign * area * recording.channel(load),
@@ -355,7 +360,7 @@ def _mechanical(recording: Recording, test: Test, path: Path) -> tuple[np.ndarra
 
 
 def _check_replicates(curves: list[MeasuredCurve], test: Test, campaign: Campaign) -> None:
-    """Refuse recordings of one test that are not replicates of each other."""
+    """Reject recordings of one test that differ in speed or largest displacement."""
     first = curves[0]
     for other in curves[1:]:
         depths = [curve.displacement.max() for curve in (first, other)]
@@ -364,13 +369,13 @@ def _check_replicates(curves: list[MeasuredCurve], test: Test, campaign: Campaig
             torn = what == "to" and any("failure" in curve.notes for curve in (first, other))
             if torn or len(pair) < 2 or max(pair) <= (1 + REPLICATE_TOLERANCE) * min(pair):
                 continue
-            raise InputError(f"{first.file.name} goes {what} {pair[0] * 1e3:.4g} {unit} and {other.file.name} {what} "
-                             f"{pair[1] * 1e3:.4g} {unit}, so they are not replicates; give one of them a [[test]] of "
-                             "its own", file=campaign.path, field=f"{test.place}.recordings")
+            raise InputError(f"{first.file.name} moves {what} {pair[0] * 1e3:.4g} {unit} and {other.file.name} {what} "
+                             f"{pair[1] * 1e3:.4g} {unit}, so they are not replicates; move one of them to a separate "
+                             "[[test]]", file=campaign.path, field=f"{test.place}.recordings")
 
 
 def _stated_noise(curve: MeasuredCurve, campaign: Campaign) -> float | None:
-    """N; what is stated in the unit that the curve was recorded in counts first. None: to be estimated."""
+    """Return the stated noise as a force, N, from the value in the recorded unit if stated; None: to be estimated."""
     force, stress, specimen = campaign.noise.force, campaign.noise.nominal_stress, curve.test.specimen
     if not curve.stressed:
         return force

@@ -1,4 +1,4 @@
-"""The files that a campaign names beside its recordings, for a copy of it in another folder."""
+"""Find and rename the files that a campaign names besides its recordings, to copy the campaign to another folder."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ from tissue_sim.specimen import SPECIMENS
 
 
 def whole_path(path: Path) -> str:
-    """The name of a file that is the same from every folder."""
+    """Return the absolute path of a file."""
     return str(path.resolve())
 
 
 def with_files_named(content: Mapping[str, Any], folder: Path, name: Callable[[Path], str]) -> dict[str, Any]:
-    """Content of a campaign with other names for meshes of specimens, profiles of tools and rigs.
+    """Return the content of a campaign with renamed files of specimen meshes, tool profiles and rigs.
 
     Args:
-        content: as it stands in the file. folder: of the file. name: gives a file, by its path, its name in the copy.
+        content: parsed content of the campaign file.
+        folder: folder of the campaign file.
+        name: returns the new name of the file with this path.
     """
     of_specimens = {key for kind in SPECIMENS.values() for key in kind.paths}
 
@@ -38,7 +40,7 @@ def with_files_named(content: Mapping[str, Any], folder: Path, name: Callable[[P
 
 
 def files_named(content: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Meshes, profiles and rigs that a campaign names; arguments as those of `with_files_named`."""
+    """Return the paths of meshes, tool profiles and rigs that a campaign names; see `with_files_named`."""
     found: list[Path] = []
 
     def note(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""Recordings that nobody has made yet: the motion of a planned test, with the noise that its sensor will have."""
+"""Create recordings of planned tests: the planned motion with the noise of the sensor."""
 
 from __future__ import annotations
 
@@ -15,18 +15,24 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.recording.segmentation import label_motion, number_runs
 
-#: A recording with a hold and a return has at least so many.
+#: Minimum number of samples of a planned recording.
 MIN_SAMPLES = 20
-#: Recordings of a planned test, and samples of each, where nobody says.
-REPLICATES, SAMPLES = 3, 500
+#: Default number of recordings of a planned test.
+REPLICATES = 3
+#: Default number of samples of a planned recording.
+SAMPLES = 500
 
 
 def planned_curves(test: Test, protocol: Protocol, noise: SensorNoise, replicates: int = REPLICATES,
                    samples: int = SAMPLES) -> tuple[MeasuredCurve, ...]:
-    """Recordings of a motion, their force yet unknown (it stands in proportion to the displacement).
+    """Return recordings of a planned motion with a placeholder force proportional to the displacement.
 
     Args:
-        test: it belongs to. protocol: the motion. noise: of its sensor. replicates, samples: how many, evenly in time.
+        test: the planned test.
+        protocol: motion of the tool.
+        noise: noise of the force sensor.
+        replicates: number of recordings.
+        samples: number of samples per recording, evenly spaced in time.
     """
     time = np.linspace(protocol.time[0], protocol.time[-1], samples)
     displacement = np.interp(time, protocol.time, protocol.displacement)
@@ -37,23 +43,31 @@ def planned_curves(test: Test, protocol: Protocol, noise: SensorNoise, replicate
 
 def read_planned(campaign: Campaign, replicates: int = REPLICATES,
                  samples: int = SAMPLES) -> dict[str, tuple[MeasuredCurve, ...]]:
-    """All tests of a campaign that was loaded as planned: those with recordings as these are, the others as stated.
+    """Return the recordings of a planned campaign: real recordings if a test has them, planned ones otherwise.
+
+    Args:
+        campaign: campaign loaded with ``planned=True``.
+        replicates: number of recordings of a planned test.
+        samples: number of samples of a planned recording.
+
+    Returns:
+        The recordings of each test by the name of the test.
 
     Raises:
-        InputError: a protocol that is none or goes through the specimen, no stated noise, no recording or too few
-            samples of one, what `read_measured` refuses.
+        InputError: an invalid protocol or one deeper than the specimen, no stated noise, no replicate or too few
+            samples, or an error of `read_measured`.
     """
     for name, count, least in (("replicates", replicates, 1), ("samples", samples, MIN_SAMPLES)):
         if count < least:
-            raise InputError(f"{count} {name} are too few; give at least {least}", field=name)
+            raise InputError(f"{name} must be at least {least}; got {count}", field=name)
     planned = [test for test in campaign.tests if not test.recordings]
     if planned and campaign.noise.force is None:
-        raise InputError("a planned test has no recordings that tell the noise; state the standard deviation of the "
-                         "force sensor", file=campaign.path, field="noise.force_N")
+        raise InputError("the noise of a planned test cannot be estimated; state the standard deviation of the force "
+                         "sensor", file=campaign.path, field="noise.force_N")
     found = read_measured(replace(campaign, tests=tuple(test for test in campaign.tests if test.recordings)))
     for test in planned:
         if test.experiment is None:
-            raise InputError(f"{test.kind.name} is a gripped test; design takes tests with a tool",
+            raise InputError(f"a planned test must have a tool; {test.kind.name} is a gripped test",
                              file=campaign.path, field=f"{test.place}.kind")
         try:
             protocol = Protocol.parse(str(test.protocol))
@@ -65,6 +79,6 @@ def read_planned(campaign: Campaign, replicates: int = REPLICATES,
     return {test.name: found[test.name] for test in campaign.tests}
 
 
-def as_simulated(curves: Sequence[MeasuredCurve], forces: Sequence[np.ndarray]) -> tuple[MeasuredCurve, ...]:
-    """The recordings with these forces, N, each of shape (n,)."""
+def with_forces(curves: Sequence[MeasuredCurve], forces: Sequence[np.ndarray]) -> tuple[MeasuredCurve, ...]:
+    """Return the recordings with these forces, N, each of shape (n,)."""
     return tuple(replace(curve, force=force) for curve, force in zip(curves, forces, strict=True))

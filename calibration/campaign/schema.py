@@ -1,4 +1,4 @@
-"""The campaign file as it stands on disk: every key, its type, and errors that name the key."""
+"""Schema of a campaign file: keys, types, and errors that name the key."""
 
 from __future__ import annotations
 
@@ -17,23 +17,25 @@ from tissue_sim.experiment.tools.tool import tool_sizes
 from tissue_sim.files import read_bytes
 from tissue_sim.specimen import SPECIMENS, specimen_sizes, specimen_texts
 
-#: A body of any cross-section, of which homogeneous tests need no more than its area.
+#: Shape of a body with an arbitrary constant cross-section, of which homogeneous tests use the area only.
 PRISM = "prism"
+#: Two numbers.
 Pair = tuple[float, float]
-#: JSON's words in TOML.
+#: JSON type -> description in TOML terms for messages.
 _WORDS = {"object": "a table, written [name] or { ... }", "array": "a list, written [...]"}
-_PLACE_IN_TEST = re.compile(r"^test\[(?P<number>\d+)\]\.(?P<key>\w+)(?P<rest>.*)$")
-#: What the tables of ``[fit]`` hold for each parameter.
+#: Dotted field of a key in a test table.
+_FIELD_IN_TEST = re.compile(r"^test\[(?P<number>\d+)\]\.(?P<key>\w+)(?P<rest>.*)$")
+#: Tables of ``[fit]`` with one entry per parameter -> form of an entry.
 BY_PARAMETER = {"start": "a number", "fixed": "a number", "prior": "[mean, standard deviation]",
                  "bounds": "[low, high]"}
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How every table is read: unknown keys are errors."""
+    """Base of all tables; unknown keys are errors."""
 
 
 class SpecimenTable(_Table, frozen=True, kw_only=True):
-    """``[[specimen]]``, but for what its shape states, see `campaign_table`."""
+    """Table ``[[specimen]]`` without the keys of the shapes, which `campaign_table` adds."""
 
     name: str | None = None
     shape: str = "cylinder"
@@ -44,17 +46,17 @@ class SpecimenTable(_Table, frozen=True, kw_only=True):
 
     @property
     def sizes(self) -> dict[str, float]:
-        """Key of `tissue_sim.specimen.specimen_sizes` -> value, of those that are stated."""
+        """Stated sizes by their keys, see `tissue_sim.specimen.specimen_sizes`."""
         return {key: value for key in specimen_sizes() if (value := getattr(self, key)) is not None}
 
     @property
     def texts(self) -> dict[str, str]:
-        """Key of `tissue_sim.specimen.specimen_texts` -> value, of those that are stated."""
+        """Stated texts by their keys, see `tissue_sim.specimen.specimen_texts`."""
         return {key: value for key in specimen_texts() if (value := getattr(self, key)) is not None}
 
 
 class TestTable(_Table, frozen=True, kw_only=True):
-    """``[[test]]``, but for the sizes of its tool, see `campaign_table`."""
+    """Table ``[[test]]`` without the sizes of tools, which `campaign_table` adds."""
 
     name: str | None = None
     specimen: str | None = None
@@ -89,12 +91,12 @@ class TestTable(_Table, frozen=True, kw_only=True):
 
     @property
     def tool_sizes(self) -> dict[str, float]:
-        """Key of `tissue_sim.experiment.tools.tool.tool_sizes` -> value, of those that are stated."""
+        """Stated sizes of the tool by their keys, see `tissue_sim.experiment.tools.tool.tool_sizes`."""
         return {key: value for key in tool_sizes() if (value := getattr(self, key)) is not None}
 
 
 class FitTable(_Table, frozen=True, kw_only=True):
-    """``[fit]``."""
+    """Table ``[fit]``."""
 
     method: Literal["analytical", "inverse_fem"] = "analytical"
     laws: list[str]
@@ -114,7 +116,7 @@ class FitTable(_Table, frozen=True, kw_only=True):
 
 
 class NoiseTable(_Table, frozen=True, kw_only=True):
-    """``[noise]``."""
+    """Table ``[noise]``."""
 
     force_N: float | Literal["estimate"] = "estimate"
     nominal_stress_Pa: float | Literal["estimate"] = "estimate"
@@ -124,10 +126,14 @@ class NoiseTable(_Table, frozen=True, kw_only=True):
 
 
 class CampaignTable(_Table, frozen=True, kw_only=True):
-    """The whole file.
+    """Tables of a campaign file.
 
     Attributes:
-        questions: of an import that the user has not decided yet; the campaign is refused until there is none.
+        specimen: tables ``[[specimen]]``.
+        test: tables ``[[test]]``.
+        fit: table ``[fit]``.
+        noise: table ``[noise]``.
+        questions: open questions of an import; a campaign with open questions is rejected.
     """
 
     specimen: list[SpecimenTable] = []
@@ -138,82 +144,87 @@ class CampaignTable(_Table, frozen=True, kw_only=True):
 
 
 def campaign_table() -> type[CampaignTable]:
-    """The whole file, with the kinds of test, the shapes of specimens and the sizes of both that there are now, those
-    of packages included."""
-    how: dict[str, Any] = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True}
+    """Return the type of a campaign file with all registered kinds of test, shapes and sizes, including plug-ins."""
+    options: dict[str, Any] = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True}
     sizes = [(key, float | None, None) for key in tool_sizes()]
-    test = msgspec.defstruct("TestTable", [("kind", Literal[tuple(KINDS)]), *sizes], bases=(TestTable,), **how)
+    test = msgspec.defstruct("TestTable", [("kind", Literal[tuple(KINDS)]), *sizes], bases=(TestTable,), **options)
     shapes = [("shape", Literal[(*SPECIMENS, PRISM)], "cylinder"),
               *((key, float | None, None) for key in specimen_sizes()),
               *((key, str | None, None) for key in specimen_texts())]
-    specimen = msgspec.defstruct("SpecimenTable", shapes, bases=(SpecimenTable,), **how)
+    specimen = msgspec.defstruct("SpecimenTable", shapes, bases=(SpecimenTable,), **options)
     tests: Any = GenericAlias(list, (test,))
     specimens: Any = GenericAlias(list, (specimen,))
     table = msgspec.defstruct("CampaignTable", [("test", tests), ("specimen", specimens, [])], bases=(CampaignTable,),
-                              **how)
+                              **options)
     return cast(type[CampaignTable], table)
 
 
 @dataclass(frozen=True)
 class Defaults:
-    """``[defaults]``: keys that every ``[[test]]`` has that does not state them itself.
+    """Table ``[defaults]`` with the keys that apply to all tests that do not state them.
 
     Attributes:
-        keys: that it states.
-        own: of each test, the keys that it states itself.
+        keys: keys in ``[defaults]``.
+        own: for each test, the keys that the test itself states.
     """
 
     keys: frozenset[str]
     own: tuple[frozenset[str], ...]
 
     def located(self, error: InputError, path: Path) -> InputError:
-        """The error with the file and, where a default is at fault, with its place there: ``defaults.columns``."""
-        match = _PLACE_IN_TEST.match(error.field or "")
-        place = error.field
+        """Return the error with the file, and with the field in ``[defaults]`` if a default caused the error."""
+        match = _FIELD_IN_TEST.match(error.field or "")
+        field = error.field
         if match and match["key"] in self.keys and match["key"] not in self.own[int(match["number"])]:
-            place = f"defaults.{match['key']}{match['rest']}"
+            field = f"defaults.{match['key']}{match['rest']}"
         return InputError(error.problem, file=error.file if error.file is not None else path, line=error.line,
-                          field=place)
+                          field=field)
 
 
-def _take_defaults(content: dict[str, Any], path: Path) -> Defaults:
-    """Move ``[defaults]`` into the tests of `content`. A test that states a format does without default columns, and
-    one that states columns without a default format."""
+def _apply_defaults(content: dict[str, Any], path: Path) -> Defaults:
+    """Copy the keys of ``[defaults]`` into the tests of `content` and remove the table.
+
+    Default columns do not apply to a test that states a format, and a default format does not apply to a test that
+    states columns.
+    """
     defaults = content.pop("defaults", {})
     if not isinstance(defaults, dict):
         raise InputError("expected a table, written [defaults]", file=path, field="defaults")
     tests = [test for test in content.get("test", []) if isinstance(test, dict)]
     own = tuple(frozenset(test) for test in tests)
     for test in tests:
-        instead = {"format": "columns", "columns": "format"}
-        left = {instead[key] for key in instead if key in test}
-        test.update({key: value for key, value in defaults.items() if key not in test and key not in left})
+        excludes = {"format": "columns", "columns": "format"}
+        skipped = {excludes[key] for key in excludes if key in test}
+        test.update({key: value for key, value in defaults.items() if key not in test and key not in skipped})
     return Defaults(frozenset(defaults), own)
 
 
 def decode_campaign(path: Path) -> tuple[CampaignTable, bytes, Defaults]:
-    """The file's tables with types checked, its bytes, and what its tests have from ``[defaults]``.
+    """Read a campaign file and check the types of all keys.
+
+    Returns:
+        The tables, the bytes of the file, and the applied defaults.
 
     Raises:
-        InputError: missing or unreadable file, not TOML (line), unknown key (names the nearest), missing key, wrong
-            type.
+        InputError: missing or unreadable file, invalid TOML (with the line), unknown key (with the most similar known
+            key), missing key, or wrong type.
     """
     content = read_toml(path, "a campaign (TOML)")
     for key in ("specimen", "test"):
         if not isinstance(content.get(key, []), list):
             raise InputError(f"expected a list of tables, written [[{key}]]", file=path, field=key)
-    defaults = _take_defaults(content, path)
+    defaults = _apply_defaults(content, path)
     try:
         _check_by_parameter(content.get("fit"))
         return decode(content, campaign_table(), words=_WORDS), read_bytes(path, "a campaign (TOML)"), defaults
     except InputError as error:
-        # TOML has no null: what may be left out is not written.
+        # TOML has no null; optional keys are left out.
         problem = error.problem.replace(" or null", "")
         raise defaults.located(InputError(problem, field=error.field), path) from None
 
 
 def _check_by_parameter(fit: Any) -> None:
-    """Types in the tables whose keys are parameters, which the decoder does not name."""
+    """Check the types in tables whose keys are parameters, because the decoder does not name these keys in errors."""
     for key, expected in BY_PARAMETER.items():
         table = fit.get(key) if isinstance(fit, dict) else None
         for name, value in table.items() if isinstance(table, dict) else ():

@@ -1,4 +1,4 @@
-"""Recordings of a campaign without outliers and saturated samples, and the notes that say so."""
+"""Remove outliers from the recordings of a campaign, detect preload and control, and write notes about them."""
 
 from __future__ import annotations
 
@@ -15,18 +15,23 @@ from tissue_sim.recording.preload import LoadAtZero, load_at_zero
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.screening import Preload, Screening
 
-#: A prior of the contact offset covers a preload if its standard deviation is at least this fraction of the shift.
+#: Minimum standard deviation of the prior of a contact offset that covers a preload, as a fraction of the shift.
 _COVERS = 0.5
 
 
-def cleaned(recording: Recording, name: str, test: Test) -> tuple[Recording, Screening]:
-    """A recording without the samples that its test leaves out, and the findings.
+def clean_recording(recording: Recording, name: str, test: Test) -> tuple[Recording, Screening]:
+    """Remove the samples that the test leaves out and the detected outliers.
 
     Args:
-        recording: as the file has it. name: of the recording in the campaign, ``test/recording``.
+        recording: recording as read from the file.
+        name: name of the recording in the campaign, ``test/recording``.
+        test: test to which the recording belongs.
+
+    Returns:
+        The cleaned recording and the findings.
 
     Raises:
-        InputError: as `tissue_sim.recording.cleaning.clean`.
+        InputError: see `tissue_sim.recording.cleaning.clean`.
     """
     columns = test.reading.get("columns") or {}
     zeroed = [channel for channel, entry in columns.items() if entry.get("offset") == "start"]
@@ -39,29 +44,37 @@ def cleaned(recording: Recording, name: str, test: Test) -> tuple[Recording, Scr
 
 
 def check_left_out(test: Test, names: Sequence[str], campaign: Campaign) -> None:
-    """Refuse samples to leave out of a recording that the test does not have.
+    """Check that `leave_out` of a test names recordings of the test.
 
     Args:
-        names: of its recordings in the campaign.
+        test: the test.
+        names: names of the recordings of the test in the campaign.
+        campaign: the campaign, for messages.
+
+    Raises:
+        InputError: `leave_out` names an unknown recording, or names none although the test has several.
     """
     own = [name.removeprefix(f"{test.name}/") for name in names]
-    place = f"{test.place}.leave_out"
+    field = f"{test.place}.leave_out"
     if "" in test.leave_out and len(own) > 1:
-        raise InputError(f"leave_out must name the recording, as the test has {len(own)}; write {{ \"{own[0]}\" = "
-                         "[...] }", file=campaign.path, field=place)
+        raise InputError(f"leave_out must name the recording, because the test has {len(own)} recordings; write "
+                         f"{{ \"{own[0]}\" = [...] }}", file=campaign.path, field=field)
     for name in test.leave_out:
         if name and name not in own:
             raise InputError(f"leave_out must name a recording of the test ({', '.join(own)}); got {name!r}",
-                             file=campaign.path, field=f"{place}.{name}")
+                             file=campaign.path, field=f"{field}.{name}")
 
 
 def with_control(screening: Screening, motion: np.ndarray, load: np.ndarray, time: np.ndarray | None, test: Test
                  ) -> Screening:
-    """The findings with the controlled quantity.
+    """Return the findings with the control mode (displacement or force), detected or stated by the test.
 
     Args:
-        motion, load: of the samples that are kept, positive under load, shape (n,). time: s, shape (n,), or None.
-        test: that may state the quantity.
+        screening: findings so far.
+        motion: displacement of the kept samples, positive under load, shape (n,).
+        load: force of the kept samples, positive under load, shape (n,).
+        time: time, s, shape (n,), or None.
+        test: test that may state the controlled quantity.
     """
     control = find_control(motion, load, time)
     return replace(screening, control=control if test.control == "find" else replace(control, equal_samples=0))
@@ -69,20 +82,24 @@ def with_control(screening: Screening, motion: np.ndarray, load: np.ndarray, tim
 
 def with_preload(screening: Screening, motion: np.ndarray, load: np.ndarray, campaign: Campaign, *,
                  can_pull: bool, stressed: bool) -> Screening:
-    """The findings with the load at the zero of the displacement, for a recording without air before contact.
+    """Return the findings with the load at zero displacement, for a recording that starts in contact.
 
     Args:
-        motion, load: from contact, where the campaign finds it, positive under load, shape (n,).
-        can_pull: whether a force against the direction of loading reaches the specimen.
+        screening: findings so far.
+        motion: displacement, measured from contact if the campaign detects it, positive under load, shape (n,).
+        load: force, positive under load, shape (n,).
+        campaign: campaign with the prior of the contact offset.
+        can_pull: whether the test can load the specimen in the opposite direction.
+        stressed: whether strain and stress were recorded.
     """
     found = load_at_zero(motion, load)
     if found is None:
         return screening
     fit = campaign.fit
-    # A prior that is not stated is widened to the preload, see `calibration.campaign.measured.scale_offsets`.
+    # A default prior is widened to the preload, see `calibration.campaign.measured.scale_offsets`.
     covers = fit.offset == "fit" and not stressed and (found.load > 0 or can_pull) and (
         "offset_prior" in fit.offset_usual or fit.offset_prior >= _COVERS * abs(found.shift))
-    # An inverse fit has a contact offset in each recording, unless its deviation is stated as zero.
+    # An inverse fit has a contact offset in each recording, unless the campaign states a deviation of zero.
     fits_contact = fit.method != "analytical" and campaign.noise.contact_jitter != 0
     sentence = _against_words(found, stressed=stressed, covers=covers) if found.load < 0 else \
         _preload_words(found, stressed=stressed, covers=covers, fits_contact=fits_contact)
@@ -91,35 +108,36 @@ def with_preload(screening: Screening, motion: np.ndarray, load: np.ndarray, cam
 
 def _against_words(found: LoadAtZero, *, stressed: bool, covers: bool) -> str:
     load = f"{1e-3 * found.load:.3g} kPa" if stressed else f"{found.load:.3g} N"
-    what = (f"the recording begins under {load}, {100 * found.fraction:.0f} % of its range, against the direction of "
-            "loading: the load cell was not zeroed")
+    finding = (f"the recording begins under {load}, {100 * found.fraction:.0f} % of its range, against the direction "
+               "of loading: the load cell was not zeroed")
     if covers:
-        return f"{what}, or the specimen was strained against it; the contact offset is fitted"
+        return f"{finding}, or the specimen was strained in the opposite direction; the contact offset is fitted"
     remedy = "correct the stress of the file" if stressed else "set an offset of the force in columns"
-    return f"{what}; the moduli are wrong; {remedy}"
+    return f"{finding}; the moduli are wrong; {remedy}"
 
 
 def _preload_words(found: LoadAtZero, *, stressed: bool, covers: bool, fits_contact: bool) -> str:
     load, shift = (f"{1e-3 * found.load:.3g} kPa", f"a strain of {found.shift:.3g}") if stressed else \
         (f"{found.load:.3g} N", f"{1e3 * found.shift:.2g} mm")
-    what = (f"the recording begins under {load}, {100 * found.fraction:.0f} % of its range: the displacement was "
-            f"zeroed at a preload, {shift} after contact, or the load cell was not zeroed")
+    finding = (f"the recording begins under {load}, {100 * found.fraction:.0f} % of its range: the displacement was "
+               f"zeroed at a preload, {shift} after contact, or the load cell was not zeroed")
     if covers:
-        return f"{what}; the contact offset is fitted"
+        return f"{finding}; the contact offset is fitted"
     remedy = "correct the strain and stress of the file" if stressed else (
         f"set offset = \"fit\" and offset_prior_mm = {1e3 * found.shift:.2g} in [fit] for a preload, or an offset of "
         "the force in columns for a load cell")
     effect = "the moduli are wrong unless the fitted contact offset covers that distance" if fits_contact else \
         "the moduli are wrong"
-    return f"{what}; {effect}; {remedy}"
+    return f"{finding}; {effect}; {remedy}"
 
 
-def notes_of(screening: Screening, recording: Recording, *, remembering: bool) -> dict[str, str]:
-    """Subject -> note of what a user has to know.
+def screening_notes(screening: Screening, recording: Recording, *, remembering: bool) -> dict[str, str]:
+    """Return the notes for the user about the signals of a recording, by subject.
 
     Args:
-        recording: whose metadata name the columns that are not read.
-        remembering: whether the material has a memory, which describes relaxation and creep.
+        screening: findings about the signals.
+        recording: recording whose metadata name the columns that are not read.
+        remembering: whether the material has memory; if so, relaxation and creep need no note.
     """
     unread = recording.metadata.get("unread_columns")
     names = ", ".join(map(repr, unread)) if isinstance(unread, list | tuple) else ""

@@ -1,4 +1,4 @@
-"""Recordings from contact to failure: what of each is compared with a model, and what a user has to know about it."""
+"""Select the samples of a recording between contact and failure, and write notes about the selection."""
 
 from __future__ import annotations
 
@@ -17,13 +17,18 @@ from tissue_sim.recording.segments import Segmentation, segments_of
 
 @dataclass(frozen=True, eq=False)
 class SegmentedRecording:
-    """All of a recording, in the coordinates that are fitted.
+    """All samples of a recording in the coordinates of the fit.
 
     Attributes:
-        time: s, or None. displacement, force: positive under load, m and N, from contact where the campaign asks for
-            that, shape (n,). segmentation: found in it. used: samples that are compared with a model.
-        notes: subject -> what a user has to know. recorded_force: before a zero was taken off, N.
-        shift: displacement that was taken off, m.
+        time: time, s, shape (n,), or None.
+        displacement: displacement, m, positive under load, measured from contact if the campaign requests it, shape
+            (n,).
+        force: force, N, positive under load, shape (n,).
+        segmentation: segments, contact and failure found in the recording.
+        used: mask of the samples that are compared with a model, shape (n,).
+        notes: subject -> note for the user.
+        recorded_force: force before subtraction of a zero, N, shape (n,).
+        shift: displacement that was subtracted, m.
     """
 
     time: np.ndarray | None
@@ -39,12 +44,24 @@ class SegmentedRecording:
 def segment_recording(test: Test, displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None,
                       labels: np.ndarray | None, *, stressed: bool, remembering: bool, path: Path
                       ) -> SegmentedRecording:
-    """A recording as its test wants it: contact recorded, found or stated; cut at a failure; without preconditioning
-    where the material does not remember it.
+    """Segment a recording and apply the settings of its test for contact and failure.
+
+    The displacement is measured from the recorded, detected or stated contact. Samples after a failure are cut if the
+    test requests it. Preconditioning cycles are left out for a material without memory.
+
+    Args:
+        test: test with the settings.
+        displacement: displacement, m (strain), positive under load, shape (n,).
+        force: force, N (stress, Pa), positive under load, shape (n,).
+        time: time, s, shape (n,), or None.
+        labels: labels of the segments in the file, shape (n,), or None.
+        stressed: whether strain and stress were recorded.
+        remembering: whether the model has memory.
+        path: file of the recording, for messages.
 
     Raises:
-        InputError: a contact that shall be found and cannot be told, one in mm of a recording of stress, a failure that
-            shall be refused.
+        InputError: the contact cannot be detected, the contact is stated in mm for a recording of stress, or a failure
+            occurs and the test sets ``failure = 'refuse'``.
     """
     found = segments_of(displacement, force, time, labels, stressed=stressed)
     contact, used = found.contact, np.ones(displacement.size, bool)
@@ -52,23 +69,24 @@ def segment_recording(test: Test, displacement: np.ndarray, force: np.ndarray, t
     recorded, shift = force, 0.0
     if isinstance(test.contact, float):
         if stressed:
-            raise InputError(f"{path.name} holds strain and stress, which have no contact in mm; give 'recorded' or "
-                             "'find'", field="contact")
+            raise InputError(f"contact must be 'recorded' or 'find' for a recording of strain and stress such as "
+                             f"{path.name}; got a displacement in mm", field="contact")
         shift = test.contact
         displacement, used = displacement - shift, displacement >= shift
     elif test.contact == "find":
         if contact is None or contact.status in ("unclear", "none"):
-            reason = "it has few samples or loads to both sides" if contact is None else \
+            reason = "the recording has few samples or loads in both directions" if contact is None else \
                 contact.in_words(stressed=stressed)
             raise InputError(f"{path.name}: {reason}; state the contact in mm, or set contact = 'recorded'",
                              field="contact")
         if contact.status == "before":
-            notes["contact"] = (f"{contact.in_words(stressed=stressed)}; displacement is taken as it was recorded"
-                                + ("" if stressed else ", so state the contact in mm where its first sample is not 0"))
+            notes["contact"] = (f"{contact.in_words(stressed=stressed)}; the recorded displacement is used"
+                                + ("" if stressed else ", so state the contact in mm if the first displacement is not "
+                                   "0"))
         if contact.found:
             used, shift = np.arange(displacement.size) >= contact.index, contact.displacement
             displacement, force = contact.counted_from(displacement, force, time)
-            # A later cycle comes through air again.
+            # In later cycles the tool may lift off again.
             used &= remembering | (displacement >= 0)
     if not used.any():
         raise InputError(f"{path.name} ends before its contact at {1e3 * shift:g} mm", field="contact")
@@ -78,48 +96,61 @@ def segment_recording(test: Test, displacement: np.ndarray, force: np.ndarray, t
         if test.failure == "refuse":
             raise InputError(f"{path.name}: {words}; cut the file there, or set failure = 'cut'", field="failure")
         notes["failure"] = f"{words}; " + (
-            "it is fitted up to there" if test.failure == "cut" else
-            "it is fitted beyond, as failure = 'keep' asks: no law of an intact material describes that")
+            "the recording is fitted up to this sample" if test.failure == "cut" else
+            "later samples are fitted too (failure = 'keep'), although no law describes damaged material")
         if test.failure == "cut":
             used &= np.arange(force.size) <= failure.index
     after = found.labels != "preconditioning"
     if not remembering and not after.all() and (used & after).any():
         used &= after
         cycles = next((line for line in found.warnings if "preconditioning" in line),
-                      "it has cycles of preconditioning")
+                      "the recording has preconditioning cycles")
         notes["preconditioning"] = f"{cycles}; these cycles are left out"
     return SegmentedRecording(time, displacement, force, found, used, notes, recorded, shift)
 
 
-def with_air_noted(recording: SegmentedRecording, first: int, *, stressed: bool) -> dict[str, str]:
-    """The notes, with one more where sample `first`, the first that is fitted, lies before contact."""
+def notes_with_air(recording: SegmentedRecording, first: int, *, stressed: bool) -> dict[str, str]:
+    """Return the notes of a recording, with a warning if the first fitted sample lies before contact.
+
+    Args:
+        recording: the segmented recording.
+        first: index of the first fitted sample.
+        stressed: whether strain and stress were recorded.
+    """
     contact, notes = recording.segmentation.contact, dict(recording.notes)
     if contact is None or not contact.found:
         return notes
-    place = recording.displacement[first] + recording.shift
-    if place < contact.interval[0]:
+    position = recording.displacement[first] + recording.shift
+    if position < contact.interval[0]:
         scale, unit = (1.0, " (strain)") if stressed else (1e3, " mm")
         low, high = (scale * end for end in contact.interval)
         notes["contact"] = (
-            f"the fit begins {scale * (contact.displacement - place):.3g}{unit} before contact, which is found at "
-            f"{scale * contact.displacement:.4g}{unit} (95 %: {low:.4g} to {high:.4g}): moduli come out too small; set "
+            f"the fit begins {scale * (contact.displacement - position):.3g}{unit} before contact, which is found at "
+            f"{scale * contact.displacement:.4g}{unit} (95 %: {low:.4g} to {high:.4g}), so moduli are too small; set "
             "contact = \"find\" in its test" + ("" if stressed else ", or state it in mm"))
     return notes
 
 
-def from_elsewhere(recording: Recording, test: Test) -> dict[str, str]:
-    """Notes of a recording that says it was made in another kind of test, or with another tool."""
+def origin_notes(recording: Recording, test: Test) -> dict[str, str]:
+    """Return notes if the metadata of a recording state another kind of test or another tool than the campaign."""
     notes = {}
     if kind := other_kind(recording, test.kind.name):
-        notes["kind"] = f"it says that it is a {kind}, and it is fitted as a {test.kind.name}"
+        notes["kind"] = f"the file states the kind {kind}; the fit uses {test.kind.name}"
     tool = None if test.experiment is None else test.experiment.tool
     if tool is not None and (other := other_tool(recording, tool.shape, tool.radius)):
-        notes["tool"] = f"it says that it was measured with a {other}, and it is fitted with another tool"
+        notes["tool"] = f"the file states a {other}; the fit uses another tool"
     return notes
 
 
 def notes_in_short(recordings: Iterable[tuple[str, str, Mapping[str, str]]]) -> str:
-    """One sentence for each test and subject, from (test, name of a recording, its notes); empty where all is well."""
+    """Summarise the notes of all recordings in one sentence per test and subject.
+
+    Args:
+        recordings: (test, name of the recording, its notes) of each recording.
+
+    Returns:
+        The sentences, each with a leading space; empty without notes.
+    """
     several: dict[tuple[str, str], list[tuple[str, str]]] = {}
     for test, name, notes in recordings:
         for subject, sentence in notes.items():
@@ -127,6 +158,7 @@ def notes_in_short(recordings: Iterable[tuple[str, str, Mapping[str, str]]]) -> 
     lines = []
     for same in several.values():
         (name, sentence), others = same[0], len(same) - 1
-        more = f" So it is with {others} more recording{'s' if others > 1 else ''} of this test." if others else ""
+        more = f" The same applies to {others} more recording{'s' if others > 1 else ''} of this test." if others \
+            else ""
         lines.append(f" {name}: {sentence}.{more}")
     return "".join(lines)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
 from calibration.campaign.campaign import Campaign, FitSettings, Test
-from calibration.campaign.parameters import SHARED, Named, declared_around
+from calibration.campaign.parameters import SHARED, NamedParameter, declared_around
 from calibration.effects.situation import NotTestableError as NotTestableError
 from calibration.effects.situation import Situation as Situation
 from calibration.effects.situation import experiment_of as experiment_of
@@ -188,13 +188,13 @@ class Candidate:
             if tests is not None:
                 names = tuple(name for name in tests if name in names)
             scope = self.scope if self.tests is None or self.scope != SHARED else names
-            named[path] = Named(path, declaration, of_law, scope, names)
+            named[path] = NamedParameter(path, declaration, of_law, scope, names)
             if path in self.bounds:
                 bounds[path] = self.bounds[path]
         # Parameters of the wider law that belong neither to the candidate nor to the fitted law stay 0.
         held = {name: 0.0 for name in wider if name not in find_law(settings.laws[0]).parameters and name not in values}
         for name in held:
-            named[name] = Named(name, law_declaration(find_law(str(self.law)), name), True, SHARED, everywhere)
+            named[name] = NamedParameter(name, law_declaration(find_law(str(self.law)), name), True, SHARED, everywhere)
         start, fixed = dict(settings.start), {**settings.fixed, **held}
         for path, value in values.items():
             target, other = (start, fixed) if free and path != self.jump else (fixed, start)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.measured import MeasuredCurve, usual_contact
+from calibration.campaign.measured import MeasuredCurve, default_contact_deviation
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.problem import Problem
 from calibration.forward.forms import build_test, mesh_uncertainty
@@ -47,7 +47,7 @@ def first_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> Jitter:
     if fit.offset == "fit":
         contact, zero = fit.offset_prior, fit.zero_prior or 5.0 * max(curve.noise.deviation for curve in curves)
     if contact is None:
-        contact, freedom = usual_contact(curves), 0
+        contact, freedom = default_contact_deviation(curves), 0
     if zero is None:
         zero, freedom = FIRST_ZERO * largest, 0
     return Jitter(contact, zero, freedom)

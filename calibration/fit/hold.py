@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve, with_noise
-from calibration.campaign.parameters import SHARED, Named
+from calibration.campaign.parameters import SHARED, NamedParameter
 from calibration.fit.assess import assess
 from calibration.fit.estimate import Estimate
 from calibration.fit.ordinary import Ordinary, fit_law
@@ -89,7 +89,7 @@ def fit_hold(recording: Recording, terms: int = 1, ramp: float = 0.0) -> HoldFit
     start = {name: value for i, (g, tau) in enumerate(paths) for name, value in (
         (g, 0.5 / terms), (tau, float(np.ptp(time)) * 10.0 ** (i - terms)))}
     test = Test("hold", KINDS["simple_shear"], None, (Path("hold"),))
-    named = {path: Named(path, find_declaration(path)[1], False, SHARED, (test.name,)) for path in start}
+    named = {path: NamedParameter(path, find_declaration(path)[1], False, SHARED, (test.name,)) for path in start}
     campaign = Campaign(Path("hold"), {}, (test,), FitSettings((_LAW,), named=named, start=start), Noise(), "")
     curve = MeasuredCurve(test.name, test, time, strain, force, np.full(force.size, "hold"), Path("hold"), "", True)
     noisy = replace(curve, noise=with_noise(curve, campaign).noise)

@@ -12,7 +12,7 @@ from typing import Any
 
 from calibration.importing.assumption_table import campaign_comment
 from calibration.importing.imported import ImportedTest, Line
-from calibration.report.drawing import counted
+from calibration.report.drawing import format_count
 
 #: Where a reason begins, where the line is short enough.
 _COLUMN = 44
@@ -30,7 +30,8 @@ def campaign_text(tests: Sequence[ImportedTest], specimens: Mapping[str, Sequenc
         questions: that are open; a campaign with one is refused.
     """
     count = sum(len(part.motions) for test in tests for part in test.parts)
-    parts = [f"# Written by tissue-sim import from {counted(count, 'recording')}. Behind a # stands why a line is as "
+    parts = [f"# Written by tissue-sim import from {format_count(count, 'recording')}. "
+             "Behind a # stands why a line is as "
              "it is;\n# correct what is wrong."]
     parts += filter(None, [campaign_comment(tests)])
     if questions:

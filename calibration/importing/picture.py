@@ -9,8 +9,8 @@ import numpy as np
 
 from calibration.importing.assumption_table import picture_lines
 from calibration.importing.imported import Imported, ImportedTest
-from calibration.report.drawing import COLOURS, STYLE, new_figure, thinned
-from calibration.report.png import as_png
+from calibration.report.drawing import COLOURS, STYLE, new_figure, thinning_slice
+from calibration.report.png import render_png
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.screening import Screening
 
@@ -47,7 +47,7 @@ def draw_imported(imported: Imported) -> bytes:
         _write(axes[-1], lines)
         if len(imported.tests) > len(tests):
             figure.supxlabel(f"the first {len(tests)} of {len(imported.tests)} tests", fontsize=9)
-        return as_png(figure, 110)
+        return render_png(figure, 110)
 
 
 def _write(axes, lines: Sequence[str]) -> None:
@@ -67,7 +67,7 @@ def _draw(left, right, test: ImportedTest) -> None:
             style = {"color": COLOURS[number % len(COLOURS)], "lw": 1.0}
             name = part.file.name if len(part.motions) == 1 else f"{part.file.name} {number + 1}"
             kept = np.arange(len(recording)) if motion.kept is None else motion.kept
-            every = kept[thinned(kept.size)]
+            every = kept[thinning_slice(kept.size)]
             ways, loads = (_values(recording, channel, raw) for channel in (motion.channel, load))
             clocks = recording.time if motion.rate is not None else np.arange(len(recording))
             left.plot(clocks[every], ways[every], **style)

@@ -1,1 +1,1 @@
-"""What people read: tables, pictures, pages, files."""
+"""Results for people to read: HTML reports, figures, tables and text files."""

@@ -1,5 +1,7 @@
-"""What a diagnosis found, written down where it belongs: tissue into a material file, the rig into rig files, contact
-and geometry into a campaign."""
+"""Write the effects that a diagnosis found into files that other commands read.
+
+Tissue effects go into a material file, effects of the rig into rig files, contact and geometry into a campaign file.
+"""
 
 from __future__ import annotations
 
@@ -24,24 +26,28 @@ from tissue_sim.parameters import to_keys, with_values
 from tissue_sim.rig.file import write_rig
 from tissue_sim.rig.rig import Rig
 
-#: The campaign that has what was found.
+#: Name of the campaign file that includes the effects found.
 CAMPAIGN_FILE = "diagnosed.toml"
 
 
 def addition_files(campaign: Campaign, laws: Sequence[str], folder: Path) -> list[Path]:
-    """Every file that `write_additions` may write."""
+    """Return the paths of all files that `write_additions` may write for a campaign and these laws."""
     return [*(folder / f"{law}.material.json" for law in laws), folder / CAMPAIGN_FILE, folder / "rig.rig.json",
             *(folder / _rig_file(number) for number in range(len(campaign.tests)))]
 
 
 def write_additions(diagnosis: Diagnosis, after: Evidence | None, folder: Path) -> Diagnosis:
-    """Write material, rigs and campaign with what was added; the files of the calibration stay as they are.
+    """Write a material file, rig files and a campaign file that include the effects found.
+
+    Files of an earlier calibration in the folder stay unchanged.
 
     Args:
-        diagnosis: the answer. after: evidence with what was added; None where nothing was. folder: of the results.
+        diagnosis: the result of the diagnosis.
+        after: the fit with the effects found; None if no effect was found, in which case no file is written.
+        folder: folder of the results.
 
     Returns:
-        The diagnosis with the names of the files.
+        The diagnosis with the names of the written files in `files` and in each effect's `written_to`.
     """
     if after is None or diagnosis.fit_after is None:
         return diagnosis
@@ -61,13 +67,13 @@ def write_additions(diagnosis: Diagnosis, after: Evidence | None, folder: Path) 
                     files[f"rig of {test.name}"] = _rig_file(number)
     write_text(folder / CAMPAIGN_FILE, _campaign_text(diagnosis, after))
     files["campaign"] = CAMPAIGN_FILE
-    places = {"tissue": name, "rig": files.get("rig", "rig files of the tests"), "population": name}
-    effects = [replace(effect, written_to=CAMPAIGN_FILE if _of_one_test(effect) and effect.category == "tissue"
-                       else places.get(effect.category, CAMPAIGN_FILE)) for effect in diagnosis.effects]
+    file_of = {"tissue": name, "rig": files.get("rig", "rig files of the tests"), "population": name}
+    effects = [replace(effect, written_to=CAMPAIGN_FILE if _is_limited_to_tests(effect) and effect.category == "tissue"
+                       else file_of.get(effect.category, CAMPAIGN_FILE)) for effect in diagnosis.effects]
     return replace(diagnosis, effects=effects, files=files)
 
 
-def _of_one_test(effect: FoundEffect) -> bool:
+def _is_limited_to_tests(effect: FoundEffect) -> bool:
     return bool(effect.tests)
 
 
@@ -78,10 +84,10 @@ def _rig_file(number: int) -> str:
 def _material(diagnosis: Diagnosis, after: Evidence, folder: Path) -> MaterialFile:
     fit = diagnosis.fit_after
     assert fit is not None
-    # What one session or one test had is no property of the tissue.
-    passing = {number.path: number.absent for effect in diagnosis.effects if _of_one_test(effect)
-               for number in effect.parameters if number.absent is not None}
-    fit = replace(fit, parameters={**fit.parameters, **passing})
+    # An effect of a single test or session is not a property of the tissue: the material file has it switched off.
+    switched_off = {number.path: number.absent for effect in diagnosis.effects if _is_limited_to_tests(effect)
+                    for number in effect.parameters if number.absent is not None}
+    fit = replace(fit, parameters={**fit.parameters, **switched_off})
     result = CalibrationResult(after.campaign, (fit,), (), diagnosis.message, folder, "", None, "estimated")
     file = material_file(fit, result, after.measured, "inverse FEM with a diagnosed effect")
     added = [{"name": effect.name, "room": effect.category, "tests": effect.tests,
@@ -95,7 +101,7 @@ def _material(diagnosis: Diagnosis, after: Evidence, folder: Path) -> MaterialFi
 
 
 def _rig(after: Evidence, test: Test) -> Rig:
-    """Of a test, with what was found."""
+    """Return the rig of a test with the fitted rig parameters."""
     space = after.problem.space
     values = {each.path.removeprefix("rig."): after.values[each.name] for each in space.unknowns
               if each.path.startswith("rig.") and each.acts_in(test.name, None) and each.recording is None}
@@ -103,21 +109,22 @@ def _rig(after: Evidence, test: Test) -> Rig:
 
 
 def _campaign_text(diagnosis: Diagnosis, after: Evidence) -> str:
-    """The campaign with what was found as starts of further unknowns, so that it can be fitted again."""
+    """Return the campaign file (TOML) in which the effects found are additional unknowns with start values."""
     campaign = after.campaign
     folder = campaign.path.parent.resolve()
     content = with_files_named(read_toml(campaign.path, "a campaign (TOML)"), folder, whole_path)
-    for place in (content.get("defaults", {}), *content["test"]):
-        if "recordings" in place:
-            place["recordings"] = [str(folder / name) for name in place["recordings"]]
+    for table in (content.get("defaults", {}), *content["test"]):
+        if "recordings" in table:
+            table["recordings"] = [str(folder / name) for name in table["recordings"]]
     for table, test in zip(content["test"], campaign.tests, strict=True):
         if test.experiment is not None and test.experiment.contact_laws:
             table["contact_laws"] = {name: to_keys(law) for name, law in test.experiment.contact_laws.items()}
         if test.experiment is not None and test.experiment.friction_base == AS_TOOL:
-            # Plates are alike, and not lubricated.
-            rubbed = next(each for each in after.problem.space.unknowns
-                          if each.path == "experiment.friction" and each.acts_in(test.name, None))
-            table |= {"kind": "friction_compression", "friction": after.values[rubbed.name], "friction_base": AS_TOOL}
+            # Friction of both plates was added: the test is no longer a lubricated compression.
+            friction = next(each for each in after.problem.space.unknowns
+                            if each.path == "experiment.friction" and each.acts_in(test.name, None))
+            table |= {"kind": "friction_compression", "friction": after.values[friction.name],
+                      "friction_base": AS_TOOL}
     densities = {test.experiment.specimen.name: test.experiment.specimen.density for test in campaign.tests
                  if test.experiment is not None}
     for table in content.get("specimen", []):
@@ -139,11 +146,11 @@ def _campaign_text(diagnosis: Diagnosis, after: Evidence) -> str:
         start[kind].setdefault(each.path, after.values[each.name] / each.declaration.factor)
     fit.update({key: table for key, table in start.items() if table})
     words = "; ".join(effect.title for effect in diagnosis.effects)
-    return f"# {campaign.path.name} with what a diagnosis found in it: {words}.\n{to_toml(content)}"
+    return f"# {campaign.path.name} with the effects that a diagnosis found: {words}.\n{to_toml(content)}"
 
 
 def to_toml(content: Mapping[str, Any]) -> str:
-    """Tables, lists of tables and plain values as TOML."""
+    """Write tables, lists of tables and plain values as TOML text."""
     plain = [f"{_key(name)} = {_value(value)}" for name, value in content.items()
              if not isinstance(value, Mapping) and not _is_tables(value)]
     parts = ["\n".join(plain)] if plain else []

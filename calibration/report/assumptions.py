@@ -1,65 +1,68 @@
-"""What the numbers of a report rest on, a sentence each."""
+"""State the assumptions behind the numbers of a calibration report."""
 
 from __future__ import annotations
 
 from calibration.fit.result import CalibrationResult
 from calibration.fit.self_weight import statement
-from calibration.report.drawing import counted
+from calibration.report.drawing import format_count
 from calibration.report.units import Units
 
 
-def assumptions(result: CalibrationResult, units: Units) -> list[str]:
-    """What the numbers rest on, one sentence each."""
+def list_assumptions(result: CalibrationResult, units: Units) -> list[str]:
+    """Return the assumptions of a calibration, one sentence each."""
     campaign = result.campaign
-    lines = _of_closed_forms(result, units) if campaign.fit.method == "analytical" else _of_simulations(result, units)
+    lines = _analytical_assumptions(result, units) if campaign.fit.method == "analytical" \
+        else _simulation_assumptions(result, units)
     if campaign.fit.fixed:
         lines.append(f"Fixed: {', '.join(f'{name} = {value:g}' for name, value in campaign.fit.fixed.items())}.")
     lines += [f"Prior of {name}: {mean:g} ± {deviation:g}." for name, (mean, deviation) in campaign.fit.prior.items()]
     return [*lines, statement(campaign, result.best)]
 
 
-def _of_closed_forms(result: CalibrationResult, units: Units) -> list[str]:
+def _analytical_assumptions(result: CalibrationResult, units: Units) -> list[str]:
     fit, noise = result.campaign.fit, result.campaign.noise
-    lines = ["The material is incompressible; what it remembers is fitted to ramps, holds and returns."]
+    lines = ["The material is incompressible; its viscoelastic parameters are fitted to ramps, holds and unloading."]
     if not fit.others:
-        lines = ["The material is incompressible and elastic: only the loading is fitted, and the rate does not "
-                 "matter."]
+        lines = ["The material is incompressible and elastic: only the loading is fitted, and the speed has no "
+                 "influence."]
     if any(test.kind.settles for test in result.campaign.tests):
         lines.append("Lubricated means frictionless: the faces slide freely and every slice deforms homogeneously.")
     if fit.offset == "none":
-        lines.append("Contact offsets and zeros are taken as they were recorded (offset = \"none\").")
+        lines.append("Contact offsets and force zeros are not fitted: the recorded values are used "
+                     "(offset = \"none\").")
         if noise.contact_jitter or noise.zero_jitter:
             contact = 1e3 * (noise.contact_jitter or 0.0)
             lines.append(f"Standard errors include a jitter between recordings of {contact:g} mm "
                          f"and {noise.zero_jitter or 0:g} N.")
     else:
         lines.append(f"Each recording has a contact offset (prior 0 ± {fit.offset_prior * 1e3:g} mm, bounds "
-                     f"± {fit.offset_bound * 1e3:g} mm) and a zero, fitted beside the parameters.")
+                     f"± {fit.offset_bound * 1e3:g} mm) and a force zero, fitted together with the parameters.")
     source = {"stated": "stated in the campaign", "estimated": "estimated from second differences of the samples",
-              "resolution": "the resolution of the sensor, step/√12, because neighbouring samples are mostly equal",
+              "resolution": "the resolution of the sensor, step/√12, because most neighbouring samples are equal",
               "mixed": "of different sources for different recordings"}[result.noise_source]
     level = units.pressure.text(result.noise_Pa or 0.0, 2)
     lines.append(f"The noise of the nominal stress is {level} (standard deviation), "
                  f"{source}; AIC and BIC take it as known.")
     if fit.prior or fit.offset == "fit":
-        lines.append("AIC and BIC are those of the penalised likelihood: the distance from the priors counts.")
+        lines.append("AIC and BIC use the penalised likelihood, which includes the distance from the priors.")
     if fit.strain_points is not None:
         lines.append(f"Each recording was interpolated to {fit.strain_points} evenly spaced strains.")
     return lines
 
 
-def _of_simulations(result: CalibrationResult, units: Units) -> list[str]:
+def _simulation_assumptions(result: CalibrationResult, units: Units) -> list[str]:
     best, campaign = result.best, result.campaign
-    whose = "One material in all tests" if not best.material_of else "Each specimen has a material of its own"
-    lines = [f"{whose}; each recording has a contact offset and a zero of its own, which are "
-             "marginalised, not trusted."]
+    shared = "All tests have the same material" if not best.material_of else "Each specimen has a separate material"
+    lines = [f"{shared}. Each recording has a separate contact offset and force zero; both are unknown and "
+             "marginalised."]
     if best.jitter is not None:
         freedom = best.jitter.freedom
-        source = "stated in the campaign, or the usual prior" if freedom is None else \
-            f"estimated with {freedom} degrees of freedom" if freedom else "assumed, as no test has two recordings"
+        source = "stated in the campaign, or the default prior" if freedom is None else \
+            f"estimated with {freedom} degrees of freedom" if freedom else \
+            "assumed, because no test has two recordings"
         contact, zero = units.scatter(best.jitter, campaign.tests)
-        lines.append(f"Between recordings the contact point scatters by {contact} and the zero by {zero} (standard "
-                     f"deviations), {source}.")
+        lines.append(f"Between recordings the contact point scatters by {contact} and the force zero by {zero} "
+                     f"(standard deviations), {source}.")
     tests = {test.name: test for test in campaign.tests}
     alike: dict[str, list[str]] = {}
     for noise in result.noise:
@@ -68,17 +71,17 @@ def _of_simulations(result: CalibrationResult, units: Units) -> list[str]:
                          f"{noise.source}), {colour}", []).append(f"Noise of {noise.test}")
     for mesh in best.mesh:
         if mesh.largest_percent is None:
-            words = (f"the accurate mesh does not get through; of the fast mesh's error {mesh.remainder_percent:.2g} % "
-                     "is carried as covariance")
+            words = (f"the simulation on the accurate mesh does not converge; the error of the fast mesh, "
+                     f"{mesh.remainder_percent:.2g} % of the force, is included in the covariance")
         else:
-            words = (f"the accurate mesh differs from the fast one by up to {mesh.largest_percent:.2g} %, which is "
-                     f"corrected ({counted(mesh.refreshes, 'time')}); of the accurate mesh's own error "
-                     f"{mesh.remainder_percent:.2g} % is carried as covariance")
+            words = (f"the accurate mesh differs from the fast mesh by up to {mesh.largest_percent:.2g} %, and the "
+                     f"difference is corrected ({format_count(mesh.refreshes, 'time')}); the remaining error of the "
+                     f"accurate mesh, {mesh.remainder_percent:.2g} % of the force, is included in the covariance")
         alike.setdefault(words, []).append(f"Mesh of {mesh.test}")
     lines += [f"{', '.join(names)}: {words}." for words, names in alike.items()]
-    rest = {"noise": "the stated or estimated noise", "residuals": "the residuals, which exceed the noise",
-            "replicates": "the scatter of the replicates"}[best.covariance_from]
-    lines.append(f"Standard errors and intervals rest on {rest}; the intervals are profile likelihoods inside the "
-                 "bounds.")
-    lines.append("A law is ranked by what it predicts of tests that it was not fitted to, not by R².")
+    source = {"noise": "the stated or estimated noise", "residuals": "the residuals, which exceed the noise",
+              "replicates": "the scatter of the replicates"}[best.covariance_from]
+    lines.append(f"Standard errors and intervals are computed from {source}; the intervals are profile-likelihood "
+                 "intervals inside the bounds.")
+    lines.append("Laws are ranked by the prediction error in tests that they were not fitted to, not by R².")
     return lines

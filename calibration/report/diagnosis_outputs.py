@@ -1,4 +1,4 @@
-"""Files of a diagnosed campaign."""
+"""Write the result files of a diagnosed campaign."""
 
 from __future__ import annotations
 
@@ -25,21 +25,31 @@ from tissue_sim.laws import LAWS
 
 
 def files_of_diagnosis(campaign: Campaign, folder: Path) -> list[Path]:
-    """Every file that the diagnosis of a campaign may write; an effect may need a wider law."""
+    """Return the paths of all files that the diagnosis of a campaign may write.
+
+    Material files of all laws are included, because an effect may require a more general law than the campaign states.
+    """
     return [*diagnosis_files(campaign, folder), *addition_files(campaign, sorted(LAWS), folder)]
 
 
 def write_diagnosis(result: DiagnosisResult, before: Evidence, after: Evidence | None, effects: Mapping[str, Effect],
                     measured: Mapping[str, Sequence[MeasuredCurve]], *, figures: bool = True,
                     figures_format: str | None = None) -> DiagnosisResult:
-    """Write everything; ``diagnosis.json`` last, because it says that the campaign is finished.
+    """Write all result files of a diagnosis.
+
+    ``diagnosis.json`` is written last, because its existence marks the campaign as finished.
 
     Args:
-        result: the answer. before, after, effects, measured: as `diagnosis_page`. figures: whether the page gets its
-            pictures. figures_format: ``svg``, ``pdf`` or ``png`` of the pictures as files beside it; None: no files.
+        result: the result of the diagnosis.
+        before: the fit without the added effects.
+        after: the fit with the added effects; None if no effect was added.
+        effects: catalogue of effects by name.
+        measured: all recordings of each test.
+        figures: whether the report includes figures.
+        figures_format: ``svg``, ``pdf`` or ``png`` to write each figure also as a file; None: no figure files.
 
     Returns:
-        The answer, with the names of the files and the time that this took.
+        The result with the names of the written files and the time of this step.
     """
     began = time.monotonic()
     diagnosis = write_additions(result.diagnosis, after, result.output)
@@ -55,14 +65,16 @@ def write_diagnosis(result: DiagnosisResult, before: Evidence, after: Evidence |
 
 
 def _residuals(before: Evidence, after: Evidence | None) -> str:
-    """Every sample: measured, and the models with the recording's offset and zero, N (Pa and strain where stress was
-    recorded)."""
+    """Return the CSV table of all samples: measured force, and both models with the recording's offset and zero.
+
+    Forces are in N; for recordings of stress the values are in Pa and the displacement is a strain.
+    """
     rows = []
     forces = [before.evaluation.force, before.evaluation.force if after is None else after.evaluation.force]
-    for curve, place in zip(before.problem.measured, before.problem.rows, strict=True):
+    for curve, samples in zip(before.problem.measured, before.problem.rows, strict=True):
         factor = 1.0 if curve.test.specimen is None else 1e3
         for i, force in enumerate(curve.force):
-            models = [float(force_of[place][i]) for force_of in forces]
+            models = [float(force_of[samples][i]) for force_of in forces]
             rows.append([curve.name, None if curve.segment is None else str(curve.segment[i]),
                          None if curve.time is None else float(curve.time[i]), factor * float(curve.displacement[i]),
                          float(force), models[0], None if after is None else models[1], curve.noise.deviation])

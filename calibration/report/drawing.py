@@ -1,4 +1,4 @@
-"""What all pictures of the reports share: colours, style, and the way from a figure to a page."""
+"""Shared drawing functions of the reports: colours, style, panels, and embedding of figures in HTML pages."""
 
 from __future__ import annotations
 
@@ -13,53 +13,55 @@ from pathlib import Path
 from typing import Any
 
 from calibration.output_folder import picture_file
-from calibration.report.png import as_png
+from calibration.report.png import render_png
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.laws import find_law
 
-#: Okabe and Ito's palette without yellow and black: apart for every kind of colour vision.
+#: Palette of Okabe and Ito without yellow and black, distinguishable with every type of colour vision, and two more.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F3C8D", "#555555")
+#: Dash patterns of matplotlib, combined with `COLOURS` in the same order.
 DASHES = ("-", (0, (6, 2)), (0, (2, 1.2)), (0, (6, 2, 1.5, 2)), (0, (9, 3)), (0, (1, 1)), (0, (4, 1, 1, 1, 1, 1)), "-")
+#: Settings of matplotlib for all figures of the reports.
 STYLE: Any = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
               "grid.alpha": 0.25, "legend.frameon": False, "figure.constrained_layout.use": True,
               "font.family": "DejaVu Sans", "mathtext.fontset": "dejavusans", "axes.titlesize": 10,
               "axes.titleweight": "bold", "axes.titlelocation": "left", "figure.constrained_layout.w_pad": 0.09,
               "figure.constrained_layout.h_pad": 0.08,
-              # Letters stay letters, and the same picture is the same file.
+              # Text is stored as text, and files are reproducible byte for byte.
               "pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "tissue_sim"}
-#: Of all pictures, inches.
+#: Width of a figure that fills the page, inches.
 WIDTH = 12.0
-#: Points of a recording that are drawn, at most about that many.
+#: Approximate maximum number of drawn points per recording.
 DATA_POINTS = 250
-#: Of PNG files beside a page.
+#: Resolution of separate PNG files, dots per inch.
 _PRINT_DPI = 300
-#: Twice the 96 of a CSS inch, for sharp screens.
+#: Resolution of formulas, dots per inch: twice the 96 of CSS, for high-resolution screens.
 _FORMULA_DPI = 192
 
 
 def line_styles() -> Iterator[dict]:
-    """Colour and dashes of one law after the other, without end."""
+    """Yield line styles (colour and dashes), one for each law, without end."""
     return ({"color": colour, "ls": dashes} for colour, dashes in zip(cycle(COLOURS), cycle(DASHES), strict=False))
 
 
-def cloud(points: int) -> dict:
-    """Style of measured points: few are rings above the curves, many are a cloud below them."""
+def marker_style(points: int) -> dict:
+    """Return the marker style for measured points: open circles in front for few points, dots behind for many."""
     few = points <= DATA_POINTS
     return {"mfc": "none", "mec": "0.2", "zorder": 4} if few else {"color": "0.35", "mew": 0, "alpha": 0.35}
 
 
-def thinned(size: int) -> slice:
-    """Every so-manieth of `size` samples, so that a picture stays light."""
+def thinning_slice(size: int) -> slice:
+    """Return a slice that reduces `size` samples to about `DATA_POINTS`, to keep the file small."""
     return slice(None, None, max(1, size // DATA_POINTS))
 
 
-def counted(count: int, noun: str) -> str:
-    """``1 test``, ``2 tests``."""
+def format_count(count: int, noun: str) -> str:
+    """Return a count with its noun, such as ``1 test`` or ``2 tests``."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def new_figure(width: float, height: float):
-    """An empty figure, inches, without pyplot: no global state, no display."""
+    """Return an empty matplotlib figure of this size in inches, without pyplot and thus without global state."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -68,11 +70,16 @@ def new_figure(width: float, height: float):
     return figure
 
 
-def panels(counts: Sequence[int], height: float, width: float = WIDTH):
-    """A figure with rows of so many panels each, as wide as the page, and all of its axes.
+def new_panels(counts: Sequence[int], height: float, width: float = WIDTH):
+    """Create a figure with rows of panels.
 
     Args:
-        counts: panels of each row. height: of a row, inches. width: of the figure, inches.
+        counts: number of panels in each row.
+        height: height of a row, inches.
+        width: width of the figure, inches.
+
+    Returns:
+        The figure and the list of its axes, row by row.
     """
     cells = math.lcm(*counts)
     mosaic = [[f"{row} {column * count // cells}" for column in range(cells)] for row, count in enumerate(counts)]
@@ -80,14 +87,14 @@ def panels(counts: Sequence[int], height: float, width: float = WIDTH):
     return figure, [*figure.subplot_mosaic(mosaic).values()]
 
 
-def in_rows(count: int, most: int = 3) -> list[int]:
-    """How many of `count` panels stand in each row, as even as it goes."""
+def panels_per_row(count: int, most: int = 3) -> list[int]:
+    """Return the number of panels in each row for `count` panels with at most `most` in a row, evenly distributed."""
     rows = -(-count // most)
     return [count // rows + (row < count % rows) for row in range(rows)]
 
 
-def legend_above(figure, columns: int = 4) -> None:
-    """One legend for all panels above them, where no data are; what has the same label is said once."""
+def add_legend_above(figure, columns: int = 4) -> None:
+    """Add one legend above all panels; entries with the same label appear once."""
     handles: dict[str, Any] = {}
     for axes in figure.axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -98,7 +105,7 @@ def legend_above(figure, columns: int = 4) -> None:
 
 
 def to_bytes(figure, kind: str, **options) -> bytes:
-    """The figure as ``png``, ``svg`` or ``pdf``, the same bytes each time."""
+    """Return the figure as ``png``, ``svg`` or ``pdf``, reproducible byte for byte."""
     stream = io.BytesIO()
     dated = {"svg": "Date", "pdf": "CreationDate"}.get(kind)
     figure.savefig(stream, format=kind, metadata={dated: None} if dated else None, **options)
@@ -107,22 +114,27 @@ def to_bytes(figure, kind: str, **options) -> bytes:
 
 @dataclass(frozen=True)
 class Pictures:
-    """The pictures of a page: inside it as PNG and, where asked, each as a file beside it.
+    """Embed figures in an HTML page as PNG and optionally write each figure as a file.
 
     Attributes:
-        folder: of the page. kind: ``svg``, ``pdf`` or ``png``; None: no files.
+        folder: folder of the page.
+        kind: format of the files, ``svg``, ``pdf`` or ``png``; None: no files.
     """
 
     folder: Path
     kind: str | None = None
 
     def show(self, name: str, draw: Callable[[], Any], alt: str, caption: str = "") -> str:
-        """A picture inside the page, empty where there is nothing to draw.
+        """Draw a figure and return its HTML; write the figure file if `kind` is set.
 
         Args:
-            name: of its file, as `calibration.output_folder.picture_file` makes one of it.
-            draw: makes the figure, or None; called in the style of the reports.
-            alt: words (plain) instead of it. caption: HTML below it.
+            name: name of the figure, from which `calibration.output_folder.picture_file` makes the file name.
+            draw: returns the figure, or None if there is nothing to draw; called with the style of the reports.
+            alt: plain text for readers without images.
+            caption: HTML below the figure.
+
+        Returns:
+            The HTML; empty if there is nothing to draw.
         """
         import matplotlib
 
@@ -130,21 +142,21 @@ class Pictures:
             figure = draw()
             if figure is None:
                 return ""
-            png = as_png(figure)
+            png = render_png(figure)
             if self.kind is not None:
                 write_bytes(self.folder / picture_file(name, self.kind), to_bytes(figure, self.kind, dpi=_PRINT_DPI))
         below = f"<figcaption>{caption}</figcaption>" if caption else ""
-        share = 100 * figure.get_figwidth() / WIDTH
-        return f'<figure><img src="{as_data_uri(png)}" style="width:{share:.0f}%" alt="{escape(alt)}">{below}</figure>'
+        width = 100 * figure.get_figwidth() / WIDTH
+        return f'<figure><img src="{as_data_uri(png)}" style="width:{width:.0f}%" alt="{escape(alt)}">{below}</figure>'
 
 
 def as_data_uri(png: bytes) -> str:
-    """A PNG that stands inside an HTML page."""
+    """Return a PNG image as a data URI for an HTML page."""
     return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
 
 
 def draw_formula(law_name: str) -> bytes | None:
-    """The energy as a PNG, None where mathtext cannot set it."""
+    """Draw the strain energy of a law as a PNG image; return None if mathtext cannot typeset the formula."""
     import matplotlib
 
     law = find_law(law_name)
@@ -158,6 +170,6 @@ def draw_formula(law_name: str) -> bytes | None:
 
 
 def natural_width(png: bytes) -> int:
-    """Width in CSS pixels at which the text of `draw_formula` has the size that it was set in."""
-    # Width of the image header: https://www.w3.org/TR/png/#11IHDR
+    """Return the width in CSS pixels at which an image of `draw_formula` has its intended font size."""
+    # Bytes 16 to 20 of a PNG are its width: https://www.w3.org/TR/png/#11IHDR
     return round(int.from_bytes(png[16:20], "big") * 96 / _FORMULA_DPI)

@@ -1,6 +1,6 @@
-"""Pictures of a calibration as a whole: regions, predictions, convergence.
+"""Draw the figures of a whole calibration: misfit by region, prediction errors, convergence.
 
-matplotlib is imported on use; every function returns a figure.
+matplotlib is imported on use; every drawing function returns a figure.
 """
 
 from __future__ import annotations
@@ -12,42 +12,50 @@ from scipy import special
 
 from calibration.campaign.campaign import Test
 from calibration.fit.fit import Fit, Prediction
-from calibration.report.curve_figures import place_of, probability
-from calibration.report.drawing import COLOURS, in_rows, legend_above, line_styles, panels
+from calibration.report.curve_figures import describe_region, format_probability
+from calibration.report.drawing import COLOURS, add_legend_above, line_styles, new_panels, panels_per_row
 from calibration.report.symbols import math_symbol
 from calibration.report.units import Units
 from tissue_sim.laws import find_law
 
-#: Standard errors at which a misfit has the deepest colour, and from which on it is called one.
-_DEEPEST, _CALLED = 6.0, float(-special.ndtri(0.025))
-#: Marks of a ratio where all are above zero, and where some are not.
-_RATIOS, _SIGNED = (1e-3, 0.01, 0.1, 0.2, 0.5, 1, 2, 5, 10, 100, 1e3), (-1e3, -100, -10, -1, 0, 1, 10, 100, 1e3)
-
-#: Largest ratio to the smallest up to which they stand on a linear scale.
-_NARROW = 5.0
-#: Regions of a test from which on size and probability stand below each other.
+#: Standard errors of a misfit that is drawn with the darkest colour.
+_DARKEST = 6.0
+#: Standard errors above which a misfit is significant (two-sided 5 %).
+_SIGNIFICANT = float(-special.ndtri(0.025))
+#: Tick marks of ratios that are all positive.
+_POSITIVE_TICKS = (1e-3, 0.01, 0.1, 0.2, 0.5, 1, 2, 5, 10, 100, 1e3)
+#: Tick marks of ratios of both signs.
+_SIGNED_TICKS = (-1e3, -100, -10, -1, 0, 1, 10, 100, 1e3)
+#: Quotient of the largest and the smallest ratio up to which the scale is linear.
+_MAX_LINEAR = 5.0
+#: Number of regions of a test from which misfit and probability are written in two lines.
 _MANY = 7
-#: Characters of a note in a picture.
+#: Maximum length of a note in a figure, characters.
 _NOTE_WIDTH = 90
 
 
 def draw_regions(fits: Sequence[Fit], tests: Sequence[Test], units: Units):
-    """Tests by regions: the smooth misfit left in each, coloured by how many standard errors its probability makes.
+    """Draw the smooth misfit in each region of each test, coloured by its significance in standard errors.
 
     Args:
-        fits: those with regions get a row a test, in this order. tests: in the order of the picture.
+        fits: fits of all laws; each fit with regions gets one row per test, in this order.
+        tests: tests in the order of the figure.
+        units: display units.
+
+    Returns:
+        The matplotlib figure.
     """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
 
-    called = _CALLED / _DEEPEST
+    limit = _SIGNIFICANT / _DARKEST
     shades = LinearSegmentedColormap.from_list("misfit", [
-        (0.0, "#f4f8fb"), (called - 1e-6, "#bcd7ea"), (called, "#fbd3ae"), (0.7, "#e07b39"), (1.0, "#9c3a00")])
-    norm = Normalize(0.0, _DEEPEST)
+        (0.0, "#f4f8fb"), (limit - 1e-6, "#bcd7ea"), (limit, "#fbd3ae"), (0.7, "#e07b39"), (1.0, "#9c3a00")])
+    norm = Normalize(0.0, _DARKEST)
     fits = [fit for fit in fits if fit.regions]
     tests = [test for test in tests if any(r.test == test.name for fit in fits for r in fit.regions)]
     blocks = len(tests) * (0.62 + 0.4 * len(fits))
-    figure, (axes,) = panels([1], max(blocks + 0.3, 2.2))
+    figure, (axes,) = new_panels([1], max(blocks + 0.3, 2.2))
     axes.grid(visible=False)
     top, ticks, names = 0.0, [], []
     for test in tests:
@@ -56,18 +64,18 @@ def draw_regions(fits: Sequence[Fit], tests: Sequence[Test], units: Units):
         font, gap = 9.0 * min(1.0, 9 / len(named)), "  " if len(named) < _MANY else "\n"
         axes.text(-0.008, top - 0.34, test.name, fontweight="bold", va="center", ha="right")
         for j, region in enumerate(named):
-            where = place_of(region, test, units).replace(" from ", f"{gap[:1]}from ")
+            where = describe_region(region, test, units).replace(" from ", f"{gap[:1]}from ")
             axes.text((j + 0.5) / len(named), top - 0.34, where,
                       va="center", ha="center", fontsize=font, color="0.3")
         for fit, row in zip(fits, rows, strict=True):
             for j, region in enumerate(row):
-                deviate = min(float(-special.ndtri(region.p / 2)), _DEEPEST)
+                deviate = min(float(-special.ndtri(region.p / 2)), _DARKEST)
                 low, high = top - 0.95, top - 0.55
                 axes.fill_between([j / len(row), (j + 1) / len(row)], low, high, color=shades(norm(deviate)),
                                   ec="white", lw=2)
                 axes.text((j + 0.5) / len(row), (low + high) / 2,
-                          f"{units.load(test).text(region.misfit_N, 2)},{gap}{probability(region.p)}", ha="center",
-                          va="center", fontsize=font, color="white" if deviate > 4.2 else "0.1",
+                          f"{units.load(test).text(region.misfit_N, 2)},{gap}{format_probability(region.p)}",
+                          ha="center", va="center", fontsize=font, color="white" if deviate > 4.2 else "0.1",
                           fontweight="normal" if region.adequate else "bold")
             ticks.append(top - 0.75)
             names.append(find_law(fit.law).title)
@@ -78,16 +86,21 @@ def draw_regions(fits: Sequence[Fit], tests: Sequence[Test], units: Units):
     axes.spines[:].set_visible(False)
     bar = figure.colorbar(ScalarMappable(norm, shades), ax=axes, pad=0.01, fraction=0.022, aspect=18)
     bar.set_label("standard errors")
-    bar.set_ticks([0, _CALLED, 4, _DEEPEST], labels=["0", "2", "4", "6 +"])
+    bar.set_ticks([0, _SIGNIFICANT, 4, _DARKEST], labels=["0", "2", "4", "6 +"])
     bar.outline.set_visible(False)
     return figure
 
 
 def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test], units: Units):
-    """Error of each law in each test that it was not fitted to, beside what chance alone would make.
+    """Draw the prediction error of each law in each test that it was not fitted to, compared with chance.
 
     Args:
-        predictions: laws in the order of the picture. tests: of the campaign.
+        predictions: predictions, laws in the order of the figure.
+        tests: tests of the campaign.
+        units: display units.
+
+    Returns:
+        The matplotlib figure.
     """
     from matplotlib.patches import Patch
 
@@ -95,10 +108,10 @@ def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test], u
     several = {p.test: len(p.mean_of) for p in predictions if p.mean_of}
     cases = list(dict.fromkeys((p.test, tuple(p.fitted)) for p in predictions))
     by_name = {test.name: test for test in tests}
-    height, looks = 0.8 / len(laws), dict(zip(laws, line_styles(), strict=False))
-    figure, (axes,) = panels([1], 1.1 + max(0.3 * len(laws) + 0.25, 0.7) * len(cases))
+    height, style_of = 0.8 / len(laws), dict(zip(laws, line_styles(), strict=False))
+    figure, (axes,) = new_panels([1], 1.1 + max(0.3 * len(laws) + 0.25, 0.7) * len(cases))
     known = [p.percent for p in predictions if p.percent is not None] or [1.0]
-    # A law that is far off would flatten all the others.
+    # A very poor law is cut off: its bar would make all others too short.
     limit = min(max(known), 6 * max((p.percent for p in predictions if p.percent is not None and p.law == laws[0]),
                                     default=max(known)))
     expected = None
@@ -109,16 +122,16 @@ def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test], u
                       va="center", fontsize=9, color="0.35")
             continue
         length = min(p.percent, 1.02 * limit)
-        axes.barh(y, length, 0.86 * height, color=looks[p.law]["color"], alpha=0.85, lw=0)
+        axes.barh(y, length, 0.86 * height, color=style_of[p.law]["color"], alpha=0.85, lw=0)
         force = units.force.text(p.RMSE_N, 2) if p.RMSE_N is not None else \
             "" if p.RMSE_Pa is None else units.pressure.text(p.RMSE_Pa, 2)
         end = length
         if p.expected_N is not None and p.RMSE_N:
             chance = min(p.percent * p.expected_N / p.RMSE_N, limit)
-            # The mark must not stand in the number.
+            # Keep the mark clear of the number.
             end = chance if length < chance < length + 0.1 * limit else length
             expected, = axes.plot([chance, chance], [y - 0.46 * height, y + 0.46 * height], color="0.1", lw=2.4)
-        axes.text(end + 0.008 * limit, y, f"{'▸ ' if p.percent > length else ''}{percent(p.percent)}   {force}",
+        axes.text(end + 0.008 * limit, y, f"{'▸ ' if p.percent > length else ''}{format_percent(p.percent)}   {force}",
                   va="center", fontsize=9)
     axes.set(xlim=(0, 1.16 * limit), ylim=(-0.5, len(cases) - 0.5), yticks=range(len(cases)),
              xlabel="root mean square error, % of the largest measured force (or stress)",
@@ -128,16 +141,16 @@ def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test], u
     axes.grid(visible=False, axis="y")
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
-    handles = [Patch(color=looks[law]["color"], alpha=0.85, label=find_law(law).title) for law in laws]
+    handles = [Patch(color=style_of[law]["color"], alpha=0.85, label=find_law(law).title) for law in laws]
     if expected is not None:
-        expected.set_label(f"from noise, jitter{', specimens' if several else ''} and the parameters' errors alone")
+        expected.set_label(f"expected from noise, jitter{', specimens' if several else ''} and parameter errors")
         handles.append(expected)
     figure.legend(handles=handles, loc="outside upper left", ncols=4, fontsize=9.5)
     return figure
 
 
-def percent(value: float) -> str:
-    """``1.7 %``, ``120 %``."""
+def format_percent(value: float) -> str:
+    """Return a percentage as text, such as ``1.7 %`` or ``120 %``."""
     return f"{value:.2g}\u00a0%" if value < 99.5 else f"{value:.0f}\u00a0%"
 
 
@@ -149,22 +162,22 @@ def _case(test: Test, fitted: Sequence[str], of_mean: int) -> str:
 
 
 def draw_history(fits: Sequence[Fit]):
-    """Every solve of every start: the error above, the parameters relative to the estimate below, a column a law."""
+    """Draw the convergence of all starts: error above, parameters relative to the estimate below, a column per law."""
     fits = [fit for fit in fits if fit.history]
-    counts = [count for count in in_rows(len(fits)) for _ in ("error", "parameters")]
-    figure, axes = panels(counts, 2.7)
-    left = iter(fits)
+    counts = [count for count in panels_per_row(len(fits)) for _ in ("error", "parameters")]
+    figure, axes = new_panels(counts, 2.7)
+    remaining = iter(fits)
     for count in counts[::2]:
         for above, below in zip(axes[:count], axes[count:2 * count], strict=True):
-            _draw_convergence(above, below, next(left))
+            _draw_convergence(above, below, next(remaining))
         axes = axes[2 * count:]
     figure.align_labels()
-    legend_above(figure)
+    add_legend_above(figure)
     return figure
 
 
 def chosen_start(fit: Fit) -> int:
-    """Number of the start that ended lowest, on the accurate mesh where some ended there."""
+    """Return the number of the start with the lowest final error; starts on the accurate mesh are preferred."""
     last = {step.start: step for step in sorted(fit.history, key=lambda step: step.run)}
     return min(last, key=lambda start: (not last[start].corrected, last[start].error))
 
@@ -188,11 +201,11 @@ def _draw_convergence(above, below, fit: Fit) -> None:
             above.plot(run, error, "o", color=COLOURS[0], ms=5, mfc="white", zorder=5, label="chosen start")
             if fine:
                 above.plot([s.run for s in fine], [s.error for s in fine], "o", color=COLOURS[0], ms=5, zorder=6,
-                           label="with the accurate mesh's difference")
-        for name, look in zip(names, line_styles(), strict=False):
+                           label="corrected to the accurate mesh")
+        for name, style in zip(names, line_styles(), strict=False):
             symbol = math_symbol(fit.symbols[name])
             label = symbol if fit.parameters[name] else f"{symbol} (of {scale[name]:.4g})"
-            below.plot(run, [s.parameters[name] / scale[name] for s in steps], color=look["color"],
+            below.plot(run, [s.parameters[name] / scale[name] for s in steps], color=style["color"],
                        lw=2.4 if bold else 0.7, alpha=1.0 if bold else 0.4, zorder=4 if bold else 2,
                        gid=label if bold else None)
     if len(starts) > 1:
@@ -202,11 +215,11 @@ def _draw_convergence(above, below, fit: Fit) -> None:
     above.set_ylabel("sum of squares, whitened")
     ratios = [step.parameters[name] / scale[name] for step in fit.history for name in names]
     if min(ratios) > 0:
-        below.set_yscale("linear" if max(ratios) < _NARROW * min(ratios) else "log")
+        below.set_yscale("linear" if max(ratios) < _MAX_LINEAR * min(ratios) else "log")
     elif max(map(abs, ratios)) > 3:
         below.set_yscale("symlog", linthresh=1.0)
     if below.get_yscale() != "linear":
-        marks = _RATIOS if min(ratios) > 0 else _SIGNED
+        marks = _POSITIVE_TICKS if min(ratios) > 0 else _SIGNED_TICKS
         below.yaxis.set_major_locator(FixedLocator([r for r in marks if min(ratios) / 2 <= r < 2 * max(ratios)]))
         below.yaxis.set_major_formatter("{x:g}")
         below.yaxis.set_minor_locator(NullLocator())

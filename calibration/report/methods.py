@@ -1,4 +1,4 @@
-"""The methods paragraph: what was fitted how, to what, with what result, ready to paste into a paper."""
+"""Write the methods text of a calibration for a paper: data, model, identification, uncertainty and results."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from calibration.fit.fit import Fit
 from calibration.fit.population import in_words
 from calibration.fit.result import CalibrationResult
 from calibration.forward.meshes import meshes_of
-from calibration.report.drawing import counted
-from calibration.report.figures import percent
+from calibration.report.drawing import format_count
+from calibration.report.figures import format_percent
 from calibration.report.page import estimate_of, interval_of, ranked_by_prediction, with_minus, young_modulus
-from calibration.report.population import scatter
+from calibration.report.population import format_population
 from calibration.report.symbols import plain_symbol
 from calibration.report.units import Units
 from tissue_sim.laws import find_law
 from tissue_sim.specimen.specimen import with_article
 
-#: What is cited -> how the text names it, and the reference.
+#: Subject -> (citation in the text, entry in the list of references).
 _REFERENCES = {
     "neo_hooke": ("Rivlin 1948a", "Rivlin RS (1948a) Large elastic deformations of isotropic materials. I. Fundamental "
                                   "concepts. Phil Trans R Soc A 240:459-490"),
@@ -58,10 +58,12 @@ _REFERENCES = {
 
 
 def methods_text(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]], units: Units) -> str:
-    """Paragraphs of data, model, method, noise and numbers, then the references that they cite, in plain text.
+    """Return the methods text: paragraphs on data, model, method, noise and results, then the cited references.
 
     Args:
-        result: fits best first. measured: test -> its recordings.
+        result: result of the calibration, fits best first.
+        measured: recordings of each test.
+        units: display units.
     """
     cited: dict[str, None] = {}
 
@@ -88,19 +90,20 @@ def _data(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCur
             words += f", {test.experiment.tool.shape} tool of radius {test.experiment.tool.radius * 1e3:g} mm"
         if test.max_strain is not None:
             words += f", up to a nominal strain of {test.max_strain:g}"
-        parts.append(f"{words}; {counted(len(curves), 'recording')}, {sum(c.force.size for c in curves)} points"
+        parts.append(f"{words}; {format_count(len(curves), 'recording')}, {sum(c.force.size for c in curves)} points"
                      f"{'; held out of all fits' if test.hold_out else ''})")
-    found = "".join(f" In {counted(several, 'recording')} of {test} displacement and force were counted from the "
-                    "contact, found as the change point of the force over its zero and drift."
-                    for test, several in _from_contact(result, measured))
+    found = "".join(f" In {format_count(several, 'recording')} of {test} displacement and force were measured from the "
+                    "contact point, which was detected as the change point of the force relative to its zero and "
+                    "drift."
+                    for test, several in _recordings_from_contact(result, measured))
     notes = notes_in_short((curve.test.name, curve.name, curve.notes)
                            for curves in measured.values() for curve in curves)
     return f"Data. {'; '.join(parts)}.{found}{notes}"
 
 
-def _from_contact(result: CalibrationResult,
-                  measured: Mapping[str, Sequence[MeasuredCurve]]) -> Iterator[tuple[str, int]]:
-    """Test -> how many of its recordings are counted from a contact that was found."""
+def _recordings_from_contact(result: CalibrationResult,
+                             measured: Mapping[str, Sequence[MeasuredCurve]]) -> Iterator[tuple[str, int]]:
+    """Yield each test with the number of its recordings whose displacement starts at a detected contact."""
     for test in result.campaign.tests:
         shifted = sum(curve.whole is not None and curve.whole.shift != 0.0 for curve in measured[test.name])
         if test.contact == "find" and shifted:
@@ -115,32 +118,32 @@ def _laws(result: CalibrationResult, cite) -> str:
     text = f"Material. {'; '.join(laws)}."
     terms = sum(name.endswith(".g") and "viscoelastic" in name for name in result.best.parameters)
     if terms:
-        text += (f" The isochoric second Piola-Kirchhoff stress relaxes by a Prony series of {counted(terms, 'term')} "
-                 f"{cite('prony')}; moduli are instantaneous.")
+        text += (" The isochoric second Piola-Kirchhoff stress relaxes by a Prony series of "
+                 f"{format_count(terms, 'term')} {cite('prony')}; moduli are instantaneous.")
     return text
 
 
 def _method(result: CalibrationResult, cite) -> str:
     if result.campaign.fit.method == "analytical":
         text = ("Identification. The closed forms of the homogeneous deformation of the incompressible material were "
-                "fitted to the nominal stress by non-linear least squares (trust-region reflective, several "
+                "fitted to the nominal stress by non-linear least squares (trust region reflective, several "
                 f"starts; {cite('descent')[1:-1]}).")
         offsets = result.campaign.fit.offset == "fit"
-        text += " Contact offset and zero of each recording were fitted, with priors." if offsets else ""
+        text += " Contact offset and force zero of each recording were fitted with priors." if offsets else ""
         return f"{text} {_ranking(result, cite)}"
-    starts = counted(result.campaign.fit.starts, "start")
+    starts = format_count(result.campaign.fit.starts, "start")
     simulated = [test.solver for test in result.campaign.tests if test.experiment is not None]
     elements = " or ".join(dict.fromkeys(meshes_of(solver).elements for solver in simulated or [ROUND_SOLVER]))
     return (f"Identification. All tests were simulated with {elements} (homogeneous tests: "
-            "closed forms) under the recorded motion, and the parameters found by generalised least squares on the "
-            f"force (trust-region reflective, {starts}; {cite('descent')[1:-1]}). Contact offset and zero of each "
-            f"recording and the mesh error were marginalised as nuisance parameters {cite('projection')}. Intervals "
-            f"are those of the profile likelihood {cite('profiles')}; residuals were tested for smooth misfit by "
-            f"region, p adjusted for their number {cite('holm')}. {_ranking(result, cite)}")
+            "closed forms) under the recorded motion. The parameters were estimated by generalised least squares on "
+            f"the force (trust region reflective, {starts}; {cite('descent')[1:-1]}). Contact offset and force zero of "
+            f"each recording and the mesh error were marginalised as nuisance parameters {cite('projection')}. "
+            f"Intervals are profile-likelihood intervals {cite('profiles')}. Residuals were tested for smooth misfit "
+            f"by region, with p adjusted for the number of regions {cite('holm')}. {_ranking(result, cite)}")
 
 
 def _ranking(result: CalibrationResult, cite) -> str:
-    by = "their prediction of tests that they were not fitted to" if ranked_by_prediction(result.fits) else \
+    by = "the prediction error in tests that they were not fitted to" if ranked_by_prediction(result.fits) else \
         f"the Bayesian information criterion {cite('BIC')}"
     return f"Laws were ranked by {by}."
 
@@ -154,12 +157,13 @@ def _noise(result: CalibrationResult, units: Units) -> str:
         levels = [f"{units.pressure.text(result.noise_Pa, 2)} of nominal stress ({result.noise_source})"]
     jitter = result.best.jitter
     contact, zero = ("", "") if jitter is None else units.scatter(jitter, result.campaign.tests)
-    scatter = f" Between recordings the contact point scatters by {contact} and the zero by {zero}." if contact else ""
-    basis = {"noise": "that noise", "residuals": "the residuals, which exceed that noise",
+    scatter = f" Between recordings the contact point scatters by {contact} and the force zero by {zero}." \
+        if contact else ""
+    basis = {"noise": "this noise", "residuals": "the residuals, which exceed this noise",
              "replicates": "the scatter of the replicates"}[result.best.covariance_from]
-    return (f"Uncertainty. Standard deviation of the noise: {', '.join(levels)}.{scatter} Standard errors rest on "
-            f"{basis}; numbers are given as estimate ± standard error [95 % interval], rounded by the rule of the "
-            "Particle Data Group.")
+    return (f"Uncertainty. Standard deviation of the noise: {', '.join(levels)}.{scatter} Standard errors are computed "
+            f"from {basis}; numbers are given as estimate ± standard error [95 % interval], rounded by the rule of "
+            "the Particle Data Group.")
 
 
 def _numbers(result: CalibrationResult, units: Units, cite) -> str:
@@ -172,15 +176,16 @@ def _numbers(result: CalibrationResult, units: Units, cite) -> str:
         if fit.population is not None:
             several = ", ".join(with_minus(
                 f"{plain_symbol(each.symbol)} = {each.mean} [{each.mean_interval}], standard deviation between "
-                f"specimens {each.spread} [{each.spread_interval}]") for each in scatter(fit, fit.population, units))
-            left_out = f"; not in it: {in_words(fit.left_out_specimens)}" if fit.left_out_specimens else ""
-            sentences.append(f"Of the {len(fit.population.specimens)} specimens as a population (restricted maximum "
+                f"specimens {each.spread} [{each.spread_interval}]")
+                for each in format_population(fit, fit.population, units))
+            left_out = f"; not included: {in_words(fit.left_out_specimens)}" if fit.left_out_specimens else ""
+            sentences.append(f"Population of {len(fit.population.specimens)} specimens (restricted maximum "
                              f"likelihood {cite('population')}): {several}{left_out}.")
     for p in result.predictions:
         if p.law == result.best.law and p.percent is not None:
-            of_mean = f", by the mean of {counted(len(p.mean_of), 'other specimen')}," if p.mean_of else ","
-            sentences.append(f"{find_law(p.law).title} predicts {p.test}, which it was not fitted to{of_mean} within "
-                             f"{percent(p.percent)} of the largest load (root mean square).")
+            of_mean = f" from the mean of {format_count(len(p.mean_of), 'other specimen')}" if p.mean_of else ""
+            sentences.append(f"{find_law(p.law).title} predicts {p.test}, to which it was not fitted,{of_mean} with an "
+                             f"error of {format_percent(p.percent)} of the largest load (root mean square).")
     return f"Results. {' '.join(sentences)}"
 
 

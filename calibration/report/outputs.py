@@ -1,4 +1,4 @@
-"""Files of a calibrated campaign."""
+"""Write the result files of a calibrated campaign."""
 
 from __future__ import annotations
 
@@ -30,17 +30,23 @@ from tissue_sim.atomic_write import write_text
 from tissue_sim.laws import find_law
 from tissue_sim.material.file import MaterialFile, write_material_file
 
+#: Law -> recorded and fitted curves of each test.
 Curves = Mapping[str, Sequence[TestCurves]]
 
 
 def write_campaign(result: CalibrationResult, curves: Curves, measured: Mapping[str, Sequence[MeasuredCurve]],
                    method: str, *, figures: bool = True, figures_format: str | None = None) -> None:
-    """Write everything; ``fit.json`` last, because it says that the campaign is finished.
+    """Write all result files of a calibration.
+
+    ``fit.json`` is written last, because its existence marks the campaign as finished.
 
     Args:
-        result: fits best first. curves: law -> each test as that law sees it. measured: test -> its recordings.
-        method: what was fitted how, for the material files. figures: whether the report gets its pictures.
-        figures_format: ``svg``, ``pdf`` or ``png`` of the pictures as files beside it; None: no files.
+        result: result of the calibration, fits best first.
+        curves: recorded and fitted curves of each test, by law.
+        measured: recordings of each test.
+        method: description of the fitting method for the material files.
+        figures: whether the report includes figures.
+        figures_format: ``svg``, ``pdf`` or ``png`` to write each figure also as a file; None: no figure files.
     """
     for fit in result.fits:
         if fit.material_file is not None:
@@ -56,7 +62,7 @@ def write_campaign(result: CalibrationResult, curves: Curves, measured: Mapping[
 
 
 def write_failure(campaign: Campaign, failures: Mapping[str, str], folder: Path) -> None:
-    """A report of a campaign of which no law has a fit: each law and the reason."""
+    """Write the report of a campaign in which no law could be fitted, with the reason for each law."""
     rows: list[list[str | None]] = [[title_of(law), escape(reason)] for law, reason in failures.items()]
     write_text(folder / "report.html", html_page(f"Calibration of {campaign.name}", [
         "<p>No law has a fit.</p>", html_table(["Law", "Reason"], rows, text=(1,))]))
@@ -64,17 +70,24 @@ def write_failure(campaign: Campaign, failures: Mapping[str, str], folder: Path)
 
 def material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]],
                   method: str) -> MaterialFile:
-    """The material of a fit with its uncertainty, valid range and provenance."""
+    """Return the material file of a fit: parameters, uncertainty, valid range and provenance.
+
+    Args:
+        fit: the fit of one law.
+        result: result of the calibration.
+        measured: recordings of each test.
+        method: description of the fitting method.
+    """
     campaign = result.campaign
     law = find_law(fit.law)
     space = ParameterSpace.of(fit.law, campaign, {name: [curve.name for curve in curves]
                                                   for name, curves in measured.items()})
-    # Of the bulk response the schema keeps no standard error; experiment and rig are no part of a material.
+    # The file format has no standard error for the bulk response. Parameters of experiment and rig are excluded.
     material, of_material = typical_material(fit), {each.path for each in space.unknowns if each.of_material}
     kept = [i for i, path in enumerate(material.parameters) if path in of_material and not path.startswith("bulk.")]
     order = [path for i, path in enumerate(material.parameters) if i in kept]
     errors = {path: error for path, error in material.errors.items() if error is not None and path in order}
-    # The covariance of the others holds for a parameter that stays on its bound, as it does for a fixed one.
+    # A parameter at its bound counts as fixed: the covariance of the other parameters remains valid.
     held = {name.partition("@")[0] for name in fit.on_bound}
     complete = all(path in errors or path in held for path in order) and set(law.parameters) <= set(order)
     covariance = material.covariance[np.ix_(kept, kept)] if complete else None
@@ -114,7 +127,7 @@ def material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Se
 
 
 def write_summary(results: Sequence[CalibrationResult], path: Path) -> None:
-    """One row for each law of each campaign; a cell is empty where the method has no such figure."""
+    """Write ``summary.csv`` with one row per law and campaign; cells without a value are empty."""
     units = {name: fit.unit(name) or "-" for result in results for fit in result.fits for name in fit.parameters}
     header = ["campaign", "rank", "law", "status", "E0 [Pa]", "mu0 [Pa]", "R2", "RMSE [N]", "RMSE [Pa]", "AIC", "BIC",
               "left_out [%]", "noise_ratio", "stable_from", "stable_to", "not_identifiable", "fem_solves", "cpu [s]"]
@@ -135,8 +148,10 @@ def write_summary(results: Sequence[CalibrationResult], path: Path) -> None:
 
 
 def _curves(curves: Curves) -> str:
-    """Each law along each test, with its standard error and the half widths of the 95 % bands of a new recording: of
-    its samples, and of the whole of it."""
+    """Return the CSV table of the fitted curves with standard errors and prediction bands.
+
+    The half widths of the 95 % bands are for single samples of a new recording and for its entire curve.
+    """
     rows = []
     for law, tests in curves.items():
         for test in tests:
@@ -150,7 +165,7 @@ def _curves(curves: Curves) -> str:
 
 
 def _residuals(curves: Curves) -> str:
-    """Every sample: measured, model with the recording's offset and zero, model minus measured."""
+    """Return the CSV table of all samples: measured, model with the recording's offset and zero, and residual."""
     rows = []
     for law, tests in curves.items():
         for test in tests:
@@ -164,28 +179,28 @@ def _residuals(curves: Curves) -> str:
 
 def _in_units(test: TestCurves, displacement: float, forces: Sequence[float],
               errors: Sequence[float] = ()) -> list[float | str | None]:
-    """Abscissa of the closed form with its value; displacement, mm, forces, N, and stresses, Pa: what the test has.
+    """Return the cells of a row: abscissa (name, value), displacement in mm, forces in N and stresses in Pa.
 
-    A nominal stress is negative in compression, its errors are not.
+    Cells that the test does not define are None. A nominal stress is negative in compression, its errors are positive.
     """
-    asked, empty = test.test, [None] * (len(forces) + len(errors))
-    mechanical = [None, *empty] if asked.specimen is None else [displacement * 1e3, *forces, *errors]
+    setup, empty = test.test, [None] * (len(forces) + len(errors))
+    mechanical = [None, *empty] if setup.specimen is None else [displacement * 1e3, *forces, *errors]
     if test.area is None:
         return [None, None, *mechanical, *empty]
-    sign, height = asked.kind.sign, 1.0 if asked.specimen is None else asked.specimen.height
-    name, value = asked.kind.require_closed_form().label, asked.kind.abscissa(displacement / height)
-    if asked.specimen is not None and asked.specimen.specific_weight:
+    sign, height = setup.kind.sign, 1.0 if setup.specimen is None else setup.specimen.height
+    name, value = setup.kind.require_closed_form().label, setup.kind.abscissa(displacement / height)
+    if setup.specimen is not None and setup.specimen.specific_weight:
         name = "1 - displacement/height [-]"
     return [name, value, *mechanical, *(sign * force / test.area for force in forces),
             *(error / test.area for error in errors)]
 
 
 def format_table(header: Sequence[str], rows: Iterable[Sequence]) -> str:
-    """CSV with eight digits; None and NaN are empty cells."""
+    """Return a CSV table; floats have eight significant digits, None and NaN are empty cells."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(header)
-    # NaN is where a law carries no more.
+    # NaN marks states beyond the largest load that a law can carry.
     writer.writerows(["" if cell is None or cell != cell else f"{cell:.8g}" if isinstance(cell, float) else cell
                       for cell in row] for row in rows)
     return stream.getvalue()

@@ -1,4 +1,4 @@
-"""What the reports of all calibrations share: the page, its tables, and numbers as people write them."""
+"""Shared parts of the HTML reports: page, tables, lists, and formatted numbers of a fit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from calibration.report.symbols import html_symbol
 from calibration.report.units import Unit, Units
 from tissue_sim.laws import find_law
 
-#: Of a parameter, as a share of it, for the rate of a modulus.
+#: Relative step of a parameter for the finite-difference derivative of a modulus.
 _STEP = 1e-4
 _STYLE = """
 :root { color-scheme: light; }
@@ -50,8 +50,12 @@ small, .quiet { color: #59636e; } .bad { color: #a33c00; }
 
 
 def html_page(title: str, parts: Iterable[str]) -> str:
-    """A page that stands alone: style and, as data, pictures are inside. Title in plain text, `parts` of the body in
-    HTML."""
+    """Return a self-contained HTML page.
+
+    Args:
+        title: title in plain text.
+        parts: HTML of the body; figures are embedded as data.
+    """
     return "\n".join([
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
@@ -60,12 +64,14 @@ def html_page(title: str, parts: Iterable[str]) -> str:
 
 def html_table(labels: Sequence[str], rows: Sequence[Sequence[str | None]], *, text: Collection[int] = (),
                best: bool = False, narrow: bool = False) -> str:
-    """A table that scrolls where the page is narrow. Labels and cells are HTML.
+    """Return an HTML table that scrolls horizontally on a narrow page.
 
     Args:
-        rows: of cells; None: the cell above reaches down here.
-        text: columns of words, which may wrap; the first stands left anyway.
-        best: mark the first row. narrow: only as wide as its content.
+        labels: HTML of the column headings.
+        rows: HTML of the cells of each row; None: the cell above extends over this row.
+        text: indices of columns with text, which may wrap; the first column is always left-aligned.
+        best: whether to highlight the first row.
+        narrow: whether the table is only as wide as its content.
     """
     sort = [' class="text"' if i in text else "" for i in range(len(labels))]
     lines = []
@@ -84,33 +90,36 @@ def html_table(labels: Sequence[str], rows: Sequence[Sequence[str | None]], *, t
 
 
 def html_list(sentences: Iterable[str]) -> str:
-    """A bulleted list of HTML."""
+    """Return a bulleted HTML list of these sentences (HTML)."""
     return f"<ul>{''.join(f'<li>{sentence}</li>' for sentence in sentences)}</ul>"
 
 
 def title_of(law_name: str) -> str:
-    """Title of a law, as HTML; its order does not part from it."""
+    """Return the title of a law as HTML; ``N = 2`` stays on one line."""
     return escape(find_law(law_name).title).replace("N = ", "N\u00a0=\u00a0")
 
 
 def ranked_by_prediction(fits: Iterable[Fit]) -> bool:
-    """Whether laws stand in the order of what they predict, not in that of the BIC."""
+    """Return whether the laws are ranked by prediction error instead of the BIC."""
     return any(fit.left_out is not None for fit in fits)
 
 
 def number(value: float | None, digits: int) -> str:
-    """The number to so many digits, ``-`` for None."""
+    """Return a number with this many significant digits; ``-`` for None."""
     return "-" if value is None else f"{value:.{digits}g}"
 
 
 def with_minus(text: str) -> str:
-    """Numbers with a minus sign instead of a hyphen."""
+    """Replace the hyphen before each number by a minus sign."""
     return re.sub(r"(?<![\w.-])-(?=\d)", "−", text)
 
 
 def estimate_of(fit: Fit, name: str, units: Units) -> str:
-    """``0.988 ± 0.023 kPa``: a parameter with as many digits as its standard error leaves, or why it has none;
-    ``8 or -8`` where several optima fit equally well."""
+    """Return the estimate of a parameter with its standard error, such as ``0.988 ± 0.023 kPa``.
+
+    Without a standard error the text states the reason, or all values such as ``8 or -8`` if several optima fit equally
+    well.
+    """
     unit, error = units.of_parameter(fit.units[name]), fit.standard_errors[name]
     known = "fixed" if error == 0 else "on its bound" if name in fit.on_bound else ""
     if error is None and fit.alternatives and not known:
@@ -121,7 +130,7 @@ def estimate_of(fit: Fit, name: str, units: Units) -> str:
 
 
 def interval_of(fit: Fit, name: str, units: Units) -> str:
-    """``0.937 to 1.040``, in the unit of the estimate; empty without one."""
+    """Return the 95 % interval of a parameter in the unit of the estimate, such as ``0.937 to 1.040``; may be empty."""
     unit, error, interval = units.of_parameter(fit.units[name]), fit.standard_errors[name], fit.intervals95[name]
     if interval is None or not error:
         return ""
@@ -130,8 +139,13 @@ def interval_of(fit: Fit, name: str, units: Units) -> str:
 
 
 def shear_modulus_error(fit: Fit) -> float | None:
-    """Standard error of mu0, Pa, by the covariance of the law's parameters, of specimens that differ by that of their
-    mean; None where one of them has no error, or differs between tests."""
+    """Return the standard error of the initial shear modulus, Pa, by linear propagation of the covariance.
+
+    For specimens that differ the covariance of the mean material is used.
+
+    Returns:
+        The standard error; None if a parameter of the law has no error or differs between tests.
+    """
     law, material = find_law(fit.law), typical_material(fit)
     values = {name: material.parameters[name] for name in law.parameters if name in material.parameters}
     if any(material.errors.get(name) is None for name in law.parameters):
@@ -144,43 +158,46 @@ def shear_modulus_error(fit: Fit) -> float | None:
 
     rates = [rate(name) for name in law.parameters]
     order = list(material.parameters)
-    place = [order.index(name) for name in law.parameters]
+    indices = [order.index(name) for name in law.parameters]
     variance = sum(rates[a] * rates[b] * float(material.covariance[i, j])
-                   for a, i in enumerate(place) for b, j in enumerate(place))
+                   for a, i in enumerate(indices) for b, j in enumerate(indices))
     return math.sqrt(variance) if variance > 0 else None
 
 
 def moduli_of(fit: Fit, units: Units) -> tuple[str, str]:
-    """E0 and mu0 without their unit, to the place at which their errors end."""
+    """Return E0 and mu0 as text without unit, rounded to the precision of their standard errors."""
     size, error = units.pressure.size, shear_modulus_error(fit)
-    share = fit.E0 / fit.mu0 if fit.mu0 else 3.0
-    return (value_text(fit.E0 / size, error and abs(share) * error / size),
+    ratio = fit.E0 / fit.mu0 if fit.mu0 else 3.0
+    return (value_text(fit.E0 / size, error and abs(ratio) * error / size),
             value_text(fit.mu0 / size, error and error / size))
 
 
 def young_modulus(fit: Fit, units: Units) -> str:
-    """``5.93 ± 0.14 kPa``."""
+    """Return Young's modulus with its standard error, such as ``5.93 ± 0.14 kPa``."""
     size, error = units.pressure.size, shear_modulus_error(fit)
     return value_and_error(fit.E0 / size, error and abs(fit.E0 / fit.mu0) * error / size, units.pressure.name)
 
 
 def symbol_of(fit: Fit, name: str) -> str:
-    """A parameter's symbol, with its name in the model where that is another."""
+    """Return the symbol of a parameter as HTML; a tooltip gives the name in the model if the name differs."""
     symbol = html_symbol(fit.symbols[name])
     return symbol if fit.symbols[name] == name else f'<span title="{escape(name)}">{symbol}</span>'
 
 
 def stable_stretches(fit: Fit) -> str:
-    """Drucker-stable stretches in all three modes, such as ``0.3 to 3``."""
+    """Return the range of stretches with Drucker stability in all three modes, such as ``0.3 to 3``."""
     nowhere = fit.mu0 <= 0 or fit.stable_from >= fit.stable_to
     return "nowhere" if nowhere else f"{fit.stable_from:.3g} to {fit.stable_to:.3g}"
 
 
 def remarks_by_law(fits: Sequence[Fit], of: Callable[[Fit], Sequence[str]]) -> Iterator[tuple[tuple[Fit, ...], str]]:
-    """Fits, and what holds for just these: a remark that several laws share is made once, the widest first.
+    """Yield groups of fits with their common remarks, the largest group first.
+
+    A remark that several laws share appears once.
 
     Args:
-        of: remarks of a fit, one by one.
+        fits: fits of all laws.
+        of: returns the remarks of a fit.
     """
     laws: dict[str, tuple[Fit, ...]] = {}
     for fit in fits:
@@ -195,17 +212,17 @@ def remarks_by_law(fits: Sequence[Fit], of: Callable[[Fit], Sequence[str]]) -> I
 
 
 def remark_list(fits: Sequence[Fit]) -> str:
-    """Drucker stability and the message of each fit, what they share once."""
+    """Return the HTML list of stability statements and messages; common ones appear once."""
     lines = []
     for having, words in remarks_by_law(fits, lambda fit: [*fit.message.split("; "), f"Drucker: {fit.stability}"]):
-        who = "All laws" if 1 < len(having) == len(fits) else ", ".join(title_of(fit.law) for fit in having)
+        laws = "All laws" if 1 < len(having) == len(fits) else ", ".join(title_of(fit.law) for fit in having)
         warn = "" if any(fit.status == "converged" for fit in having) else ' class="bad"'
-        lines.append(f"<li{warn}>{who}: {escape(words)}</li>")
+        lines.append(f"<li{warn}>{laws}: {escape(words)}</li>")
     return f"<ul>{''.join(lines)}</ul>"
 
 
 def parameter_tables(fits: Sequence[Fit], units: Units, figures: bool) -> list[str]:
-    """Every parameter of every law: estimate with standard error, interval and, where it is known, what cut it."""
+    """Return the HTML tables of all parameters of each law: estimate, standard error, interval and its limit."""
     parts = []
     for fit in fits:
         png = draw_formula(fit.law) if figures else None
@@ -218,33 +235,33 @@ def parameter_tables(fits: Sequence[Fit], units: Units, figures: bool) -> list[s
                          with_minus(interval_of(fit, name, units)) or "-",
                          escape(fit.interval_notes.get(name, "").replace(f"{name} ", ""))])
         columns = slice(None, None if any(row[3] for row in rows) else 3)
-        labels = ["Parameter", "Value ± standard error", "95 % interval", "What cuts it"]
+        labels = ["Parameter", "Value ± standard error", "95 % interval", "Limit of the interval"]
         parts += [f"<h3>{title_of(fit.law)} <small>{formula}</small></h3>",
                   html_table(labels[columns], [row[columns] for row in rows], text=(3,), narrow=True)]
     return parts
 
 
 def correlation_tables(fits: Sequence[Fit]) -> list[str]:
-    """How the estimates depend on each other, for every law with more than one free parameter."""
+    """Return the HTML tables of the parameter correlations of each law with more than one free parameter."""
     parts = []
     for fit in fits:
         free = free_parameters(fit)
         if len(free) < 2:
             continue
-        place, symbols = [fit.covariance.order.index(name) for name in free], [symbol_of(fit, name) for name in free]
-        rows = [[symbol, *(with_minus(f"{fit.correlation[i][j]:.3f}") for j in place)]
-                for symbol, i in zip(symbols, place, strict=True)]
+        indices, symbols = [fit.covariance.order.index(name) for name in free], [symbol_of(fit, name) for name in free]
+        rows = [[symbol, *(with_minus(f"{fit.correlation[i][j]:.3f}") for j in indices)]
+                for symbol, i in zip(symbols, indices, strict=True)]
         parts += [f"<h3>{title_of(fit.law)}</h3>", html_table(["", *symbols], rows, narrow=True)]
     return ["<h2>Correlation of the parameters</h2>", *parts] if parts else []
 
 
 def free_parameters(fit: Fit) -> list[str]:
-    """Names of those with a standard error: neither fixed nor on a bound, in the order of the covariance."""
+    """Return the names of the parameters that are neither fixed nor at a bound, in the order of the covariance."""
     return [name for name in fit.covariance.order if fit.standard_errors[name] not in (None, 0.0)]
 
 
 def nuisance_table(fit: Fit, travel: Unit, load: Unit) -> str:
-    """Contact offset and zero of each recording, in these units."""
+    """Return the HTML table of contact offset and force zero of each recording, in these units."""
 
     def scaled(value: float, error: float | None, size: float) -> str:
         return with_minus(value_and_error(value / size, error and error / size))
@@ -258,6 +275,6 @@ def nuisance_table(fit: Fit, travel: Unit, load: Unit) -> str:
 
 
 def recording_list(recordings: Iterable[MeasuredCurve]) -> str:
-    """Files, SHA-256 and numbers of points."""
+    """Return the HTML list of the recordings with file name, SHA-256 and number of points."""
     return html_list(f"{escape(curve.file.name)} <small>SHA-256 <code>{escape(curve.sha256)}</code>, "
                      f"{curve.force.size} points</small>" for curve in recordings)

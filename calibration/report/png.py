@@ -1,10 +1,10 @@
-"""A figure as a PNG, laid out and drawn once.
+"""Render a matplotlib figure as PNG with cached layout measurements.
 
-``savefig`` draws a figure twice where it has a layout, the first time for the layout alone, and a constrained layout
-measures all panels twice; in each pass matplotlib asks an axis some ten times where its ticks are, and measures their
-labels anew. Here an axis answers from memory as long as nothing has moved, and a panel whose tick labels stay the same
-is as much larger than its frame as before. The picture is the same up to a pixel or two of the layout, for two thirds
-of the time.
+``savefig`` draws a figure with a layout twice, first for the layout only, and a constrained layout measures all panels
+twice. In each pass matplotlib computes ticks and label sizes of an axis about ten times. This module caches the results
+while the position and the limits of the axes are unchanged. It also reuses the margin of a panel around its frame
+while the tick labels are unchanged. The image is the same up to one or two pixels of the layout, in two thirds of the
+time.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from typing import Any
 
 import numpy as np
 
-#: What an axis is asked again and again. Where matplotlib has other names for it pictures are the same, and slower.
-_ASKED_AGAIN = ("_update_ticks", "_get_ticklabel_bboxes")
-#: Decimals of a pixel to which a panel is where it was.
-_STILL = 6
-#: A frame that has become this share of itself larger or smaller has the same around it: the last number at an axis
-#: stands out by more or less, but that is a pixel or two.
-_AS_LARGE = 0.25
-#: Of zlib: files are up to a tenth larger than with its default, about as large as with transparency, in half the time.
+#: Methods of an axis whose results are cached. If matplotlib renames them, images are the same and rendering is slower.
+_CACHED_METHODS = ("_update_ticks", "_get_ticklabel_bboxes")
+#: Decimals of a pixel to which the position of a panel is compared.
+_POSITION_DECIMALS = 6
+#: Relative change of the frame size up to which the cached margin is used; the error is one or two pixels.
+_MAX_SIZE_CHANGE = 0.25
+#: zlib level: up to 10 % larger files than with the default level, in half the time.
 _COMPRESSION = 3
 
 
-def as_png(figure: Any, dpi: float = 150) -> bytes:
-    """The figure as a PNG, without transparency.
+def render_png(figure: Any, dpi: float = 150) -> bytes:
+    """Return a matplotlib figure as a PNG image without transparency.
 
     Args:
-        figure: of matplotlib; its layout, if any, is computed anew. dpi: pixels an inch.
+        figure: matplotlib figure; its layout, if any, is recomputed.
+        dpi: resolution, pixels per inch.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
@@ -40,7 +40,7 @@ def as_png(figure: Any, dpi: float = 150) -> bytes:
     figure.set_dpi(dpi)
     try:
         canvas = FigureCanvasAgg(figure)
-        with _measured_once(figure):
+        with _cached_measurements(figure):
             canvas.draw()
         picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
     finally:
@@ -51,64 +51,69 @@ def as_png(figure: Any, dpi: float = 150) -> bytes:
 
 
 @contextmanager
-def _measured_once(figure: Any) -> Iterator[None]:
-    """While a figure is drawn and nobody else changes it: what has been measured is not measured again."""
-    taught: list[tuple[Any, str]] = []
+def _cached_measurements(figure: Any) -> Iterator[None]:
+    """Replace the measuring methods of all axes by cached versions while the figure is drawn.
+
+    The figure must not be changed by other code in the meantime.
+    """
+    replaced: list[tuple[Any, str]] = []
     for axes in figure.axes:
-        answers = {(axis, name): _from_memory(axes, getattr(axis, name)) for axis in (axes.xaxis, axes.yaxis)
-                   for name in _ASKED_AGAIN if hasattr(axis, name)}
-        answers[axes, "get_tightbbox"] = _as_around_its_frame(axes)
-        for (artist, name), answer in answers.items():
-            vars(artist)[name] = answer
-            taught.append((artist, name))
+        methods = {(axis, name): _cache_by_position(axes, getattr(axis, name)) for axis in (axes.xaxis, axes.yaxis)
+                   for name in _CACHED_METHODS if hasattr(axis, name)}
+        methods[axes, "get_tightbbox"] = _cache_margin(axes)
+        for (artist, name), method in methods.items():
+            vars(artist)[name] = method
+            replaced.append((artist, name))
     try:
         yield
     finally:
-        for artist, name in taught:
+        for artist, name in replaced:
             del vars(artist)[name]
 
 
-def _from_memory(axes: Any, measure: Callable[..., Any]) -> Callable[..., Any]:
-    """A method of an axis of these axes that looks anew only where the frame or its limits have changed."""
-    known: dict[tuple, Any] = {}
-    there: list[Any] = []
+def _cache_by_position(axes: Any, measure: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a version of an axis method that is evaluated again only if the frame or the limits have changed."""
+    cache: dict[tuple, Any] = {}
+    last_position: list[Any] = []
 
-    def answer(*asked: Any, **options: Any) -> Any:
+    def cached(*arguments: Any, **options: Any) -> Any:
         if options:
-            return measure(*asked, **options)
-        place = [*axes.bbox.extents.round(_STILL).tolist(), *axes.viewLim.extents.tolist()]
-        if place != there:
-            # Ticks are changed in place: what was known of another frame is no longer so.
-            known.clear()
-            there[:] = place
-        what = tuple(tuple(map(id, one)) if isinstance(one, list) else id(one) for one in asked)
-        if what not in known:
-            # With what was asked, so that nothing else gets its number.
-            known[what] = measure(*asked), asked
-        return known[what][0]
+            return measure(*arguments, **options)
+        position = [*axes.bbox.extents.round(_POSITION_DECIMALS).tolist(), *axes.viewLim.extents.tolist()]
+        if position != last_position:
+            # matplotlib changes ticks in place: results of another frame are invalid.
+            cache.clear()
+            last_position[:] = position
+        key = tuple(tuple(map(id, one)) if isinstance(one, list) else id(one) for one in arguments)
+        if key not in cache:
+            # The arguments are kept alive so that no other object can have the same id.
+            cache[key] = measure(*arguments), arguments
+        return cache[key][0]
 
-    return answer
+    return cached
 
 
-def _as_around_its_frame(axes: Any) -> Callable[..., Any]:
-    """How large axes are with all that is around them: a layout that moves them leaves that as it is, unless it makes
-    their frame much larger or smaller, or their tick labels change."""
+def _cache_margin(axes: Any) -> Callable[..., Any]:
+    """Return a version of `get_tightbbox` that reuses the margin between the frame and the outer box.
+
+    The margin is measured again if the tick labels change or if the frame changes its size by `_MAX_SIZE_CHANGE`.
+    """
     from matplotlib.transforms import Bbox
 
     measure = axes.get_tightbbox
-    known: list[tuple[list[list[str]], Any, Any]] = []
+    cache: list[tuple[list[list[str]], Any, Any]] = []
 
-    def answer(renderer: Any = None, **options: Any) -> Any:
-        # A frame of fixed shape, or one that follows others, is not where the layout puts it.
+    def cached(renderer: Any = None, **options: Any) -> Any:
+        # A frame with fixed aspect or with a locator is not placed by the layout.
         if not options.get("for_layout_only") or axes.get_aspect() != "auto" or axes.get_axes_locator():
             return measure(renderer, **options)
         labels = [[label.get_text() for label in axis.get_ticklabels()] for axis in (axes.xaxis, axes.yaxis)]
-        for those, size, around in known:
-            if those == labels and (abs(axes.bbox.size / size - 1.0) < _AS_LARGE).all():
-                return Bbox.from_extents(axes.bbox.extents + around)
-        whole = measure(renderer, **options)
-        if whole is not None and (axes.bbox.size > 0.0).all():
-            known.append((labels, axes.bbox.size, whole.extents - axes.bbox.extents))
-        return whole
+        for cached_labels, size, margin in cache:
+            if cached_labels == labels and (abs(axes.bbox.size / size - 1.0) < _MAX_SIZE_CHANGE).all():
+                return Bbox.from_extents(axes.bbox.extents + margin)
+        outer = measure(renderer, **options)
+        if outer is not None and (axes.bbox.size > 0.0).all():
+            cache.append((labels, axes.bbox.size, outer.extents - axes.bbox.extents))
+        return outer
 
-    return answer
+    return cached

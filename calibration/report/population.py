@@ -1,4 +1,4 @@
-"""Specimens as a population on the page: a table, and a picture of every parameter."""
+"""Report the population of specimens: a table and a figure of each parameter."""
 
 from __future__ import annotations
 
@@ -12,22 +12,27 @@ import numpy as np
 from calibration.fit.fit import Fit
 from calibration.fit.population import in_words
 from calibration.fit.population_records import PopulationStatement
-from calibration.report.drawing import COLOURS, Pictures, in_rows, legend_above, panels
+from calibration.report.drawing import COLOURS, Pictures, add_legend_above, new_panels, panels_per_row
 from calibration.report.page import html_table, title_of, with_minus
 from calibration.report.rounding import error_text, interval_text, value_and_error
 from calibration.report.symbols import html_symbol, math_symbol
 from calibration.report.units import Unit, Units
 
-#: Half width of a 95 % interval in standard errors.
-_REACH = 1.96
+#: Half width of a 95 % interval, standard errors.
+_HALF_WIDTH95 = 1.96
 
 
 class Scatter(NamedTuple):
-    """One parameter of a population as people read it.
+    """Formatted statistics of one parameter in a population of specimens.
 
     Attributes:
-        symbol, unit: of the parameter. mean: with its standard error. spread: between specimens. mean_interval,
-            spread_interval, next_specimen: 95 %.
+        symbol: symbol of the parameter.
+        unit: unit of the parameter.
+        mean: mean over the specimens with its standard error.
+        mean_interval: 95 % interval of the mean.
+        spread: standard deviation between specimens.
+        spread_interval: 95 % interval of the standard deviation.
+        next_specimen: 95 % prediction interval of a further specimen.
     """
 
     symbol: str
@@ -39,23 +44,23 @@ class Scatter(NamedTuple):
     next_specimen: str
 
 
-def scatter(fit: Fit, population: PopulationStatement, units: Units) -> Iterator[Scatter]:
-    """Every parameter of a population in words."""
+def format_population(fit: Fit, population: PopulationStatement, units: Units) -> Iterator[Scatter]:
+    """Yield the formatted statistics of each parameter of a population."""
     for k, path in enumerate(population.order):
         name = f"{path}@{population.specimens[0]}"
         unit = units.of_parameter(fit.units[name])
         mean, error, spread = (getattr(population, key)[k] / unit.size for key in ("mean", "mean_errors", "spread"))
-        # A spread of n specimens is known to one part in sqrt(2 (n - 1)).
-        known = max(spread / np.sqrt(2 * (len(population.specimens) - 1)), 1e-3 * abs(mean))
-        intervals = [interval_text(low / unit.size, high / unit.size, how_well, mean) for (low, high), how_well in (
-            (population.mean_intervals[k], error), (population.spread_intervals[k], known),
+        # Standard error of a standard deviation from n specimens: spread / sqrt(2 (n - 1)).
+        spread_error = max(spread / np.sqrt(2 * (len(population.specimens) - 1)), 1e-3 * abs(mean))
+        intervals = [interval_text(low / unit.size, high / unit.size, precision, mean) for (low, high), precision in (
+            (population.mean_intervals[k], error), (population.spread_intervals[k], spread_error),
             (population.next_specimen[k], error))]
         yield Scatter(fit.symbols[name].partition("@")[0], unit, value_and_error(mean, error, unit.name), intervals[0],
                       f"{error_text(spread)} {unit.name}".rstrip(), intervals[1], intervals[2])
 
 
-def populations(fits: Sequence[Fit], units: Units, pictures: Pictures) -> Iterator[str]:
-    """The part of the page that is about specimens; nothing without a population."""
+def population_section(fits: Sequence[Fit], units: Units, pictures: Pictures) -> Iterator[str]:
+    """Yield the HTML of the section on the population of specimens; empty if no fit has a population."""
     having = [(fit, fit.population) for fit in fits if fit.population is not None]
     if not having:
         return
@@ -64,43 +69,43 @@ def populations(fits: Sequence[Fit], units: Units, pictures: Pictures) -> Iterat
         [title_of(fit.law), html_symbol(each.symbol), *map(with_minus, (
             each.mean, each.mean_interval, each.spread, each.spread_interval, each.next_specimen)),
          str(len(found.specimens))]
-        for fit, found in having for each in scatter(fit, found, units)])
+        for fit, found in having for each in format_population(fit, found, units)])
     for fit, _ in having:
         if fit.left_out_specimens:
             yield f"<p>Not in the population of {title_of(fit.law)}: {escape(in_words(fit.left_out_specimens))}.</p>"
     for fit, found in having:
         yield pictures.show(f"population {fit.law}", partial(draw_population, fit, found, units),
                             f"Parameters of the specimens of {fit.law}",
-                            f"{title_of(fit.law)}: each specimen's own fit with its 95 % interval, and what is left of "
-                            "its distance from the mean where its own error is allowed for.")
+                            f"{title_of(fit.law)}: separate fit of each specimen with its 95 % interval, and the "
+                            "estimate that also uses the other specimens (shrinkage towards the mean).")
 
 
 def draw_population(fit: Fit, population: PopulationStatement, units: Units):
-    """Each parameter of each specimen alone and with what the others tell, about the mean of the population."""
+    """Draw each parameter of each specimen: separate estimate, shrinkage estimate and mean of the population."""
     specimens = len(population.specimens)
-    rows = in_rows(len(population.order))
-    figure, grid = panels(rows, 1.5 + 0.3 * specimens)
+    rows = panels_per_row(len(population.order))
+    figure, grid = new_panels(rows, 1.5 + 0.3 * specimens)
     firsts = {sum(rows[:row]) for row in range(len(rows))}
     for k, axes in enumerate(grid):
         _draw_parameter(axes, fit, population, k, units)
         axes.set_yticks(range(specimens), population.specimens if k in firsts else [])
         axes.set_ylim(specimens - 0.5, -0.5)
-    legend_above(figure)
+    add_legend_above(figure)
     return figure
 
 
 def _draw_parameter(axes, fit: Fit, population: PopulationStatement, k: int, units: Units) -> None:
     name = f"{population.order[k]}@{population.specimens[0]}"
     unit = units.of_parameter(fit.units[name])
-    place = np.arange(len(population.specimens))
+    rows = np.arange(len(population.specimens))
     axes.axvspan(*(end / unit.size for end in population.next_specimen[k]), color="0.93", lw=0,
                  label="95 % of further specimens")
     axes.axvspan(*(end / unit.size for end in population.mean_intervals[k]), color=COLOURS[0], alpha=0.2, lw=0,
                  label="mean, 95 %")
     axes.axvline(population.mean[k] / unit.size, color=COLOURS[0], lw=1.4)
     values, errors = (np.array(getattr(population, key))[:, k] / unit.size for key in ("estimates", "errors"))
-    axes.errorbar(values, place, xerr=_REACH * errors, fmt="o", color=COLOURS[1], capsize=2.5, lw=1.2, ms=5,
+    axes.errorbar(values, rows, xerr=_HALF_WIDTH95 * errors, fmt="o", color=COLOURS[1], capsize=2.5, lw=1.2, ms=5,
                   label="specimen alone, 95 %")
-    axes.plot(np.array(population.shrunken)[:, k] / unit.size, place, "D", mfc="white", mec="0.2", ms=4, zorder=5,
-              label="with what the others tell")
+    axes.plot(np.array(population.shrunken)[:, k] / unit.size, rows, "D", mfc="white", mec="0.2", ms=4, zorder=5,
+              label="using the other specimens")
     axes.set_xlabel(unit.label(math_symbol(fit.symbols[name].partition("@")[0])))

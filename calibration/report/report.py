@@ -1,4 +1,4 @@
-"""``report.html``: the verdict, pictures of what it rests on, and the numbers."""
+"""Write ``report.html`` of a calibration: summary, figures and tables."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from calibration.fit.fit import Fit, Prediction
 from calibration.fit.population import in_words
 from calibration.fit.result import CalibrationResult
 from calibration.output_folder import picture_of_test
-from calibration.report.assumptions import assumptions
-from calibration.report.curve_figures import draw_test, place_of, probability
-from calibration.report.drawing import Pictures, counted
+from calibration.report.assumptions import list_assumptions
+from calibration.report.curve_figures import describe_region, draw_test, format_probability
+from calibration.report.drawing import Pictures, format_count
 from calibration.report.estimate_figures import draw_correlation, draw_profiles, draw_specimens, draw_windows
-from calibration.report.figures import draw_history, draw_predictions, draw_regions, percent
+from calibration.report.figures import draw_history, draw_predictions, draw_regions, format_percent
 from calibration.report.page import (
     correlation_tables,
     estimate_of,
@@ -34,7 +34,7 @@ from calibration.report.page import (
     with_minus,
     young_modulus,
 )
-from calibration.report.population import populations
+from calibration.report.population import population_section
 from calibration.report.report_tables import (
     history_table,
     identifiability_table,
@@ -49,31 +49,32 @@ from calibration.report.units import Units
 from calibration.report.usability import usability_section
 from tissue_sim.laws import find_law
 
-#: Misfits that the verdict names; the table has all.
-_MOST_MISFITS = 3
-#: Of all pictures of tests.
+#: Maximum number of misfits in the summary; the table lists all.
+_MAX_MISFITS = 3
+#: Explanation above the figures of the tests.
 _NOTE = ("Displacement, strain, force and stress are positive under load. Tangents are slopes of straight lines "
-         "through short windows, the same for recordings and laws. Laws have no offset and no zero but, of tests with "
-         "holds, in tangents and holds: there they have those of the first recording. Band and residuals "
-         "(model − data) are those of the first law; the others leave the frame where they are far off. Shaded: "
-         "regions whose residuals are more than noise.")
+         "fitted in short windows, the same for recordings and laws. Laws are drawn without contact offset and force "
+         "zero. Exception: tangents and holds of tests with holds use the offset and zero of the first recording. Band "
+         "and residuals (model − data) belong to the first law; other laws may leave the frame. Shaded: regions whose "
+         "residuals exceed the noise.")
 
 
 def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]], methods: str,
                 pictures: Pictures | None) -> str:
-    """The page of one campaign as HTML.
+    """Return the HTML report of one campaign.
 
     Args:
-        result: fits best first. curves: law -> each test of the campaign as that law sees it, held-out ones too.
-        methods: paragraph for a paper.
-        pictures: where they go; None: verdict and tables only.
+        result: result of the calibration, fits best first.
+        curves: recorded and fitted curves of each test by law, including held-out tests.
+        methods: methods text for a paper.
+        pictures: destination of the figures; None: summary and tables only.
     """
     campaign, analytical = result.campaign, result.campaign.fit.method == "analytical"
     tests, units = {test.name: test for test in campaign.tests}, Units.of(result)
     typical = Units.typical(campaign.tests)
     recordings = {c.test.name: c.measured for c in next(iter(curves.values()))}
-    parts = [f'<p class="quiet">{counted(sum(map(len, recordings.values())), "recording")} of '
-             f"{counted(len(campaign.tests), 'test')}, {counted(len(result.fits), 'law')}; "
+    parts = [f'<p class="quiet">{format_count(sum(map(len, recordings.values())), "recording")} of '
+             f"{format_count(len(campaign.tests), 'test')}, {format_count(len(result.fits), 'law')}; "
              f"{'least squares on nominal stress' if analytical else 'inverse finite elements, all tests at once'}</p>",
              _verdict(result, tests, units)]
     if pictures is not None:
@@ -87,7 +88,7 @@ def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCur
     if any(fit.regions for fit in result.fits):
         parts += ["<h2>Residuals by region</h2>", region_table(result.fits, tests, units)]
     if not analytical:
-        parts += ["<h2>What these tests can tell</h2>", identifiability_table(result.fits, units)]
+        parts += ["<h2>Identifiability of the parameters</h2>", identifiability_table(result.fits, units)]
     parts += correlation_tables([fit for fit in result.fits if pictures is None or not _is_drawn(fit, result)])
     if result.best.nuisances:
         parts += [f"<h2>Contact offsets and zeros of {title_of(result.best.law)}</h2>",
@@ -97,7 +98,7 @@ def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCur
             f"<details><summary>{title_of(fit.law)}: {_effort(fit)}</summary>{history_table(fit, units)}</details>"
             for fit in result.fits if fit.history)]
     parts += segment_section(campaign, recordings, pictures)
-    parts += ["<h2>What was assumed</h2>", html_list(map(escape, assumptions(result, units))),
+    parts += ["<h2>Assumptions</h2>", html_list(map(escape, list_assumptions(result, units))),
               '<h2>Methods <small class="quiet">for a paper; also in methods.txt</small></h2>',
               f'<pre class="paste">{escape(methods)}</pre>', "<h2>Recordings</h2>",
               recording_list(curve for several in recordings.values() for curve in several)]
@@ -105,16 +106,16 @@ def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCur
 
 
 def _verdict(result: CalibrationResult, tests: Mapping[str, Test], units: Units) -> str:
-    """Which law, what it predicts, what it misses and what nobody can tell from these tests."""
+    """Return the summary as an HTML list: best law, its predictions, its misfits and undetermined parameters."""
     best = result.best
     rows = [("Law", [_law_in_words(best, units), escape(_with_titles(result))])]
-    seen = [_prediction_in_words(p, tests[p.test], units) for p in result.predictions if p.law == best.law]
-    rows.append(("Predicts", seen or ["Nothing was left to predict: a second test, left out or held out, would show "
-                                      "what this law is worth beyond the data it was fitted to."]))
+    predictions = [_prediction_in_words(p, tests[p.test], units) for p in result.predictions if p.law == best.law]
+    rows.append(("Predictions", predictions or ["No prediction: all tests were fitted. Add a second test, left out or "
+                                                "held out, to check the law on data that it was not fitted to."]))
     if best.regions:
-        rows.append(("Misses", [*_misfits(best, tests, units)]
-                     or ["In no region of any test is a misfit larger than chance makes."]))
-    rows.append(("Cannot tell", [*_untold(result.fits, units)]))
+        rows.append(("Misfits", [*_misfits(best, tests, units)]
+                     or ["All regions of all tests agree with the law within chance."]))
+    rows.append(("Undetermined", [*_undetermined(result.fits, units)]))
     items = (f"<dt>{term}</dt><dd>" + "<br>".join(lines) + "</dd>" for term, lines in rows)
     return f'<dl class="verdict">{"".join(items)}</dl>'
 
@@ -127,7 +128,7 @@ def _law_in_words(fit: Fit, units: Units) -> str:
 
 
 def _with_titles(result: CalibrationResult) -> str:
-    """The message, with titles instead of the names that laws have in files."""
+    """Return the message with the title of each law instead of its name in files."""
     message = result.message
     for law in sorted(result.campaign.fit.laws, key=len, reverse=True):
         message = re.sub(rf"\b{re.escape(law)}\b", find_law(law).title, message)
@@ -136,30 +137,30 @@ def _with_titles(result: CalibrationResult) -> str:
 
 def _prediction_in_words(prediction: Prediction, test: Test, units: Units) -> str:
     how = "held out of every fit" if test.hold_out else f"fitted to {', '.join(prediction.fitted)} only"
-    how += f", its specimen by the mean of {len(prediction.mean_of)} others" if prediction.mean_of else ""
+    how += f", its specimen from the mean of {len(prediction.mean_of)} others" if prediction.mean_of else ""
     name = f"<b>{escape(prediction.test)}</b>, {escape(how)}: "
     if prediction.percent is None:
         return name + f'<span class="bad">no prediction: {escape(prediction.note)}</span>'
     load, error = units.load(test), prediction.RMSE_Pa if test.specimen is None else prediction.RMSE_N
     size = "" if error is None else f"{load.text(error, 2)}, "
     expected = prediction.expected_N
-    chance = "" if expected is None else f" (chance alone would make {load.text(expected, 2)})"
+    chance = "" if expected is None else f" (expected by chance: {load.text(expected, 2)})"
     largest = "stress" if test.specimen is None else "force"
-    return f"{name}{size}{percent(prediction.percent)} of the largest {largest}{chance}"
+    return f"{name}{size}{format_percent(prediction.percent)} of the largest {largest}{chance}"
 
 
 def _misfits(fit: Fit, tests: Mapping[str, Test], units: Units) -> Iterator[str]:
     bad = sorted((r for r in fit.regions if not r.adequate), key=lambda r: r.p)
-    for r in bad[:_MOST_MISFITS]:
+    for r in bad[:_MAX_MISFITS]:
         test = tests[r.test]
         size = units.load(test).text(r.misfit_N, 2)
-        yield (f"<b>{escape(r.test)}</b>, {escape(place_of(r, test, units))}: {size} that the law does not explain "
-               f"({escape(probability(r.p))})")
-    if len(bad) > _MOST_MISFITS:
-        yield f"and {len(bad) - _MOST_MISFITS} more regions, in the table below."
+        yield (f"<b>{escape(r.test)}</b>, {escape(describe_region(r, test, units))}: {size} that the law does not "
+               f"explain ({escape(format_probability(r.p))})")
+    if len(bad) > _MAX_MISFITS:
+        yield f"and {len(bad) - _MAX_MISFITS} more regions, in the table below."
 
 
-def _untold(fits: Sequence[Fit], units: Units) -> Iterator[str]:
+def _undetermined(fits: Sequence[Fit], units: Units) -> Iterator[str]:
     for i, fit in enumerate(fits):
         if fit.not_identifiable:
             names = ", ".join(symbol_of(fit, name) for name in fit.not_identifiable)
@@ -168,7 +169,7 @@ def _untold(fits: Sequence[Fit], units: Units) -> Iterator[str]:
             yield f'<span class="bad">{names}</span> of {title_of(fit.law)} from these tests{remedy}.'
         elif i == 0 and fit.left_out_specimens:
             left_out = escape(in_words(fit.left_out_specimens))
-            yield f'<span class="bad">The numbers of {left_out}</span> of {title_of(fit.law)}.'
+            yield f'<span class="bad">The parameters of {left_out}</span> for {title_of(fit.law)}.'
         elif i == 0:
             yield f"These tests determine every parameter of {title_of(fit.law)}."
 
@@ -176,38 +177,39 @@ def _untold(fits: Sequence[Fit], units: Units) -> Iterator[str]:
 def _pictures(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]], units: Units,
               pictures: Pictures) -> Iterator[str]:
     campaign, fits = result.campaign, result.fits
-    # Where nobody knows what chance alone would make, the table says as much.
+    # Without an expected error by chance the figure shows no more than the table.
     if any(p.percent is not None and (p.expected_N is not None or p.fitted) for p in result.predictions):
         of_mean = "" if not any(p.mean_of for p in result.predictions) else \
-            " A specimen that the mean of others predicts is off by the scatter between specimens: one in three is " \
-            "beyond the mark, one in twenty beyond twice as far, and more where few specimens tell that scatter."
-        yield "<h2>Tests that the laws had not seen</h2>"
+            " A prediction from the mean of other specimens includes the scatter between specimens: one in three " \
+            "errors exceeds the mark and one in twenty exceeds twice the mark, more if the scatter is estimated from " \
+            "few specimens."
+        yield "<h2>Predictions of tests that were not fitted</h2>"
         yield pictures.show("predictions", partial(draw_predictions, result.predictions, campaign.tests, units),
                             "Errors of the predictions",
-                            "No test is predicted by a fit to itself. Up to the black mark, chance could make the "
-                            "error: noise, offsets, zeros and the errors of the parameters. Beyond it, the error is "
-                            f"the law's.{of_mean}")
+                            "Each test is predicted by a fit to other tests. The black mark is the error expected by "
+                            "chance: noise, offsets, zeros and parameter errors. A larger error is due to the "
+                            f"law.{of_mean}")
     yield "<h2>Recordings and laws</h2>"
     yield f'<p class="quiet">{_NOTE}</p>'
     for i, test in enumerate(campaign.tests):
         of_test = {law: several[i] for law, several in curves.items()}
         count = len(next(iter(of_test.values())).measured)
-        yield f"<h3>{escape(test.name)} <small>{escape(_what(test, count))}</small></h3>"
+        yield f"<h3>{escape(test.name)} <small>{escape(_test_in_words(test, count))}</small></h3>"
         yield pictures.show(picture_of_test(campaign, i), partial(draw_test, fits, of_test, units),
                             f"Recordings, curves, prediction band and residuals of {test.name}")
     if any(fit.regions for fit in fits):
-        yield "<h2>What is left, by region</h2>"
+        yield "<h2>Misfit by region</h2>"
         yield pictures.show("regions", partial(draw_regions, fits, campaign.tests, units),
                             "Misfit of each law in each region of each test",
-                            "Root mean square of what the law lacks there, before offsets, zeros and mesh error make "
-                            "up for part of it, and the probability of so much by chance, adjusted for the number of "
-                            "regions (Holm); orange from p = 0.05 down.")
-    yield from populations(fits, units, pictures)
+                            "Root mean square of the misfit in each region and its probability by chance, adjusted for "
+                            "the number of regions (Holm); orange for p ≤ 0.05. Offsets, zeros and mesh error can "
+                            "compensate part of the misfit; the numbers do not include this compensation.")
+    yield from population_section(fits, units, pictures)
     differing = "" if any(fit.population for fit in fits) else pictures.show(
         "specimens", partial(draw_specimens, fits, units), "Parameters of each specimen",
         "Thick: ± one standard error; thin: 95 % interval.")
     if differing:
-        yield f"<h2>What differs between specimens</h2>{differing}"
+        yield f"<h2>Differences between specimens</h2>{differing}"
     for fit in (fit for fit in fits if _is_drawn(fit, result)):
         inside = "".join(_estimates(fit, campaign, units, pictures))
         if inside:
@@ -218,38 +220,38 @@ def _pictures(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurve
         yield "<h2>Convergence</h2>"
         yield pictures.show("convergence", partial(draw_history, fits),
                             "Error and parameters at every solve of every start",
-                            "Error: sum of squares of the whitened residuals and priors. A line a start; one solve "
-                            "simulates all tests. Where the accurate mesh comes in the error of a law that misses "
-                            "something may rise: until then the larger error of the fast mesh is allowed for.")
+                            "Error: sum of squares of the whitened residuals and priors. One line per start; one solve "
+                            "simulates all tests. At the change to the accurate mesh the error may rise, because the "
+                            "covariance of the fast mesh includes a larger mesh error.")
 
 
 def _is_drawn(fit: Fit, result: CalibrationResult) -> bool:
-    """Whether what determines its parameters is a picture: of the best, and of those with profiles."""
+    """Return whether the report draws the parameters of a fit: the best fit and all fits with profiles."""
     return fit is result.best or bool(fit.profiles)
 
 
 def _estimates(fit: Fit, campaign: Campaign, units: Units, pictures: Pictures) -> Iterator[str]:
     if fit.profiles:
-        note = ("How much worse the fit becomes when one parameter is held and all others follow. Where the profile "
-                "leaves the dashed parabola, ± 2 standard errors are not the interval.")
+        note = ("Increase of the sum of squares when one parameter is fixed and all others are fitted again. If the "
+                "profile differs from the dashed parabola, ± 2 standard errors are not a 95 % interval.")
         yield pictures.show(f"profiles {fit.law}", partial(draw_profiles, fit, campaign.fit.bounds, units),
                             f"Profile likelihoods of {fit.law}", note)
     yield pictures.show(f"windows {fit.law}", partial(draw_windows, fit, units),
                         f"Parameters of {fit.law} from parts of the strain",
-                        "What the fit gives where only the first part of each test is fitted, as max_strain would.")
+                        "Estimates from the first part of the strain of each test only, as with max_strain.")
     yield pictures.show(f"correlation {fit.law}", partial(draw_correlation, fit, units),
                         f"Correlation of the parameters of {fit.law}")
 
 
 def _effort(fit: Fit) -> str:
-    """``106 solves from 20 starts, 270 simulated tests, 1.8 s of processor time``."""
+    """Return the effort as text: ``106 solves from 20 starts, 270 simulated tests, 1.8 s of processor time``."""
     starts = len({step.start for step in fit.history})
-    return (f"{counted(len(fit.history), 'solve')} from {counted(starts, 'start')}, "
-            f"{counted(fit.fem_solves, 'simulated test')}, {fit.cpu_s:.3g} s of processor time")
+    return (f"{format_count(len(fit.history), 'solve')} from {format_count(starts, 'start')}, "
+            f"{format_count(fit.fem_solves, 'simulated test')}, {fit.cpu_s:.3g} s of processor time")
 
 
-def _what(test: Test, count: int) -> str:
-    """``needle indentation of phantom, flat tool of radius 8 mm, face bonded; 3 recordings``."""
+def _test_in_words(test: Test, count: int) -> str:
+    """Describe a test: ``needle indentation of phantom, flat tool of radius 8 mm, face bonded; 3 recordings``."""
     words = test.kind.name.replace("_", " ")
     if test.specimen is not None:
         words += f" of {test.specimen.name}"
@@ -258,4 +260,4 @@ def _what(test: Test, count: int) -> str:
         if tool.radius is not None:
             words += f", {tool.shape} tool of radius {tool.radius * 1e3:g} mm"
         words += f", face {friction}" if isinstance(friction, str) else f", face with friction {friction:g}"
-    return f"{words}; {counted(count, 'recording')}{'; held out: predicted, not fitted' if test.hold_out else ''}"
+    return f"{words}; {format_count(count, 'recording')}{'; held out: predicted, not fitted' if test.hold_out else ''}"

@@ -1,4 +1,4 @@
-"""Tables of an inverse calibration's page, as HTML."""
+"""Write the tables of a calibration report as HTML."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from html import escape
 
 from calibration.campaign.campaign import Test
 from calibration.fit.fit import Direction, Fit, Prediction, Suggestion
-from calibration.report.curve_figures import place_of, probability
-from calibration.report.estimate_figures import NOT_TOLD
-from calibration.report.figures import percent
+from calibration.report.curve_figures import describe_region, format_probability
+from calibration.report.estimate_figures import UNDETERMINED
+from calibration.report.figures import format_percent
 from calibration.report.page import html_table, moduli_of, number, stable_stretches, symbol_of, title_of, with_minus
 from calibration.report.rounding import error_text
 from calibration.report.symbols import plain_symbol
@@ -17,43 +17,43 @@ from calibration.report.units import Units
 
 
 def ranking_table(fits: Sequence[Fit], units: Units) -> str:
-    """The laws in their order; the error of tests that they were not fitted to, where it ranks them."""
+    """Return the HTML table of the laws in the order of their rank; columns without values are omitted."""
     best, pressure, force = fits[0], units.pressure, units.force
     rows = []
     for fit in fits:
-        # A difference to a law that cannot be used would invite to use it.
+        # An unusable law gets no difference: a negative value would suggest to use this law.
         difference = f"{fit.BIC - best.BIC:.3g}" if fit.unusable is None else "-"
-        rows.append([title_of(fit.law), "-" if fit.left_out is None else percent(fit.left_out),
+        rows.append([title_of(fit.law), "-" if fit.left_out is None else format_percent(fit.left_out),
                      *moduli_of(fit, units), f"{fit.R2:.5f}",
                      number(fit.RMSE_N and fit.RMSE_N / force.size, 3),
                      number(fit.RMSE_Pa and fit.RMSE_Pa / pressure.size, 3), f"{fit.noise_ratio:.3g}", difference,
                      stable_stretches(fit)])
     labels = ["Law", "Left-out error", f"E<sub>0</sub> [{pressure.name}]", f"μ<sub>0</sub> [{pressure.name}]", "R²",
               force.label("RMSE"), pressure.label("RMSE"), "Residual / noise", "ΔBIC", "Stable stretches"]
-    told = [j for j in range(len(labels)) if any(row[j] != "-" for row in rows)]
-    return html_table([labels[j] for j in told], [[with_minus(row[j]) for j in told] for row in rows], best=True)
+    kept = [j for j in range(len(labels)) if any(row[j] != "-" for row in rows)]
+    return html_table([labels[j] for j in kept], [[with_minus(row[j]) for j in kept] for row in rows], best=True)
 
 
 def prediction_table(predictions: Iterable[Prediction], tests: Mapping[str, Test], units: Units) -> str:
-    """What each law predicts of each test that it was not fitted to."""
+    """Return the HTML table of the prediction errors of each law in tests that it was not fitted to."""
     rows: list[list[str | None]] = []
     last = None
     for p in predictions:
         test = tests[p.test]
         how = "held out of all fits" if test.hold_out else f"left out; fitted to {', '.join(p.fitted)}"
-        how += f"; its specimen by the mean of {len(p.mean_of)} others" if p.mean_of else ""
-        how += f"; none: {p.note}" if p.percent is None and p.note else ""
+        how += f"; its specimen from the mean of {len(p.mean_of)} others" if p.mean_of else ""
+        how += f"; no prediction: {p.note}" if p.percent is None and p.note else ""
         load = units.load(test)
         error, chance = (None if value is None else load.text(value, 2) for value in (
             p.RMSE_Pa if test.specimen is None else p.RMSE_N, p.expected_N))
         rows.append([None if p.law == last else title_of(p.law), escape(p.test), escape(how), error or "-",
-                     "-" if p.percent is None else percent(p.percent), chance or "-"])
+                     "-" if p.percent is None else format_percent(p.percent), chance or "-"])
         last = p.law
-    return html_table(["Law", "Test", "How", "RMSE", "of the largest", "RMSE by chance"], rows, text=(1, 2))
+    return html_table(["Law", "Test", "Fitted to", "RMSE", "RMSE / largest load", "RMSE by chance"], rows, text=(1, 2))
 
 
 def region_table(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units) -> str:
-    """Residual tests by region."""
+    """Return the HTML table of the residual tests of each region."""
     rows: list[list[str | None]] = []
     for fit in fits:
         last = None
@@ -62,9 +62,9 @@ def region_table(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units) -
             load, travel = units.load(test), units.travel(test)
             at = travel.text(r.at * (1.0 if test.specimen is None else 1e-3), 3)
             rows.append([None if last else title_of(fit.law), None if r.test == last else escape(r.test),
-                         escape(place_of(r, test, units)), load.text(r.misfit_N, 2),
+                         escape(describe_region(r, test, units)), load.text(r.misfit_N, 2),
                          with_minus(f"{load.text(r.largest_N, 2)} at {at}"), f"{r.statistic:.3g} ({r.freedom})",
-                         probability(r.p).replace("<", "&lt;"),
+                         format_probability(r.p).replace("<", "&lt;"),
                          "as noise" if r.adequate else '<span class="bad">misfit</span>'])
             last = r.test
     return html_table(["Law", "Test", "Region", "Misfit (rms)", "Largest model − data", "χ² (freedom)",
@@ -72,7 +72,10 @@ def region_table(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units) -
 
 
 def identifiability_table(fits: Sequence[Fit], units: Units) -> str:
-    """Condition, combinations told poorly and what is not identifiable, a row a law."""
+    """Return the HTML table of identifiability, one row per law.
+
+    Columns: condition number, poorly determined combinations, parameters that are not identifiable, and remedies.
+    """
     def remedies(fit: Fit) -> str:
         return "; ".join(escape(suggestion_in_words(each, fit, units, plain_symbol)) for each in fit.suggestions)
 
@@ -81,26 +84,38 @@ def identifiability_table(fits: Sequence[Fit], units: Units) -> str:
              f'<span class="bad">{", ".join(symbol_of(fit, name) for name in fit.not_identifiable)}</span>'
              if fit.not_identifiable else "none",
              remedies(fit) or "-"] for fit in fits]
-    return html_table(["Law", "Condition", "Told poorly", "Not identifiable", "What would mend it"], rows,
+    return html_table(["Law", "Condition number", "Poorly determined", "Not identifiable", "Remedy"], rows,
                       text=(2, 3, 4))
 
 
 def direction_in_words(direction: Direction, fit: Fit, symbol: Callable[[str], str] = str) -> str:
-    """``0.99 C20 − 0.08 C10, known to ± 35 %``: relative changes of parameters that leave the forces as they are.
+    """Return a poorly determined combination as text, such as ``0.99 C20 − 0.08 C10, known to ± 35 %``.
+
+    The numbers are relative parameter changes that together change the forces little.
 
     Args:
-        symbol: how a symbol is written.
+        direction: the combination.
+        fit: the fit to which it belongs.
+        symbol: formats the symbol of a parameter.
     """
     terms = sorted(direction.shares.items(), key=lambda item: -abs(item[1]))
     words = "".join(f"{' − ' if share < 0 else ' + '}{abs(share):.2f} {symbol(fit.symbols[name])}"
                     for name, share in terms if abs(share) >= 0.05)
     words = words.removeprefix(" + ").strip()
     error = direction.relative_error
-    return f"{words}, known to ±\u00a0{error_text(100 * error)}\u00a0%" if error < NOT_TOLD else f"{words}, not at all"
+    return f"{words}, known to ±\u00a0{error_text(100 * error)}\u00a0%" if error < UNDETERMINED \
+        else f"{words}, undetermined"
 
 
 def suggestion_in_words(suggestion: Suggestion, fit: Fit, units: Units, symbol: Callable[[str], str] = str) -> str:
-    """``a test would give C20 ± 6.5 Pa``; `symbol` as in `direction_in_words`."""
+    """Return a suggested test as text, such as ``a test would give C20 ± 6.5 Pa``.
+
+    Args:
+        suggestion: the test and the standard errors that it would give.
+        fit: the fit to which the suggestion belongs.
+        units: display units.
+        symbol: formats the symbol of a parameter.
+    """
     worst = [name for name in suggestion.standard_errors if name in fit.not_identifiable] \
         or list(suggestion.standard_errors)
     errors = ", ".join(f"{symbol(fit.symbols[name])} ± {error_text(suggestion.standard_errors[name] / unit.size)} "
@@ -110,7 +125,7 @@ def suggestion_in_words(suggestion: Suggestion, fit: Fit, units: Units, symbol: 
 
 
 def history_table(fit: Fit, units: Units) -> str:
-    """Every solve of every start."""
+    """Return the HTML table of all solves of all starts of a fit."""
     names = list(fit.history[0].parameters)
     scales = [units.of_parameter(fit.units[name]) for name in names]
     rows = [[f"{step.start}", f"{step.run}", *(with_minus(f"{step.parameters[name] / unit.size:.5g}")

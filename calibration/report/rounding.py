@@ -1,7 +1,8 @@
-"""Numbers with as many digits as their uncertainty leaves, by the rule of the Particle Data Group.
+"""Round numbers to the precision of their uncertainty by the rule of the Particle Data Group.
 
-Of the three highest digits of the error: 100 to 354 leaves two, 355 to 949 one, 950 to 999 is rounded up to 1000 with
-two; the value ends at the same place (Review of Particle Physics, Introduction, section 5.3).
+The three leading digits of the error decide: from 100 to 354 two digits of the error are kept, from 355 to 949 one
+digit, and 950 to 999 is rounded to 1000 and two digits are kept. The value is rounded to the same decimal place (Review
+of Particle Physics, Introduction, section 5.3).
 """
 
 from __future__ import annotations
@@ -9,29 +10,32 @@ from __future__ import annotations
 import math
 from typing import TypeGuard
 
-#: Digits of a number of which no error is known.
+#: Significant digits of a number without a known error.
 DIGITS = 4
-#: Standard errors in a 95 % interval.
-_WIDTH = 3.92
-#: Smallest and largest numbers without a power of ten.
-_SMALLEST, _LARGEST = 1e-3, 1e6
+#: Width of a 95 % interval, standard errors.
+_WIDTH95 = 3.92
+#: Smallest number that is written without a power of ten.
+_MIN_PLAIN = 1e-3
+#: Limit from which numbers are written with a power of ten.
+_MAX_PLAIN = 1e6
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def last_place(error: float) -> int:
-    """Power of ten of the last digit that an error leaves, such as -2 for 0.12; the error is above zero."""
+    """Return the power of ten of the last digit to keep for this error (> 0), such as -2 for 0.12."""
     power = math.floor(math.log10(error))
     three = error / 10.0**(power - 2)
     return power if 354.5 <= three < 949.5 else power - 1 if three < 354.5 else power
 
 
 def value_and_error(value: float, error: float | None, unit: str = "", *, known: str = "") -> str:
-    """``0.988 ± 0.023 kPa``, ``(4.6 ± 0.5) × 10⁻⁶``.
+    """Return a value with its error as text, such as ``0.988 ± 0.023 kPa`` or ``(4.6 ± 0.5) × 10⁻⁶``.
 
     Args:
-        value, error: in the unit that is written. error None or 0: four digits of the value, and `known` instead.
-        unit: written behind both.
-        known: why there is no error, such as ``on its bound``.
+        value: value in the written unit.
+        error: standard error in the same unit; None or 0: the value has four digits and `known` follows.
+        unit: name of the unit.
+        known: reason for the missing error, such as ``on its bound``.
     """
     end = f" {unit}" if unit else ""
     if not _usable(error):
@@ -42,14 +46,21 @@ def value_and_error(value: float, error: float | None, unit: str = "", *, known:
 
 
 def value_text(value: float, error: float | None) -> str:
-    """A value alone, to the place at which its error ends; four digits where no error is known."""
+    """Return a value rounded to the precision of its error; four significant digits without an error."""
     return _at(value, last_place(error), 0) if _usable(error) and not _power(value, error) else f"{value:.{DIGITS}g}"
 
 
 def interval_text(low: float, high: float, error: float | None, value: float = 0.0) -> str:
-    """``0.937 to 1.040``: the ends to the place at which the error ends, with the power of ten of the value. Where a
-    bound cuts the interval, its own width stands for the error."""
-    width = (high - low) / _WIDTH
+    """Return an interval as text, such as ``0.937 to 1.040``, with the power of ten of the value.
+
+    Args:
+        low: lower end.
+        high: upper end.
+        error: standard error that sets the precision. If the interval is narrower because of a bound, its width / 3.92
+            sets the precision.
+        value: the estimate.
+    """
+    width = (high - low) / _WIDTH95
     if not (_usable(error) and _usable(width)):
         return f"{low:.{DIGITS}g} to {high:.{DIGITS}g}"
     place, power = last_place(min(error, width)), _power(value, error)
@@ -58,18 +69,19 @@ def interval_text(low: float, high: float, error: float | None, value: float = 0
 
 
 def error_text(error: float) -> str:
-    """An error alone: ``0.0053``."""
-    return _at(error, last_place(error), 0) if _usable(error) and _SMALLEST / 10 < error < _LARGEST else f"{error:.2g}"
+    """Return a rounded error as text, such as ``0.0053``."""
+    is_plain = _usable(error) and _MIN_PLAIN / 10 < error < _MAX_PLAIN
+    return _at(error, last_place(error), 0) if is_plain else f"{error:.2g}"
 
 
 def gain_text(gain: float) -> str:
-    """A difference of a criterion: ``24 964``, ``−3.2``."""
+    """Return the difference of an information criterion as text, such as ``24 964`` or ``−3.2``."""
     text = f"{gain:.2g}" if abs(gain) < 10 else f"{gain:,.0f}"
     return text.replace(",", "\u202f").replace("-", "−")
 
 
 def ratio_text(ratio: float) -> str:
-    """Odds: ``4.9``, ``48 600``, ``> 10⁶``."""
+    """Return odds as text, such as ``4.9``, ``48 600`` or ``> 10⁶``."""
     return "> 10⁶" if ratio > 1e6 else gain_text(float(f"{ratio:.3g}")) if ratio >= 100 else f"{ratio:.2g}"
 
 
@@ -78,14 +90,15 @@ def _usable(error: float | None) -> TypeGuard[float]:
 
 
 def _power(value: float, error: float) -> int:
-    """The power of ten that is taken out of value and error; 0: none."""
+    """Return the power of ten that is factored out of value and error; 0 if none."""
     largest = max(abs(value), error)
-    if _SMALLEST <= largest < _LARGEST and last_place(error) > -7:
+    if _MIN_PLAIN <= largest < _MAX_PLAIN and last_place(error) > -7:
         return 0
     return math.floor(math.log10(largest))
 
 
 def _at(value: float, place: int, power: int) -> str:
+    """Return value / 10**power rounded to the decimal place 10**place."""
     scaled = round(value, -place) / 10.0**power + 0.0  # a rounded zero has no sign
     return f"{scaled:.{max(power - place, 0)}f}"
 

@@ -1,4 +1,4 @@
-"""Pictures of the segments of recordings, and the part of a report that shows them."""
+"""Draw the segments of recordings and write the report section about segments."""
 
 from __future__ import annotations
 
@@ -19,33 +19,40 @@ if TYPE_CHECKING:
     from calibration.campaign.measured import MeasuredCurve
     from tissue_sim.recording.segments import Segmentation
 
-#: Segment -> colour of its span; others are grey.
+#: Segment -> colour of its time span; other segments are grey.
 SPANS = {"approach": "#56B4E9", "preload": "#CC79A7", "preconditioning": "#E69F00", "ramp": "#009E73",
          "load": "#009E73", "hold": "#7F3C8D", "unload": "#999999", "retract": "#999999", "reload": "#0072B2",
          "failure": "#D55E00"}
-#: Width of the close view of the contact: samples of air before it, and share of the way to the largest force after.
-_CLOSE_AIR, _CLOSE_LOADING = 80, 0.12
+#: Samples before contact in the detail view of the contact.
+_SAMPLES_BEFORE_CONTACT = 80
+#: Displacement after contact in the detail view, as a fraction of the largest displacement after contact.
+_FRACTION_AFTER_CONTACT = 0.12
 
 
 def draw_segments(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None, segmentation: Segmentation,
                   used: np.ndarray | None = None):
-    """The segments of a recording over time, and its contact from near.
+    """Draw the segments of a recording over time, and a detail view of its contact.
 
     Args:
-        displacement, force: in which the segments were found, m and N (strain and Pa where it is stressed), shape (n,).
-        time: s; None: the number of the sample.
-        used: samples that are fitted; None: nothing is marked.
+        displacement: displacement, m (strain for a recording of stress), shape (n,).
+        force: force, N (stress, Pa), shape (n,).
+        time: time, s, shape (n,); None: the sample number is used.
+        segmentation: segments found in the recording.
+        used: mask of the fitted samples, shape (n,); None: no marking.
+
+    Returns:
+        The matplotlib figure.
     """
     stressed = segmentation.stressed
-    way, load = (displacement, 1e-3 * force) if stressed else (1e3 * displacement, force)
+    travel, load = (displacement, 1e-3 * force) if stressed else (1e3 * displacement, force)
     words = ("strain", "stress [kPa]") if stressed else ("displacement [mm]", "force [N]")
-    # A table without time is drawn over its motion.
-    table = time is None and bool(np.all(np.diff(way) >= 0))
-    clock = way if table else np.arange(force.size) if time is None else time
+    # A table without time is drawn over the displacement.
+    table = time is None and bool(np.all(np.diff(travel) >= 0))
+    clock = travel if table else np.arange(force.size) if time is None else time
     contact = segmentation.contact
-    near = contact is not None and np.isfinite(contact.interval[1])
+    has_detail = contact is not None and np.isfinite(contact.interval[1])
     figure = new_figure(WIDTH, 4.2)
-    over_time, close = figure.subplots(1, 2, width_ratios=(1.6, 1)) if near else (figure.subplots(), None)
+    over_time, detail = figure.subplots(1, 2, width_ratios=(1.6, 1)) if has_detail else (figure.subplots(), None)
     _draw_spans(over_time, clock, segmentation)
     line, = over_time.plot(clock, load, color="0.15", lw=1.1, label=words[1])
     if used is not None and not used.all():
@@ -53,18 +60,18 @@ def draw_segments(displacement: np.ndarray, force: np.ndarray, time: np.ndarray 
                        label="fitted", zorder=1.9)
     _mark_failure(over_time, clock, load, segmentation)
     if not table:
-        _draw_motion(over_time.twinx(), clock, way, words[0])
+        _draw_motion(over_time.twinx(), clock, travel, words[0])
     over_time.set(xlabel=words[0] if table else "sample" if time is None else "time [s]", ylabel=words[1],
                   xlim=(clock[0], max(clock[-1], clock[0] + 1e-9)))
     over_time.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=6, fontsize=8.5, borderaxespad=0.2)
     line.set_zorder(3)
-    if close is not None and contact is not None:
-        _draw_contact(close, way, load, np.arange(force.size) if time is None else time, contact, words, stressed)
+    if detail is not None and contact is not None:
+        _draw_contact(detail, travel, load, np.arange(force.size) if time is None else time, contact, words, stressed)
     return figure
 
 
-def _draw_motion(axes, clock: np.ndarray, way: np.ndarray, label: str) -> None:
-    axes.plot(clock, way, color="0.45", lw=1.0, ls=(0, (4, 2)))
+def _draw_motion(axes, clock: np.ndarray, travel: np.ndarray, label: str) -> None:
+    axes.plot(clock, travel, color="0.45", lw=1.0, ls=(0, (4, 2)))
     axes.set_ylabel(f"{label} (dashed)", color="0.4")
     axes.grid(visible=False)
     axes.spines["right"].set_visible(True)
@@ -86,22 +93,23 @@ def _mark_failure(axes, clock: np.ndarray, load: np.ndarray, segmentation: Segme
                   label=failure.mode)
 
 
-def _draw_contact(axes, way: np.ndarray, load: np.ndarray, clock: np.ndarray, contact: Contact,
+def _draw_contact(axes, travel: np.ndarray, load: np.ndarray, clock: np.ndarray, contact: Contact,
                   words: tuple[str, str], stressed: bool) -> None:
     scale, factor = (1.0, 1e-3) if stressed else (1e3, 1.0)
-    place = scale * contact.displacement
+    position = scale * contact.displacement
     low, high = (scale * end for end in contact.interval)
-    end = int(np.argmax(way >= place + max(_CLOSE_LOADING * (way.max() - place), 2 * (high - place)))) or way.size
-    first = max(contact.index - _CLOSE_AIR, 0)
-    seen = slice(first, end)
-    axes.plot(way[seen], load[seen], ".", ms=3.5, color="0.25", zorder=3)
-    base = factor * (contact.force_zero + contact.drift * (clock[seen] - clock[0]))
-    axes.plot(way[seen], base, color=SPANS["approach"], lw=1.6, label="zero and drift")
-    left = low if np.isfinite(low) else float(way[seen].min())
+    beyond = max(_FRACTION_AFTER_CONTACT * (travel.max() - position), 2 * (high - position))
+    end = int(np.argmax(travel >= position + beyond)) or travel.size
+    first = max(contact.index - _SAMPLES_BEFORE_CONTACT, 0)
+    shown = slice(first, end)
+    axes.plot(travel[shown], load[shown], ".", ms=3.5, color="0.25", zorder=3)
+    base = factor * (contact.force_zero + contact.drift * (clock[shown] - clock[0]))
+    axes.plot(travel[shown], base, color=SPANS["approach"], lw=1.6, label="zero and drift")
+    left = low if np.isfinite(low) else float(travel[shown].min())
     axes.axvspan(left, high, color=SPANS["failure"], alpha=0.2, lw=0, label="95 %")
     if contact.found:
-        axes.axvline(place, color=SPANS["failure"], lw=1.2, label="contact")
-    titles = {"found": "contact", "before": "no air before contact", "unclear": "contact cannot be told",
+        axes.axvline(position, color=SPANS["failure"], lw=1.2, label="contact")
+    titles = {"found": "contact", "before": "recording starts in contact", "unclear": "contact cannot be determined",
               "none": "no contact"}
     axes.set(xlabel=words[0], ylabel=words[1])
     axes.set_title(titles[contact.status], loc="left", fontsize=10, fontweight="bold")
@@ -110,16 +118,17 @@ def _draw_contact(axes, way: np.ndarray, load: np.ndarray, clock: np.ndarray, co
 
 def segment_section(campaign: Campaign, recordings: Mapping[str, Sequence[MeasuredCurve]],
                     pictures: Pictures | None) -> Iterator[str]:
-    """HTML: of each test the segments that were found, what of them is fitted, and a picture of one recording.
+    """Yield the HTML of the section on segments: segments and fitted samples of each recording, one figure per test.
 
-    The recording that is drawn is the first with a note, or the first.
+    The figure shows the first recording with a note, or the first recording if none has a note.
     """
     known = {test: [curve for curve in curves if curve.whole is not None] for test, curves in recordings.items()}
     if not any(known.values()):
         return
     yield "<h2>Segments</h2>"
-    yield ('<p class="quiet">By the labels of the file where it has any, else by the motion, the first rise of the '
-           "force over its zero and drift, and the first loss of force on the way in.</p>")
+    yield ('<p class="quiet">Segments are the labels in the file. Without labels they are found from the motion, the '
+           "first rise of the force above its zero and drift (contact), and the first loss of force during loading "
+           "(failure).</p>")
     for number, test in enumerate(each.name for each in campaign.tests):
         if not (curves := known.get(test)):
             continue
@@ -129,8 +138,8 @@ def segment_section(campaign: Campaign, recordings: Mapping[str, Sequence[Measur
             drawn = next((curve for curve in curves if curve.notes), curves[0])
             yield pictures.show(picture_of_test(campaign, number, "segments"), partial(_draw_whole, drawn),
                                 f"Segments of {drawn.name}",
-                                f"{escape(drawn.name)}: as it was recorded; what is fitted is drawn blue where not all "
-                                "of it is.")
+                                f"{escape(drawn.name)}: raw recording; the fitted samples are blue if only a part is "
+                                "fitted.")
 
 
 def _draw_whole(curve: MeasuredCurve):
@@ -150,13 +159,13 @@ def _in_words(curve: MeasuredCurve) -> str:
     if found.contact is not None:
         parts.append(found.contact.in_words(stressed=found.stressed))
     if whole.shift:
-        parts.append(f"displacement counted from {1e3 * whole.shift:.4g} mm")
+        parts.append(f"displacement measured from {1e3 * whole.shift:.4g} mm")
     notes = "".join(f'<br><span class="bad">{escape(note)}</span>' for note in curve.notes.values())
     return f"<b>{escape(curve.name)}</b>: {escape('; '.join(parts))}{notes}"
 
 
 def _counted_runs(runs: Sequence[str]) -> str:
-    """``approach, ramp, 3 × (unload, reload)``: equal pairs counted."""
+    """List the segments and count equal pairs, such as ``approach, ramp, 3 × (unload, reload)``."""
     parts: list[str] = []
     k = 0
     while k < len(runs):

@@ -1,4 +1,4 @@
-"""Symbols of parameters as a paper sets them: ``mu1@A`` is a mu with an index, of A."""
+"""Typeset the symbols of parameters: ``mu1@A`` becomes a Greek mu with index 1 that belongs to A."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ _PARTS = re.compile(r"([A-Za-z]+)_?(\d*)$")
 
 
 def html_symbol(symbol: str) -> str:
-    """As HTML: ``μ<sub>1</sub>``, with the specimen, test or recording that it belongs to in brackets."""
-    name, index, where = _parts(symbol)
+    """Return a symbol as HTML, such as ``μ<sub>1</sub>``, with its specimen, test or recording in brackets."""
+    name, index, owner = _parts(symbol)
     letter = f"<i>{escape(_GREEK.get(name, name))}</i>" if index or name in _GREEK else escape(name)
-    return letter + (f"<sub>{index}</sub>" if index else "") + (f" ({escape(where)})" if where else "")
+    return letter + (f"<sub>{index}</sub>" if index else "") + (f" ({escape(owner)})" if owner else "")
 
 
 def math_symbol(symbol: str) -> str:
-    """For the labels of pictures, in mathtext."""
-    name, index, where = _parts(symbol)
+    """Return a symbol in mathtext for the labels of figures."""
+    name, index, owner = _parts(symbol)
     if not index and name not in _GREEK:
         return symbol.replace("$", r"\$")
     letter = f"\\{name}" if name in _GREEK else name
     index = f"_{{{index}}}" if index else ""
-    return f"${letter}{index}$" + (f" ({where})".replace("$", r"\$") if where else "")
+    return f"${letter}{index}$" + (f" ({owner})".replace("$", r"\$") if owner else "")
 
 
 def plain_symbol(symbol: str) -> str:
-    """In plain text, for a paper: ``μ1``, ``C10 (A)``."""
-    name, index, where = _parts(symbol)
-    return f"{_GREEK.get(name, name)}{index}" + (f" ({where})" if where else "")
+    """Return a symbol in plain text, such as ``μ1`` or ``C10 (A)``."""
+    name, index, owner = _parts(symbol)
+    return f"{_GREEK.get(name, name)}{index}" + (f" ({owner})" if owner else "")
 
 
 def _parts(symbol: str) -> tuple[str, str, str]:
-    """Name, index and where it acts; the whole as the name where it is none of these."""
-    front, _, where = symbol.partition("@")
+    """Split a symbol into name, index and owner; a symbol of another form is returned as the name without index."""
+    front, _, owner = symbol.partition("@")
     found = _PARTS.match(front)
-    return (found[1], found[2], where) if found else (front, "", where)
+    return (found[1], found[2], owner) if found else (front, "", owner)

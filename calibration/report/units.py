@@ -1,4 +1,4 @@
-"""Units for people: one of each quantity through a whole report, whichever leaves readable numbers."""
+"""Choose display units: one unit per quantity for a whole report, so that numbers are readable."""
 
 from __future__ import annotations
 
@@ -16,29 +16,40 @@ if TYPE_CHECKING:
 PRESSURE_UNITS = {"GPa": 1e9, "MPa": 1e6, "kPa": 1e3, "Pa": 1.0}
 _FORCE_UNITS = {"N": 1.0, "mN": 1e-3, "µN": 1e-6, "nN": 1e-9}
 _LENGTH_UNITS = {"mm": 1e-3, "µm": 1e-6, "nm": 1e-9}
-#: An error is some hundredth of what it is an error of.
-_ERROR_SHARE = 1e-2
+#: Assumed ratio of the residual error to the force, to estimate the size of the forces.
+_RELATIVE_ERROR = 1e-2
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit's name, empty for a number, and its size in SI."""
+    """Display unit of a quantity.
+
+    Attributes:
+        name: name of the unit; empty for dimensionless numbers.
+        size: value of one unit in SI.
+    """
 
     name: str
     size: float
 
     def text(self, value: float, digits: int) -> str:
-        """A number in SI with so many significant digits: ``0.047 N``."""
+        """Return a value (SI) in this unit with this many significant digits, such as ``0.047 N``."""
         return f"{float(f'{value / self.size:.{digits}g}'):g} {self.name}".rstrip()
 
     def label(self, name: str) -> str:
-        """Of an axis or a column: ``force [N]``."""
+        """Return the label of an axis or column, such as ``force [N]``."""
         return f"{name} [{self.name}]" if self.name else name
 
 
 @dataclass(frozen=True)
 class Units:
-    """Those of one report."""
+    """Display units of one report.
+
+    Attributes:
+        length: unit of displacements.
+        force: unit of forces.
+        pressure: unit of stresses and moduli.
+    """
 
     length: Unit
     force: Unit
@@ -46,33 +57,38 @@ class Units:
 
     @classmethod
     def of(cls, result: CalibrationResult) -> Units:
-        """Pressure: by the shear modulus of the best law. Force and length: mm and N, smaller ones where the tests
-        are: 2 µm of travel are no 0.002 mm."""
+        """Choose the units for a calibration.
+
+        The pressure unit suits the shear modulus of the best law. Length and force are in mm and N, or in smaller units
+        for small tests, such as 2 µm instead of 0.002 mm.
+        """
         return cls.of_fit(result.best)
 
     @classmethod
     def of_fit(cls, fit: Fit) -> Units:
-        """As `of`, by one fit."""
+        """Choose the units for one fit; see `of`."""
         travel = max((region.end * 1e-3 for region in fit.regions), default=1e-3)
-        force = 1.0 if fit.RMSE_N is None else fit.RMSE_N / _ERROR_SHARE
+        force = 1.0 if fit.RMSE_N is None else fit.RMSE_N / _RELATIVE_ERROR
         return cls.of_sizes(travel, force, fit.mu0)
 
     @classmethod
     def of_sizes(cls, travel: float, force: float, modulus: float) -> Units:
-        """As `of`, by the size of displacements, m, forces, N, and stiffness, Pa."""
+        """Choose the units for typical displacements (m), forces (N) and moduli (Pa); see `of`."""
         return cls(_unit(_LENGTH_UNITS, 10 * travel), _unit(_FORCE_UNITS, 10 * force), Unit(*pressure_unit(modulus)))
 
     def load(self, test: Test) -> Unit:
-        """Of a force, or of a stress where the test has no specimen."""
+        """Return the unit of force, or of stress for a test without specimen."""
         return self.pressure if test.specimen is None else self.force
 
     def travel(self, test: Test) -> Unit:
-        """Of a displacement, or of a strain where the test has no specimen."""
+        """Return the unit of displacement, or of strain for a test without specimen."""
         return Unit("", 1.0) if test.specimen is None else self.length
 
     def scatter(self, jitter: JitterStatement, tests: Sequence[Test]) -> tuple[str, str]:
-        """Scatter of contact point and zero: a length and a force, or a strain and a stress where no test has a
-        specimen."""
+        """Return the scatter of contact point and force zero as text.
+
+        The scatter is a length and a force, or a strain and a stress if no test has a specimen.
+        """
         test = self.typical(tests)
         contact = jitter.contact_mm * 1e-3
         return self.travel(test).text(contact, 2) + (" of strain" if test.specimen is None else ""), \
@@ -80,11 +96,11 @@ class Units:
 
     @staticmethod
     def typical(tests: Sequence[Test]) -> Test:
-        """The first test with a specimen, of which what the recordings share is written; the first where none has."""
+        """Return the test that decides the units of common quantities: the first with a specimen, else the first."""
         return next((test for test in tests if test.specimen is not None), tests[0])
 
     def of_parameter(self, unit: str) -> Unit:
-        """That in which a parameter is written whose unit in SI is `unit`."""
+        """Return the display unit of a parameter whose SI unit is `unit`."""
         known = {"Pa": self.pressure, "N": self.force, "m": self.length, "1": Unit("", 1.0),
                  "m/N": Unit("mm/N", 1e-3), "m2/s": Unit("mm²/s", 1e-6), "N s/m": Unit("N s/mm", 1e3),
                  "1/m": Unit("1/mm", 1e3), "rad": Unit("°", math.pi / 180)}
@@ -92,19 +108,19 @@ class Units:
 
 
 def _unit(units: Mapping[str, float], size: float) -> Unit:
-    """The largest unit that `size` reaches; the smallest where it reaches none."""
+    """Return the largest unit that is not larger than `size`; the smallest unit if all are larger."""
     return Unit(*next((pair for pair in units.items() if size >= pair[1]), [*units.items()][-1]))
 
 
 def pressure_unit(pressure: float) -> tuple[str, float]:
-    """Unit that suits a pressure in Pa, and its size in Pa; Pa for zero and for what is not finite."""
-    # As it will be written: 999.999 Pa is 1 kPa.
+    """Return the unit for a pressure in Pa and its size in Pa; Pa for zero and for values that are not finite."""
+    # Round first: 999.999 Pa is written as 1 kPa.
     size = float(f"{abs(pressure):.4g}") if math.isfinite(pressure) else 0.0
     unit = _unit(PRESSURE_UNITS, size)
     return unit.name, unit.size
 
 
 def format_pressure(pressure: float, digits: int = 5) -> str:
-    """``8429.6`` Pa -> ``'8.4296 kPa'``."""
+    """Return a pressure in Pa as text in a suitable unit, such as ``'8.4296 kPa'`` for 8429.6."""
     unit, factor = pressure_unit(pressure)
     return f"{pressure / factor:.{digits}g} {unit}"

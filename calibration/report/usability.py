@@ -1,4 +1,4 @@
-"""The rule of usable in a report: each clause of each law, other optima, and laws without a fit."""
+"""Report which laws are usable: the criteria that each law meets or fails, alternative optima, laws without a fit."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from calibration.fit.fit import Fit
 from calibration.report.page import html_table, title_of, with_minus
 from calibration.report.units import Units
 
-#: Name of a clause -> its question.
-QUESTIONS = {
+#: Criterion -> the condition in words.
+CRITERIA = {
     "physical": "positive shear modulus",
     "converged": "a minimum was found",
     "stable": "stable over the data",
-    "recordings": "recordings sound for this law",
+    "recordings": "recordings valid for this law",
     "contact": "contact known well enough for the shear modulus",
     "replicates": "recordings agree",
     "residuals": "residuals within the limit",
@@ -28,15 +28,15 @@ QUESTIONS = {
 
 
 def usability_section(fits: Sequence[Fit], failures: Mapping[str, str], units: Units) -> list[str]:
-    """Table of the clauses, with the reason of each that fails; alternatives of fits with several optima."""
+    """Return the HTML of the section on usable laws: criteria with reasons of failure, and alternative optima."""
     if not any(fit.clauses for fit in fits):
         return []
     rows: list[list[str | None]] = []
     for fit in fits:
         failed = [clause for clause in fit.clauses if not clause.holds]
-        held = ", ".join(QUESTIONS.get(clause.name, clause.name) for clause in fit.clauses if clause.holds)
+        held = ", ".join(CRITERIA.get(clause.name, clause.name) for clause in fit.clauses if clause.holds)
         reasons = "<br>".join(
-            f'<span class="bad">{escape(QUESTIONS.get(clause.name, clause.name))}</span>: {escape(clause.reason)}'
+            f'<span class="bad">{escape(CRITERIA.get(clause.name, clause.name))}</span>: {escape(clause.reason)}'
             + (f"; {escape(clause.remedy)}" if clause.remedy else "") for clause in failed)
         rows.append([title_of(fit.law), "usable" if not failed else escape(fit.status), reasons or "-", escape(held)])
     rows += [[title_of(law), "no fit", escape(reason), "-"] for law, reason in failures.items()]
@@ -45,7 +45,7 @@ def usability_section(fits: Sequence[Fit], failures: Mapping[str, str], units: U
 
 
 def _alternatives(fit: Fit, units: Units) -> str:
-    """Other optima of a law and the test that tells them apart."""
+    """Return the HTML table of the alternative optima of a law and the tests that distinguish them."""
     def values(parameters: Mapping[str, float]) -> list[str]:
         scales = [units.of_parameter(fit.units[name]) for name in parameters]
         return [with_minus(f"{value / unit.size:.5g} {unit.name}".strip())
@@ -57,6 +57,7 @@ def _alternatives(fit: Fit, units: Units) -> str:
         stress = (f"{each.alternative_stress_Pa / pressure.size:.4g} {pressure.name} instead of "
                   f"{each.stress_Pa / pressure.size:.4g} {pressure.name}{each.times}")
         rows.append([*values(each.parameters), f"{each.R2:.5f}", escape(each.separated_by), with_minus(stress)])
-    labels = [*(escape(fit.symbols[name]) for name in fit.parameters), "R²", "Told apart by", "Nominal stress there"]
+    labels = [*(escape(fit.symbols[name]) for name in fit.parameters), "R²", "Distinguished by",
+              "Nominal stress there"]
     return (f"<h3>{title_of(fit.law)}: parameters that fit equally well</h3>"
             + html_table(labels, rows, text=(len(labels) - 2, len(labels) - 1)))

@@ -1,4 +1,4 @@
-"""Ways to look at a test: what is drawn against what, of a recording and of a law alike."""
+"""Define the views of a test: pairs of plotted quantities, computed in the same way for recordings and laws."""
 
 from __future__ import annotations
 
@@ -12,22 +12,43 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.curves import TestCurves
 from calibration.report.units import Unit, Units
 
-#: Places of a tangent, its least window as a share of the range, the fewest samples in it, and the share of the secant
-#: that noise may make of it.
-_PLACES, _WINDOW, _FEWEST, _NOISE = 60, 0.04, 5, 0.03
-#: Largest window, as a share of the range.
-_WIDEST = 0.2
-#: How the labels of segments begin whose tangents are drawn.
+
+@dataclass(frozen=True)
+class TangentSettings:
+    """Settings of the local slopes (tangents) of a curve.
+
+    Attributes:
+        positions: number of positions at which a slope is computed.
+        min_window: smallest width of the window, as a fraction of the range of the abscissa.
+        max_window: largest width of the window, as a fraction of the range of the abscissa.
+        min_samples: minimum number of samples in a window.
+        max_noise: allowed standard deviation of a slope due to noise, as a fraction of the secant; a smaller value
+            makes wider windows.
+    """
+
+    positions: int = 60
+    min_window: float = 0.04
+    max_window: float = 0.2
+    min_samples: int = 5
+    max_noise: float = 0.03
+
+
+#: Settings of the tangents in the reports.
+TANGENTS = TangentSettings()
+#: Prefixes of the labels of segments whose tangents are drawn.
 _LOADING = ("ramp", "approach", "reload")
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """A course of a test, measured or computed. SI; see `TestCurves` for tests without a specimen.
+    """Measured or computed curve of a test in SI units; see `TestCurves` for tests without a specimen.
 
     Attributes:
-        time: s, shape (n,), or None. displacement, force: shape (n,). segment: labels, shape (n,), or None.
-        band: half width of its prediction band, shape (n,), or None.
+        time: time, s, shape (n,), or None.
+        displacement: displacement, m, shape (n,).
+        force: force, N, shape (n,).
+        segment: label of the segment of each sample, shape (n,), or None.
+        band: half width of the prediction band, N, shape (n,), or None.
     """
 
     time: np.ndarray | None
@@ -38,11 +59,11 @@ class Trace:
 
     @classmethod
     def of(cls, measured: MeasuredCurve) -> Trace:
-        """That of a recording."""
+        """Return the curve of a recording."""
         return cls(measured.time, measured.displacement, measured.force, measured.segment)
 
     def runs(self) -> Iterator[tuple[str, int, int]]:
-        """Label, first and after the last sample of each segment, one after the other; all is one loading without."""
+        """Yield (label, first sample, sample after the last) of each segment; without labels one ``ramp``."""
         if self.segment is None:
             yield "ramp", 0, self.force.size
             return
@@ -51,18 +72,22 @@ class Trace:
             yield str(self.segment[first]), first, after
 
 
-#: Abscissa, ordinate and half width of the band (or None) of each part of a trace that is one line.
+#: Abscissa, ordinate and half width of the band (or None) of each connected line of a trace.
 Lines = Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | None]]
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A panel's content.
+    """Content of one panel.
 
     Attributes:
-        title: of the panel. x, y: labels of its axes. lines: of a trace, in their units.
-        own: whether laws of timed tests have the offset and zero of the first recording. log: whether the abscissa is
-            logarithmic. rates: whether single places may be far off, so that they do not set the scale.
+        title: title of the panel.
+        x: label of the horizontal axis.
+        y: label of the vertical axis.
+        lines: returns the lines of a trace in the units of the axes.
+        own: whether laws are drawn with the contact offset and force zero of the first recording (timed tests only).
+        log: whether the horizontal axis is logarithmic.
+        rates: whether outliers are expected, which are then ignored for the scale.
     """
 
     title: str
@@ -75,11 +100,16 @@ class View:
 
 
 def views(best: TestCurves, units: Units) -> list[View]:
-    """Those that a test has: load against displacement; nominal stress against strain where grips or plates hold the
-    whole cross-section; its tangent; load against time and, where it holds, against the logarithm of the time since."""
+    """Return the views of a test.
+
+    - Force against displacement, for tests with a specimen.
+    - Nominal stress against strain, if grips or plates load the entire cross-section.
+    - Slope (stiffness or tangent modulus) of one of these.
+    - Load against time, and load in holds against the logarithm of time, for timed tests.
+    """
     test, found = best.test, []
     x, load, area = units.travel(test), units.load(test), _area(best)
-    curve, x_label, course = _Curve(x, load), x.label("displacement"), _Course(load)
+    curve, x_label, history = _Curve(x, load), x.label("displacement"), _TimeCurve(load)
     if test.specimen is not None:
         found.append(View("Force and displacement", x_label, load.label("force"), curve.lines))
     if area is not None:
@@ -93,16 +123,19 @@ def views(best: TestCurves, units: Units) -> list[View]:
     found.append(View(words.capitalize(), x_label, f"{words} [{rate}]", tangent.tangents, own=True, rates=True))
     if is_timed(best.measured):
         name = load.label("nominal stress" if test.specimen is None else "force")
-        found.append(View("Course in time", "time [s]", name, course.lines))
+        found.append(View("Load over time", "time [s]", name, history.lines))
         if any(label.startswith("hold") for label, _, _ in Trace.of(best.measured[0]).runs()):
-            found.append(View("Relaxation in holds", "time since the hold began [s]", name, course.holds, own=True,
-                              log=True))
+            found.append(View("Relaxation in holds", "time since the start of the hold [s]", name, history.holds,
+                              own=True, log=True))
     return found
 
 
 def _area(curves: TestCurves) -> float | None:
-    """Cross-section that carries the load, m2 (1 of a stress); None under a tool that is smaller than the specimen, and
-    of a specimen without one cross-section."""
+    """Return the loaded cross-section, m2; 1 for recordings of stress.
+
+    Returns:
+        The area; None if the tool is smaller than the specimen or the specimen has no constant cross-section.
+    """
     test = curves.test
     if test.specimen is None:
         return 1.0
@@ -111,40 +144,59 @@ def _area(curves: TestCurves) -> float | None:
 
 
 def is_timed(recordings: Sequence[MeasuredCurve]) -> bool:
-    """Whether a test passes a displacement more than once, so that time tells its course."""
+    """Return whether a test has several segments and time, so that it must be drawn over time."""
     return all(m.time is not None and m.segment is not None and np.unique(m.segment).size > 1 for m in recordings)
 
 
 def trace_of_law(curves: TestCurves, own: bool = False) -> Trace | None:
-    """The course of a law: along the model's path or, of a test that time tells, at the samples of its first recording
-    (with that one's offset and zero if `own`, and then exact at each of them). None where these share no time."""
+    """Return the curve of a law.
+
+    For a timed test the curve is evaluated at the samples of the first recording, otherwise along the model's motion.
+
+    Args:
+        curves: recorded and fitted curves of a test.
+        own: whether a timed test uses the contact offset and force zero of the first recording.
+
+    Returns:
+        The curve; None if model and recording have no common time.
+    """
     first = curves.measured[0]
     if own and is_timed(curves.measured):
         return replace(Trace.of(first), force=curves.fitted[0])
     if not is_timed(curves.measured):
         return Trace(curves.time, curves.displacement, curves.force, None, curves.band)
-    along = law_along(curves, first)
-    return None if along is None else replace(Trace.of(first), force=along[:, 0], band=along[:, 1])
+    values = interpolate_law(curves, first)
+    return None if values is None else replace(Trace.of(first), force=values[:, 0], band=values[:, 1])
 
 
-def law_along(curves: TestCurves, measured: MeasuredCurve) -> np.ndarray | None:
-    """Force, both bands and standard error of a law at the samples of a recording, shape (n, 4); NaN beyond the model's
-    path. None where the path passes a displacement twice and tells no time."""
-    path, at = curves.displacement, measured.displacement
+def interpolate_law(curves: TestCurves, measured: MeasuredCurve) -> np.ndarray | None:
+    """Interpolate a law to the samples of a recording, over time if both have time, otherwise over displacement.
+
+    Returns:
+        Force, half width of the sample band, half width of the curve band, and standard error of the force, N, shape
+        (n, 4); NaN outside the model's motion. None if the abscissa of the model is not monotonic.
+    """
+    model, samples = curves.displacement, measured.displacement
     if curves.time is not None and measured.time is not None:
-        path, at = curves.time, measured.time
-    if np.any(np.diff(path) < 0):
+        model, samples = curves.time, measured.time
+    if np.any(np.diff(model) < 0):
         return None
-    found = np.stack([np.interp(at, path, values) for values in (
+    found = np.stack([np.interp(samples, model, values) for values in (
         curves.force, curves.band, curves.whole_band, curves.force_error)], 1)
-    slack = 0.01 * np.ptp(path)
-    found[(at < path[0] - slack) | (at > path[-1] + slack)] = np.nan
+    slack = 0.01 * np.ptp(model)
+    found[(samples < model[0] - slack) | (samples > model[-1] + slack)] = np.nan
     return found
 
 
 @dataclass(frozen=True)
 class _Curve:
-    """Load against displacement, or stress against strain. window: half width of a tangent's, in units of x."""
+    """Load against displacement, or stress against strain.
+
+    Attributes:
+        x: unit of the abscissa.
+        y: unit of the ordinate.
+        window: half width of the window of a tangent, in units of x.
+    """
 
     x: Unit
     y: Unit
@@ -155,16 +207,20 @@ class _Curve:
         yield trace.displacement / self.x.size, trace.force / self.y.size, band
 
     def tangents(self, trace: Trace) -> Lines:
-        """Of each loading: slopes of straight lines through the samples in a window, the same for all traces."""
+        """Yield the local slopes of each loading segment; the window is the same for all traces."""
         (x, y, _), = self.lines(trace)
         for label, first, after in trace.runs():
-            if label.startswith(_LOADING) and after - first >= _FEWEST:
+            if label.startswith(_LOADING) and after - first >= TANGENTS.min_samples:
                 yield (*local_slopes(x[first:after], y[first:after], self.window), None)
 
 
 @dataclass(frozen=True)
-class _Course:
-    """Load against time."""
+class _TimeCurve:
+    """Load against time.
+
+    Attributes:
+        y: unit of the load.
+    """
 
     y: Unit
 
@@ -173,42 +229,54 @@ class _Course:
         yield trace.time, trace.force / self.y.size, None if trace.band is None else trace.band / self.y.size
 
     def holds(self, trace: Trace) -> Lines:
-        """Each hold, from its own beginning on."""
+        """Yield the load in each hold against the time since the start of the hold."""
         assert trace.time is not None
         for label, first, after in trace.runs():
             start = max(first - 1, 0)
             if label.startswith("hold") and after - first > 1:
                 since = trace.time[start:after] - trace.time[start]
-                # Stamps of a sampled clock are not told from the beginning nearer than a step.
-                told = since > 0.5 * np.median(np.diff(since))
-                yield since[told], trace.force[start:after][told] / self.y.size, None
+                # Times below half a sampling interval are within the resolution of the clock.
+                resolved = since > 0.5 * np.median(np.diff(since))
+                yield since[resolved], trace.force[start:after][resolved] / self.y.size, None
 
 
 def _window(recordings: Sequence[MeasuredCurve], curve: _Curve) -> float:
-    """Half width at which noise is a small share of the tangent: a line through n samples over a width of 2 h has a
-    slope whose standard deviation is that of a sample times sqrt(3 / n) / h."""
+    """Return the half width h of the tangent window for the allowed noise of a slope.
+
+    The slope of a line through n samples over a width of 2 h has the standard deviation s sqrt(3 / n) / h, where s is
+    the noise of a sample.
+    """
     first = recordings[0]
     (x, y, _), = curve.lines(Trace.of(first))
     reach, secant = np.ptp(x) or 1.0, np.ptp(y) or 1.0
     loading = sum(after - start for label, start, after in Trace.of(first).runs() if label.startswith(_LOADING))
-    allowed = _NOISE * secant / reach
+    allowed = TANGENTS.max_noise * secant / reach
     noise, density = first.noise.deviation / curve.y.size, max(loading, 1) / reach
     window = (noise * np.sqrt(1.5 / density) / allowed)**(2 / 3)
-    return float(np.clip(window, _WINDOW / 2 * reach, _WIDEST / 2 * reach))
+    return float(np.clip(window, TANGENTS.min_window / 2 * reach, TANGENTS.max_window / 2 * reach))
 
 
 def local_slopes(x: np.ndarray, y: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
-    """Places and slopes of straight lines fitted to the samples within `window` of each place, or to the nearest five
-    where fewer lie there; shapes (k,)."""
+    """Fit straight lines to the samples in windows along a curve.
+
+    Args:
+        x: abscissa, shape (n,).
+        y: ordinate, shape (n,).
+        window: half width of a window; a window with fewer than five samples is widened to the nearest five.
+
+    Returns:
+        Positions and slopes, each of shape (k,).
+    """
     low, high = float(x.min()), float(x.max())
     inset = min(window, 0.25 * (high - low))
-    places, slopes = [], []
-    for centre in np.linspace(low + inset, high - inset, _PLACES):
-        away = np.abs(x - centre)
-        near = away <= max(window, np.partition(away, _FEWEST - 1)[_FEWEST - 1])
+    nearest = TANGENTS.min_samples - 1
+    positions, slopes = [], []
+    for centre in np.linspace(low + inset, high - inset, TANGENTS.positions):
+        distance = np.abs(x - centre)
+        near = distance <= max(window, np.partition(distance, nearest)[nearest])
         deviation = x[near] - x[near].mean()
         spread = deviation @ deviation
         if spread > 0:
-            places.append(float(x[near].mean()))
+            positions.append(float(x[near].mean()))
             slopes.append(float(deviation @ y[near] / spread))
-    return np.array(places), np.array(slopes)
+    return np.array(positions), np.array(slopes)

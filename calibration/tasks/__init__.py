@@ -1,1 +1,1 @@
-"""Where the parts of a calibration run."""
+"""Execution of the tasks of a calibration: in this process, in worker processes, or on a dask cluster."""

@@ -1,4 +1,4 @@
-"""Workers of a dask cluster that somebody else started: the extra ``cluster``."""
+"""Run tasks on an existing dask cluster; requires the extra ``cluster``."""
 
 from __future__ import annotations
 
@@ -12,23 +12,29 @@ from tissue_sim.decode import read_json
 from tissue_sim.errors import InputError
 from tissue_sim.packing import pack, run_packed
 
-#: s that a scheduler has to answer.
-ANSWER_WITHIN = 10.0
+#: Timeout for the connection to a scheduler, s.
+CONNECT_TIMEOUT = 10.0
 
 
 class DaskCluster:
-    """As `ProcessPool`, on a cluster whose scheduler and workers have this package installed; one thread per worker is
-    best, because the finite elements of one process run one after the other.
+    """Executor on a dask cluster with the interface of `ProcessPool`.
+
+    This package must be installed on the scheduler and on all workers. Workers should have one thread each, because the
+    finite element solver runs serially within a process.
 
     Args:
-        address: such as ``tcp://127.0.0.1:8786``, or the scheduler file.
+        address: address of the scheduler such as ``tcp://127.0.0.1:8786``, or path of the scheduler file.
+
+    Attributes:
+        capacity: number of tasks that the cluster accepts at a time.
+        most_deaths: number of worker failures during a task after which the task is given up.
 
     Raises:
-        InputError: the package distributed is missing, or no scheduler answers.
+        InputError: the package ``distributed`` is missing, or no scheduler answers.
     """
 
     capacity = math.inf
-    # The scheduler itself has tried several workers by then (its setting `allowed-failures`).
+    # The scheduler has already tried several workers (its setting `allowed-failures`).
     most_deaths = 1
 
     def __init__(self, address: str):
@@ -36,34 +42,34 @@ class DaskCluster:
             from distributed import Client, KilledWorker
             from distributed.comm import get_address_host
         except ImportError as error:
-            raise InputError(f"a cluster needs the package distributed ({error}); install it with "
+            raise InputError(f"dask requires the package distributed ({error}); install it with "
                              'pip install "tissue-sim[cluster]"', field="dask") from None
         self.death = KilledWorker
         if Path(address).is_file():
             address = _address_in(Path(address))
         try:
-            # First the form: a client that fails at it cannot be closed.
+            # Check the form of the address first: a client that fails because of it cannot be closed.
             get_address_host(address)
-            self._client = Client(address, timeout=ANSWER_WITHIN, set_as_default=False)
+            self._client = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
         except (OSError, ValueError) as error:
-            raise InputError(f"no dask scheduler answers at {address!r} within {ANSWER_WITHIN:g} s ({error}); start "
-                             "one with \"dask scheduler\" and give the address that it prints, such as "
-                             "tcp://127.0.0.1:8786, or its scheduler file", field="dask") from error
-        # No retries: dask counts them for tasks that raise, which would raise again; a death it retries by itself.
+            raise InputError(f"no dask scheduler answers at {address!r} within {CONNECT_TIMEOUT:g} s ({error}); start "
+                             "one with \"dask scheduler\" and state the printed address, such as "
+                             "tcp://127.0.0.1:8786, or the scheduler file", field="dask") from error
+        # No retries: dask would repeat tasks that raise an exception; it restarts tasks of failed workers anyway.
         self._executor = self._client.get_executor(pure=False)
 
     def submit(self, function: Callable[..., Any], arguments: tuple) -> Future:
-        """Start a task."""
-        # In one piece: dask looks into arguments that it is given, for tasks and futures of its own.
+        """Start a task and return its future."""
+        # Packed as bytes: dask searches plain arguments for its tasks and futures.
         return self._executor.submit(run_packed, pack(function, arguments))
 
     def stop(self) -> None:
-        """Drop the tasks; what a worker is computing it finishes for nobody."""
+        """Cancel all tasks; running tasks finish on their workers and their results are discarded."""
         self._executor.shutdown(wait=False)
         self._executor = self._client.get_executor(pure=False)
 
     def close(self) -> None:
-        """Leave the cluster."""
+        """Close the connection to the cluster."""
         self._client.close()
 
 
@@ -71,5 +77,5 @@ def _address_in(file: Path) -> str:
     try:
         return str(read_json(file, "a scheduler file")["address"])
     except (ValueError, LookupError, TypeError):
-        raise InputError("is not a scheduler file, which is JSON with an address; let the scheduler write it with "
-                         "\"dask scheduler --scheduler-file FILE\"", file=file, field="dask") from None
+        raise InputError("a scheduler file must be JSON with an address; create one with \"dask scheduler "
+                         "--scheduler-file FILE\"", file=file, field="dask") from None

@@ -1,4 +1,4 @@
-"""What goes wrong with workers."""
+"""Errors of worker processes."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 
 class WorkerError(RuntimeError):
-    """Worker processes end before they answer: killed, out of memory, or not able to start.
+    """Worker processes ended without a result: they were killed, ran out of memory, or could not start.
 
     Attributes:
-        tasks: indices of the tasks that have no result.
+        tasks: indices of the tasks without a result.
     """
 
     def __init__(self, message: str, *, tasks: Sequence[int] = ()):

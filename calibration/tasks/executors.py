@@ -1,4 +1,4 @@
-"""Tasks of the calibration, one after the other in this process, in parallel processes, or on a dask cluster."""
+"""Run tasks of a calibration serially in this process, in parallel processes, or on a dask cluster."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ if TYPE_CHECKING:
     from calibration.tasks.dask_cluster import DaskCluster
     from calibration.tasks.process_pool import ProcessPool
 
-#: Longest wait, s: Windows delivers Ctrl-C only to a wait that comes to an end by itself.
+#: Longest wait for a task, s; Windows delivers Ctrl-C only between waits.
 _LONGEST_WAIT = 0.5
 
+#: Called with the index and the result of a finished task.
 OnDone = Callable[[int, Any], None]
 
 
 @dataclass(frozen=True)
 class Workers:
-    """Who computes the tasks.
+    """Selection of the workers that run tasks.
 
     Attributes:
-        count: processes; 1: this process, one task after the other.
+        count: number of worker processes; 1: tasks run serially in this process.
         dask: address of a dask scheduler such as ``tcp://127.0.0.1:8786``, or its scheduler file; None: this machine.
 
     Raises:
-        InputError: a count below one, or a count together with a cluster.
+        InputError: `count` is below 1, or both `count` and `dask` are stated.
     """
 
     count: int = 1
@@ -39,16 +40,17 @@ class Workers:
 
     def __post_init__(self):
         if self.count < 1:
-            raise InputError(f"{self.count} worker processes; give a whole number from 1 up", field="workers")
+            raise InputError(f"workers must be at least 1; got {self.count}", field="workers")
         if self.dask is not None and self.count > 1:
-            raise InputError("a cluster brings its own workers; give either workers or dask", field="dask")
+            raise InputError("dask and workers exclude each other, because a cluster has its own workers; state one of "
+                             "them", field="dask")
 
 
 class Tasks:
-    """Where tasks run: here in this process, one after the other.
+    """Executor that runs tasks serially in this process.
 
     Attributes:
-        parallel: whether several may run at a time.
+        parallel: whether several tasks run at a time.
     """
 
     parallel = False
@@ -56,21 +58,21 @@ class Tasks:
     def run(self, function: Callable[..., Any], arguments: Sequence[tuple], on_done: OnDone | None = None) -> list[Any]:
         """Call the function once for each tuple of arguments.
 
-        The function is one that a new process can import, arguments and results are such that pickle takes them. What
-        was registered in this process is known where the function runs.
+        The function must be importable in a new process; arguments and results must be picklable. Plug-ins registered
+        in this process are also registered where the function runs.
 
         Args:
             function: called as ``function(*arguments[i])``.
             arguments: one tuple per task.
-            on_done: told ``(i, result)`` in this process, in the order in which the tasks end.
+            on_done: called as ``on_done(i, result)`` in this process, in the order in which the tasks finish.
 
         Returns:
             The results in the order of the arguments.
 
         Raises:
-            Exception: what a task raised, as it raised it; of several the first in the order of the arguments. Tasks
-                that run then are finished and told, tasks that have not begun are dropped.
-            WorkerError: a task has no result because its worker died each time. All others are finished and told.
+            Exception: the exception of a task; of several the first in the order of the arguments. Running tasks are
+                finished and reported to `on_done`, other tasks are cancelled.
+            WorkerError: the worker of a task ended in each attempt. All other tasks are finished and reported.
         """
         results = []
         for index, task in enumerate(arguments):
@@ -82,10 +84,10 @@ class Tasks:
 
 @contextmanager
 def open_tasks(workers: Workers) -> Iterator[Tasks]:
-    """Where tasks run, open until the block ends: no process of it outlives the block, nor this process.
+    """Open an executor for tasks; all its processes end with the block or with this process.
 
     Raises:
-        InputError: the cluster does not answer, or the package for it is missing.
+        InputError: the cluster does not answer, or its package is missing.
     """
     if workers.dask is None and workers.count == 1:
         yield Tasks()
@@ -95,7 +97,7 @@ def open_tasks(workers: Workers) -> Iterator[Tasks]:
         from calibration.tasks.dask_cluster import DaskCluster
         executor = DaskCluster(workers.dask)
     else:
-        # Only here: a calibration in one process does without multiprocessing.
+        # Imported on use: a calibration in one process does not need multiprocessing.
         from calibration.tasks.process_pool import ProcessPool
         executor = ProcessPool(workers.count)
     try:
@@ -116,7 +118,7 @@ class _ParallelTasks(Tasks):
         try:
             self._finish(function, arguments, on_done, results, failures)
         except BaseException:
-            # Ctrl-C, an error of on_done, workers that die: nobody waits for what still runs.
+            # Ctrl-C, an error of on_done, or failed workers: running tasks are abandoned.
             self._executor.stop()
             raise
         if failures:
@@ -124,11 +126,11 @@ class _ParallelTasks(Tasks):
         return [results[index] for index in range(len(arguments))]
 
     def _finish(self, function, arguments, on_done, results, failures):
-        """Run until every task has its place in results or failures."""
+        """Run all tasks; store each result in `results` or each exception in `failures`."""
         executor = self._executor
         waiting = deque(range(len(arguments)))
-        # Tasks during which a worker died: they run alone, after all others, so that they take none of them down and
-        # have the memory of the machine to themselves.
+        # Tasks whose worker ended run again alone after all others, so that they have the whole memory and a failure
+        # affects no other task.
         suspects: deque[int] = deque()
         deaths: Counter[int] = Counter()
         lost: list[int] = []
@@ -146,21 +148,22 @@ class _ParallelTasks(Tasks):
             for future in done:
                 index = running.pop(future)
                 if future.cancelled():
-                    raise WorkerError("the connection to the workers was lost; start them again and repeat the call, "
-                                      "what is finished is kept", tasks=sorted({index, *running.values(), *waiting}))
+                    raise WorkerError("the connection to the workers was lost; start the workers again and repeat the "
+                                      "call, which continues with the stored results",
+                                      tasks=sorted({index, *running.values(), *waiting}))
                 error = future.exception()
                 if isinstance(error, executor.death):
                     deaths[index] += 1
                     (lost if deaths[index] >= executor.most_deaths else suspects).append(index)
                 elif error is not None:
                     failures[index] = error
-                    running = {other: place for other, place in running.items() if not other.cancel()}
+                    running = {other: number for other, number in running.items() if not other.cancel()}
                 else:
                     results[index] = future.result()
                     if on_done is not None:
                         on_done(index, results[index])
         if lost and not failures:
             raise WorkerError(
-                f"{len(lost)} of {len(arguments)} tasks have no result, because the process that worked on them ended "
-                "each time (killed, out of memory, or for a reason that it printed); the others are done, so free "
-                "memory or take fewer workers, and repeat the call", tasks=sorted(lost))
+                f"{len(lost)} of {len(arguments)} tasks have no result, because their process ended in each attempt "
+                "(killed, out of memory, or for a reason that it printed); the other tasks are finished. Free memory "
+                "or use fewer workers, and repeat the call", tasks=sorted(lost))

@@ -1,4 +1,4 @@
-"""Worker processes on this machine."""
+"""Run tasks in worker processes on this machine."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from calibration.tasks.errors import WorkerError
 from tissue_sim.child_process import follow_parent, start_without_ctrl_c
 from tissue_sim.packing import pack, run_packed
 
-#: One thread per worker: native libraries that each take every core slow each other down.
+#: Environment variables that limit native libraries to one thread per worker; more threads would compete for the cores.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS",
             "NUMEXPR_NUM_THREADS")
 
 
 class ProcessPool:
-    """Processes that are started by the first task, and again by the next one after some have died.
+    """Pool of worker processes, started by the first task and restarted by the next task after a process has ended.
 
-    A process that dies takes the tasks with it that run in the others at that moment.
+    If a process ends unexpectedly, the running tasks of all processes fail.
 
     Attributes:
-        capacity: tasks that it takes at a time. death: what the future of a task holds when its worker died.
-        most_deaths: of workers during one task, after which it is given up.
+        capacity: number of tasks that run at a time.
+        death: type of the exception in the future of a task whose worker ended.
+        most_deaths: number of worker failures during a task after which the task is given up.
     """
 
     death = BrokenProcessPool
@@ -37,10 +38,10 @@ class ProcessPool:
         self._executor: ProcessPoolExecutor | None = None
 
     def submit(self, function: Callable[..., Any], arguments: tuple) -> Future:
-        """Start a task.
+        """Start a task and return its future.
 
         Raises:
-            WorkerError: processes end before they can take a task.
+            WorkerError: the processes end before they accept a task.
         """
         task = pack(function, arguments)
         if self._executor is not None:
@@ -53,8 +54,8 @@ class ProcessPool:
     def _start(self) -> ProcessPoolExecutor:
         # Spawned, not forked: Taichi and the threads of this process do not survive a fork.
         self._executor = ProcessPoolExecutor(self.capacity, multiprocessing.get_context("spawn"), follow_parent)
-        # All processes now and none later: one that starts while another dies is neither ended nor noticed, and the
-        # executor waits for it for ever; and all have to start under the same conditions.
+        # Start all processes now: the executor would wait forever for a process that starts while another one ends, and
+        # all processes must inherit the same environment.
         self._executor._safe_to_dynamically_spawn_children = False  # type: ignore[attr-defined]
         try:
             with _start_conditions():
@@ -64,8 +65,8 @@ class ProcessPool:
         except BrokenProcessPool as death:
             self.close()
             raise WorkerError(
-                "worker processes end before they take a task; a script that starts them must do so under "
-                "\"if __name__ == '__main__':\", otherwise see what they printed, or use one worker") from death
+                "worker processes ended before they accepted a task; in a script start them under "
+                "\"if __name__ == '__main__':\". Otherwise check their printed errors, or use one worker") from death
 
     def stop(self) -> None:
         """Kill the processes; the next task starts new ones."""
@@ -76,7 +77,7 @@ class ProcessPool:
         self.close()
 
     def close(self) -> None:
-        """Let the processes end; waits for the tasks that run."""
+        """End the processes after their running tasks."""
         executor, self._executor = self._executor, None
         if executor is not None:
             executor.shutdown(wait=True, cancel_futures=True)
@@ -84,7 +85,7 @@ class ProcessPool:
 
 @contextlib.contextmanager
 def _start_conditions() -> Iterator[None]:
-    """What a process inherits when it starts: one native thread, and no part in Ctrl-C, which its parent handles."""
+    """Set the environment for starting processes: one native thread, and Ctrl-C handled by the parent only."""
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     try:

@@ -1,1 +1,1 @@
-"""The 1 kHz loop, in a process of its own."""
+"""Haptic loop at 1 kHz in a separate process."""

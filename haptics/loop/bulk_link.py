@@ -1,4 +1,4 @@
-"""Between the fast solver of a contact and the slow one of the bulk: in one process with a known delay, or in two."""
+"""Links between the contact solver and the slower solver of the bulk: in one process with a fixed delay, or in two."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from haptics.loop.shared_slots import SlotReader, SlotWriter, remove, unused_path
+from haptics.loop.shared_slots import SlotReader, SlotWriter, remove_file, unused_path
 from haptics.loop.slow_bulk import KIND_CORRECTION, KIND_MODEL, KIND_STATE, Started, first_state, make_linearisation
 from haptics.loop.snapshot_board import SnapshotReader
 from tissue_sim.errors import InputError
@@ -33,70 +33,71 @@ from tissue_sim.model import Model
 from tissue_sim.packing import pack
 from tissue_sim.snapshot import Snapshot
 
-#: Bytes of a model that are read in one tick: a whole one would take a good part of it.
+#: Bytes of a model that are read in one tick; reading a whole model would take a large part of a tick.
 _PIECE = 1 << 16
-#: How long the process of the bulk may take to end, s.
-_PATIENCE = 5.0
-#: Longest time that `BulkLink.exchange` blocks, s of wall time.
+#: Time that the process of the bulk has to end before it is killed, s.
+_END_TIMEOUT = 5.0
+#: Longest wall time that `BulkLink.exchange` blocks, s.
 LONGEST_EXCHANGE = 60.0
-#: Time between two looks for a model in `BulkLink.exchange`, s.
+#: Polling interval of `BulkLink.exchange`, s.
 _POLL = 0.2e-3
-#: Time after which `BulkLink.exchange` sends the state again, s: a bulk that found no linearisation tries again then.
+#: Time after which `BulkLink.exchange` sends the state again, s, so that a bulk without linearisation tries again.
 _SEND_AGAIN = 0.05
 
 
 class BulkLink(Protocol):
-    """Where models of the bulk come from. Close it."""
+    """Source of linearised models of the bulk. Call `close` at the end."""
 
     @property
     def surface(self) -> ContactSurface:
-        """What may be touched, and by what; once it is started."""
+        """Contact nodes and tool of the bulk; available after `start`."""
 
     @property
     def alive(self) -> bool:
-        """Whether models can still come."""
+        """Whether the bulk can still send models."""
 
     def start(self) -> CondensedContact:
-        """Make the bulk; its model at the first touch.
+        """Create the bulk and return its model of the undeformed tissue.
 
         Raises:
-            InputError, RuntimeError: it cannot be made, and why.
+            InputError: the solver does not support the model.
+            RuntimeError: the process of the bulk ended.
         """
 
     def send(self, state: ContactState) -> None:
-        """Tell where the contact is; never waits."""
+        """Send the state of the contact to the bulk without waiting."""
 
     def receive(self, now: float) -> CondensedContact | None:
-        """A model that has come since the last call, at a time, s; never waits."""
+        """Return a model received since the last call, or None, without waiting; `now` is the time, s."""
 
     def exchange(self, state: ContactState) -> CondensedContact | None:
-        """Send a state and block until the next model has come, which can still be that of an earlier state.
+        """Send a state and block until the next model arrives, which may belong to an earlier state.
 
         Returns:
-            None if no model has come within `LONGEST_EXCHANGE`, or none can come any more.
+            The model; None if none arrives within `LONGEST_EXCHANGE` or the bulk has ended.
         """
 
     def set_material(self, material: Material, number: int) -> None:
-        """Change the material of the bulk; models of the new material carry the number."""
+        """Change the material of the bulk; models of the new material contain this number."""
 
     def snapshot(self) -> Snapshot | None:
-        """The tissue at the last model; None of a link that shows none."""
+        """Return the tissue at the last model; None for a link without snapshots."""
 
     def close(self) -> None:
-        """End it."""
+        """End the bulk and free its resources."""
 
 
 class DelayedBulk:
-    """A bulk in this process, whose models come a fixed time after they were asked for: the same motion gives the same
-    forces.
+    """Bulk in this process whose models arrive after a fixed simulated delay, so that forces are reproducible.
 
     Args:
-        linearisation: of the bulk.
-        delay: from the state that a model is made of to the tick that takes it, s.
-        tangent: from the state that a tangent is of to the first model with it, s; None: each model has its own.
+        linearisation: linearisation of the bulk.
+        delay: time from the state of a model to the tick that receives the model, s.
+        tangent: time from the state of a tangent to the first model with this tangent, s; None: each model has a new
+            tangent.
 
     Attributes:
-        linearising: CPU time that went into models, s.
+        linearising: CPU time spent on models, s.
     """
 
     alive = True
@@ -106,12 +107,15 @@ class DelayedBulk:
         self._foresighted, self._now = ForesightedLinearisation(linearisation), 0.0
         self._tangent = tangent
         if tangent is not None:
-            linearisation.beside = self._later
+            linearisation.beside = self._finish_later
         self.linearising = 0.0
         self._coming: tuple[float, CondensedContact | None] | None = None
 
-    def _later(self, compute: Callable[[], None]) -> Callable[[], bool]:
-        """Computed now, and there when its time has come; nobody waits for one of a specimen that is no more."""
+    def _finish_later(self, compute: Callable[[], None]) -> Callable[[], bool]:
+        """Compute a tangent now and return a function that reports it as finished after the tangent's delay.
+
+        After a reset the tangent belongs to a discarded specimen and is reported as finished at once.
+        """
         assert self._tangent is not None
         compute()
         due, epoch = self._now + self._tangent, self._epoch
@@ -125,7 +129,7 @@ class DelayedBulk:
 
     def send(self, state: ContactState) -> None:
         if state.epoch != self._epoch:
-            # What is on its way is of a specimen that is no more.
+            # A model in transit belongs to the specimen before the reset.
             self._epoch, self._coming = state.epoch, None
         if self._coming is None:
             began, self._now = time.process_time(), state.time
@@ -140,7 +144,7 @@ class DelayedBulk:
         return model
 
     def exchange(self, state: ContactState) -> CondensedContact | None:
-        """The model of a state, or of one that was sent before and has not been received, without its delay."""
+        """Return the model of a state, or of a state sent before and not yet received, without delay."""
         self.send(state)
         return self.receive(math.inf)
 
@@ -155,12 +159,13 @@ class DelayedBulk:
 
 
 class BulkProcess:
-    """A bulk in a process of its own, which linearises as fast as it can.
+    """Bulk in a separate process that linearises continuously.
 
     Args:
         model: experiment and material.
-        solver, resolution: whose bulk.
-        mesh: of the solver's own kind, instead.
+        solver: name of the solver.
+        resolution: resolution of the mesh.
+        mesh: mesh of the solver's type; None: generated with `resolution`.
     """
 
     def __init__(self, model: Model, *, solver: str = "solid", resolution: str = "realtime", mesh: Any = None):
@@ -175,12 +180,12 @@ class BulkProcess:
             [sys.executable, "-c", "from haptics.loop.slow_bulk import main; main()"], stdin=subprocess.PIPE,
             stdout=subprocess.PIPE, env={**one, **os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))})
         assert process.stdin is not None and process.stdout is not None
-        self._say(struct.pack("<Q", len(self._task)) + self._task)
-        self._say(pickle.dumps(self._paths))
+        self._write_orders(struct.pack("<Q", len(self._task)) + self._task)
+        self._write_orders(pickle.dumps(self._paths))
         try:
             started: Started | InputError = pickle.load(process.stdout)
         except EOFError:
-            raise RuntimeError("the process of the bulk ended before it began; see what it printed") from None
+            raise RuntimeError("the process of the bulk ended during its start; see its printed errors") from None
         if isinstance(started, Exception):
             raise started
         self._surface = started.surface
@@ -190,11 +195,12 @@ class BulkProcess:
         self._corrections, self._corrected = SlotReader(self._paths[2], KIND_CORRECTION), 0
         self._board = None if started.pattern is None else SnapshotReader(self._paths[3], started.pattern)
         self._shown = started.pattern
-        self._taken, self._reading, self._piece, self._check = 0, 0, 0, 0
+        #: Numbers of the last model received and of the model being read, bytes read of it, and their checksum.
+        self._received, self._reading, self._piece, self._check = 0, 0, 0, 0
         self._model = started.model
-        #: Where the next model is read to, and where the last one is.
+        #: Buffer into which the next model is read, and buffer of the last model.
         self._buffers = bytearray(self._models.size), bytearray(self._models.size)
-        self._say(b"go\n")
+        self._write_orders(b"go\n")
         return started.model
 
     @property
@@ -211,7 +217,7 @@ class BulkProcess:
         self._states.write(state.packed().tobytes())
 
     def receive(self, now: float) -> CondensedContact | None:
-        found = self._received_whole() or self._received_correction()
+        found = self._receive_whole() or self._receive_correction()
         if found is not None:
             self._model = found
         return found
@@ -229,11 +235,14 @@ class BulkProcess:
             now = time.monotonic()
         return None
 
-    def _received_whole(self) -> CondensedContact | None:
-        """A model with a tangent of its own, read a piece at a time; its arrays are there until the next one is."""
+    def _receive_whole(self) -> CondensedContact | None:
+        """Read the next piece of a model with tangent; return the model when it is complete.
+
+        The arrays of the model are valid until the next complete model.
+        """
         models = self._models
         if self._reading == 0:
-            if models.written == self._taken:
+            if models.written == self._received:
                 return None
             self._reading, self._piece = models.written, 0
             self._check = self._reading & 0xFFFFFFFF
@@ -246,12 +255,12 @@ class BulkProcess:
             return None
         number, self._reading = self._reading, 0
         if self._check != checksum or models.head(number) != (length, checksum):
-            return None  # it was written while it was read: once more
-        self._taken, self._buffers = number, self._buffers[::-1]
+            return None  # the slot was overwritten during reading: start again
+        self._received, self._buffers = number, self._buffers[::-1]
         return CondensedContact.unpacked(np.frombuffer(self._buffers[1], count=length // 8))
 
-    def _received_correction(self) -> CondensedContact | None:
-        """A later state of the bulk on the tangent of the model that is here."""
+    def _receive_correction(self) -> CondensedContact | None:
+        """Return a model with a later state of the bulk and the tangent of the last complete model, or None."""
         corrections = self._corrections
         if corrections.written == self._corrected:
             return None
@@ -262,7 +271,7 @@ class BulkProcess:
         return CondensedContact.unpacked(np.frombuffer(content), self._model)
 
     def set_material(self, material: Material, number: int) -> None:
-        self._say(pickle.dumps((number, material)))
+        self._write_orders(pickle.dumps((number, material)))
 
     def snapshot(self) -> Snapshot | None:
         if self._board is not None:
@@ -281,20 +290,20 @@ class BulkProcess:
             if self._board is not None:
                 self._board.close()
         if process.stdin is not None:
-            with suppress(OSError):  # the process was killed before it read everything
-                process.stdin.close()  # the end of its input ends the process
+            with suppress(OSError):  # the process was killed before it read all of its input
+                process.stdin.close()  # the process ends at the end of its input
         try:
-            process.wait(_PATIENCE)
+            process.wait(_END_TIMEOUT)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
         if process.stdout is not None:
             process.stdout.close()
         for path in self._paths:
-            remove(path)
+            remove_file(path)
         self._process = None
 
-    def _say(self, content: bytes) -> None:
+    def _write_orders(self, content: bytes) -> None:
         assert self._process is not None and self._process.stdin is not None
         self._process.stdin.write(content)
         self._process.stdin.flush()

@@ -1,4 +1,4 @@
-"""What runs in the process of a loop: make the tissue, warm it up, tick, report; and end when the parent does."""
+"""Child process of a loop: create the tissue, warm it up, run the loop, report, and end with the parent process."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from haptics.devices.contracts import DeviceError, HapticDevice
 from haptics.loop.commands import COMMANDS
 from haptics.loop.loop import Loop, LoopReport, LoopSettings, mesh_of
 from haptics.loop.ring import RingWriter
-from haptics.loop.shared_slots import remove
+from haptics.loop.shared_slots import remove_file
 from haptics.loop.snapshot_board import SnapshotBoard
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.child_process import follow_parent
@@ -23,21 +23,33 @@ from tissue_sim.registry import register_all
 from tissue_sim.snapshot import ShownTissue
 from tissue_sim.tool_force import Tissue
 
-#: Errors that are a sentence for the user, and no fault of the program.
+#: Errors with a message for the user; other errors are faults of the program.
 _EXPECTED = (InputError, ConvergenceError, MissingBackendError, DeviceError)
-#: How long the loop has to end by itself when its parent is gone, s.
+#: Time that the loop has to end after its parent has ended, s.
 _GRACE = 0.5
 
 
 class LoopFiles(NamedTuple):
-    """Where other processes read along."""
+    """Shared files from which other processes read.
+
+    Attributes:
+        ring: ring of ticks.
+        snapshots: board of snapshots.
+    """
 
     ring: Path
     snapshots: Path
 
 
 class LoopParts(NamedTuple):
-    """What a loop is made of; its tissue is made where it runs."""
+    """Components of a loop that are sent to its process.
+
+    Attributes:
+        make_tissue: creates the tissue in the process of the loop.
+        device: haptic device or motion.
+        rendering: conversion of poses and forces.
+        settings: settings of the loop.
+    """
 
     make_tissue: Callable[[], Tissue]
     device: HapticDevice
@@ -46,24 +58,24 @@ class LoopParts(NamedTuple):
 
 
 def run_child(connection: Connection, parts: LoopParts, files: LoopFiles, things: list[tuple[str, str, Any]]) -> None:
-    """Run a loop for the parent at the other end of the connection.
+    """Run a loop in this process and communicate with the parent process.
+
+    Messages to the parent are pairs (kind, content): ``doing`` with a sentence; ``pattern`` of the snapshots, if there
+    are any; ``ready``; ``changed`` with the new material data of the pattern; ``answer`` to each command, empty on
+    success or with the reason of the refusal; at the end ``report``, or ``error`` with a sentence and whether invalid
+    input is the cause.
 
     Args:
-        connection: to the parent.
-        parts: of the loop.
-        files: to write.
-        things: that were registered in the parent, for those who take their names here.
-
-    The parent is told, as pairs: ``doing`` a sentence; ``pattern`` of the snapshots, where there are any; ``ready``;
-    ``changed`` with what a change of the material changes in the pattern; ``answer`` to each command, empty where it is
-    done and else the reason why not; at the end ``report``, or ``error`` with a sentence and whether bad input is the
-    cause.
+        connection: connection to the parent.
+        parts: components of the loop.
+        files: shared files to write.
+        things: plug-ins registered in the parent, to be registered here too.
     """
     def remove_files() -> None:
         for path in files:
-            remove(path)
+            remove_file(path)
 
-    follow_parent(_GRACE, remove_files)  # while the tissue is made, nobody listens to the connection
+    follow_parent(_GRACE, remove_files)  # needed during the creation of the tissue, when the connection is not read
     try:
         register_all(things)
         report = _loop(connection, parts, files)
@@ -73,39 +85,41 @@ def run_child(connection: Connection, parts: LoopParts, files: LoopFiles, things
         if not expected:
             traceback.print_exc()
             sentence = f"{type(error).__name__}: {sentence}"
-        _say(connection, "error", (sentence, isinstance(error, InputError)))
+        _send(connection, "error", (sentence, isinstance(error, InputError)))
         sys.exit(1)
-    _say(connection, "report", report)
+    _send(connection, "report", report)
 
 
 def _loop(connection: Connection, parts: LoopParts, files: LoopFiles) -> LoopReport:
     settings = parts.settings
     with ExitStack() as stack:
         ring = stack.enter_context(RingWriter(files.ring, settings.capacity))
-        _say(connection, "doing", "making the tissue")
+        _send(connection, "doing", "making the tissue")
         tissue = parts.make_tissue()
         if hasattr(tissue, "warm_up"):
-            _say(connection, "doing", "loading the solver (a machine's first run compiles it, some 10 s)")
+            _send(connection, "doing", "loading the solver (the first run on a computer compiles it, about 10 s)")
             tissue.warm_up()
         snapshots = shown = None
         if settings.snapshot_rate and isinstance(tissue, ShownTissue):
             pattern = tissue.snapshot()
             if pattern.arrays():
                 shown, snapshots = tissue, stack.enter_context(SnapshotBoard(files.snapshots, pattern))
-                _say(connection, "pattern", pattern)
+                _send(connection, "pattern", pattern)
         loop = Loop(tissue, parts.device, parts.rendering, settings, ring, snapshots=snapshots,
-                    listen=lambda loop: _listen(loop, connection, shown))
-        # Last, so that nobody holds a device that waits for a compiler.
+                    listen=lambda loop: _run_commands(loop, connection, shown))
+        # Started last: a user must not hold a device during compilation.
         parts.device.start()
-        _say(connection, "ready", mesh_of(tissue))
+        _send(connection, "ready", mesh_of(tissue))
         return loop.run()
 
 
-def _listen(loop: Loop, connection: Connection, shown: ShownTissue | None) -> None:
-    """Do what the parent has asked for.
+def _run_commands(loop: Loop, connection: Connection, shown: ShownTissue | None) -> None:
+    """Execute the commands that the parent has sent.
 
     Args:
-        shown: the tissue, where snapshots of it are published.
+        loop: the loop.
+        connection: connection to the parent.
+        shown: the tissue if snapshots are published, otherwise None.
     """
     try:
         while connection.poll():
@@ -113,7 +127,7 @@ def _listen(loop: Loop, connection: Connection, shown: ShownTissue | None) -> No
             try:
                 COMMANDS[command](loop, **values)
                 if command == "set_parameters" and shown is not None:
-                    # Not the whole pattern: its arrays would take a good part of a tick.
+                    # Only the material: sending all arrays of the pattern would take a large part of a tick.
                     connection.send(("changed", shown.snapshot().of_the_material()))
                 connection.send(("answer", ""))
             except (InputError, DeviceError) as error:
@@ -122,6 +136,6 @@ def _listen(loop: Loop, connection: Connection, shown: ShownTissue | None) -> No
         loop.stop("parent")
 
 
-def _say(connection: Connection, kind: str, content: Any = None) -> None:
-    with suppress(OSError):  # the parent is gone
+def _send(connection: Connection, kind: str, content: Any = None) -> None:
+    with suppress(OSError):  # the parent has ended
         connection.send((kind, content))

@@ -1,4 +1,4 @@
-"""What a loop that runs may be asked for, by name."""
+"""Commands to a running loop by name."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 from haptics.loop.loop import Loop
 
-#: Name -> what is done with the loop, between two ticks; the values of a command are its arguments.
+#: Name of a command -> method that executes it between two ticks with the values of the command as arguments.
 COMMANDS: dict[str, Callable[..., None]] = {
     "pause": Loop.pause,
     "resume": Loop.resume,
     "reset": Loop.reset,
     "advance": Loop.advance,
-    "follow": Loop.follow,
+    "switch_device": Loop.switch_device,
     "aim": Loop.aim,
     "set_parameters": Loop.set_parameters,
     "stop": Loop.stop,

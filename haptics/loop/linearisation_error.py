@@ -33,16 +33,16 @@ class LinearisationError:
     radius R at depth d it is 2 mu sqrt(R / d) (second derivative of Hertz's force, halved), and d is below R.
 
     Args:
-        radius: of the contact, m.
-        shear_modulus: of the tissue, Pa.
+        radius: radius of the contact, m.
+        shear_modulus: shear modulus of the tissue, Pa.
 
     Attributes:
         base: error of the newest model at its own pose, N.
-        interval: time between these two models, s.
-        growth: error over the square of the distance, N/m2, as it was learned.
-        shear_modulus: smallest growth that is used, N/m2.
+        interval: time between the last two models, s.
+        growth: learned error divided by the square of the distance, N/m2.
+        shear_modulus: lower limit of the growth, N/m2.
         reach: distance between the models from which `growth` was learned, m.
-        time: of the newest model from which it was learned, s; minus infinity: nothing was learned.
+        time: time of the newest model from which the estimate was learned, s; minus infinity if there is none.
         short: `SHORT` times the radius, m.
     """
 
@@ -56,8 +56,7 @@ class LinearisationError:
         self.base, self.interval = 0.0, 0.0
 
     def change_modulus(self, shear_modulus: float) -> None:
-        """Use the estimate for tissue of another shear modulus, Pa; what was learned grows with it, and stays where it
-        becomes smaller."""
+        """Adapt the estimate to another shear modulus, Pa; the estimate is scaled up, but never down."""
         factor = max(1.0, shear_modulus / self.shear_modulus) if self.shear_modulus > 0.0 else 1.0
         self.base, self.growth, self.shear_modulus = factor * self.base, factor * self.growth, shear_modulus
 
@@ -66,14 +65,14 @@ class LinearisationError:
         """Update the estimate with the difference of two successive models.
 
         Args:
-            missed: difference of their forces at the pose of the tool, N.
-            distance: of the tool from the pose of the first model, m.
+            missed: difference of the forces of the two models at the pose of the tool, N.
+            distance: distance of the tool from the pose of the first model, m.
             between: distance between the poses of the two models, m.
-            time: at which the second one was made, s.
-            interval: time between the two, s.
+            time: time of the second model, s.
+            interval: time between the two models, s.
             newer: distance of the tool from the pose of the second model, m.
         """
-        # Two models of nearly the same pose say nothing about larger distances: they raise the estimate only.
+        # Models of nearly the same pose contain no information on larger distances: they may only raise the estimate.
         memory = _MEMORY if between >= self.short else 1.0
         squares = max(distance**2 - newer**2, self.short**2)
         self.growth = max(memory * self.growth, missed / squares)
@@ -81,17 +80,17 @@ class LinearisationError:
         self.base, self.interval = missed, interval
 
     @property
-    def _steepest(self) -> float:
-        """Growth that is used, N/m2."""
+    def _limited_growth(self) -> float:
+        """Growth with its lower limit, N/m2."""
         return max(self.growth, self.shear_modulus)
 
     def is_valid(self, distance: float) -> bool:
-        """Whether the error at a distance, m, from the pose of a model is known."""
+        """Return whether the error at this distance, m, from the pose of a model is known."""
         return math.isfinite(self.time) and distance <= max(self.short, _VALID * self.reach)
 
     def at(self, distance: float, age: float = 0.0) -> float:
-        """Estimated error, N, at a distance, m, from the pose of a model of this age, s; infinite if it is unknown."""
+        """Return the estimated error, N, at a distance, m, from a model of this age, s; infinite if it is unknown."""
         if not self.is_valid(distance):
             return math.inf
-        longer = max(1.0, age / (2.0 * self.interval)) if self.interval > 0.0 else 1.0
-        return self.base * longer + self._steepest * distance**2
+        age_factor = max(1.0, age / (2.0 * self.interval)) if self.interval > 0.0 else 1.0
+        return self.base * age_factor + self._limited_growth * distance**2

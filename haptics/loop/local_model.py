@@ -1,4 +1,4 @@
-"""Multi-rate: a solver too slow for the loop publishes wrench and stiffness; the loop evaluates them every tick."""
+"""Multirate rendering with local models: a slow solver publishes wrench and stiffness, the loop evaluates them."""
 
 from __future__ import annotations
 
@@ -15,16 +15,15 @@ _NO_STIFFNESS: Matrix = (_NO_WRENCH,) * 6
 
 @dataclass(frozen=True, slots=True)
 class LocalModel:
-    """The wrench near one pose, W(p) = wrench - stiffness_matrix (motion from there to p).
+    """Linear model of the wrench near one pose: W(p) = wrench - stiffness_matrix (motion from `pose` to p).
 
     Attributes:
-        wrench: force, then torque about the tool's deepest point, N and N m.
-        stiffness_matrix: as of a `ToolForce`, 6 x 6, N/m, N, N m.
-        pose: of the tool.
-        time: when the tool was there, on the clock of the loop, s.
-        error: estimated error of the force on the way of the tool until the next model, N; None if it is unknown. It
-            says nothing of the torque.
-        stiffness_time: when the stiffness was evaluated, s; None: at `time`.
+        wrench: force and torque about the deepest point of the tool, N and N m.
+        stiffness_matrix: stiffness as in `ToolForce`, shape (6, 6), N/m, N, N m.
+        pose: pose of the tool.
+        time: time at which the tool had this pose, on the clock of the loop, s.
+        error: estimated error of the force until the next model, N, without the error of the torque; None if unknown.
+        stiffness_time: time at which the stiffness was evaluated, s; None: at `time`.
     """
 
     wrench: Screw
@@ -37,33 +36,41 @@ class LocalModel:
     @classmethod
     def axial(cls, force: float, stiffness: float, depth: float, time: float,
               error: float | None = 0.0) -> LocalModel:
-        """Of a scene that knows the motion along z only: N, N/m, m."""
+        """Create a model for motion along z only.
+
+        Args:
+            force: force along z, N.
+            stiffness: stiffness along z, N/m.
+            depth: depth of the tool, m.
+            time: time at which the tool had this depth, s.
+            error: estimated error of the force, N; None if unknown.
+        """
         answer = ToolForce.axial(force, stiffness, ForceStatus.CONVERGED)
         return cls(answer.wrench, answer.stiffness_matrix, Pose.at_depth(depth), time, error)
 
     def evaluate(self, pose: Pose) -> Screw:
-        """Wrench at a pose, N and N m."""
+        """Return the wrench at a pose, N and N m."""
         return carried_on(self.wrench, self.stiffness_matrix, motion(self.pose, pose))
 
 
-#: Before the first model, and after one that is too old: no wrench.
+#: Model with zero wrench, used before the first model and after a model that is too old.
 _NONE = LocalModel(_NO_WRENCH, _NO_STIFFNESS, Pose.at_depth(0.0), -math.inf, None)
-#: Part of an error estimate that outlives the next model.
+#: Fraction of an error estimate that is kept with the next model.
 _MEMORY = 0.8
 
 
 class SlowSolver:
-    """Makes local models of a tissue whose step takes longer than a tick; lives beside the loop, not in it.
+    """Create local models of a tissue whose step takes longer than a tick; runs outside of the loop.
 
-    The error estimate is how far the forces of the last two models are off at the new pose, the larger of the two.
-    While a model is being made, the loop goes on with the one before; so a model serves until the tool has moved on for
-    up to two periods, and the last but one tells what that costs if the motion goes on like this. At a reversal both
-    happen to be right, so a fifth of the estimate at most is forgotten with each model. Models of a tool in the air are
-    all equal: they change no estimate, and before the first force the error is unknown. An error that the tissue itself
-    estimates is a lower limit. The estimate is not a bound: it is too small for a motion as fast as the solver.
+    The error estimate is the larger difference between the new force and the forces of the last two models at the new
+    pose. The loop uses a model while the next one is computed, that is up to two periods, so the last but one model
+    shows the error of this time for a steady motion. At a reversal of the motion both models agree by chance; therefore
+    at least 80 % of the estimate is kept with each model. All models of a tool in the air are equal and do not change
+    the estimate; before the first force the error is unknown. An error estimated by the tissue itself is a lower limit.
+    The estimate is not a bound: it is too small for motions as fast as the solver.
 
     Args:
-        tissue: steps at 2 to 60 Hz.
+        tissue: tissue that is stepped at 2 to 60 Hz.
     """
 
     def __init__(self, tissue: Tissue):
@@ -72,34 +79,34 @@ class SlowSolver:
         self._before: LocalModel | None = None
 
     def solve(self, pose: float | Pose, dt: float, time: float) -> LocalModel | None:
-        """Step the tissue to where the tool was.
+        """Step the tissue to a pose of the tool and create a local model there.
 
         Args:
-            pose: of the tool, or its depth, m.
-            dt: time since the pose of the call before, s.
-            time: when the tool was there: `LocalModelBlend.time` in the tick that asked, s.
+            pose: pose of the tool, or its depth, m.
+            dt: time since the pose of the previous call, s.
+            time: time at which the tool had this pose, on the clock `LocalModelBlend.time`, s.
 
         Returns:
-            The model to publish, or None where the tissue refused the pose or answered with no finite number. A force
-            without equilibrium keeps the time of the equilibrium that it comes from, and at least the error of then.
+            The model to publish; None if the tissue refused the pose or returned a force that is not finite. A force
+            without equilibrium keeps the time of the last equilibrium, and at least its error.
         """
-        where = pose_of(pose)
-        answer = self._tissue.step(where, dt)
+        tool_pose = pose_of(pose)
+        answer = self._tissue.step(tool_pose, dt)
         if answer.status is ForceStatus.REFUSED or not answer.is_finite:
             return None
         made, last = time, self._last or _NONE
-        # A force without equilibrium lies on the last model's own line and says nothing about its error.
+        # A force without equilibrium is extrapolated from the last model and contains no information on its error.
         converged = answer.status is ForceStatus.CONVERGED
         if self._last is not None and not converged:
             made = max(time - answer.age, last.time)
-        error = self._error(where, answer, last, _MEMORY if converged else 1.0)
+        error = self._error(tool_pose, answer, last, _MEMORY if converged else 1.0)
         evaluated = max(made - max(0.0, answer.stiffness_age - (time - made)), last.stiffness_time or -math.inf)
         self._before = self._last
-        self._last = LocalModel(answer.wrench, answer.stiffness_matrix, where, made, error, min(made, evaluated))
+        self._last = LocalModel(answer.wrench, answer.stiffness_matrix, tool_pose, made, error, min(made, evaluated))
         return self._last
 
     def _error(self, pose: Pose, answer: ToolForce, last: LocalModel, memory: float) -> float | None:
-        """Estimated error of the model that an answer makes, N; None while it is unknown."""
+        """Return the estimated error of a new model, N; None while it is unknown."""
         known = last.error
         if any(answer.wrench) or any(last.wrench):
             models = (last, self._before or last)
@@ -111,40 +118,40 @@ class SlowSolver:
 
 
 class LocalModelBlend:
-    """The newest local model, evaluated every tick; itself a `Tissue`.
+    """Tissue that evaluates the newest local model in each tick, with a continuous wrench at changes of the model.
 
-    When a model comes, the wrench goes on from where it is: the difference between the old and the new one at the pose
-    of the last tick is kept as an offset, whose force shrinks by at most `jump` a tick, and its torque by at most
-    `torque_jump`. So a change of model alone never moves the force by more than `jump` in a tick, while motion is felt
-    at once, with the new stiffness.
+    At a change of the model the difference of both wrenches at the last pose is stored as an offset. The offset
+    decreases by at most `jump` (force) and `torque_jump` (torque) per tick. A change of the model therefore changes the
+    force by at most `jump` per tick, whereas motion changes the force at once with the new stiffness.
 
     Args:
-        jump: largest change of force in a tick that a change of model may cause, N.
-        oldest: a model older than this, s, is given up: the wrench goes to zero, by the jumps. A slow solver that has
-            ended would otherwise push for ever.
-        torque_jump: the same of the torque, N m.
+        jump: largest change of force per tick due to a change of the model, N.
+        oldest: age above which a model is discarded, s; the wrench then decreases to zero in steps of `jump`. The limit
+            prevents a permanent force after the slow solver has ended.
+        torque_jump: largest change of torque per tick due to a change of the model, N m.
 
     Attributes:
-        time: sum of all dt since the last reset, s: the clock on which models are stamped.
-        offset: what is left of the last change of model, N and N m.
-        refused: how many models were refused.
+        time: sum of all dt since the last reset, s; the clock for the times of models.
+        offset: remaining offset of the last change of the model, N and N m.
+        refused: number of refused models.
 
     Raises:
-        InputError: `jump`, `torque_jump` or `oldest` that is not above zero.
+        InputError: `jump`, `torque_jump` or `oldest` is not positive.
     """
 
     def __init__(self, jump: float = 0.02, oldest: float = 2.0, torque_jump: float = 0.002):
         for value, unit, field in ((jump, "N", "jump"), (torque_jump, "N m", "torque_jump")):
             if not 0 < value < math.inf:
-                raise InputError(f"{value:g} {unit} is no jump to blend with; give one above zero, such as 0.02",
+                raise InputError(f"{field} must be positive and finite; got {value:g} {unit}. Use for example 0.02",
                                  field=field)
         if not oldest > 0:
-            raise InputError(f"{oldest:g} s is no age; give one above the solver's period, such as 2", field="oldest")
+            raise InputError(f"oldest must be positive; got {oldest:g} s. Use more than the period of the solver, such "
+                             "as 2", field="oldest")
         self.jump, self.torque_jump, self.oldest = jump, torque_jump, oldest
         self.reset()
 
     def reset(self):
-        """Forget all models and start the clock again."""
+        """Discard all models, set the wrench to zero and restart the clock at zero."""
         self.time, self.offset, self.refused = 0.0, _NO_WRENCH, 0
         self._model, self._published = _NONE, -math.inf
         self._pose: Pose | None = None
@@ -152,20 +159,21 @@ class LocalModelBlend:
 
     @property
     def age(self) -> float:
-        """Time since the tool was where the newest model was made, s; infinite before the first."""
+        """Time since the tool had the pose of the newest model, s; infinite before the first model."""
         return self.time - self._published
 
     @property
     def error(self) -> float:
-        """Estimated error of the force, N: of the model, and the rest of the change to it; infinite if unknown."""
+        """Estimated error of the force, N: error of the model plus remaining offset; infinite if unknown."""
         error = self._model.error
         return math.inf if error is None else error + _size(self.offset[:3])
 
     def publish(self, model: LocalModel) -> bool:
-        """Take a new model; returns whether it was taken.
+        """Replace the model by a new one.
 
-        Refused, with the old one kept: a model with a number that is not finite, one made before the present one,
-        one from after now (made before a reset).
+        Returns:
+            Whether the new model is used. A model is refused, and the old one kept, if it contains a number that is not
+            finite, if it is older than the present model, or if its time is in the future (it was made before a reset).
         """
         wrench = model.evaluate(model.pose if self._pose is None else self._pose)
         finite = math.isfinite(sum(wrench)) and math.isfinite(model.time) and math.isfinite(model.error or 0.0)
@@ -177,24 +185,28 @@ class LocalModelBlend:
         return True
 
     def step(self, pose: float | Pose, dt: float) -> ToolForce:
-        """Wrench at a pose, or at a depth, m, after dt, s.
+        """Return the wrench at a pose.
+
+        Args:
+            pose: pose of the tool, or its depth, m.
+            dt: time since the last step, s.
 
         Returns:
-            Status LATE: a local model's wrench; STOPPED before the first model and after one that is too old; REFUSED
-            with the last wrench, and nothing changed, where pose or dt is not finite or dt is not above zero.
+            The wrench with the status LATE for a local model, STOPPED before the first model and after one that is too
+            old, or REFUSED with the last wrench if pose or dt is not finite or dt is not positive.
         """
         pose = pose_of(pose)
         if not (pose.is_finite and 0 < dt < math.inf):
             return self._answer(ForceStatus.REFUSED)
         self.time += dt
         if self._pose is None:
-            # No motion comes before the first tick: all of the first wrench is a change of model.
+            # At the first tick the whole wrench counts as a change of the model.
             self._pose = pose
             self._change_to(self._model)
         if self.age > self.oldest:
             self._change_to(_NONE)
         if any(self.offset):
-            self.offset = _shrunk(self.offset[:3], self.jump) + _shrunk(self.offset[3:], self.torque_jump)
+            self.offset = _shorten(self.offset[:3], self.jump) + _shorten(self.offset[3:], self.torque_jump)
         self._pose = pose
         self._wrench = added(self._model.evaluate(pose), self.offset)
         return self._answer(ForceStatus.LATE if math.isfinite(self._model.time) else ForceStatus.STOPPED)
@@ -217,11 +229,11 @@ def _size(vector: Vector) -> float:
     return math.hypot(*vector)
 
 
-def _shrunk(vector: Vector, step: float) -> Vector:
-    """A vector made shorter by a step."""
+def _shorten(vector: Vector, step: float) -> Vector:
+    """Shorten a vector by this length, at most to zero."""
     size = _size(vector)
     if size <= step:
         return (0.0, 0.0, 0.0)
-    # The direction first: along an axis it is 1.
+    # Divide first: along an axis the direction is exactly 1.
     x, y, z = vector
     return (x - x / size * step, y - y / size * step, z - z / size * step)

@@ -1,4 +1,4 @@
-"""The 1 kHz loop: pose, tissue, force, ring; again and again, at deadlines that stand."""
+"""Haptic loop: in each tick read the pose, step the tissue, render the force and record the tick."""
 
 from __future__ import annotations
 
@@ -23,28 +23,28 @@ from tissue_sim.pose import Pose
 from tissue_sim.snapshot import ShownTissue
 from tissue_sim.tool_force import ForceStatus, Tissue
 
-#: How often the loop looks for commands, s.
+#: Time between two checks for commands, s.
 LISTEN_EVERY = 0.01
-#: Bits of the flags of a tick, by name.
+#: Bit of the flags of a tick -> name.
 _FLAGS = {flag.value: name.lower() for name, flag in RenderFlag.__members__.items()} | {PAUSED: "paused"}
 
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """How the loop runs.
+    """Settings of a loop.
 
     Attributes:
-        period: s.
-        spin: how long before a deadline to watch the clock instead of sleeping, s. It keeps a core busy
-            but for a tenth of the time.
-        seconds: how long it runs; None: until it is stopped.
-        real_time: ask the system for what `haptics.loop.real_time` knows.
-        snapshot_rate: how often the whole tissue is published, for viewers that draw it, Hz; 0: never.
-        capacity: ticks that the ring keeps.
-        patience: after so long without an equilibrium the tissue's force is let go, s; see `ForceRelease`.
+        period: time between two ticks, s.
+        spin: time before a deadline in which the clock is polled instead of sleeping, s. Polling uses up to 90 % of a
+            core.
+        seconds: duration of the loop, s; None: until it is stopped.
+        real_time: whether to request the real-time features of `haptics.loop.real_time`.
+        snapshot_rate: rate at which the whole tissue is published for viewers, Hz; 0: never.
+        capacity: number of ticks in the ring.
+        patience: time without equilibrium after which the force is reduced to zero, s; see `ForceRelease`.
 
     Raises:
-        InputError: a time or a rate that does not fit.
+        InputError: a time or a rate is outside its range.
     """
 
     period: float = 1e-3
@@ -56,38 +56,42 @@ class LoopSettings:
     patience: float = PATIENCE
 
     def __post_init__(self):
-        Ticker(self.period, spin=self.spin)  # refuses what it cannot keep
-        ForceRelease(self.patience)  # and so does this
+        Ticker(self.period, spin=self.spin)  # checks its arguments
+        ForceRelease(self.patience)  # checks its argument
         if self.seconds is not None and not self.period <= self.seconds < math.inf:
-            raise InputError(f"{self.seconds:g} s is no time to run; give at least one period of {self.period:g} s",
-                             field="seconds")
+            raise InputError(f"seconds must be at least one period of {self.period:g} s and finite; got "
+                             f"{self.seconds:g} s", field="seconds")
         if not 0 <= self.snapshot_rate < math.inf:
-            raise InputError(f"{self.snapshot_rate:g} Hz is not a rate; give 0 or more", field="snapshot_rate")
+            raise InputError(f"snapshot_rate must be at least 0 Hz and finite; got {self.snapshot_rate:g} Hz",
+                             field="snapshot_rate")
 
     @property
     def ticks_between_snapshots(self) -> int | None:
-        """Deadlines from one snapshot to the next; None where there are none."""
+        """Number of deadlines from one snapshot to the next; None without snapshots."""
         return max(round(1 / (self.snapshot_rate * self.period)), 1) if self.snapshot_rate else None
 
 
 @dataclass(frozen=True)
 class LoopReport:
-    """What a loop has kept of its promises.
+    """Statistics of a loop that has ended.
 
     Attributes:
-        ended_by: ``time``, ``stop`` or ``parent`` (which is gone).
-        seconds: from the start to the last tick.
-        period: s.
-        ticks, late, missed: ticks that ran, those that began late, deadlines that passed without one.
-        lateness, compute_time: of the ticks, s; the latter from the beginning of a tick to its force.
-        statuses: how many answers of the tissue had which `ForceStatus`, by its name in small letters.
-        flagged: how many ticks had which `RenderFlag`, or were ``paused``, the same.
+        ended_by: ``time``, ``stop`` or ``parent`` (the parent process ended).
+        seconds: time from the start to the last tick, s.
+        period: time between two ticks, s.
+        ticks: number of ticks.
+        late: number of ticks that began late.
+        missed: number of deadlines without a tick.
+        lateness: quantiles of the lateness of ticks, s.
+        compute_time: quantiles of the time from the beginning of a tick to its force, s.
+        statuses: number of ticks for each `ForceStatus` of the tissue, by name in lower case.
+        flagged: number of ticks for each `RenderFlag` and for ``paused``, by name in lower case.
         largest_force: magnitude of the largest rendered force, N.
-        real_time: what the system has granted; empty where it was not asked.
-        peak_memory: of the process, bytes; None where the platform does not say.
-        device: what the device said of itself at the end, with ``trouble`` where it was lost.
-        resolution, force_error: of the tissue's mesh, and the largest known error of its force, over the force; "" and
-            None where the tissue does not say.
+        real_time: real-time features, obtained or refused; empty if none were requested.
+        peak_memory: peak memory of the process, bytes; None if the platform does not report it.
+        device: description of the device at the end, with ``trouble`` if the device was lost.
+        resolution: resolution of the mesh; empty if the tissue does not state it.
+        force_error: largest known relative error of the force; None if the tissue does not state it.
     """
 
     ended_by: str
@@ -108,7 +112,7 @@ class LoopReport:
     force_error: float | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """For `json.dumps`; units are in the names of the keys."""
+        """Return the report for `json.dumps`; the keys contain the units."""
         return {
             "ended_by": self.ended_by, "seconds": self.seconds, "period_us": self.period * 1e6, "ticks": self.ticks,
             "late": self.late, "missed": self.missed,
@@ -123,7 +127,7 @@ class LoopReport:
 
 
 def mesh_of(tissue: Tissue) -> tuple[str, float | None]:
-    """Name of a tissue's resolution, and largest known error of its force, over the force, where it knows."""
+    """Return the resolution of a tissue and the largest known relative error of its force, if it states them."""
     return getattr(tissue, "resolution", ""), getattr(tissue, "force_error", None)
 
 
@@ -132,18 +136,22 @@ def _microseconds(times: Quantiles) -> dict[str, float]:
 
 
 class Loop:
-    """The loop in this process; `haptics.loop.process` runs one in a process of its own.
+    """Haptic loop in this process; `haptics.loop.process` runs a loop in a separate process.
 
     Args:
-        tissue: answers a pose and a time step with a `ToolForce`; warmed up.
-        device: gives poses and takes forces, or a motion, which ignores them; started. The loop stops it at its end.
-        rendering: from the device's pose to the tool's, and from the tissue's wrench to the device's; its limit of the
-            force is lowered to what the device allows.
-        settings: see there.
-        ring: where every tick goes.
-        snapshots: where the whole tissue goes, if it can be shown; None: nowhere.
-        listen: called between ticks every `LISTEN_EVERY` s, with this loop; it may pause, reset and stop it.
-        clock, sleep: as of `Ticker`.
+        tissue: warmed-up tissue that returns a `ToolForce` for a pose and a time step.
+        device: started haptic device, or a motion that ignores forces; the loop stops the device at its end.
+        rendering: converts device poses to tool poses and tissue wrenches to device wrenches; its force limit is
+            reduced to the limit of the device.
+        settings: settings of the loop.
+        ring: ring to which each tick is written.
+        snapshots: board to which the whole tissue is published; None: no snapshots.
+        listen: called with this loop between ticks every `LISTEN_EVERY` s; may pause, reset and stop the loop.
+        clock: clock of the `Ticker`, ns.
+        sleep: sleep function of the `Ticker`.
+
+    Raises:
+        InputError: steps of the tissue wait for its bulk.
     """
 
     def __init__(self, tissue: Tissue, device: HapticDevice, rendering: ForceRendering, settings: LoopSettings,
@@ -154,11 +162,11 @@ class Loop:
             raise InputError("waits must be False in a loop; got True. A step that waits for the bulk misses its "
                              "deadline. Make the tissue with waits=False.", field="waits")
         self._tissue, self._device, self._rendering = tissue, device, rendering
-        #: As asked for; a device may allow less.
+        #: Requested force limit, N; the limit of the device may be lower.
         self._force_limit = rendering.limits.force
-        self._keep_to(device)
+        self._limit_force_to(device)
         self._settings, self._ring, self._listen = settings, ring, listen
-        #: What the tissue can do between two ticks; most have nothing.
+        #: Work of the tissue between two ticks, if it has any.
         self._prepare: Callable[[], None] | None = getattr(tissue, "prepare", None)
         self._shown = (tissue, snapshots) if snapshots is not None and isinstance(tissue, ShownTissue) else None
         self._ticker = Ticker(settings.period, spin=settings.spin, clock=clock, sleep=sleep)
@@ -168,26 +176,29 @@ class Loop:
         self._flagged = dict.fromkeys(_FLAGS, 0)
         self._largest_force = 0.0
         self._paused = False
-        #: What is left of an advance through a pause, ns.
+        #: Remaining motion time of an advance during a pause, ns.
         self._advance = 0
-        #: Time of the last tick, and of the motion then, ns; the motion stands still while the loop is paused.
+        #: Time of the last tick, and time of the motion in this tick, ns; the motion time stops during a pause.
         self._now = self._motion = 0
-        #: Where the last tick had the simulated tool.
+        #: Pose of the simulated tool in the last tick.
         self._tool: Pose | None = None
         self._ended_by = ""
 
     def run(self) -> LoopReport:
-        """Tick until the time is over or the loop is stopped.
+        """Run the loop until its duration is over or it is stopped.
+
+        Returns:
+            The statistics of the loop.
 
         Raises:
-            Exception: what the tissue, the device or the listener raised.
+            Exception: an exception of the tissue, the device or the listener.
         """
         try:
             features = self._run()
         finally:
             self._device.stop()
         ticker = self._ticker
-        # Now that it has been stopped the device says whether it was there to the end.
+        # The stopped device reports whether it was connected until the end.
         return LoopReport(
             self._ended_by or "time", self._now * 1e-9, self._settings.period, ticker.ticks, ticker.late,
             ticker.missed, ticker.lateness.quantiles, self._compute_time.quantiles,
@@ -196,11 +207,11 @@ class Loop:
             self._largest_force, features, peak_memory(), self._device.describe(), *mesh_of(self._tissue))
 
     def _run(self) -> tuple[RealTimeFeature, ...]:
-        """Tick; what of the features of the system was to be had."""
+        """Run all ticks and return the real-time features of the system."""
         settings, ticker, ring = self._settings, self._ticker, self._ring
         last = math.inf if settings.seconds is None else round(settings.seconds / settings.period)
         listen_every = max(round(LISTEN_EVERY / settings.period), 1)
-        shown, every, next_snapshot, next_words = self._shown, settings.ticks_between_snapshots, 0, listen_every
+        shown, every, next_snapshot, next_listen = self._shown, settings.ticks_between_snapshots, 0, listen_every
         with real_time(settings.real_time) as features:
             ticker.start()
             while ticker.number < last and not self._ended_by:
@@ -212,9 +223,9 @@ class Loop:
                     next_snapshot = ticker.number + every
                     tissue, board = shown
                     board.publish(self._now * 1e-9, tissue.snapshot())
-                # By deadlines, not by ticks: a tissue that takes long for a tick is listened for all the same.
-                if self._listen is not None and ticker.number >= next_words:
-                    next_words = ticker.number + listen_every
+                # Counted in deadlines instead of ticks, so that slow ticks do not delay commands.
+                if self._listen is not None and ticker.number >= next_listen:
+                    next_listen = ticker.number + listen_every
                     self._listen(self)
         return features
 
@@ -226,17 +237,17 @@ class Loop:
         pose = None
         moves = not self._paused or self._advance > 0
         if moves:
-            going = min(passed, self._advance) if self._paused else passed
-            self._advance = self._advance - going if self._paused else 0
-            self._motion += going
+            motion_time = min(passed, self._advance) if self._paused else passed
+            self._advance = self._advance - motion_time if self._paused else 0
+            self._motion += motion_time
             pose = self._device.pose(self._motion * 1e-9)
         self._tool = tool = self._rendering.pose_for(pose, dt)
         answer = self._release.step(self._tissue.step(tool, dt), now * 1e-9)
         rendered = self._rendering.render(answer, dt)
         wrench = rendered.wrench
         self._device.render(wrench)
-        taken = ticker.elapsed - now
-        self._compute_time.add(taken)
+        spent = ticker.elapsed - now
+        self._compute_time.add(spent)
         self._statuses[answer.status] += 1
         flags = rendered.flags | PAUSED * (not moves)
         if flags:
@@ -245,91 +256,96 @@ class Loop:
         force = math.hypot(wrench[0], wrench[1], wrench[2])
         if force > self._largest_force:
             self._largest_force = force
-        ring.append(ticker.number, now * 1e-9, pose, tool, wrench, answer, taken * 1e-9, lateness, ticker.late,
+        ring.append(ticker.number, now * 1e-9, pose, tool, wrench, answer, spent * 1e-9, lateness, ticker.late,
                     ticker.missed, flags)
 
     def pause(self) -> None:
-        """Let the motion stand still; to the rendering the pose is lost, so that the force fades."""
+        """Stop the motion; the rendering receives no pose, so that the force fades to zero."""
         self._paused = True
 
     def resume(self) -> None:
-        """Let the motion go on from where it stood."""
+        """Continue the motion after a pause."""
         self._paused = False
 
     def reset(self) -> None:
-        """Begin the motion again, with undeformed tissue and no force.
+        """Restart the motion with undeformed tissue and zero force.
 
         Raises:
             InputError: the tissue cannot be reset.
         """
-        self._able("reset")()
+        self._require_method("reset")()
         self._rendering.reset()
         self._release.reset()
         self._motion = 0
 
     def advance(self, seconds: float) -> None:
-        """Let the motion of a loop that is paused go on for so long."""
+        """Continue the motion of a paused loop for this time, s."""
         self._advance += round(seconds * 1e9)
 
-    def follow(self, device: HapticDevice, anew: bool = False) -> None:
-        """Take the poses from another device or motion, from its beginning on, and give it the forces.
+    def switch_device(self, device: HapticDevice, restart: bool = False) -> None:
+        """Replace the device or motion by another one, which starts from its beginning.
 
         Args:
-            device: not started; the loop goes on with the one before where it cannot be. Without `anew` it is told
-                where the tool is, to go on from there if it can.
-            anew: on undeformed tissue, as `reset`.
+            device: new device, not started. If it cannot be started, the loop continues with the present device.
+                Without `restart` the new device is informed of the pose of the tool, so that it can continue there.
+            restart: whether to continue with undeformed tissue and zero force, as after `reset`.
 
         Raises:
             InputError: the tissue cannot be reset.
-            DeviceError: the device is not there.
+            DeviceError: the device is missing.
         """
-        reset = self._able("reset") if anew else None
+        reset = self._require_method("reset") if restart else None
         device.start()
         self._device.stop()
-        if self._tool is not None and not anew:
+        if self._tool is not None and not restart:
             device.take_over(self._tool)
         self._device, self._motion = device, 0
-        self._keep_to(device)
+        self._limit_force_to(device)
         if reset is not None:
             reset()
             self._rendering.reset()
             self._release.reset()
 
-    def _keep_to(self, device: HapticDevice) -> None:
-        """No more force than a device allows."""
+    def _limit_force_to(self, device: HapticDevice) -> None:
+        """Set the force limit to the smaller of the requested limit and the limit of the device."""
         self._rendering.limits.force = min(self._force_limit, device.largest_force)
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
-        """Tell the device where to go, m; see `HapticDevice.aim`.
+        """Set the target position of the device, m; see `HapticDevice.aim`.
+
+        Args:
+            depth: target depth, m.
+            across: target position across the axis, m; None: unchanged.
 
         Raises:
-            InputError: one that goes where it likes, or a place that is no number.
+            InputError: the device has no target position, or the target is not finite.
         """
-        # Devices of others may know a depth only.
+        # Devices of plug-ins may accept a depth only.
         self._device.aim(depth) if across is None else self._device.aim(depth, across)
 
     def set_parameters(self, **values: float) -> None:
-        """Change the tissue while it is felt.
+        """Change parameters of the tissue between two ticks.
 
         Raises:
-            InputError: what the tissue refuses.
+            InputError: the tissue has no such parameter or refuses the value.
         """
-        self._able("set_parameters")(**values)
+        self._require_method("set_parameters")(**values)
 
     def stop(self, ended_by: str = "stop") -> None:
-        """End after this tick."""
+        """End the loop after this tick."""
         self._ended_by = ended_by
 
-    def _able(self, name: str) -> Callable[..., None]:
+    def _require_method(self, name: str) -> Callable[..., None]:
         method = getattr(self._tissue, name, None)
         if method is None:
-            raise InputError(f"this tissue ({type(self._tissue).__name__}) has no {name}; use one that has")
+            raise InputError(f"this tissue ({type(self._tissue).__name__}) has no {name}; use a tissue with this "
+                             "method")
         return method
 
 
 def peak_memory() -> int | None:
-    """The most memory that this process has used, bytes; None where the platform does not say."""
-    # Of this program: what `resource` reports on Linux begins with that of the process which started it.
+    """Return the peak memory of this process, bytes; None if the platform does not report it."""
+    # On Linux `resource` also counts the memory of the parent process at the start.
     with suppress(OSError):
         for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
             if line.startswith("VmHWM:"):

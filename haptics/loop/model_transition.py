@@ -1,4 +1,4 @@
-"""The wrench across a change of model, and the estimated error of the force on the newest model."""
+"""Continuous wrench at a change of the model, and estimated error of the force on the newest model."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import cast
 
 import numpy as np
 
+from haptics.loop.broyden_correction import BroydenCorrection
 from haptics.loop.linearisation_error import LinearisationError
-from haptics.loop.model_drift import ModelDrift
 from tissue_sim.fem.condensed.model import CondensedContact
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStep
 from tissue_sim.pose import Pose, Screw, added, motion, scaled
@@ -22,38 +22,37 @@ _NO_WRENCH: Screw = (0.0,) * 6
 
 
 class ModelTransition:
-    """Keeps the wrench continuous when a model of the bulk comes, and learns from the difference.
+    """Keep the wrench continuous when a model of the bulk arrives, and learn from the difference of the models.
 
-    A model of another material is used at once, as in a `Simulator`: the parameters were changed in one step, so the
-    force is, too.
+    A model of another material is used at once, as in a `Simulator`, because the parameters also change in one step.
 
     Args:
-        stepper: of the contact; its model is the newest one.
-        shear_modulus: of the tissue, Pa.
+        stepper: solver of the contact with the newest model.
+        shear_modulus: shear modulus of the tissue, Pa.
 
     Attributes:
-        offset: rest of the differences of the models so far, N and N m; it is part of the wrench that is answered.
-        estimate: of the error of the force on a model.
-        free: last pose of the tool without a contact force, near the surface or above.
+        offset: remaining difference of the models so far, N and N m, which is added to the wrench.
+        estimate: estimated error of the force on a model.
+        free: last pose of the tool without contact force, near the surface or above it.
     """
 
     def __init__(self, stepper: CondensedStepper, shear_modulus: float):
         self._stepper, radius = stepper, stepper.surface.radius
-        self._drift, self.estimate = ModelDrift(radius), LinearisationError(radius, shear_modulus)
+        self._correction, self.estimate = BroydenCorrection(radius), LinearisationError(radius, shear_modulus)
         self.reset(stepper.surface.start)
 
     def reset(self, pose: Pose) -> None:
-        """Begin with an undeformed tissue and a tool in the air, which touches at a pose."""
+        """Restart with undeformed tissue and zero offset; `pose` is the pose of the next touch."""
         self.offset: Screw = _NO_WRENCH
         self.free = pose
-        self._drift.forget()
+        self._correction.reset()
         self.estimate.forget()
 
     def distance(self, model: CondensedContact, pose: Pose) -> float:
-        """Distance of a pose from that of a model, m.
+        """Return the distance of a pose from the pose of a model, m.
 
-        A model without contact is of the undeformed tissue, which each pose in the air has in common: its distance is
-        that from the last of them, or from its own pose if that is in the air and nearer.
+        A model without contact describes the undeformed tissue and is valid at each pose in the air. Its distance is
+        measured from the last pose in the air, or from its own pose if this is in the air and nearer.
         """
         distance = self._stepper.distance(motion(model.pose, pose))
         if model.has_contact:
@@ -62,38 +61,46 @@ class ModelTransition:
         return min(distance, from_air) if self.is_near_surface(model.pose) else from_air
 
     def is_near_surface(self, pose: Pose) -> bool:
-        """Whether a pose is above the surface of the undeformed tissue, or at most the short distance below.
+        """Return whether a pose is above the undeformed surface, or at most `LinearisationError.short` below.
 
-        A round tool between the nodes of the surface meets them only a little below.
+        The tolerance is necessary because a round tool between surface nodes touches them slightly below the surface.
         """
         return pose.position[2] >= self._stepper.surface.start.position[2] - self.estimate.short
 
     def take_over(self, before: ContactStep, old: CondensedContact, last: Pose, pose: Pose, after: ContactStep) -> None:
-        """Continue the wrench as it would have been on the model before; the difference becomes an offset.
+        """Continue the wrench of the old model; the difference to the new model becomes an offset.
 
         Args:
-            before: the last step, on the old model, at the pose `last`.
-            pose: of the tool. after: the step there on the new model.
+            before: last step on the old model.
+            old: the old model.
+            last: pose of the last step.
+            pose: present pose of the tool.
+            after: step at this pose on the new model.
         """
-        new, drift = self._newest, self._drift
+        new, correction = self._newest, self._correction
         if new.material != old.material:
             self.settle()
             return
         slope = np.array(before.stiffness_matrix) @ np.array(motion(last, pose))
-        went_on = cast("Screw", tuple((np.array(before.wrench) - slope).tolist()))
-        missed, expected = added(after.wrench, scaled(-1.0, went_on)), drift.beyond(old.pose, pose)
+        extrapolated = cast("Screw", tuple((np.array(before.wrench) - slope).tolist()))
+        missed, expected = added(after.wrench, scaled(-1.0, extrapolated)), correction.wrench(old.pose, pose)
         if any(after.wrench):
-            drift.learn(missed, old.pose, new.pose)
+            correction.learn(missed, old.pose, new.pose)
             self.learn(added(expected, scaled(-1.0, missed)), old, last)
         else:
-            drift.forget()
-        for part in (expected, scaled(-1.0, missed), scaled(-1.0, drift.beyond(new.pose, pose))):
+            correction.reset()
+        for part in (expected, scaled(-1.0, missed), scaled(-1.0, correction.wrench(new.pose, pose))):
             self.offset = added(self.offset, part)
 
     def learn(self, missed: Screw, old: CondensedContact, pose: Pose) -> None:
-        """Update the error estimate with the wrench by which the newest model differs from the one before at a pose.
+        """Update the error estimate with the difference of the newest model and the model before.
 
-        Models of the undeformed tissue and models of different materials teach nothing.
+        Models of undeformed tissue and models of different materials do not change the estimate.
+
+        Args:
+            missed: difference of the wrenches at `pose`, N and N m.
+            old: the model before.
+            pose: pose of the tool.
         """
         new = self._newest
         if new.has_contact and new.material == old.material:
@@ -101,39 +108,39 @@ class ModelTransition:
                                 new.time - old.time, self.distance(new, pose))
 
     def _size(self, wrench: Screw) -> float:
-        """Force of a wrench, or its torque over the contact radius if that is larger, N."""
+        """Return the force of a wrench, or its torque divided by the contact radius if larger, N."""
         return max(math.hypot(*wrench[:3]), math.hypot(*wrench[3:]) / self._stepper.surface.radius)
 
     def settle(self) -> None:
-        """Let the wrench be that of the newest model at once."""
+        """Use the wrench of the newest model without offset and correction."""
         self.offset = _NO_WRENCH
-        self._drift.forget()
+        self._correction.reset()
 
     def reduce_offset(self) -> None:
-        """Bring the offset nearer to zero, by at most `JUMP` and `TORQUE_JUMP`."""
+        """Reduce the offset by at most `JUMP` (force) and `TORQUE_JUMP` (torque)."""
         if any(self.offset):
-            self.offset = _shorter(self.offset[:3], JUMP) + _shorter(self.offset[3:], TORQUE_JUMP)
+            self.offset = _shorten(self.offset[:3], JUMP) + _shorten(self.offset[3:], TORQUE_JUMP)
 
     def answer(self, step: ContactStep, pose: Pose) -> tuple[Screw, Matrix]:
-        """Wrench and stiffness of a step on the newest model with the offset and the correction of the drift."""
+        """Return wrench and stiffness of a step on the newest model with offset and Broyden correction."""
         wrench, stiffness = step.wrench, step.stiffness_matrix
         if any(wrench):
-            wrench, stiffness = added(wrench, self._drift.beyond(self._newest.pose, pose)), self._drift.stiffness(
-                stiffness)
+            wrench = added(wrench, self._correction.wrench(self._newest.pose, pose))
+            stiffness = self._correction.corrected_stiffness(stiffness)
         return added(wrench, self.offset), stiffness
 
     def error(self, step: ContactStep, pose: Pose, age: float) -> tuple[float, float]:
-        """Estimated error of the wrench of a step at a pose, and the error by which its status is judged, N.
+        """Return the estimated error of the wrench of a step, and the error that decides its status, N.
 
-        Both are errors of the force, or of the torque over the contact radius where that is larger. The first is
-        infinite while it is unknown. The second is then only that of the offset, if the tool is within the short
-        distance at which a model is trusted without an estimate. Without a force deep in the tissue both are infinite:
-        the newest model is then one of a tissue that is deformed more.
+        Both are errors of the force, or of the torque divided by the contact radius if larger. The first is infinite
+        while the error is unknown. The second then consists of the offset only, if the tool is within the short
+        distance in which a model is trusted without an estimate. If the tool is deep in the tissue without a force,
+        both are infinite, because the newest model then describes a more deformed tissue.
 
         Args:
-            step: on the newest model.
-            pose: of the tool.
-            age: of the model, s.
+            step: step on the newest model.
+            pose: pose of the tool.
+            age: age of the model, s.
         """
         is_loaded = any(step.wrench)
         if not (is_loaded or self.is_near_surface(pose)):
@@ -149,8 +156,9 @@ class ModelTransition:
         return self._stepper.model
 
 
-def _shorter(vector: tuple[float, float, float], step: float) -> tuple[float, float, float]:
+def _shorten(vector: tuple[float, float, float], step: float) -> tuple[float, float, float]:
+    """Shorten a vector by this length, at most to zero."""
     size = math.hypot(*vector)
-    left = max(0.0, 1.0 - step / size) if size else 0.0
+    factor = max(0.0, 1.0 - step / size) if size else 0.0
     x, y, z = vector
-    return (left * x, left * y, left * z)
+    return (factor * x, factor * y, factor * z)

@@ -7,14 +7,13 @@ import threading
 import time as clock
 from collections import deque
 from dataclasses import replace
-from functools import partial
 from typing import Any, NoReturn
 
 from haptics.loop.bulk_link import BulkLink, BulkProcess
 from haptics.loop.model_transition import ModelTransition
 from haptics.loop.touch_frame import TouchFrame, first_touch
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.model import LINEARISATIONS, CondensedContact
+from tissue_sim.fem.condensed.model import CondensedContact
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStep
 from tissue_sim.kernel_owner import CopyError, KernelOwner, exclusive
 from tissue_sim.live_material import require_same_layers, require_tissue
@@ -24,7 +23,6 @@ from tissue_sim.model import Model
 from tissue_sim.motion_limits import LimitError, MotionLimits, checked_pose
 from tissue_sim.parameters import with_values
 from tissue_sim.pose import Pose, added, scaled
-from tissue_sim.simulator import Simulator
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import (
     ERROR_FLOOR,
@@ -38,62 +36,69 @@ from tissue_sim.tool_force import (
     scaled_matrix,
 )
 
-__all__ = ["ERROR_FLOOR", "ERROR_SHARE", "OLDEST", "MultiRateTissue", "real_time_tissue"]
+__all__ = ["ERROR_FLOOR", "ERROR_SHARE", "OLDEST", "MultiRateTissue"]
 
-#: Age from which on a model is not used for a CONVERGED answer, s.
+#: Largest age of the model of a CONVERGED force, s.
 OLDEST = 1.0
-#: Ticks from one state that is sent to the bulk to the next.
+#: Ticks between two states sent to the bulk.
 _SEND_EVERY = 4
-#: Ticks over which the speed of the tool is taken.
+#: Ticks over which the speed of the tool is measured.
 _LOOK_BACK = 8
-#: Depths of the touch before the first tick, over the contact's radius.
+#: Depths of the touches in `warm_up`, as fractions of the contact radius.
 _TOUCHES = (0.02, 0.04, 0.05)
-#: Age up to which a step that waits uses a model, s.
+#: Largest age of a model in a step that waits for the bulk, s.
 _RECENT = 0.01
-#: Distance up to which a step that waits uses a model, as a fraction of `LinearisationError.short`.
+#: Largest distance of a model in a step that waits, as a fraction of `LinearisationError.short`.
 _NEAR = 0.25
-#: Most exchanges of state and model in a step that waits for the bulk.
-_MOST_EXCHANGES = 16
-#: Change of the force in the last exchange of a step that waits, as a fraction of the force.
+#: Maximum number of exchanges of state and model in a step that waits for the bulk.
+_MAX_EXCHANGES = 16
+#: Tolerance on the change of the force in the last exchange, as a fraction of the force.
 _SETTLED = 0.01
-#: The same where the force is small, N.
+#: Absolute tolerance on this change, N.
 _SETTLED_FLOOR = 1e-4
+#: Force before the first step.
 _AT_REST = ToolForce(axial_wrench(0.0), axial_stiffness(0.0), ForceStatus.STOPPED)
 
 
 class MultiRateTissue(KernelOwner):
-    """A `Tissue` of a solid: `warm_up`, `step`, `reset`, `set_parameters`, `snapshot` as of a `Simulator`.
+    """`Tissue` of a solid with contact in each tick and a bulk that is linearised at a lower rate.
 
-    Each tick solves lift-off, touch and friction on the newest linearisation of the bulk. The process of the bulk gets
-    the forces of the contact and answers with the next linearisation, a "model". When a model comes, the wrench
-    continues from its value, and the difference is reduced tick by tick (`ModelTransition`).
+    The methods `warm_up`, `step`, `reset`, `set_parameters` and `snapshot` are those of a `Simulator`. Each tick solves
+    lift-off, touch and friction on the newest linearisation of the bulk. The process of the bulk receives the contact
+    forces and returns the next linearisation, a "model". When a model arrives, the wrench continues from its value, and
+    the difference is reduced tick by tick (`ModelTransition`).
 
-    An answer is `CONVERGED` if all of these hold, else `LATE`:
+    The status of a force is `CONVERGED` if all of these conditions hold, otherwise `LATE`:
 
-    - the conditions of the contact are satisfied, and all nodes that the tool can meet are in the model;
-    - the model is of the present material and not older than `oldest`, and the bulk runs;
+    - the contact conditions are satisfied, and the model contains all nodes that the tool can touch;
+    - the model has the present material and is not older than `oldest`, and the process of the bulk runs;
     - the estimated error (`haptics.loop.linearisation_error`) is at most `ERROR_SHARE` of the force, or `ERROR_FLOOR`.
-      While it is unknown the tool must be within a tenth of the contact radius of the pose of the model, or of the pose
-      of the touch if the model is of the undeformed tissue.
+      While the error is unknown, the tool must be within a tenth of the contact radius of the pose of the model, or of
+      the pose of the touch if the model describes the undeformed tissue.
 
-    Before the first touch every force is zero. A tool that holds tissue holds it from the pose of its first touch on.
+    Before the first touch the force is zero. A bonded tool adheres to the tissue from the pose of its first touch.
 
     Args:
-        model: experiment, material.
-        solver, resolution, mesh: of the bulk; see `tissue_sim.fem.condensed.model.LINEARISATIONS`.
-        link: to a bulk, instead of that of a process which is made by `warm_up`.
-        oldest: see `OLDEST`, s.
-        waits: whether a step blocks until the bulk has answered for its pose. For simulated clocks, which run faster
-            than the bulk; a haptic loop refuses such a tissue.
-        limits: of poses and time steps; see `MotionLimits`.
+        model: experiment and material.
+        solver: solver of the bulk; see `tissue_sim.fem.condensed.model.LINEARISATIONS`.
+        resolution: resolution of the mesh of the bulk.
+        mesh: mesh of the bulk; None: generated with `resolution`.
+        link: link to a bulk; None: `warm_up` starts a process for the bulk.
+        oldest: largest age of the model of a CONVERGED force, s.
+        waits: whether a step blocks until the bulk has sent a model for the pose of the step. Use it with simulated
+            clocks, which run faster than the bulk; a haptic loop refuses such a tissue.
+        limits: limits of poses and time steps; see `MotionLimits`.
 
     Attributes:
         error: estimated error of the force, N; infinite while it is unknown.
-        models: number of models that have come.
-        resolution, force_error, budget, mesh: as of a `Simulator`.
+        models: number of models received.
+        resolution: as in `Simulator`.
+        force_error: as in `Simulator`.
+        budget: as in `Simulator`.
+        mesh: as in `Simulator`.
 
     Raises:
-        InputError: what a `Simulator` refuses, and what the linearisation does (in `warm_up`).
+        InputError: a `Simulator` refuses the model; `warm_up` also raises the errors of the linearisation.
     """
 
     copy_remedy = "Its bulk runs in another process. Make another MultiRateTissue of the same model."
@@ -125,21 +130,21 @@ class MultiRateTissue(KernelOwner):
         self._poses: deque[tuple[float, Pose]] = deque(maxlen=_LOOK_BACK)
         self._touch = TouchState()
         self._last_pose: Pose | None = None
-        #: Times at which the bulk had the state of the model, and of its tangent, s.
+        #: Times of the states to which the model and its tangent belong, s.
         self._made = self._tangent_made = 0.0
         self._prepared = False
-        #: The model before the one that has come since the last step.
+        #: The previous model, if a new model has arrived since the last step.
         self._known: CondensedContact | None = None
-        #: Whether the last exchange of a step that waits has settled.
+        #: Whether the force converged in the last exchange of a step that waits.
         self._settled = True
 
     @exclusive
     def warm_up(self) -> None:
-        """Start the process of the bulk and compile what a tick needs.
+        """Start the process of the bulk and compile all functions of a tick.
 
         Raises:
-            InputError: what the bulk's solver refuses.
-            RuntimeError: its process has ended.
+            InputError: the solver of the bulk refuses the model.
+            RuntimeError: the process of the bulk has ended.
         """
         if self._stepper is not None:
             return
@@ -149,7 +154,7 @@ class MultiRateTissue(KernelOwner):
         self._stepper.adopt(self._first)
         self._transition = ModelTransition(self._stepper, self.model.material.mu0)
         x, y, z = surface.start.position
-        # Touch, so that all that a tick needs is there, and go back.
+        # Touch the tissue once so that all functions of a tick are compiled, then return to the start.
         for depth in _TOUCHES:
             self._stepper.step(replace(surface.start, position=(x, y, z - depth * surface.radius)))
         self._rest()
@@ -182,7 +187,7 @@ class MultiRateTissue(KernelOwner):
 
     @exclusive
     def step(self, pose: float | Pose, dt: float) -> ToolForce:
-        """The force where the tool is now; see `Simulator.step`."""
+        """Return the force at the present pose of the tool; see `Simulator.step`."""
         began = clock.perf_counter()
         self.warm_up()
         pose = checked_pose(pose)
@@ -197,9 +202,9 @@ class MultiRateTissue(KernelOwner):
             self.prepare()
         inside = self._advance(pose, dt)
         if inside is None and self._holds:
-            self._answer = self._in_the_air(pose, began)
+            self._answer = self._step_in_air(pose, began)
         else:
-            self._answer = self._in_contact(pose, dt if inside is None else inside, began)
+            self._answer = self._step_in_contact(pose, dt if inside is None else inside, began)
         self._prepared = False
         return self._answer
 
@@ -220,8 +225,8 @@ class MultiRateTissue(KernelOwner):
         self._last_pose = pose
         return inside
 
-    def _in_the_air(self, pose: Pose, began: float) -> ToolForce:
-        """Answer of a tool that holds tissue and has not touched it; the bulk stays at rest."""
+    def _step_in_air(self, pose: Pose, began: float) -> ToolForce:
+        """Return the zero force of a bonded tool before its first touch; the bulk stays at rest."""
         assert self._stepper is not None
         self._known, start = None, self._link.surface.start
         if self._ticks % _SEND_EVERY == 0:
@@ -230,8 +235,8 @@ class MultiRateTissue(KernelOwner):
         return ToolForce(axial_wrench(0.0), axial_stiffness(0.0), status, pose=pose,
                          compute_time=clock.perf_counter() - began)
 
-    def _in_contact(self, pose: Pose, dt: float, began: float) -> ToolForce:
-        """Answer from the contact on the newest model."""
+    def _step_in_contact(self, pose: Pose, dt: float, began: float) -> ToolForce:
+        """Solve the contact on the newest model and return the force."""
         stepper, here = self._stepper, self._frame.into_bulk(pose)
         assert stepper is not None
         before, step = self._step, stepper.step(here)
@@ -245,16 +250,16 @@ class MultiRateTissue(KernelOwner):
             transition.free = here
         if self.waits:
             if transition.free is not here and self._needs_exchange(step, here):
-                self._step = step = self._exchanged(step, here)
+                self._step = step = self._exchange_models(step, here)
         elif known is not None or self._ticks % _SEND_EVERY == 0:
             earlier, there = self._poses[0]
             self._link.send(stepper.state(self._time, here, earlier, there, self._epoch, self.has_touched))
         transition.reduce_offset()
-        return self._found(step, here, pose, dt, began)
+        return self._force_of(step, here, pose, dt, began)
 
     @exclusive
     def prepare(self) -> None:
-        """Take the newest model, where one has come: between two ticks, or `step` does it."""
+        """Use the newest model if one has arrived; called between two ticks, otherwise by `step`."""
         self._prepared, stepper = True, self._stepper
         if stepper is None or stepper.model is None:
             return
@@ -271,21 +276,21 @@ class MultiRateTissue(KernelOwner):
         self._stepper.adopt(model)
 
     def _needs_exchange(self, step: ContactStep, pose: Pose) -> bool:
-        """Whether the model is too old or too far from a pose for a step that waits."""
+        """Return whether the model is too old or too far from a pose for a step that waits."""
         assert self._stepper is not None and self._stepper.model is not None
         model, transition = self._stepper.model, self._transition
         return (not (step.converged and self._settled) or model.material != self._material
                 or self._time - self._made > _RECENT
                 or transition.distance(model, pose) > _NEAR * transition.estimate.short)
 
-    def _exchanged(self, step: ContactStep, pose: Pose) -> ContactStep:
-        """Exchange states and models with the bulk until the force at a pose settles; the last step."""
+    def _exchange_models(self, step: ContactStep, pose: Pose) -> ContactStep:
+        """Exchange states and models with the bulk until the force at a pose converges; return the last step."""
         stepper = self._stepper
         assert stepper is not None and stepper.model is not None
         self._settled = False
-        for _ in range(_MOST_EXCHANGES):
+        for _ in range(_MAX_EXCHANGES):
             old = stepper.model
-            # The clock is simulated: the pose is not extrapolated by the wall time of a model.
+            # The clock is simulated: the pose must not be extrapolated by the wall time of a model.
             model = self._link.exchange(
                 stepper.state(self._time, pose, self._time, pose, self._epoch, self.has_touched))
             if model is None:
@@ -303,12 +308,15 @@ class MultiRateTissue(KernelOwner):
         self._transition.settle()
         return step
 
-    def _found(self, step: ContactStep, here: Pose, pose: Pose, dt: float, began: float) -> ToolForce:
-        """The answer to a step.
+    def _force_of(self, step: ContactStep, here: Pose, pose: Pose, dt: float, began: float) -> ToolForce:
+        """Return the force of a step with its status and estimated error.
 
         Args:
-            step: of the contact. here: pose for the bulk. pose: in the scene.
+            step: solved step of the contact.
+            here: pose of the tool in the frame of the bulk.
+            pose: pose of the tool in the scene.
             dt: time since the touch or the last step, s.
+            began: clock at the beginning of the step, s.
         """
         stepper, transition = self._stepper, self._transition
         assert stepper is not None and stepper.model is not None
@@ -333,7 +341,7 @@ class MultiRateTissue(KernelOwner):
 
     @exclusive
     def reset(self) -> None:
-        """Back to the specimen that the tool has not touched."""
+        """Restore the undeformed tissue before the first touch."""
         self._epoch += 1
         self._begin()
         self._reduced.history = self._untouched
@@ -347,23 +355,24 @@ class MultiRateTissue(KernelOwner):
     def set_parameters(self, **values: float) -> None:
         """Change parameters of the material. See `Simulator.set_parameters`.
 
-        Answers are LATE until a model of the new material has come; a loop reduces the force after 50 ms of that.
+        The status is LATE until a model of the new material arrives; a loop reduces the force after 50 ms.
 
         Raises:
-            InputError: no such parameter, a value that the material refuses, or a modulus that is none of tissue.
+            InputError: there is no such parameter, the material refuses the value, or a modulus is outside the range of
+                tissue.
         """
         material = with_values(self.model.material, values)
         require_same_layers(self.model.material, material)
         require_tissue(material)
         low, high = BULK_RATIOS
         if not low <= min(material.bulk_modulus, high * material.mu0) / material.mu0:
-            raise InputError(f"K/mu0 is {material.bulk_modulus / material.mu0:g}; the finite elements are checked from "
-                             f"{low:g} to {high:g}", field="bulk")
+            raise InputError(f"K/mu0 must be {low:g} to {high:g}, the validated range of the finite elements; got "
+                             f"{material.bulk_modulus / material.mu0:g}", field="bulk")
         self.warm_up()
         try:
             self._link.set_material(material, self._material + 1)
         except OSError as error:
-            raise InputError(f"the process of the bulk has ended ({error}); make another MultiRateTissue",
+            raise InputError(f"the process of the bulk has ended ({error}). Create another MultiRateTissue",
                              field="material") from None
         self._material += 1
         self._transition.estimate.change_modulus(material.mu0)
@@ -373,24 +382,6 @@ class MultiRateTissue(KernelOwner):
         self._reduced.history = history
 
     def snapshot(self) -> Snapshot:
-        """The tissue at one of the last models, in the frame of the bulk."""
+        """Return the tissue at one of the last models, in the frame of the bulk."""
         self.warm_up()
         return self._link.snapshot() or Snapshot(self._link.surface.start, self._link.surface.datum, None)
-
-
-def real_time_tissue(model: Model, *, solver: str, resolution: str, budget: float | None, inertia: str = "auto",
-                     looks_ahead: bool = False, simulator: type[Simulator] = Simulator,
-                     mesh: Any = None) -> partial[Any]:
-    """What makes a tissue that is stepped 1000 times a second: a `Simulator`, or a `MultiRateTissue` of a solver whose
-    bulk can be linearised. Arguments as of `Simulator`, which may be one of its kind; can be sent to another process.
-
-    Raises:
-        InputError: inertia that is to be on where there is none.
-    """
-    if solver not in LINEARISATIONS:
-        given = {} if mesh is None else {"mesh": mesh}
-        return partial(simulator, model, resolution=resolution, inertia=inertia, looks_ahead=looks_ahead, budget=budget,
-                       solver=solver, **given)
-    if inertia == "on":
-        raise InputError(f"a multirate solid has no mass ({solver!r}); use 'auto' or 'off'", field="inertia")
-    return partial(MultiRateTissue, model, solver=solver, resolution=resolution, mesh=mesh)

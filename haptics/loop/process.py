@@ -1,4 +1,4 @@
-"""The loop as a process of its own: a Taichi kernel holds the interpreter lock, so the loop shares one with nobody."""
+"""Run the loop in a separate process, because a Taichi kernel holds the lock of its Python interpreter."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import multiprocessing
 import pickle
 import threading
 import time
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
@@ -17,7 +18,7 @@ from haptics.loop.child import LoopFiles, LoopParts, run_child
 from haptics.loop.commands import COMMANDS
 from haptics.loop.loop import LoopReport, LoopSettings
 from haptics.loop.ring import RingReader
-from haptics.loop.shared_slots import remove, unused_path
+from haptics.loop.shared_slots import remove_file, unused_path
 from haptics.loop.snapshot_board import SnapshotReader
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.child_process import start_with_one_thread, start_without_ctrl_c
@@ -26,34 +27,36 @@ from tissue_sim.registry import registered
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import Tissue
 
-#: How long the loop may take to answer a command, or to end, s.
+#: Time that the loop has to answer a command, or to end, s.
 PATIENCE = 5.0
 
 
 class LoopError(RuntimeError):
-    """The process of the loop has ended before its time, or does not answer."""
+    """The process of the loop ended unexpectedly or does not answer."""
 
 
 class LoopProcess:
-    """A loop in a process of its own. Use it as a context: at its end the process is stopped.
+    """Haptic loop in a separate process. As a context manager it stops the process at the end of the block.
 
-    A script that starts one must do so under ``if __name__ == "__main__":``.
+    A script must start the process under ``if __name__ == "__main__":``.
 
     Args:
-        make_tissue: called in that process, such as ``functools.partial(ts.Simulator, model)``; what it returns is
-            warmed up, where it can be, before the first tick.
-        device: gives poses and takes forces, or a motion; it is started in that process, when the tissue is ready.
-        rendering: see there.
-        settings: see there.
-        ring_path: file of the ring; None: an unused one in `haptics.loop.shared_slots.runtime_folder`.
+        make_tissue: creates the tissue in the process of the loop, such as ``functools.partial(ts.Simulator, model)``;
+            the tissue is warmed up before the first tick if it has `warm_up`.
+        device: haptic device or motion; started in the process of the loop when the tissue is ready.
+        rendering: conversion of poses and forces; see `ForceRendering`.
+        settings: settings of the loop; None: defaults.
+        ring_path: file of the ring; None: an unused file in `haptics.loop.shared_slots.runtime_folder`.
 
     Attributes:
-        ring_path, snapshot_path: files for viewers and recorders, while the process lives.
-        pattern: what its snapshots have in common, of the material as it is now; None where it publishes none.
-        message: what the process has last said of itself.
-        resolution, force_error: of the tissue's mesh, when it is ready; see `LoopReport`.
-        report: of a loop that has ended; None before, and of one that died.
-        patience: how long the loop may take to answer a command, s.
+        ring_path: file of the ring of ticks, for viewers and recorders, while the process runs.
+        snapshot_path: file of the snapshots, while the process runs.
+        pattern: mesh and present material of the snapshots; None if no snapshots are published.
+        message: last status message of the process.
+        resolution: resolution of the mesh when the tissue is ready; see `LoopReport`.
+        force_error: relative error of the force when the tissue is ready; see `LoopReport`.
+        report: report of a loop that has ended; None before, and after an unexpected end.
+        patience: time that the loop has to answer a command, s.
 
     Raises:
         InputError: the file of the ring exists already.
@@ -66,7 +69,7 @@ class LoopProcess:
         self._files = LoopFiles(self.ring_path, self.snapshot_path)
         for path in self._files:
             if path.exists():
-                raise InputError("exists already; remove it or give another name", file=path)
+                raise InputError("exists already; remove the file or choose another name", file=path)
         self.message, self.report, self.patience = "not started", None, PATIENCE
         self._parts = LoopParts(make_tissue, device, rendering, settings or LoopSettings())
         self._process: multiprocessing.process.BaseProcess | None = None
@@ -79,14 +82,14 @@ class LoopProcess:
         self.resolution, self.force_error = "", None
 
     def start(self) -> None:
-        """Start the process and return at once.
+        """Start the process without waiting for its first tick.
 
         Raises:
-            InputError: it was started before, or something in it cannot be sent to another process.
+            InputError: the process was started before, or a component cannot be sent to another process.
         """
         if self._process is not None:
-            raise InputError("this loop was started before; make another one")
-        context = multiprocessing.get_context("spawn")  # Taichi and threads do not survive a fork
+            raise InputError("this loop was started before; create another LoopProcess")
+        context = multiprocessing.get_context("spawn")  # Taichi and threads do not work after a fork
         self._connection, far_end = context.Pipe()
         process = context.Process(target=run_child, args=(far_end, self._parts, self._files, registered()),
                                   name="tissue-sim loop", daemon=True)
@@ -94,46 +97,47 @@ class LoopProcess:
             with start_without_ctrl_c(), start_with_one_thread():
                 process.start()
         except (pickle.PicklingError, AttributeError, TypeError) as error:
-            raise InputError(f"cannot be sent to another process ({error}); use functions and classes of a module, not "
-                             "of a function", field="LoopProcess") from error
+            raise InputError(f"cannot be sent to another process ({error}); use functions and classes defined at "
+                             "module level", field="LoopProcess") from error
         finally:
             far_end.close()
         self._process, self.message = process, "starting"
 
     def wait_until_ready(self, timeout: float | None = None, progress: Callable[[str], None] | None = None) -> None:
-        """Wait for the first tick. A machine's first run compiles the solver, which takes several seconds.
+        """Wait for the first tick. The first run on a computer compiles the solver, which takes several seconds.
 
         Args:
-            timeout: s; None: as long as the process lives.
-            progress: told what the process does.
+            timeout: longest waiting time, s; None: no limit while the process runs.
+            progress: called with each new status message.
 
         Raises:
-            InputError: what the tissue refuses when it is made.
+            InputError: the tissue cannot be created from its input.
             LoopError: the process has ended, or the time is over.
         """
         until = None if timeout is None else time.monotonic() + timeout
-        told = ""
+        last_message = ""
         ready = False
         while not ready:
             ready = self.poll(0.1)
-            if progress is not None and self.message != told:
-                told = self.message
-                progress(told)
+            if progress is not None and self.message != last_message:
+                last_message = self.message
+                progress(last_message)
             if not ready and until is not None and time.monotonic() > until:
                 raise LoopError(f"the loop is not ready after {timeout:g} s: {self.message}")
 
     def poll(self, timeout: float = 0.0) -> bool:
-        """Take in what the process says within `timeout`, s; whether it has come to its first tick.
+        """Read messages of the process for `timeout`, s, and return whether the loop has reached its first tick.
 
         Raises:
-            InputError, LoopError: it has ended without a report, and why.
+            InputError: the process ended because of invalid input.
+            LoopError: the process ended without a report for another reason.
         """
         self._read(timeout)
         return self._ready
 
     @property
     def ready(self) -> bool:
-        """Whether the process is known to have come to its first tick; `poll` looks."""
+        """Whether the loop has reached its first tick, as known from the last `poll`."""
         return self._ready
 
     @property
@@ -143,63 +147,77 @@ class LoopProcess:
 
     @property
     def pid(self) -> int | None:
-        """Number of the process; None before it is started."""
+        """Process id; None before the start."""
         return None if self._process is None else self._process.pid
 
     @property
     def exit_code(self) -> int | None:
-        """0: ended well; minus the signal of one that was killed; None: it runs, or was not started."""
+        """Exit code: 0 after a normal end, minus the signal number if killed; None while running or not started."""
         return None if self._process is None else self._process.exitcode
 
     def ring(self) -> RingReader:
-        """A reader of the ring of a loop that is ready; close it."""
+        """Return a reader of the ring of a loop that is ready; the caller closes the reader."""
         return RingReader(self.ring_path)
 
     def snapshots(self) -> SnapshotReader | None:
-        """A reader of the snapshots of a loop that is ready; None where it publishes none. Close it."""
+        """Return a reader of the snapshots of a loop that is ready, or None; the caller closes the reader."""
         return None if self.pattern is None else SnapshotReader(self.snapshot_path, self.pattern)
 
     def pause(self) -> None:
-        """Let the motion stand still and the force fade; returns when it is so. Raises as `set_parameters`."""
+        """Stop the motion and let the force fade to zero; raises the errors of `ask`."""
         self.ask("pause")
 
     def resume(self) -> None:
-        """Let the motion go on. Raises as `set_parameters`."""
+        """Continue the motion after a pause; raises the errors of `ask`."""
         self.ask("resume")
 
     def reset(self) -> None:
-        """Begin the motion again, with undeformed tissue. Raises as `set_parameters`."""
+        """Restart the motion with undeformed tissue and zero force; raises the errors of `ask`."""
         self.ask("reset")
 
     def advance(self, seconds: float) -> None:
-        """Let the motion of a loop that is paused go on for so long. Raises as `set_parameters`."""
+        """Continue the motion of a paused loop for this time, s; raises the errors of `ask`."""
         self.ask("advance", seconds=seconds)
 
+    def switch_device(self, device: HapticDevice, restart: bool = False) -> None:
+        """Replace the device or motion by another one, which starts from its beginning; raises the errors of `ask`.
+
+        Args:
+            device: new device or motion, not started.
+            restart: whether to continue with undeformed tissue and zero force.
+        """
+        self.ask("switch_device", device=device, restart=restart)
+
     def follow(self, device: HapticDevice, anew: bool = False) -> None:
-        """Go on with another device or motion, from its beginning on; `anew`: on undeformed tissue. Raises as
-        `set_parameters`."""
-        self.ask("follow", device=device, anew=anew)
+        """Replace the device: deprecated name of `switch_device`."""
+        warnings.warn("LoopProcess.follow is renamed to switch_device(device, restart)", DeprecationWarning,
+                      stacklevel=2)
+        self.switch_device(device, restart=anew)
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
-        """Tell a `HandMotion`, or a device that one moves, where to go, m; see `HapticDevice.aim`. Raises as
-        `set_parameters`."""
+        """Set the target of a `HandMotion` or of an actuated device, m; raises the errors of `ask`.
+
+        Args:
+            depth: target depth, m.
+            across: target position across the axis, m; None: unchanged.
+        """
         self.ask("aim", depth=depth, across=across)
 
     def set_parameters(self, **values: float) -> None:
         """Change parameters of the tissue between two ticks.
 
         Raises:
-            InputError: what the tissue refuses; the loop goes on as before.
-            LoopError: the process has ended, or does not answer.
+            InputError: the tissue refuses a value; the loop continues unchanged.
+            LoopError: the process has ended or does not answer.
         """
         self.ask("set_parameters", **values)
 
     def ask(self, command: str, **values: Any) -> None:
-        """Send one of `haptics.loop.commands.COMMANDS` with its arguments, and wait until it is done.
+        """Send one of `haptics.loop.commands.COMMANDS` with its arguments, and wait until it is executed.
 
         Raises:
-            InputError: no such command (names the nearest), or what the loop refuses; it goes on as before.
-            LoopError: the process has ended, or does not answer.
+            InputError: the command is unknown, or the loop refuses it and continues unchanged.
+            LoopError: the process has ended or does not answer.
         """
         if command not in COMMANDS:
             raise InputError(f"a loop has no command {command!r}{nearest(command, COMMANDS)}")
@@ -207,7 +225,7 @@ class LoopProcess:
             if self._connection is None or not self._ready:
                 raise LoopError(f"the loop is not ready: {self.message}")
             self._answers.clear()
-            with suppress(OSError):  # reading says why
+            with suppress(OSError):  # the reason is found when reading
                 self._connection.send((command, values))
             until = time.monotonic() + self.patience
             while not self._answers and self.report is None:
@@ -218,24 +236,31 @@ class LoopProcess:
                 raise InputError(self._answers[0])
 
     def wait(self, timeout: float | None = None) -> LoopReport | None:
-        """Wait for the end of the loop; None where it still runs after `timeout`, s.
+        """Wait for the end of the loop.
+
+        Args:
+            timeout: longest waiting time, s; None: no limit.
+
+        Returns:
+            The report of the loop; None if the loop still runs after `timeout`.
 
         Raises:
-            InputError, LoopError: the process has ended without a report, and why.
+            InputError: the process ended because of invalid input.
+            LoopError: the process ended without a report for another reason.
         """
         until = None if timeout is None else time.monotonic() + timeout
         while self.report is None:
-            left = 0.5 if until is None else until - time.monotonic()
-            if left <= 0 and until is not None:
+            remaining = 0.5 if until is None else until - time.monotonic()
+            if remaining <= 0 and until is not None:
                 return None
-            self._read(min(left, 0.5))
+            self._read(min(remaining, 0.5))
         self._end(PATIENCE)
         return self.report
 
     def stop(self) -> LoopReport | None:
-        """End the process, by force where it does not end by itself. Returns its report, None where there is none."""
+        """End the process, if necessary by killing it, and return its report, or None without a report."""
         connection, self.patience = self._connection, PATIENCE
-        with suppress(LoopError, InputError, OSError):  # it has died: there is nothing to stop
+        with suppress(LoopError, InputError, OSError):  # the process has already ended
             while connection is not None and not self._ready and connection.poll():
                 self._read(0.0)
             if self._ready and self.report is None:
@@ -252,10 +277,11 @@ class LoopProcess:
         self.stop()
 
     def _read(self, timeout: float) -> None:
-        """Take in what the process says within `timeout`, s.
+        """Read messages of the process for `timeout`, s.
 
         Raises:
-            InputError, LoopError: it has ended without a report.
+            InputError: the process ended because of invalid input.
+            LoopError: the process ended without a report for another reason.
         """
         process, connection = self._process, self._connection
         if process is None or connection is None:
@@ -266,15 +292,15 @@ class LoopProcess:
             if self._failure is None:
                 try:
                     if connection.poll(timeout):
-                        self._take(*connection.recv())
+                        self._handle_message(*connection.recv())
                 except (EOFError, OSError):
                     process.join(PATIENCE)
-                    self._failure = LoopError(self._last_words())
+                    self._failure = LoopError(self._describe_end())
             if self._failure is not None:
                 self._remove_files()
                 raise self._failure
 
-    def _take(self, kind: str, content: Any) -> None:
+    def _handle_message(self, kind: str, content: Any) -> None:
         if kind == "doing":
             self.message = content
         elif kind == "ready":
@@ -292,17 +318,18 @@ class LoopProcess:
             problem, of_input = content
             self.message, self._failure = problem, InputError(problem) if of_input else LoopError(problem)
 
-    def _last_words(self) -> str:
+    def _describe_end(self) -> str:
+        """Return a sentence about the unexpected end of the process, and store it as the message."""
         code = self.exit_code
         how = f"was killed by signal {-code}" if code is not None and code < 0 else f"ended with code {code}"
         if self.message == "starting":
-            return (f"the process of the loop {how} before it began; a script that starts one must do so under \"if "
-                    "__name__ == '__main__':\", otherwise see what it printed")
+            return (f"the process of the loop {how} during its start; in a script start it under \"if __name__ == "
+                    "'__main__':\". Otherwise see its printed errors")
         self.message = f"the process of the loop {how}; before that: {self.message}"
         return self.message
 
     def _end(self, patience: float) -> None:
-        """Wait for the end of the process, then enforce it."""
+        """Wait for the end of the process for this time, s, then terminate it."""
         process, connection = self._process, self._connection
         if process is None or connection is None:
             return
@@ -316,4 +343,4 @@ class LoopProcess:
 
     def _remove_files(self) -> None:
         for path in self._files:
-            remove(path)
+            remove_file(path)

@@ -1,4 +1,4 @@
-"""What an operating system can do for a loop that must not be late, and a line for each thing that it refuses."""
+"""Request real-time features of the operating system for a loop, with a message for each refused feature."""
 
 from __future__ import annotations
 
@@ -10,21 +10,26 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
-#: Among the real-time priorities 1 to 99: above every ordinary process, below the kernel's own threads.
+#: SCHED_FIFO priority (1 to 99): above all ordinary processes, below the threads of the kernel.
 PRIORITY = 10
-#: From Linux's mman.h and prctl.h. Pages are locked as they are first used: Taichi reserves far more than it uses.
-_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
+#: Lock present pages in memory (Linux, mman.h).
+_MCL_CURRENT = 1
+#: Lock future pages in memory (Linux, mman.h).
+_MCL_FUTURE = 2
+#: Lock pages at their first use (Linux, mman.h), because Taichi reserves much more memory than it uses.
+_MCL_ONFAULT = 4
+#: Set the timer slack of a thread (Linux, prctl.h).
 _PR_SET_TIMERSLACK = 29
 
 
 @dataclass(frozen=True)
 class RealTimeFeature:
-    """One thing that helps a loop to be in time.
+    """Feature of the operating system or of Python that reduces delays of a loop.
 
     Attributes:
         name: ``SCHED_FIFO``, ``locked memory``, ``timer slack`` or ``no garbage collection``.
-        obtained: whether it holds.
-        message: where it does not: why, and how to get it.
+        obtained: whether the feature is active.
+        message: reason and remedy if it is not active.
     """
 
     name: str
@@ -34,14 +39,17 @@ class RealTimeFeature:
 
 @contextmanager
 def real_time(wanted: bool = True, priority: int = PRIORITY) -> Iterator[tuple[RealTimeFeature, ...]]:
-    """Ask for real time for this thread and process while inside; everything is undone at the end.
+    """Request real-time features for this thread and process; all are released at the end of the block.
 
-    Call it when memory is allocated and kernels are compiled. Nothing is raised where something is refused: ask the
-    features.
+    Call it after memory is allocated and kernels are compiled. A refused feature raises no exception; the yielded
+    features state it.
 
     Args:
-        wanted: False asks for nothing, and there are no features.
-        priority: of SCHED_FIFO, 1 to 99.
+        wanted: whether features are requested; if not, no features are yielded.
+        priority: SCHED_FIFO priority, 1 to 99.
+
+    Yields:
+        The features, obtained or refused.
     """
     if not wanted:
         yield ()
@@ -55,45 +63,45 @@ def real_time(wanted: bool = True, priority: int = PRIORITY) -> Iterator[tuple[R
 
 
 def claim_fifo(undo: ExitStack, priority: int) -> str:
-    """Run before every ordinary process, until `undo` is closed; returns why not."""
+    """Request SCHED_FIFO scheduling until `undo` is closed; return the reason of a refusal, or an empty string."""
     if not hasattr(os, "sched_setscheduler"):
-        return f"not available on {sys.platform}; ticks wait for other processes of an ordinary priority"
+        return f"not available on {sys.platform}; other processes may delay ticks"
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
-        return (f"{error.strerror}; 'ulimit -r' says up to which priority this user may go: add 'USER - rtprio 20' to "
+        return (f"{error.strerror}; 'ulimit -r' shows the highest allowed priority: add 'USER - rtprio 20' to "
                 "/etc/security/limits.d/rtprio.conf and log in again (in a container: --cap-add=SYS_NICE)")
     undo.callback(os.sched_setscheduler, 0, *before)
     return ""
 
 
 def _locked_memory(undo: ExitStack, _: int) -> str:
-    """Keep every page that was used in memory; returns why not."""
+    """Lock used pages in memory; return the reason of a refusal, or an empty string."""
     if not sys.platform.startswith("linux"):
-        return f"not available on {sys.platform}; a computer that runs out of memory stops the loop for a while"
+        return f"not available on {sys.platform}; swapping of memory may delay the loop"
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) != 0:
-        return (f"{os.strerror(ctypes.get_errno())}; 'ulimit -l' says how many kB this user may lock: add 'USER - "
-                "memlock unlimited' to /etc/security/limits.d/memlock.conf and log in again (in a container: "
-                "--ulimit memlock=-1)")
+        return (f"{os.strerror(ctypes.get_errno())}; 'ulimit -l' shows how many kB may be locked: add 'USER - memlock "
+                "unlimited' to /etc/security/limits.d/memlock.conf and log in again (in a container: --ulimit "
+                "memlock=-1)")
     undo.callback(libc.munlockall)
     return ""
 
 
 def _timer_slack(undo: ExitStack, _: int) -> str:
-    """Wake this thread when its sleep ends, and not up to 50 us later; SCHED_FIFO brings it along. Returns why not."""
+    """Reduce the timer slack of this thread from 50 us to 1 ns, as SCHED_FIFO does; return the reason of a refusal."""
     if not sys.platform.startswith("linux"):
-        return f"not available on {sys.platform}; a sleep ends as late as the system likes"
+        return f"not available on {sys.platform}; sleeps may end late"
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 0, 0) != 0:
         return os.strerror(ctypes.get_errno())
-    undo.callback(libc.prctl, _PR_SET_TIMERSLACK, ctypes.c_ulong(0), 0, 0, 0)  # 0: what the thread began with
+    undo.callback(libc.prctl, _PR_SET_TIMERSLACK, ctypes.c_ulong(0), 0, 0, 0)  # 0 restores the default of the thread
     return ""
 
 
 def _no_collection(undo: ExitStack, _: int) -> str:
-    """Look for no cycles of garbage while it matters; what is there now is taken to stay. Never refused."""
+    """Collect garbage once, then disable the collection of reference cycles; never refused."""
     gc.collect()
     gc.freeze()
     undo.callback(gc.unfreeze)
@@ -103,7 +111,7 @@ def _no_collection(undo: ExitStack, _: int) -> str:
     return ""
 
 
-#: In this order: memory is locked after the collection has cleared it.
+#: Features in the order of their requests; memory is locked after the garbage collection has freed it.
 _FEATURES: dict[str, Callable[[ExitStack, int], str]] = {
     "no garbage collection": _no_collection,
     "locked memory": _locked_memory,

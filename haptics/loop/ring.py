@@ -1,4 +1,4 @@
-"""The last seconds of the loop, tick by tick, for viewers and recorders in other processes."""
+"""Ring of the last ticks of a loop in a shared file, for viewers and recorders in other processes."""
 
 from __future__ import annotations
 
@@ -14,62 +14,66 @@ from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Screw
 from tissue_sim.tool_force import ToolForce
 
-#: One tick. SI units; times in s since the loop began; a pose that is not known is NaN. Depths, forces and the
-#: stiffness of the first part are those along z of the poses, wrenches and the matrix of the second.
+#: Fields of a tick in SI units; times are in s since the start of the loop; an unknown pose is NaN. Depths, forces and
+#: the stiffness are the components along z of the poses, wrenches and the stiffness matrix below.
 _FIELDS = [
-    ("tick", "<u8"),            # number of the deadline, from 1; what is not there was missed
-    ("time", "<f8"),            # when it began
-    ("device_depth", "<f8"),    # of the device or the motion; NaN: no pose
-    ("tool_depth", "<f8"),      # of the simulated tool
-    ("force", "<f8"),           # rendered: what the device shall give
-    ("tissue_force", "<f8"),    # of the tissue on the tool
+    ("tick", "<u8"),            # number of the deadline, from 1; numbers that are not in the ring were missed
+    ("time", "<f8"),            # start of the tick
+    ("device_depth", "<f8"),    # depth of the device or the motion; NaN: no pose
+    ("tool_depth", "<f8"),      # depth of the simulated tool
+    ("force", "<f8"),           # rendered force on the device
+    ("tissue_force", "<f8"),    # force of the tissue on the tool
     ("stiffness", "<f8"),       # dF/dd of the tissue without its mass, N/m
     ("residual", "<f8"),
-    ("compute_time", "<f8"),    # from the beginning of the tick to its force
-    ("lateness", "<f8"),        # behind the first deadline that no tick has kept
-    ("age", "<f8"),             # of the last equilibrium
-    ("late", "<u8"),            # ticks so far that began late
-    ("missed", "<u8"),          # deadlines so far that passed without a tick
+    ("compute_time", "<f8"),    # from the start of the tick to its force
+    ("lateness", "<f8"),        # time since the first deadline without a tick
+    ("age", "<f8"),             # age of the last equilibrium
+    ("late", "<u8"),            # number of ticks so far that began late
+    ("missed", "<u8"),          # number of deadlines so far without a tick
     ("status", "<i4"),          # tissue_sim.tool_force.ForceStatus
     ("iterations", "<i4"),
-    ("flags", "<u4"),           # of haptics.safety.rendering.RenderFlag, and PAUSED
-    ("inertial", "<u4"),        # 1: with the mass of the tissue
+    ("flags", "<u4"),           # haptics.safety.rendering.RenderFlag and PAUSED
+    ("inertial", "<u4"),        # 1: the mass of the tissue is included
     ("device_pose", "<f8", 7),  # x, y, z, then the quaternion w, x, y, z
     ("tool_pose", "<f8", 7),
-    ("wrench", "<f8", 6),       # rendered: force, then torque about the tool's deepest point
+    ("wrench", "<f8", 6),       # rendered force and torque about the deepest point of the tool
     ("tissue_wrench", "<f8", 6),
     ("stiffness_matrix", "<f8", (6, 6)),
-    ("step_stiffness", "<f8"),  # dF/dd within the step, N/m: with the mass of the tissue where inertial
+    ("step_stiffness", "<f8"),  # dF/dd within the step, N/m, including the mass of the tissue if inertial
 ]
-#: Added later; see `tissue_sim.tool_force.ToolForce`.
+#: Fields that older versions do not write; see `tissue_sim.tool_force.ToolForce`.
 _AGES = [
-    ("stiffness_age", "<f8"),   # since the stiffness was evaluated; NaN: not recorded
-    ("force_error", "<f8"),     # estimated error of the tissue's force; NaN: unknown
-    ("error_age", "<f8"),       # since it was estimated; NaN: not recorded
-    ("least_tool_mass", "<f8"),  # of a stable explicit coupling, kg; NaN: not recorded
-    ("on_axis", "<u8"),         # 0: away from or across the axis of an axisymmetric scene
+    ("stiffness_age", "<f8"),   # age of the stiffness; NaN: not recorded
+    ("force_error", "<f8"),     # estimated error of the tissue force; NaN: unknown
+    ("error_age", "<f8"),       # age of this estimate; NaN: not recorded
+    ("least_tool_mass", "<f8"),  # smallest tool mass of a stable explicit coupling, kg; NaN: not recorded
+    ("on_axis", "<u8"),         # 0: the tool is off the axis of an axisymmetric scene or moves across it
 ]
+#: Record of a tick.
 TICK = np.dtype(_FIELDS + _AGES)
-#: Ticks of loops before these fields existed.
+#: Record of a tick of older versions.
 _OLD_TICK = np.dtype(_FIELDS)
-#: The bit of `flags` that a loop which is paused adds to those of `haptics.safety.rendering.RenderFlag`.
+#: Bit of `flags` that marks a paused loop, in addition to `haptics.safety.rendering.RenderFlag`.
 PAUSED = 1 << 16
-#: 16 s at 1 kHz.
+#: Default number of ticks in the ring: 16 s at 1 kHz.
 CAPACITY = 16384
+#: Kind of the shared file.
 _KIND = b"tsTICKS\0"
+#: Binary layout of `TICK`.
 _RECORD = struct.Struct("<Q10d2Q2i2I63d4dQ")
 assert _RECORD.size == TICK.itemsize
+#: Position and orientation of an unknown pose.
 _UNKNOWN = (math.nan,) * 7
 
 
 @dataclass(frozen=True, eq=False)
 class Ticks:
-    """Ticks that a reader has not seen before.
+    """Ticks read from a ring.
 
     Attributes:
-        records: shape (n,), dtype `TICK`, in the order in which they were written.
-        number: to give to `RingReader.since` the next time.
-        lost: how many were overwritten before this reader came to them.
+        records: ticks in the order of writing, dtype `TICK`, shape (n,).
+        number: argument for the next call of `RingReader.since`.
+        lost: number of ticks that were overwritten before they were read.
     """
 
     records: np.ndarray
@@ -78,14 +82,14 @@ class Ticks:
 
 
 class RingWriter(SlotWriter):
-    """The ring of a loop.
+    """Write the ticks of a loop to a ring in a shared file.
 
     Args:
-        path: file to make; `haptics.loop.shared_slots.unused_path` finds a place in memory.
-        capacity: ticks that it keeps.
+        path: file to create; `haptics.loop.shared_slots.unused_path` returns a path in memory.
+        capacity: number of ticks in the ring.
 
     Raises:
-        InputError: the file is there already or cannot be made.
+        InputError: the file exists already or cannot be created.
     """
 
     def __init__(self, path: str | Path, capacity: int = CAPACITY):
@@ -94,60 +98,68 @@ class RingWriter(SlotWriter):
 
     def append(self, tick: int, time: float, device: Pose | None, tool: Pose, wrench: Screw, answer: ToolForce,
                compute_time: float, lateness: float, late: int, missed: int, flags: int) -> int:
-        """Add a tick; returns how many were added so far.
+        """Add a tick and return the number of ticks added so far.
 
         Args:
-            device: None where no pose has come.
-            tool: where the tissue was stepped to.
-            wrench: rendered.
-            answer: of the tissue.
-            tick, time, compute_time, lateness, late, missed, flags: as in `TICK`.
+            tick: number of the deadline, from 1.
+            time: start of the tick, s.
+            device: pose of the device; None if unknown.
+            tool: pose of the simulated tool.
+            wrench: rendered wrench on the device.
+            answer: force of the tissue.
+            compute_time: time from the start of the tick to its force, s.
+            lateness: lateness of the tick, s.
+            late: number of late ticks so far.
+            missed: number of deadlines without a tick so far.
+            flags: flags of the tick.
         """
-        place = tool.position
-        seen = _UNKNOWN if device is None else device.position + device.orientation
+        position = tool.position
+        device_pose = _UNKNOWN if device is None else device.position + device.orientation
         tissue, (a, b, c, d, e, f) = answer.wrench, answer.stiffness_matrix
-        _RECORD.pack_into(self._record, 0, tick, time, -seen[2], -place[2], wrench[2], tissue[2], c[2],
+        _RECORD.pack_into(self._record, 0, tick, time, -device_pose[2], -position[2], wrench[2], tissue[2], c[2],
                           answer.residual, compute_time, lateness, answer.age, late, missed, answer.status,
-                          answer.iterations, flags, answer.inertial, *seen, *place, *tool.orientation, *wrench, *tissue,
-                          *a, *b, *c, *d, *e, *f, answer.step_stiffness, answer.stiffness_age,
+                          answer.iterations, flags, answer.inertial, *device_pose, *position, *tool.orientation,
+                          *wrench, *tissue, *a, *b, *c, *d, *e, *f, answer.step_stiffness, answer.stiffness_age,
                           math.nan if answer.force_error is None else answer.force_error, answer.error_age,
                           answer.least_tool_mass, answer.is_on_axis)
         return self.write(self._record)
 
 
 class RingReader(SlotReader):
-    """Reads the ring of a running loop, from any process, without the loop knowing.
+    """Read the ring of a running loop from any process without affecting the loop.
 
     Args:
-        path: as `LoopProcess.ring_path` or ``tissue-sim loop`` name it.
+        path: file of the ring, see `LoopProcess.ring_path` and ``tissue-sim loop``.
 
     Attributes:
-        count: ticks that the ring keeps; written: ticks so far; ended: whether the loop has, one that was killed has
-            not said so; writer: number of the process that writes.
+        count: number of ticks in the ring.
+        written: number of ticks written so far.
+        ended: whether the loop has ended normally; False if it was killed.
+        writer: id of the process of the loop.
 
     Raises:
-        InputError: no such file, or not a ring of this version.
+        InputError: the file does not exist or is not a ring of this version.
     """
 
     def __init__(self, path: str | Path):
         super().__init__(path, _KIND)
 
     def latest(self) -> np.void | None:
-        """The newest tick, a record of dtype `TICK`; None before the first."""
+        """Return the newest tick, a record of dtype `TICK`; None before the first tick."""
         newest = self.newest()
         return None if newest is None else _ticks_of(newest[1])[0]
 
     def since(self, number: int = 0) -> Ticks:
-        """Ticks that were written after a number; with 0 all that the ring still has."""
+        """Return the ticks written after this number of ticks; 0: all ticks in the ring."""
         contents, newest, lost = self.after(number)
         return Ticks(_ticks_of(*contents), newest, lost)
 
 
 def _ticks_of(*contents: bytes) -> np.ndarray:
-    """Records of dtype `TICK` from the contents of slots, also of a loop that wrote fewer fields.
+    """Convert the contents of slots to records of dtype `TICK`, also from older versions with fewer fields.
 
     Raises:
-        InputError: slots of another size.
+        InputError: the slots have another size.
     """
     content, sizes = b"".join(contents), set(map(len, contents))
     if sizes <= {TICK.itemsize}:

@@ -1,10 +1,10 @@
-"""Numbered slots in a file that processes share: one writes, any number reads, nobody waits.
+"""Lock-free communication through numbered slots in a shared file with one writer and any number of readers.
 
-A slot is taken for what it is only where its number and its checksum are right. So a reader needs nothing of the order
-in which another core's writes become visible to it, and a writer that dies in the middle of a slot deceives nobody.
+A reader accepts a slot only if its number and its checksum are correct. The protocol therefore does not depend on the
+order in which writes become visible on another core, and a writer that ends within a slot leaves no invalid data.
 
-Layout, little-endian: a head of 64 bytes (`HEAD`), then the slots, each of 16 bytes (`_SLOT`) and its content, padded
-to a multiple of 8 bytes. The slot of number n, counted from 1, is slot (n - 1) modulo their count.
+Layout, little-endian: a header of 64 bytes (`HEAD`), then the slots. Each slot has a header of 16 bytes (`_SLOT`) and
+its content, padded to a multiple of 8 bytes. Number n, counted from 1, is stored in slot (n - 1) modulo the slot count.
 """
 
 from __future__ import annotations
@@ -20,22 +20,27 @@ from pathlib import Path
 
 from tissue_sim.errors import InputError
 
+#: Version of the layout.
 VERSION = 1
-#: Kind of the file, version of the layout, bytes of a slot with its head, slots, process that writes.
+#: Header: kind of the file, version, bytes of a slot including its header, number of slots, id of the writing process.
 HEAD = struct.Struct("<8sIIQQ")
+#: Bytes reserved for the header.
 HEAD_SIZE = 64
-#: Number of the newest slot, and whether its writer has ended.
-_WRITTEN, _ENDED = HEAD.size, HEAD.size + 8
-#: Number of a slot, bytes of its content, CRC-32 of the content that starts from the number.
+#: Offset of the number of the newest slot, bytes.
+_WRITTEN = HEAD.size
+#: Offset of the flag that the writer has ended, bytes.
+_ENDED = HEAD.size + 8
+#: Header of a slot: number, bytes of the content, CRC-32 of the content with the number as start value.
 _SLOT = struct.Struct("<QII")
+#: Attempts to read a slot that is being overwritten.
 _ATTEMPTS = 1000
 
 
 def runtime_folder() -> Path:
-    """This user's folder for files that live as long as a process; in memory where the platform has such a place.
+    """Return this user's folder for temporary shared files, in memory if the platform supports it.
 
     Raises:
-        InputError: somebody else owns the folder, or it cannot be made.
+        InputError: the folder cannot be created or belongs to another user.
     """
     given = os.environ.get("XDG_RUNTIME_DIR")
     shared = Path("/dev/shm")
@@ -47,75 +52,75 @@ def runtime_folder() -> Path:
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"cannot be made ({error.strerror}); set XDG_RUNTIME_DIR to a folder of yours",
+        raise InputError(f"cannot be created ({error.strerror}); set XDG_RUNTIME_DIR to a folder that you own",
                          file=folder) from error
     if hasattr(os, "getuid") and (folder.is_symlink() or folder.stat().st_uid != os.getuid()):
-        raise InputError("belongs to somebody else; set XDG_RUNTIME_DIR to a folder of yours", file=folder)
+        raise InputError("belongs to another user; set XDG_RUNTIME_DIR to a folder that you own", file=folder)
     return folder
 
 
 def unused_path(ending: str) -> Path:
-    """A name in `runtime_folder` that no file has."""
+    """Return an unused path in `runtime_folder` with this file name extension."""
     return runtime_folder() / f"{os.getpid()}-{secrets.token_hex(4)}.{ending}"
 
 
 class SlotWriter:
-    """The one who writes; makes the file, and removes it when closed.
+    """Writer of slots; creates the file and removes it when closed.
 
     Args:
-        path: of a file that is not there yet.
-        kind: 8 bytes that say what the slots hold.
-        count: slots, at least 2.
-        size: most bytes that a slot holds.
+        path: path of the file, which must not exist.
+        kind: 8 bytes that identify the content of the slots.
+        count: number of slots, at least 2.
+        size: maximum size of the content of a slot, bytes.
 
     Raises:
-        InputError: the file is there already or cannot be made, or there is no room for it.
+        InputError: the file exists already or cannot be created, or the disk is full.
     """
 
     def __init__(self, path: str | Path, kind: bytes, count: int, size: int):
         if count < 2:
-            raise InputError(f"{count} slots; give at least 2, so that one is whole while another is written",
-                             field="count")
+            raise InputError(f"count must be at least 2, so that one slot is complete while another is written; got "
+                             f"{count}", field="count")
         self.path, self.count, self.size, self.written = Path(path), count, size, 0
         self._stride = _SLOT.size + -(-size // 8) * 8
         total = HEAD_SIZE + count * self._stride
         empty = HEAD.pack(kind, VERSION, self._stride, count, os.getpid()).ljust(total, b"\0")
         try:
-            _appear(self.path, empty)
+            _create_atomically(self.path, empty)
             with self.path.open("r+b") as stream:
                 self._map = mmap.mmap(stream.fileno(), total)
         except FileExistsError:
-            raise InputError("exists already; remove it or give another name", file=self.path) from None
+            raise InputError("exists already; remove the file or choose another name", file=self.path) from None
         except OSError as error:
-            raise InputError(f"cannot be shared ({error.strerror or error}); choose another place",
+            raise InputError(f"cannot be shared ({error.strerror or error}); choose another folder",
                              file=path) from error
         self._numbers = memoryview(self._map)[_WRITTEN:_ENDED + 8].cast("Q")
 
     def write(self, content: bytes | bytearray | memoryview) -> int:
-        """Fill the next slot with bytes and return its number.
+        """Write the content to the next slot and return the number of the slot.
 
         Raises:
-            InputError: more than a slot holds.
+            InputError: the content is larger than a slot.
         """
         length = len(content)
         if length > self.size:
-            raise InputError(f"{length} bytes do not fit a slot of {self.size}", file=self.path)
+            raise InputError(f"content must have at most {self.size} bytes; got {length}", file=self.path)
         number = self.written + 1
-        place = HEAD_SIZE + (number - 1) % self.count * self._stride
-        _SLOT.pack_into(self._map, place, number, length, _checksum(content, number))
-        place += _SLOT.size
-        self._map[place:place + length] = content
+        offset = HEAD_SIZE + (number - 1) % self.count * self._stride
+        _SLOT.pack_into(self._map, offset, number, length, _checksum(content, number))
+        offset += _SLOT.size
+        self._map[offset:offset + length] = content
         self._numbers[0] = self.written = number
         return number
 
     def close(self) -> None:
-        """Tell the readers that nothing comes any more, and remove the file; who has it open can still read it."""
+        """Mark the file as ended and remove it; readers that have opened the file can still read it."""
         if self._map.closed:
             return
         self._numbers[1] = 1
         self._numbers.release()
         self._map.close()
-        remove(self.path)
+        remove_file(self.path)
 
     def __enter__(self):
         return self
@@ -125,14 +130,14 @@ class SlotWriter:
 
 
 class SlotReader:
-    """One of those who read, from any process.
+    """Reader of slots in any process.
 
     Args:
         path: file of a writer.
-        kind: what it must hold.
+        kind: required kind of content.
 
     Raises:
-        InputError: no such file, or not one of this kind and version.
+        InputError: the file does not exist or has another kind or version.
     """
 
     def __init__(self, path: str | Path, kind: bytes):
@@ -142,57 +147,58 @@ class SlotReader:
                 self._map = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
         except (OSError, ValueError) as error:  # ValueError: an empty file
             reason = getattr(error, "strerror", None) or error
-            raise InputError(f"cannot be read ({reason}); give the file that a running loop names",
+            raise InputError(f"cannot be read ({reason}); use the file that a running loop prints",
                              file=path) from error
         found = HEAD.unpack_from(self._map) if len(self._map) >= HEAD_SIZE else (b"", 0, 0, 0, 0)
         _, version, self._stride, self.count, self.writer = found
         whole = len(self._map) == HEAD_SIZE + self._stride * self.count
         if found[0] != kind or version != VERSION or not whole:
             self._map.close()
-            raise InputError(f"is not a file of kind {kind.rstrip(bytes(1)).decode()!r}, version {VERSION}; give the "
-                             "file that a running loop of the same version names", file=path)
+            raise InputError(f"is not a file of kind {kind.rstrip(bytes(1)).decode()!r}, version {VERSION}; use the "
+                             "file that a running loop of the same version prints", file=path)
         self._numbers = memoryview(self._map)[_WRITTEN:_ENDED + 8].cast("Q")
 
     @property
     def written(self) -> int:
-        """Number of the newest slot; 0 where there is none."""
+        """Number of the newest slot; 0 before the first."""
         return self._numbers[0]
 
     @property
     def ended(self) -> bool:
-        """Whether the writer has closed; one that was killed has not."""
+        """Whether the writer has closed the file; False if it was killed."""
         return self._numbers[1] != 0
 
     def read(self, number: int) -> bytes | None:
-        """What was written under a number, whole; None where it is not there any more, or not yet."""
-        place = HEAD_SIZE + (number - 1) % self.count * self._stride
-        copy = self._map[place:place + self._stride]
+        """Return the content of a number; None if it is overwritten, incomplete or not yet written."""
+        offset = HEAD_SIZE + (number - 1) % self.count * self._stride
+        copy = self._map[offset:offset + self._stride]
         found, length, checksum = _SLOT.unpack_from(copy)
         content = copy[_SLOT.size:_SLOT.size + length]
         return content if found == number and checksum == _checksum(content, number) else None
 
     @property
     def size(self) -> int:
-        """Most bytes that a slot holds."""
+        """Maximum size of the content of a slot, bytes."""
         return self._stride - _SLOT.size
 
     def head(self, number: int) -> tuple[int, int]:
-        """Length, bytes, and checksum of what was written under a number, for who reads it in parts; (0, -1) where it
-        is not there any more."""
+        """Return length (bytes) and checksum of the content of a number; (0, -1) if it is overwritten."""
         found, length, checksum = _SLOT.unpack_from(self._map, HEAD_SIZE + (number - 1) % self.count * self._stride)
         return (length, checksum) if found == number and length <= self.size else (0, -1)
 
     def part(self, number: int, start: int, end: int) -> bytes:
-        """Some of its bytes, whole or not: what all parts together are worth, their checksum says, a CRC-32 that starts
-        from the number."""
-        place = HEAD_SIZE + (number - 1) % self.count * self._stride + _SLOT.size
-        return self._map[place + start:place + end]
+        """Return the bytes from `start` to `end` of the content of a number, without a check.
+
+        The caller checks all parts together with the CRC-32 from `head`, whose start value is the number.
+        """
+        offset = HEAD_SIZE + (number - 1) % self.count * self._stride + _SLOT.size
+        return self._map[offset + start:offset + end]
 
     def newest(self) -> tuple[int, bytes] | None:
-        """Number and content of the newest slot; None where nothing was written yet.
+        """Return number and content of the newest slot; None before the first.
 
         Raises:
-            InputError: no slot is whole.
+            InputError: no complete slot was found.
         """
         for _ in range(_ATTEMPTS):
             number = self.written
@@ -204,28 +210,28 @@ class SlotReader:
         raise InputError("holds no complete record", file=self.path)
 
     def after(self, number: int) -> tuple[list[bytes], int, int]:
-        """What was written after a number.
+        """Read all slots after a number.
 
         Args:
-            number: of the slot that was read last; 0: from the oldest one that is there.
+            number: number of the slot that was read last; 0: begin with the oldest slot in the file.
 
         Returns:
-            The contents in order, the number to ask with the next time, and how many between were overwritten before
-            they were read. What is not there for a reader who begins is not lost.
+            The contents in order, the argument for the next call, and the number of slots that were overwritten before
+            they were read (not counted for a reader that begins with 0).
         """
         newest = self.written
         oldest = max(newest - self.count, 0) + 1
         first = max(number + 1, oldest)
         lost = first - number - 1 if number > 0 else 0
         contents = []
-        for wanted in range(first, newest + 1):
-            content = self.read(wanted)
+        for slot in range(first, newest + 1):
+            content = self.read(slot)
             if content is not None:
                 contents.append(content)
-            elif self.written - wanted >= self.count - 1:
-                lost += 1  # it is being overwritten, or was
+            elif self.written - slot >= self.count - 1:
+                lost += 1  # the slot is being overwritten, or was overwritten
             else:
-                newest = wanted - 1  # not all of it has arrived at this core: the next time
+                newest = slot - 1  # the content is not completely visible on this core yet: read it in the next call
                 break
         return contents, max(number, newest), lost
 
@@ -240,9 +246,9 @@ class SlotReader:
         self.close()
 
 
-def remove(path: Path) -> None:
-    """Remove the file of a writer that is gone, where it is still there."""
-    # Windows refuses while somebody has it open; it is a small file in a folder for such files.
+def remove_file(path: Path) -> None:
+    """Remove the file of a writer that has ended, if the file exists."""
+    # Windows refuses to remove an open file; the small file then stays in the folder for temporary files.
     with contextlib.suppress(OSError):
         path.unlink(missing_ok=True)
 
@@ -251,23 +257,25 @@ def _checksum(content, number: int) -> int:
     return zlib.crc32(content, number & 0xFFFFFFFF)
 
 
-def _appear(path: Path, content: bytes) -> None:
-    """Make a file that is this user's alone and whole from its first moment.
+def _create_atomically(path: Path, content: bytes) -> None:
+    """Create a file with access for this user only, which appears with its complete content.
+
+    The content fills the file, so that a full disk causes an error here and not in a tick.
 
     Raises:
-        OSError: the name is taken, or there is no room; a full disk is met here, and not in a tick.
+        OSError: the file exists already, or the disk is full.
     """
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
         with open(temporary, "xb", opener=_private) as stream:
             stream.write(content)
-        # Neither replaces a file that is there.
+        # Neither call replaces an existing file.
         if os.name == "nt":
             temporary.rename(path)
         else:
             path.hardlink_to(temporary)
     finally:
-        remove(temporary)
+        remove_file(temporary)
 
 
 def _private(path: str, flags: int) -> int:

@@ -1,6 +1,7 @@
-"""What runs in the process of a bulk: linearise where the contact is, publish, again; and end when the parent does.
+"""Process of a bulk: linearise the bulk at the state of the contact, publish the model, repeat; end with the parent.
 
-Tangents are condensed in a thread beside, which holds no lock of Python's while the library works."""
+Tangents are condensed in a separate thread; the library releases the lock of the Python interpreter meanwhile.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from haptics.loop.shared_slots import SlotReader, SlotWriter, remove
+from haptics.loop.shared_slots import SlotReader, SlotWriter, remove_file
 from haptics.loop.snapshot_board import SnapshotBoard
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
 from tissue_sim.fem.condensed.foresight import LEAD, ForesightedLinearisation
@@ -35,16 +36,30 @@ from tissue_sim.model import Model
 from tissue_sim.packing import run_packed
 from tissue_sim.snapshot import Snapshot, snapshot
 
-KIND_STATE, KIND_MODEL, KIND_CORRECTION = b"tsSTATE\0", b"tsBULK\0\0", b"tsCORR\0\0"
+#: Kind of the shared file of contact states.
+KIND_STATE = b"tsSTATE\0"
+#: Kind of the shared file of models with tangent.
+KIND_MODEL = b"tsBULK\0\0"
+#: Kind of the shared file of models without tangent (corrections).
+KIND_CORRECTION = b"tsCORR\0\0"
+#: Number of slots of a shared file.
 _SLOTS = 4
-#: How long to sleep where there is nothing new, and between two publications of the surface, s.
-_NAP, _SHOW_EVERY = 0.5e-3, 0.05
-#: By how much the priority of the process is lower than the loop's.
+#: Sleep time without a new state, s.
+_NAP = 0.5e-3
+#: Time between two publications of the surface, s.
+_SHOW_EVERY = 0.05
+#: Increment of the niceness of the process, so that the loop has priority.
 _NICE = 5
 
 
 class Started(NamedTuple):
-    """What the parent is told when the bulk has been made: its surface, its first model, a pattern of its snapshots."""
+    """Message to the parent when the bulk is ready.
+
+    Attributes:
+        surface: contact nodes and tool of the bulk.
+        model: model of the undeformed tissue.
+        pattern: pattern of the snapshots; None without snapshots.
+    """
 
     surface: ContactSurface
     model: CondensedContact
@@ -52,45 +67,45 @@ class Started(NamedTuple):
 
 
 def make_linearisation(model: Model, solver: str, resolution: str, mesh: Any) -> BulkLinearisation:
-    """The linearisation of a model's bulk.
+    """Create the linearisation of the bulk of a model.
 
     Raises:
-        InputError: a solver that has none, or a model that it cannot take.
+        InputError: the solver has no linearisation, or it does not support the model.
     """
     if solver not in LINEARISATIONS:
-        raise InputError(f"the solver {solver!r} has no bulk to linearise; use {' or '.join(LINEARISATIONS)}",
+        raise InputError(f"solver must be {' or '.join(LINEARISATIONS)} for a linearised bulk; got {solver!r}",
                          field="solver")
     return LINEARISATIONS.find(solver, "solver")(model, resolution=resolution, mesh=mesh)
 
 
-def in_a_thread(compute: Callable[[], None]) -> Callable[[], bool]:
-    """A `tissue_sim.fem.condensed.model.Beside`."""
+def run_in_thread(compute: Callable[[], None]) -> Callable[[], bool]:
+    """Start a computation in a thread and return a function that tells whether it is finished."""
     thread = threading.Thread(target=compute, daemon=True)
     thread.start()
     return lambda: not thread.is_alive()
 
 
 def first_state(surface: ContactSurface) -> ContactState:
-    """Of a tool that has touched nothing."""
-    nothing, count = np.zeros((len(surface.places), 3)), len(surface.places)
-    return ContactState(0, 0, 0.0, surface.start, 0.0, surface.start, nothing, nothing, np.zeros((3, count)), False)
+    """Return the state of a tool without contact on undeformed tissue."""
+    zeros, count = np.zeros((len(surface.places), 3)), len(surface.places)
+    return ContactState(0, 0, 0.0, surface.start, 0.0, surface.start, zeros, zeros, np.zeros((3, count)), False)
 
 
 def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
-    """Make the bulk, tell the parent, and linearise until the orders end.
+    """Create the bulk, notify the parent, and linearise until the input ends.
 
     Args:
-        task: that makes the linearisation.
-        orders: first the paths of states, models, corrections and surface; then changes of material, each a pair of
-            its number and the material.
-        answers: gets a `Started`, or the error that prevented it.
+        task: packed call that creates the linearisation.
+        orders: input: first the paths of states, models, corrections and surface, then changes of the material, each a
+            pair (number, material).
+        answers: output: a `Started`, or the error that prevented the start.
     """
     paths = states_path, models_path, corrections_path, surface_path = pickle.load(orders)
     try:
         bulk = run_packed(task)
         foresighted = ForesightedLinearisation(bulk)
         first = foresighted.linearise(first_state(bulk.surface), 0.0, 0.0)
-        bulk.beside = in_a_thread
+        bulk.beside = run_in_thread
         if first is None:
             raise InputError("the untouched tissue has no linearisation", field="specimen")
     except (InputError, ConvergenceError, MissingBackendError) as error:
@@ -104,16 +119,17 @@ def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
           SnapshotBoard(surface_path, pattern) as board):
         pickle.dump(Started(bulk.surface, first, pattern), answers)
         answers.flush()
-        orders.readline()  # the parent has opened its files
+        orders.readline()  # wait until the parent has opened the files
         materials: deque[tuple[int, Material]] = deque()
         threading.Thread(target=_listen, args=(orders, materials, paths), daemon=True).start()
         with SlotReader(states_path, KIND_STATE) as states:
-            _linearise(bulk, foresighted, states, (models, corrections), board, materials)
+            _run_linearisation(bulk, foresighted, states, (models, corrections), board, materials)
 
 
-def _linearise(bulk: BulkLinearisation, foresighted: ForesightedLinearisation, states: SlotReader,
-               writers: tuple[SlotWriter, SlotWriter], board: SnapshotBoard,
-               materials: deque[tuple[int, Material]]) -> None:
+def _run_linearisation(bulk: BulkLinearisation, foresighted: ForesightedLinearisation, states: SlotReader,
+                       writers: tuple[SlotWriter, SlotWriter], board: SnapshotBoard,
+                       materials: deque[tuple[int, Material]]) -> None:
+    """Linearise the bulk at each new state and publish the models; never returns."""
     models, corrections = writers
     seen, lead, shown, changed, serves = 0, 0.0, 0.0, time.monotonic(), 0.0
     while True:
@@ -122,7 +138,7 @@ def _linearise(bulk: BulkLinearisation, foresighted: ForesightedLinearisation, s
             try:
                 foresighted.set_material(material, number)
             except InputError as refused:
-                # No model carries this number, so the parent answers LATE until the next change.
+                # No model will have this number, so the status in the parent is LATE until the next change.
                 print(f"the bulk keeps its material: {refused}", file=sys.stderr, flush=True)
         newest = states.newest() if states.written != seen else None
         if newest is None:
@@ -132,13 +148,13 @@ def _linearise(bulk: BulkLinearisation, foresighted: ForesightedLinearisation, s
         seen, content = newest
         model = foresighted.linearise(ContactState.unpacked(np.frombuffer(content)), lead, serves)
         if model is None:
-            time.sleep(_NAP)  # the loop has not taken the last one yet
+            time.sleep(_NAP)  # no linearisation at this state: wait for the next state
             continue
         (models if model.is_whole else corrections).write(model.packed().tobytes())
         now = time.monotonic()
         lead = LEAD * (now - began)
         if model.is_whole:
-            # A tangent serves until the next one is there, which is begun when it comes.
+            # A tangent is used until the next one is finished, whose computation begins when this one is published.
             changed, serves = now, 2.0 * (now - changed)
         if now - shown > _SHOW_EVERY:
             board.publish(model.time, _snapshot(bulk, model))
@@ -150,23 +166,23 @@ def _snapshot(bulk: BulkLinearisation, model: CondensedContact) -> Snapshot:
 
 
 def _listen(orders: BinaryIO, materials: deque[tuple[int, Material]], files: tuple[Path, ...]) -> None:
-    """Take materials until the parent is gone, then end."""
+    """Receive materials until the parent ends, then end this process."""
     try:
         while True:
             materials.append(pickle.load(orders))
     except (EOFError, OSError):
         for path in files:
-            remove(path)
+            remove_file(path)
         os._exit(0)
 
 
 def main() -> None:
-    """Run the task that stands in the standard input."""
+    """Run the task that is sent through the standard input."""
     orders = sys.stdin.buffer
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what is printed must not stand between the answers
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # printed text must not mix with the binary output
     if hasattr(os, "nice"):
-        os.nice(_NICE)  # the loop comes first where there are few cores
+        os.nice(_NICE)  # the loop has priority on computers with few cores
     size, = struct.unpack("<Q", orders.read(8))
     serve(orders.read(size), orders, answers)
 

@@ -1,4 +1,4 @@
-"""The whole tissue, for viewers in other processes that draw fields: the newest state, and whether there is a newer."""
+"""Publish the newest snapshot of the whole tissue in a shared file, for viewers in other processes."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 
+#: Kind of the shared file.
 _KIND = b"tsSNAP\0\0"
-#: A reader has three more publications of time to copy one.
+#: Number of slots; a reader can copy a snapshot during three further publications.
 _SLOTS = 4
-#: Time, datum, position and orientation of the tool.
+#: Header of a snapshot: time, datum, position and orientation of the tool.
 _HEAD = struct.Struct("<2d3d4d")
 
 
 @dataclass(frozen=True, eq=False)
 class PublishedSnapshot:
-    """A snapshot as the loop has published it.
+    """A published snapshot.
 
     Attributes:
-        number: of the publication, from 1.
-        time: s since the loop began.
-        snapshot: see there.
+        number: number of the publication, from 1.
+        time: time since the start of the loop, s.
+        snapshot: the snapshot.
     """
 
     number: int
@@ -36,24 +37,28 @@ class PublishedSnapshot:
 
 
 class SnapshotBoard(SlotWriter):
-    """Where the loop publishes snapshots; what they have in common, mesh and material, is not among it.
+    """Write snapshots to a shared file, without mesh and material, which are the same in all snapshots.
 
     Args:
-        path: file to make.
+        path: file to create.
         pattern: a snapshot of the same tissue.
 
     Raises:
-        InputError: the file is there already or cannot be made.
+        InputError: the file exists already or cannot be created.
     """
 
     def __init__(self, path: str | Path, pattern: Snapshot):
         super().__init__(path, _KIND, _SLOTS, _HEAD.size + 8 * sum(array.size for array in pattern.arrays()))
 
     def publish(self, time: float, snapshot: Snapshot) -> int:
-        """Make a snapshot the newest one; returns its number.
+        """Publish a snapshot and return its number.
+
+        Args:
+            time: time since the start of the loop, s.
+            snapshot: the snapshot.
 
         Raises:
-            InputError: larger than the pattern.
+            InputError: the snapshot is larger than the pattern.
         """
         arrays = snapshot.arrays()
         return self.write(_HEAD.pack(time, snapshot.datum, *snapshot.pose.position, *snapshot.pose.orientation)
@@ -61,17 +66,18 @@ class SnapshotBoard(SlotWriter):
 
 
 class SnapshotReader(SlotReader):
-    """Reads the board of a running loop, from any process that knows the pattern.
+    """Read the snapshots of a running loop in any process.
 
     Args:
-        path, pattern: as `LoopProcess` knows them.
+        path: file of the snapshots, see `LoopProcess.snapshot_path`.
+        pattern: mesh and material of the snapshots, see `LoopProcess.pattern`.
 
     Attributes:
-        pattern: mesh and material of what is read; to be replaced when the material changes.
-        ended: whether the loop has; one that was killed has not said so.
+        pattern: mesh and material of the snapshots; replace the pattern when the material changes.
+        ended: whether the loop has ended normally; False if it was killed.
 
     Raises:
-        InputError: no such file, or not a board of this version.
+        InputError: the file does not exist or is not a file of snapshots of this version.
     """
 
     def __init__(self, path: str | Path, pattern: Snapshot):
@@ -79,10 +85,10 @@ class SnapshotReader(SlotReader):
         self.pattern = pattern
 
     def latest(self, after: int = 0) -> PublishedSnapshot | None:
-        """The newest snapshot; None where there is none with a number above `after`.
+        """Return the newest snapshot; None if its number is not above `after`.
 
         Raises:
-            InputError: the board is of another tissue than the pattern.
+            InputError: the pattern belongs to another tissue.
         """
         newest = self.newest() if self.written > after else None
         if newest is None:
@@ -91,8 +97,8 @@ class SnapshotReader(SlotReader):
         arrays, numbers = self.pattern.arrays(), np.frombuffer(content, "<f8", offset=_HEAD.size)
         ends = np.cumsum([array.size for array in arrays])
         if numbers.size != ends[-1]:
-            raise InputError(f"holds {numbers.size} numbers where the pattern has {ends[-1]}; give the pattern "
-                             "of the loop that writes it", file=self.path)
+            raise InputError(f"the pattern must have {numbers.size} numbers as the file; got {ends[-1]}. Use the "
+                             "pattern of the loop that writes the file", file=self.path)
         parts = [part.reshape(array.shape) for part, array in zip(np.split(numbers, ends[:-1]), arrays, strict=True)]
         time, datum, *pose = _HEAD.unpack_from(content)
         (x, y, z), (a, b, c, d) = pose[:3], pose[3:]

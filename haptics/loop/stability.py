@@ -1,4 +1,4 @@
-"""Whether a hand and a tissue shake each other: the loop without a clock, and what counts as shaking."""
+"""Simulate the loop of hand, device and tissue without a clock, and measure sustained oscillation."""
 
 from __future__ import annotations
 
@@ -8,25 +8,32 @@ from haptics.devices.contracts import HapticDevice
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.tool_force import Tissue
 
-#: Of the newest motion, s; it is held against as long a time before.
+#: Length of the two successive windows in which the motion is compared, s.
 WINDOW = 0.5
-#: Smaller than this, m from the lowest to the highest, is no shaking; and one that falls by a tenth a window dies out.
-SMALL, LASTS = 0.05e-3, 0.9
-#: The hand has been thrown so far, m: no need to go on.
+#: Smallest peak-to-peak amplitude of an oscillation, m.
+SMALL = 0.05e-3
+#: Smallest ratio of the amplitudes of both windows of a sustained oscillation; a smaller ratio means decay.
+LASTS = 0.9
+#: Distance from the start at which the simulation ends because the device is unstable, m.
 _THROWN = 0.05
 
 
 def depths_in_time(tissue: Tissue, device: HapticDevice, rendering: ForceRendering, seconds: float,
                    tick: float = 1e-3) -> np.ndarray:
-    """Depth of a device at each tick of a loop that never is late, m, shape (n,).
+    """Simulate a loop without delays and return the depth of the device at each tick.
 
-    It ends early where the device has gone further than 50 mm from where it began. A pose that is not known counts as
-    the one before.
+    The simulation ends early if the device is more than 50 mm from its start. An unknown pose is replaced by the
+    previous one.
 
     Args:
-        tissue, device, rendering: as of `haptics.loop.loop.Loop`; the device is started here.
-        seconds: how long.
-        tick: period, s.
+        tissue: the tissue, see `haptics.loop.loop.Loop`.
+        device: the device, which is started and stopped here.
+        rendering: conversion of poses and forces.
+        seconds: simulated time, s.
+        tick: period of the loop, s.
+
+    Returns:
+        Depths, m, shape (n,).
     """
     device.start()
     depths: list[float] = []
@@ -43,14 +50,17 @@ def depths_in_time(tissue: Tissue, device: HapticDevice, rendering: ForceRenderi
 
 
 def shaking(depths: np.ndarray, tick: float = 1e-3) -> float:
-    """How far the depth goes up and down in the last half second, m; 0 where that is small or dies out.
+    """Return the peak-to-peak amplitude of a sustained oscillation in the last half second, m.
 
-    Shaking is a motion of more than 0.05 mm that has not fallen by a tenth from the half second before: one that grows,
-    or a limit cycle. Of a hand that holds still, otherwise its own motion counts.
+    An oscillation is sustained (growing, or a limit cycle) if its amplitude exceeds 0.05 mm and has not decreased by a
+    tenth from the half second before. The hand must hold still, because its own motion counts as oscillation.
 
     Args:
-        depths: as of `depths_in_time`, at least twice a window, or until the hand was thrown out.
-        tick: period, s.
+        depths: depths from `depths_in_time`, m, for at least two windows or until the device was unstable.
+        tick: period of the loop, s.
+
+    Returns:
+        The amplitude; 0 for a small or decaying motion.
     """
     window = round(WINDOW / tick)
     if np.ptp(depths) > _THROWN:

@@ -1,4 +1,4 @@
-"""A clock that ticks at deadlines which stand, and what it takes to say how well they were kept."""
+"""Periodic clock with fixed deadlines, and statistics of its delays."""
 
 from __future__ import annotations
 
@@ -11,18 +11,26 @@ from itertools import accumulate
 
 from tissue_sim.errors import InputError
 
-#: A tick that begins later than this behind its deadline is counted as late, s.
+#: Lateness from which a tick counts as late, s.
 LATE = 0.1e-3
-#: Bins per doubling are 2**_FINENESS: no value is further than 1.6 % from the middle of its bin.
+#: Binary logarithm of the number of bins per doubling; values differ from the middle of their bin by at most 1.6 %.
 _FINENESS = 5
+#: Number of bins per doubling, and number of linear bins of 1 ns.
 _LINEAR = 1 << _FINENESS
-#: Longest time that has a bin of its own: 2**_LARGEST ns, 18 minutes.
+#: Binary logarithm of the longest time with a separate bin, ns; 2**40 ns are 18 minutes.
 _LARGEST = 40
 
 
 @dataclass(frozen=True)
 class Quantiles:
-    """How a time is distributed, s. The maximum is exact, the others to 2 %."""
+    """Quantiles of a time, s. The maximum is exact, the others have an error of at most 2 %.
+
+    Attributes:
+        p50: median.
+        p99: 99 % quantile.
+        p999: 99.9 % quantile.
+        maximum: maximum.
+    """
 
     p50: float = 0.0
     p99: float = 0.0
@@ -31,14 +39,14 @@ class Quantiles:
 
 
 class TimeHistogram:
-    """Counts times in bins that widen with the time; adding one costs a fixed, short time and no memory."""
+    """Histogram of times with logarithmic bins; adding a time takes constant time and no memory."""
 
     def __init__(self):
         self.count, self._maximum = 0, 0
         self._bins = array("Q", bytes(8 * (_bin(1 << _LARGEST) + 1)))
 
     def add(self, nanoseconds: int) -> None:
-        """Count one; below zero it counts as zero."""
+        """Add a time, ns; a negative time counts as zero."""
         nanoseconds = max(nanoseconds, 0)
         self.count += 1
         if nanoseconds > self._maximum:
@@ -46,16 +54,16 @@ class TimeHistogram:
         self._bins[_bin(min(nanoseconds, 1 << _LARGEST))] += 1
 
     def quantile(self, share: float) -> float:
-        """The time, s, that this share (0 to 1) of all does not exceed; 0 of none."""
+        """Return the time, s, that a fraction `share` (0 to 1) of all times does not exceed; 0 without times."""
         if self.count == 0:
             return 0.0
-        wanted = max(math.ceil(share * self.count), 1)
-        index = next(index for index, below in enumerate(accumulate(self._bins)) if below >= wanted)
+        rank = max(math.ceil(share * self.count), 1)
+        index = next(index for index, below in enumerate(accumulate(self._bins)) if below >= rank)
         return min(_middle(index), self._maximum) / 1e9
 
     @property
     def maximum(self) -> float:
-        """The longest, s, exact."""
+        """Longest time, s, exact."""
         return self._maximum / 1e9
 
     @property
@@ -64,56 +72,62 @@ class TimeHistogram:
 
 
 def _bin(nanoseconds: int) -> int:
-    """Whole nanoseconds up to 2**_FINENESS, then 2**_FINENESS bins per doubling."""
+    """Return the bin of a time: bins of 1 ns up to 2**_FINENESS ns, then 2**_FINENESS bins per doubling."""
     doublings = max(nanoseconds.bit_length() - _FINENESS - 1, 0)
     return doublings * _LINEAR + (nanoseconds >> doublings)
 
 
 def _middle(index: int) -> float:
+    """Return the middle of a bin, ns."""
     doublings = max(index // _LINEAR - 1, 0)
     return (index - doublings * _LINEAR + 0.5 * (doublings > 0)) * (1 << doublings)
 
 
-#: Share of the time that a watching ticker sleeps all the same, and of the period that it keeps for waking up: Linux
-#: stops a process of a real-time priority that takes more than 0.95 s of a second (sched_rt_runtime_us) for the rest.
-_REST, _WAKING = 0.1, 0.05
-#: Most of it that ticks without time leave to later ones, ns: what Linux lets nobody take in a second.
-_MOST_OWED = 50_000_000
+#: Fraction of the time that a spinning ticker sleeps. Linux suspends a process of real-time priority that uses more
+#: than 0.95 s per second (sched_rt_runtime_us).
+_REST = 0.1
+#: Fraction of the period that is reserved for waking up.
+_WAKING = 0.05
+#: Largest postponed sleep, ns: the 5 % of a second that Linux reserves for other processes.
+_MAX_OWED = 50_000_000
 
 
 class Ticker:
-    """Deadlines at whole multiples of a period from the start: they never drift, whatever a tick takes.
+    """Clock with deadlines at multiples of a period from the start, which do not drift with the duration of ticks.
 
-    A deadline that passes while another tick is worked on is skipped and counted as missed as soon as the next one has
-    passed, too; the tick after it belongs to the last deadline that has passed. Its lateness is that behind the first
-    deadline which no tick has kept, so that the longest stop of the loop is the largest lateness.
+    If two deadlines pass during a tick, the first is counted as missed, and the next tick belongs to the last deadline
+    that has passed. The lateness of this tick is measured from the first deadline without a tick, so that the longest
+    interruption of the loop is the largest lateness.
 
     Args:
-        period: s.
-        spin: how long before a deadline to stop sleeping and watch the clock, s: a sleep ends late. A tenth of the
-            time is slept through in any case, by ticks that leave some for it.
+        period: period, s.
+        spin: time before a deadline in which the clock is polled instead of sleeping, s, because sleeps end late. A
+            tenth of the time is used for sleep in any case, in ticks that have time left.
         late: lateness from which a tick counts as late, s.
-        clock: nanoseconds that only increase.
-        sleep: waits for a number of seconds, or a bit longer.
+        clock: monotonic clock, ns.
+        sleep: sleeps for a time in s, or slightly longer.
 
     Attributes:
-        number: of the deadline that the current tick belongs to, from 1.
-        ticks, late, missed: how many ticks there were, those that began late, and deadlines without a tick.
-        lateness: of all ticks.
+        number: number of the deadline of the current tick, from 1.
+        ticks: number of ticks.
+        late: number of ticks that began late.
+        missed: number of deadlines without a tick.
+        lateness: histogram of the lateness of all ticks.
 
     Raises:
-        InputError: a period that is not positive, a spin that is negative or not shorter than the period.
+        InputError: `period` is shorter than a microsecond, or `spin` is negative or not shorter than `period`.
     """
 
     def __init__(self, period: float, *, spin: float = 0.0, late: float = LATE,
                  clock: Callable[[], int] = time.monotonic_ns, sleep: Callable[[float], None] = time.sleep):
         if not (math.isfinite(period) and period >= 1e-6):
-            raise InputError(f"{period:g} s is not a period; give at least a microsecond", field="period")
+            raise InputError(f"period must be at least 1e-06 s and finite; got {period:g} s", field="period")
         if not 0 <= spin < period:
-            raise InputError(f"{spin:g} s; give 0 or more, but less than the period of {period:g} s", field="spin")
+            raise InputError(f"spin must be at least 0 and less than the period of {period:g} s; got {spin:g} s",
+                             field="spin")
         self._period, self._spin, self._late = round(period * 1e9), round(spin * 1e9), round(late * 1e9)
         self._waking = round(_WAKING * self._period)
-        #: Sleep that earlier ticks left no time for, ns, as it was counted last.
+        #: Sleep postponed by earlier ticks, and time of its last update, ns.
         self._owed = self._counted = 0
         self._clock, self._sleep = clock, sleep
         self._start = 0
@@ -121,16 +135,16 @@ class Ticker:
         self.lateness = TimeHistogram()
 
     def start(self) -> None:
-        """Set the first deadline one period from now."""
+        """Set the first deadline to one period from now."""
         self._start = self._counted = self._clock()
         self._owed = 0
 
     def wait(self) -> int:
-        """Wait for the next deadline; returns how late it is, ns."""
+        """Wait for the next deadline and return the lateness, ns."""
         clock = self._clock
         deadline = self._start + (self.number + 1) * self._period
         now = clock()
-        self._owed = min(self._owed + round(_REST * (now - self._counted)), _MOST_OWED)
+        self._owed = min(self._owed + round(_REST * (now - self._counted)), _MAX_OWED)
         self._counted = now
         wake = max(deadline - self._spin, min(now + self._owed, deadline - self._waking))
         began = now

@@ -1,4 +1,4 @@
-"""Poses of a tool that holds tissue, relative to the pose at which it touched."""
+"""Poses of a bonded tool relative to the pose of its first touch."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from tissue_sim.pose import Pose, between, motion, turned
 
 
 class TouchFrame:
-    """Maps poses in the scene to poses of a bulk whose mesh was made for one pose of first touch.
+    """Map poses in the scene to poses of a bulk whose mesh was made for one pose of first touch.
 
-    A tool that holds tissue holds it from its first touch on, at the pose of that touch. The bulk is the same for each
-    place of touch: the tissue is taken to be as wide as the contact needs. So the motion from the touch on is applied
-    to the pose for which the bulk was made, and nothing is sheared by a tool that touches elsewhere or leaning.
+    A bonded tool adheres to the tissue at the pose of its first touch. The bulk is the same for all positions of the
+    touch, because the tissue is assumed to be wide. The motion since the touch is therefore applied to the pose for
+    which the bulk was made, and a touch at another position or inclination causes no shear.
 
     Args:
         start: pose of first touch for which the bulk was made.
-        touch: pose of the real one.
+        touch: actual pose of first touch.
     """
 
     def __init__(self, start: Pose, touch: Pose):
@@ -24,22 +24,21 @@ class TouchFrame:
         self._is_identity = start == touch
 
     def into_bulk(self, pose: Pose) -> Pose:
-        """The pose for the bulk at a pose in the scene."""
-        return pose if self._is_identity else _moved_alike(self._touch, pose, self._start)
+        """Return the pose in the frame of the bulk for a pose in the scene."""
+        return pose if self._is_identity else _apply_motion(self._touch, pose, self._start)
 
     def into_scene(self, pose: Pose) -> Pose:
-        """The pose in the scene at a pose for the bulk."""
-        return pose if self._is_identity else _moved_alike(self._start, pose, self._touch)
+        """Return the pose in the scene for a pose in the frame of the bulk."""
+        return pose if self._is_identity else _apply_motion(self._start, pose, self._touch)
 
 
 def first_touch(before: Pose | None, pose: Pose, height: float) -> Pose:
-    """Pose at which a tool touches the surface of a tissue.
+    """Return the pose at which a tool touches the surface of a tissue.
 
     Args:
-        before: the last pose in the air; None: the first step of a tool that is in the tissue. It is then taken to have
-            come straight down.
-        pose: at or below the surface.
-        height: of the surface, m.
+        before: last pose in the air; None if the first step is in the tissue, which counts as a vertical approach.
+        pose: pose at or below the surface.
+        height: height of the surface, m.
     """
     touch = pose
     if before is not None and before.position[2] > height:
@@ -48,8 +47,8 @@ def first_touch(before: Pose | None, pose: Pose, height: float) -> Pose:
     return replace(touch, position=(*touch.position[:2], height))
 
 
-def _moved_alike(start: Pose, end: Pose, other: Pose) -> Pose:
-    """Where another pose goes with the translation and rotation from one pose to the next."""
+def _apply_motion(start: Pose, end: Pose, other: Pose) -> Pose:
+    """Apply the translation and rotation from `start` to `end` to another pose."""
     x, y, z, *rotation = motion(start, end)
     a, b, c = other.position
     moved = Pose((a + x, b + y, c + z), other.orientation)

@@ -119,8 +119,8 @@ def run(arguments) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
     import tissue_sim as ts
-    from haptics.loop.multirate import real_time_tissue
     from haptics.loop.real_time import real_time
+    from haptics.loop.tissue_factory import real_time_tissue
     from haptics.server.scene_limits import SceneLimits
     from haptics.server.server import TissueServer
     from haptics.server.steps import ServedTissue

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.report.png import as_png
+from calibration.report.png import render_png
 from tissue_sim.errors import InputError
 
 #: Resolution of the file, dots per inch; one pixel of the rendered view is one pixel of the file.
@@ -110,7 +110,7 @@ def compose_png(render: np.ndarray, levels: Sequence[float] | np.ndarray | None,
         high = min(height - 0.5, 3.2)
         curve = axes(left, margin + 0.5 * (height - high + 0.4), _LAYOUT.curve - 0.6, high)
         _draw_curves(curve, curves, band, now)
-    return as_png(figure, DPI)
+    return render_png(figure, DPI)
 
 
 def _blend_with_white(render: np.ndarray) -> np.ndarray:

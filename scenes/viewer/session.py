@@ -158,7 +158,7 @@ class Session:
             raise InputError("The tool cannot move while the motion is paused. Press Play to continue, or Reset.")
         if self._motion != "hand":
             # HandMotion(None) starts at the tool's present position; the position known here is one frame old.
-            simulation.ask("follow", device=HandMotion(None, HAND_SPEED))
+            simulation.ask("switch_device", device=HandMotion(None, HAND_SPEED))
             self._motion, self._target, self._has_hand_force = "hand", simulation.tool_depth, False
             self._across = simulation.tool_across or self._across
         depth = min(max(self._target if depth is None else depth, self.scene.highest), self.scene.deepest)
@@ -338,7 +338,7 @@ class Session:
         if simulation.phase is Phase.PAUSED:
             simulation.ask("resume")
         # Reset and new device in one command: with two, the tool would pull at tissue to which it is bonded.
-        simulation.ask("follow", device=device, anew=True)
+        simulation.ask("switch_device", device=device, restart=True)
         simulation.forget()
         self._clear_trace()
         self._motion, self._has_hand_force = kind, not isinstance(device, Motion)

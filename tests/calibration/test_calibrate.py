@@ -145,7 +145,7 @@ def test_foreign_folder_and_file_are_left_alone(campaign, tmp_path):
     with pytest.raises(ts.InputError, match="other files"):
         calibration.calibrate([campaign], out)
     assert [path.name for path in out.iterdir()] == ["thesis.txt"]
-    with pytest.raises(ts.InputError, match="is a file"):
+    with pytest.raises(ts.InputError, match="this is a file"):
         calibration.calibrate([campaign], out / "thesis.txt")
 
 
@@ -166,7 +166,7 @@ def test_overwrite_spares_what_no_calibration_wrote(campaign, tmp_path):
     campaign.write_text(TEXT.replace('"mooney_rivlin", ', '"ogden_1", '), encoding="utf-8")
     (tmp_path / "ogden_1.material.json").write_text("by hand", encoding="utf-8")
     before = listing(tmp_path)
-    with pytest.raises(ts.InputError, match=r"ogden_1\.material\.json: is in the way"):
+    with pytest.raises(ts.InputError, match=r"ogden_1\.material\.json: a result would replace this file"):
         calibration.calibrate([campaign], tmp_path, overwrite=True, figures=False)
     assert listing(tmp_path) == before
 
@@ -176,7 +176,7 @@ def test_a_result_never_replaces_what_it_is_made_from(campaign, tmp_path):
     (tmp_path / "fit_1.json").rename(tmp_path / "curves.json")
     campaign.write_text(TEXT.replace('"fit_*.csv"', '"fit_*.csv", "curves.csv"'), encoding="utf-8")
     before = listing(tmp_path)
-    with pytest.raises(ts.InputError, match=r"curves\.csv: is read here"):
+    with pytest.raises(ts.InputError, match=r"curves\.csv: a result would replace this input file"):
         calibration.calibrate([campaign], tmp_path, overwrite=True, figures=False)
     assert listing(tmp_path) == before
 
@@ -185,7 +185,7 @@ def test_a_recording_called_fit_keeps_its_sidecar(campaign, tmp_path):
     (tmp_path / "fit_1.csv").rename(tmp_path / "fit.csv")
     (tmp_path / "fit_1.json").rename(tmp_path / "fit.json")
     campaign.write_text(TEXT.replace('"fit_*.csv"', '"fit.csv"'), encoding="utf-8")
-    with pytest.raises(ts.InputError, match=r"fit\.json: is read here"):
+    with pytest.raises(ts.InputError, match=r"fit\.json: a result would replace this input file"):
         calibration.calibrate([campaign], tmp_path, overwrite=True, figures=False)
 
 
@@ -296,13 +296,13 @@ def test_several_campaigns(campaign, tmp_path):
 def test_a_bad_second_campaign_writes_nothing(campaign, tmp_path):
     bad = tmp_path / "bad.toml"
     bad.write_text(TEXT.replace("height_mm = 70.0", "height_mm = 20.0"), encoding="utf-8")
-    with pytest.raises(ts.InputError, match="deeper than the specimen"):
+    with pytest.raises(ts.InputError, match="must be smaller than the height"):
         calibration.calibrate([campaign, bad], tmp_path / "out")
     same = tmp_path / "again"
     same.mkdir()
     moved = TEXT.replace('["fit_', '["../fit_').replace('["later', '["../later')
     (same / "study.toml").write_text(moved, encoding="utf-8")
-    with pytest.raises(ts.InputError, match="rename one"):
+    with pytest.raises(ts.InputError, match="Rename one"):
         calibration.calibrate([campaign, same / "study.toml"], tmp_path / "out")
     with pytest.raises(ts.InputError, match="at least one campaign"):
         calibration.calibrate([], tmp_path / "out")

@@ -178,9 +178,9 @@ def test_several_campaigns_have_folders_and_are_read_back(campaign, tmp_path):
     assert [result.diagnosis for result in again] == [result.diagnosis for result in results]
     with pytest.raises(ts.InputError, match="the results of other work"):
         calibration.diagnose([campaign, other], tmp_path, law="reduced_polynomial_2")
-    with pytest.raises(ts.InputError, match="two campaign files are called 'plain'"):
+    with pytest.raises(ts.InputError, match="got 'plain' twice"):
         calibration.diagnose([campaign, campaign], tmp_path / "twice")
-    with pytest.raises(ts.InputError, match="pictures are written as"):
+    with pytest.raises(ts.InputError, match="figures_format must be"):
         calibration.diagnose([campaign], tmp_path / "gif", figures_format="gif")
     assert not (tmp_path / "twice").exists() and not (tmp_path / "gif").exists()
 
@@ -199,7 +199,7 @@ def test_pages_of_verdicts(diagnosed, tmp_path):
         return diagnosis_page(replace(parts.diagnosis, **changes), parts.before, None, effects, measured, pictures)
 
     plain = page(Pictures(tmp_path))
-    assert next(iter(summary(plain))) == "Nothing missing" and summary(plain)["Where"] == "Every region agrees."
+    assert next(iter(summary(plain))) == "No effect missing" and summary(plain)["Where"] == "Every region agrees."
     assert plain.count("data:image/png") == 2, "one test that was fitted, and the regions; no candidate to draw"
     statements = [CandidateStatement(name="viscoelasticity", effect="viscoelasticity", category="tissue",
                                      title="viscoelasticity", testable=True, score=9.0, p=5e-5, refitted=True,
@@ -213,8 +213,9 @@ def test_pages_of_verdicts(diagnosed, tmp_path):
                    indistinguishable=["viscoelasticity", "machine_compliance"],
                    next_experiment=[NextExperiment(sentence="hold it", separates=["viscoelasticity"], deviations=12.3)])
     words = summary(several)
-    assert next(iter(words)) == "A set" and words["A set"].strip().startswith("One of two.")
-    assert "Machine compliance (1 : 7.4 against the likeliest): pressing on steel" in words["Told apart by"]
+    assert next(iter(words)) == "Several possible effects"
+    assert words["Several possible effects"].strip().startswith("One of two.")
+    assert "Machine compliance (1 : 7.4 against the most likely effect): pressing on steel" in words["Distinguished by"]
     assert words["Next"] == "Hold it." and "by 12 standard deviations" in several
     assert "c on a bound" in several and "wrong sign" in several and "No face &lt;is&gt; flat" in several
     assert "tilt of a face in later" in several and several.count("data:image/png") == 3

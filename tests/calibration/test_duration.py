@@ -78,7 +78,7 @@ def test_it_says_what_it_tries_and_how_long_to_expect(glued, tmp_path, monkeypat
     assert sentence.startswith("cube: expect ") and "a simulation of its test in space takes" in sentence
     tried = {text.removeprefix("cube: effects, one at a time: ") for text, _ in said if "at a time: " in text}
     assert tried == {"viscoelasticity", "machine compliance"}
-    assert [text for text, _ in said].index("cube: what to measure next") > 0
+    assert [text for text, _ in said].index("cube: choosing the next experiment") > 0
     fitted = {text for text, _ in said if "fits with an effect: " in text}
     assert fitted and {f"cube: fits with an effect: {each.title}" for each in result.diagnosis.candidates
                        if each.refitted} == fitted

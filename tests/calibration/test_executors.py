@@ -203,7 +203,7 @@ def test_no_worker_outlives_its_parent(name, status, task, tmp_path):
 
 
 def test_a_cluster_that_does_not_answer_is_bad_input(monkeypatch, tmp_path):
-    monkeypatch.setattr(dask_cluster, "ANSWER_WITHIN", 0.3)
+    monkeypatch.setattr(dask_cluster, "CONNECT_TIMEOUT", 0.3)
     for address in ("tcp://127.0.0.1:9", "missing.json", "tcp://127.0.0.1", "pigeon://loft:1", ""):
         with pytest.raises(InputError, match="no dask scheduler answers") as caught, open_tasks(Workers(dask=address)):
             pass
@@ -216,7 +216,8 @@ def test_a_scheduler_file_leads_to_the_cluster(cluster, task, tmp_path):
     with open_tasks(Workers(dask=str(file))) as tasks:
         assert tasks.run(task.add, SUMS[:1]) == [3]
     file.write_text("[]")
-    with pytest.raises(InputError, match="is not a scheduler file") as caught, open_tasks(Workers(dask=str(file))):
+    with pytest.raises(InputError, match="a scheduler file must be JSON") as caught, \
+            open_tasks(Workers(dask=str(file))):
         pass
     assert (caught.value.file, caught.value.field) == (file, "dask")
 
@@ -245,10 +246,10 @@ def test_without_the_package_the_remedy_is_named(monkeypatch):
 
 
 def test_workers_that_make_no_sense_are_refused():
-    with pytest.raises(InputError, match="0 worker processes") as caught:
+    with pytest.raises(InputError, match="workers must be at least 1; got 0") as caught:
         Workers(0)
     assert caught.value.field == "workers"
-    with pytest.raises(InputError, match="either workers or dask") as caught:
+    with pytest.raises(InputError, match="dask and workers exclude each other") as caught:
         Workers(4, "tcp://127.0.0.1:8786")
     assert caught.value.field == "dask"
 

@@ -254,7 +254,7 @@ def test_a_campaign_that_cannot_run_says_why(tmp_path, capsys):
     path, = put(tmp_path, bluehill(1))
     assert main(["import", str(path), "-o", str(tmp_path / "c.toml"), "--radius-mm", "10", "--height-mm", "2"]) == 1
     said = " ".join(capsys.readouterr().out.split())
-    assert "the campaign cannot be calibrated yet" in said and "deeper than the specimen" in said
+    assert "the campaign cannot be calibrated yet" in said and "must be smaller than the height" in said
     assert sorted(each.suffix for each in tmp_path.iterdir()) == [".csv", ".png", ".toml"]
 
 

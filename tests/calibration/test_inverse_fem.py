@@ -562,8 +562,9 @@ BOUNDS = "\n[fit.bounds]\nC20 = [0.0, 500.0]\n"
 
 class TestRefused:
     @pytest.mark.parametrize(("change", "field", "hint"), [
-        (lambda t: t.replace("height_mm = 70.0", "height_mm = 9.0"), "test[0].recordings", "deeper than the specimen"),
-        (lambda t: t + BOUNDS, "fit.start.C20", "outside its bounds"),
+        (lambda t: t.replace("height_mm = 70.0", "height_mm = 9.0"), "test[0].recordings",
+         "must be smaller than the height"),
+        (lambda t: t + BOUNDS, "fit.start.C20", "must be within its bounds"),
         (lambda t: t.replace("C20 = 600.0", "C20 = -6000.0"), "fit.start", "loses stability"),
         (lambda t: t.replace("C10 = 1400.0", "C10 = -1400.0"), "fit.start", "is no material"),
         (lambda t: t.replace("lubricated_*.csv", "none_*.csv"), "test[0].recordings[0]", "no file matches"),
@@ -574,10 +575,11 @@ class TestRefused:
         (lambda t: t.replace("C20 = 600.0", 'C20 = 600.0, "viscoelastic.terms[0].tao" = 0.3'),
          "fit.start.viscoelastic.terms[0].tao", "did you mean 'viscoelastic.terms[0].tau'"),
         (lambda t: t.replace("C20 = 600.0", 'C20 = 600.0, "softening.loss" = 1.3'), "fit.start.softening.loss",
-         "outside its bounds"),
-        (lambda t: t.replace("lubricated_compression", "needle_indentation"), "test[0].tool", "shape of its tool"),
+         "must be within its bounds"),
+        (lambda t: t.replace("lubricated_compression", "needle_indentation"), "test[0].tool",
+         "requires the shape of the tool"),
         (lambda t: t.replace("lubricated_compression", "friction_compression"), "test[0].friction",
-         "coefficient of friction"),
+         "requires the friction of the plates"),
         (lambda t: t.replace("kind =", "friction = 0.3\nkind ="), "test[0].friction", "friction_compression"),
         (lambda t: t.replace("kind =", 'rig = "none.rig.json"\nkind ='), "test[0].rig", "none.rig.json"),
         (lambda t: t.replace("kind =", 'tool = "flat"\ntool_radius_mm = 8.0\nkind ='), "test[0].tool",
@@ -588,7 +590,8 @@ class TestRefused:
          "both state the bulk response"),
         (lambda t: t.replace("C20 = 600.0", 'C20 = 600.0, "viscoelastic.terms[00].g" = 0.3'),
          "fit.start.viscoelastic.terms[00].g", "no material has"),
-        (lambda t: t.replace("zero_jitter_N = 0.01", "zero_jitter_N = -1"), "noise.zero_jitter_N", "negative"),
+        (lambda t: t.replace("zero_jitter_N = 0.01", "zero_jitter_N = -1"), "noise.zero_jitter_N",
+         "must be at least 0"),
     ], ids=["deep", "bounds", "unstable", "no material", "missing file", "unseen", "incomplete", "path", "value",
             "tool", "friction", "contradiction", "rig", "plate", "bounds of offsets", "unused prior", "bulk twice",
             "index", "jitter"])
@@ -633,7 +636,7 @@ class TestRefused:
                                plates / f"lubricated_{number}.csv")
         start = 'C20 = 600.0, "viscoelastic.terms[0].g" = 0.3, "viscoelastic.terms[0].tau_s" = 3.0'
         error = bad(plates, campaign_text("lubricated", extra="speed_mm_s = 0.248\n").replace("C20 = 600.0", start))
-        assert "stands still" in str(error)
+        assert "has holds or reversals" in str(error)
         assert "speed_mm_s" in error.field
 
     def test_a_hold_that_is_left_out_is_said(self, plates):

@@ -30,7 +30,7 @@ from calibration.fit.result import CalibrationResult
 from calibration.report import curve_figures, estimate_figures, figures
 from calibration.report.drawing import Pictures
 from calibration.report.methods import methods_text
-from calibration.report.png import as_png
+from calibration.report.png import render_png
 from calibration.report.report import report_page
 from calibration.report.units import Units
 from calibration.statistics.sensor_noise import SensorNoise
@@ -254,7 +254,7 @@ def one_test(campaign, test):
     return result.fits, {law: several[TESTS.index(test)] for law, several in curves.items()}, Units.of(result)
 
 
-def test_the_page_stands_alone_and_says_the_verdict_first(campaign, tmp_path):
+def test_the_page_is_self_contained_and_begins_with_the_summary(campaign, tmp_path):
     page = written(campaign, tmp_path)
     assert not re.search(r"(src|href)=[\"']?https?:", page) and "<script" not in page
     # Four tests, predictions, regions, history; two profiles, one correlation; two formulas.
@@ -262,13 +262,13 @@ def test_the_page_stands_alone_and_says_the_verdict_first(campaign, tmp_path):
     verdict = page[page.index('<dl class="verdict">'):page.index("<img")]
     for words in ("<i>C</i><sub>10</sub> = 1.406 ± 0.004 kPa", "<i>C</i><sub>20</sub> = 0.688 ± 0.024 kPa",
                   "fitted to plates, strip only: 0.036 N", "1.7\u00a0%",
-                  "held out of every fit: 0.075 N", "chance alone would make 0.031 N", "0.041 kPa",
+                  "held out of every fit: 0.075 N", "expected by chance: 0.031 N", "0.041 kPa",
                   "determine every parameter of Reduced", "bonded compression to 10 mm would give C01 ± 0.006 kPa"):
         assert words in verdict
     # Misfits, the least probable first, and no region that is as noise.
     assert verdict.index("hold at 10 mm: 0.047 N") < verdict.index("unload from 0 to 10 mm: 0.058 N")
     assert "0.012 N" not in verdict
-    for words in ("low: bound 0", "0.028 mm and the zero by 0.0094 N", "6 degrees of freedom", "up to 0.62 %",
+    for words in ("low: bound 0", "0.028 mm and the force zero by 0.0094 N", "6 degrees of freedom", "up to 0.62 %",
                   "1.00 C20 − 0.08 C10, known to ±\u00a03.5", "4.1e+06", record(PLATES, 1).sha256):
         assert words in page
     last = [step for fit in campaign[0].fits for step in fit.history if step.start == 20]
@@ -296,20 +296,20 @@ def test_without_figures_the_correlation_is_a_table_and_names_cannot_break_the_p
     assert closes(page)
 
 
-def test_a_lone_test_says_that_nothing_was_left_to_predict(campaign, tmp_path):
+def test_the_report_of_a_single_test_states_that_there_is_no_prediction(campaign, tmp_path):
     result, curves = campaign
     bare = msgspec.structs.replace(result.best, regions=[], profiles={}, history=[], nuisances=[], left_out=None)
     alone = replace(result, campaign=replace(result.campaign, tests=(PLATES,)), fits=(bare,), predictions=(),
                     noise=result.noise[:1])
     page = written((alone, {bare.law: curves[bare.law][:1]}), tmp_path)
-    assert "Nothing was left to predict" in page
+    assert "No prediction: all tests were fitted." in page
     # The test, the correlation and the formula.
     assert page.count("data:image/png;base64,") == 3
 
 
 def test_pictures_are_sharp_at_1200_pixels_and_thin_large_recordings(campaign):
     fits, curves, units = one_test(campaign, PLATES)
-    png = as_png(curve_figures.draw_test(fits, curves, units))
+    png = render_png(curve_figures.draw_test(fits, curves, units))
     assert png[:8] == b"\x89PNG\r\n\x1a\n" and int.from_bytes(png[16:20], "big") >= 1200
 
     def longer(c):
@@ -317,7 +317,7 @@ def test_pictures_are_sharp_at_1200_pixels_and_thin_large_recordings(campaign):
                         force=np.repeat(m.force, 100)) for m in c.measured]
         return replace(c, measured=tuple(many), fitted=tuple(np.repeat(f, 100) for f in c.fitted))
 
-    many = as_png(curve_figures.draw_test(fits, {law: longer(c) for law, c in curves.items()}, units))
+    many = render_png(curve_figures.draw_test(fits, {law: longer(c) for law, c in curves.items()}, units))
     assert len(many) < 1.5 * len(png)
 
 

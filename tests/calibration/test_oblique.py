@@ -72,7 +72,7 @@ def test_a_campaign_states_how_the_needle_comes(folder):
 
 
 @pytest.mark.parametrize(("way", "field", "words"), [
-    ("offset_mm = 5.0", "test[0].offset_mm", "give solver = 'solid' too"),
+    ("offset_mm = 5.0", "test[0].offset_mm", "requires solver = 'solid'"),
     ('solver = "solud"', "test[0].solver", "did you mean 'solid'"),
     ('solver = "solid"\noffset_mm = 35.0', "test[0].offset_mm", "reaches beyond the specimen"),
     ('solver = "solid"\ntilt_deg = 85.0', "test[0].tilt_deg", "85 degrees"),

@@ -8,26 +8,26 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from calibration.report.drawing import STYLE, legend_above, panels
-from calibration.report.png import as_png
+from calibration.report.drawing import STYLE, add_legend_above, new_panels
+from calibration.report.png import render_png
 
 DEPTH = np.linspace(0.0, 10.0, 60)
 
 
 def shared():
     """Wide and narrow numbers, a legend above, residuals that share an axis, aligned labels."""
-    figure, axes = panels([3, 2], 3.0)
+    figure, axes = new_panels([3, 2], 3.0)
     for number, each in enumerate(axes):
         each.plot(DEPTH, 10.0 ** (number - 2) * DEPTH**2, label=f"law {number}")
         each.set(xlabel="displacement [mm]", ylabel="model − data [N]", title=f"panel {number}")
     axes[3].sharex(axes[4])
     figure.align_labels()
-    legend_above(figure)
+    add_legend_above(figure)
     return figure
 
 
 def logarithmic():
-    figure, axes = panels([2], 3.0)
+    figure, axes = new_panels([2], 3.0)
     axes[0].loglog(1.0 + DEPTH, np.exp(DEPTH))
     axes[1].semilogx(1.0 + DEPTH, 1e-5 * DEPTH)
     figure.suptitle("both ways")
@@ -87,7 +87,7 @@ def frames(figure):
 def test_as_matplotlib_draws_it(draw, same, dpi):
     with rc_context(STYLE):
         figure, other = draw(), draw()
-        ours, theirs = pixels(as_png(figure, dpi)), pixels(by_matplotlib(other, dpi))
+        ours, theirs = pixels(render_png(figure, dpi)), pixels(by_matplotlib(other, dpi))
     assert figure.dpi == other.dpi and not any("get_tightbbox" in vars(axes) for axes in figure.axes)
     assert ours.shape == theirs.shape
     np.testing.assert_allclose(frames(figure), frames(other), atol=1e-5 if same else 4e-3)
@@ -98,11 +98,11 @@ def test_as_matplotlib_draws_it(draw, same, dpi):
 def test_a_figure_that_was_drawn_can_be_changed_and_drawn_again():
     with rc_context(STYLE):
         figure, other = shared(), shared()
-        as_png(figure, 60)
+        render_png(figure, 60)
         for each in (figure, other):
             each.axes[0].set_ylim(0.0, 12345.0)
             each.axes[1].set_ylabel("another\nname")
-        ours, theirs = pixels(as_png(figure, 60)), pixels(by_matplotlib(other, 60))
+        ours, theirs = pixels(render_png(figure, 60)), pixels(by_matplotlib(other, 60))
     assert (abs(ours - theirs).max(axis=2) > 0.1).mean() < 0.01
 
 
@@ -118,7 +118,7 @@ def test_steps_of_a_drawing_are_not_repeated(monkeypatch):
 
     monkeypatch.setattr(Text, "get_window_extent", counted)
     with rc_context(STYLE):
-        as_png(shared(), 60)
+        render_png(shared(), 60)
         ours = counts.pop("measured")
         by_matplotlib(shared(), 60)
     assert 2 * ours < counts["measured"], f"{ours} texts measured, matplotlib alone {counts['measured']}"

@@ -167,4 +167,4 @@ def test_samples_cut_at_a_failure_are_no_holds_and_returns(tmp_path):
     torn = fit(tmp_path, HEAD + '[[test]]\nkind = "lubricated_compression"\nrecordings = ["torn.csv"]\n'
                '[fit]\nmethod = "inverse_fem"\nlaws = ["neo_hooke"]\nbulk_ratio = 1000.0\nstarts = 1\n')
     words = f"{torn.message} {torn.best.message}"
-    assert "fitted up to there" in words and "holds and returns" not in words
+    assert "fitted up to this sample" in words and "holds and returns" not in words

@@ -8,7 +8,7 @@ import pytest
 import tissue_sim as ts
 from calibration import calibrate
 from calibration.report.curve_figures import draw_test
-from calibration.report.drawing import in_rows
+from calibration.report.drawing import panels_per_row
 from calibration.report.views import local_slopes
 from tissue_sim.errors import InputError
 
@@ -57,7 +57,7 @@ def test_local_slopes_are_those_of_the_curve():
 
 @pytest.mark.parametrize(("count", "rows"), [(1, [1]), (3, [3]), (4, [2, 2]), (5, [3, 2]), (7, [3, 2, 2])])
 def test_panels_are_spread_evenly(count, rows):
-    assert in_rows(count) == rows
+    assert panels_per_row(count) == rows
 
 
 def test_pictures_are_files_beside_the_report_and_are_made_when_asked_for_later(campaign, tmp_path, monkeypatch):
@@ -73,9 +73,9 @@ def test_pictures_are_files_beside_the_report_and_are_made_when_asked_for_later(
     assert not list(out.glob("report_*"))
     views = drawn[-1].axes
     assert [axes.get_title() or axes.get_title(loc="left") for axes in views[:5]] == [
-        "Force and displacement", "Stress and strain", "Tangent modulus", "Course in time", "Relaxation in holds"]
+        "Force and displacement", "Stress and strain", "Tangent modulus", "Load over time", "Relaxation in holds"]
     hold = views[4]
-    assert hold.get_xscale() == "log" and hold.get_xlabel() == "time since the hold began [s]"
+    assert hold.get_xscale() == "log" and hold.get_xlabel() == "time since the start of the hold [s]"
     law = next(line for line in hold.lines if line.get_label() == "Neo-Hooke")
     assert law.get_xdata()[0] == pytest.approx(0.4) and law.get_xdata()[-1] == pytest.approx(40.0)
     result, = calibrate([campaign], out, figures_format="svg")
@@ -89,7 +89,7 @@ def test_pictures_are_files_beside_the_report_and_are_made_when_asked_for_later(
     assert result.resumed
     calibrate([campaign], out, figures_format="pdf", overwrite=True)
     assert {path.suffix for path in out.glob("report_*")} == {".pdf"}, "those of the earlier call are removed"
-    with pytest.raises(InputError, match="svg, pdf, png, not as 'eps'"):
+    with pytest.raises(InputError, match="must be svg, pdf, png or None; got 'eps'"):
         calibrate([campaign], tmp_path / "other", figures_format="eps")
     assert not (tmp_path / "other").exists()
 

@@ -57,8 +57,8 @@ def test_a_fit_that_begins_in_air_is_warned_of(tmp_path):
     assert 'contact = "find"' in result.message
     assert "1 more recording of this test" in result.message
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    section = page[page.index("<h2>Segments"):page.index("<h2>What was assumed")]
-    assert "found: approach, ramp" in section and "moduli come out too small" in section
+    section = page[page.index("<h2>Segments"):page.index("<h2>Assumptions")]
+    assert "found: approach, ramp" in section and "moduli are too small" in section
     picture, = re.findall(r'base64,([^"]+)"', section)
     assert base64.b64decode(picture).startswith(b"\x89PNG")
 
@@ -77,7 +77,7 @@ def test_a_failure_is_cut_kept_or_refused(tmp_path):
     path = tmp_path / "study.toml"
     path.write_text(TEXT.format(keys=everything).replace("max_strain = 0.1\n", ""), encoding="utf-8")
     cut, = calibration.calibrate([path], tmp_path / "cut", figures=False)
-    assert "the specimen ruptures" in cut.message and "fitted up to there" in cut.message
+    assert "the specimen ruptures" in cut.message and "fitted up to this sample" in cut.message
     assert pytest.approx(6 * C10, rel=0.02) == cut.best.E0
     for curve in calibration.read_measured(calibration.load_campaign(path))["lubricated_compression"]:
         assert curve.displacement.max() == pytest.approx(2.5e-3 * (1 - 50 / 250) - AIR, abs=0.05e-3)
@@ -102,7 +102,7 @@ def test_preconditioning_is_left_out_of_an_elastic_fit(tmp_path):
 
 
 @pytest.mark.parametrize(("keys", "problem"), [
-    ('contact = "found"', "did you mean 'find'"), ("contact = nan", "no place"),
+    ('contact = "found"', "did you mean 'find'"), ("contact = nan", "must be a displacement"),
     ('failure = "cutt"', "did you mean 'cut'"), ("contact = 3.0", "ends before its contact")])
 def test_keys_that_make_no_sense_are_refused(tmp_path, keys, problem):
     compress(tmp_path)
@@ -112,9 +112,9 @@ def test_keys_that_make_no_sense_are_refused(tmp_path, keys, problem):
 
 
 @pytest.mark.parametrize(("said", "warned"), [
-    ({"kind": "bonded_compression"}, "it says that it is a bonded_compression, and it is fitted as a "
+    ({"kind": "bonded_compression"}, "the file states the kind bonded_compression; the fit uses "
                                      "lubricated_compression"),
-    ({"tool": {"shape": "flat", "radius_mm": 6}}, "it says that it was measured with a flat of 6 mm radius"),
+    ({"tool": {"shape": "flat", "radius_mm": 6}}, "the file states a flat of 6 mm radius"),
     ({"kind": "lubricated_compression"}, None), ({"tool": "a nail"}, None)])
 def test_a_recording_of_another_test_is_named(tmp_path, said, warned):
     compress(tmp_path)
@@ -122,5 +122,5 @@ def test_a_recording_of_another_test_is_named(tmp_path, said, warned):
         recording = ts.read_recording(path)
         ts.write_recording(recording.with_metadata(**said), path)
     result = fitted(tmp_path, 'contact = "find"', figures=False)
-    assert (warned in result.message) if warned else ("it says that" not in result.message)
+    assert (warned in result.message) if warned else ("the file states" not in result.message)
     assert pytest.approx(6 * C10, rel=0.02) == result.best.E0

@@ -232,14 +232,14 @@ def test_what_gravity_needs(tmp_path):
     specimen = "radius_mm = 40.0\nheight_mm = 70.0\n"
     recordings = [compression()]
     refused(write_campaign(tmp_path, recordings, specimen + "gravity = true"), "specimen[0].density_kg_m3",
-            "gravity = true needs the density")
+            "gravity = true requires the density")
     for kind in ("uniaxial_tension", "simple_shear"):
         refused(write_campaign(tmp_path, recordings, specimen + GRAVITY, kind=kind), "test[0].specimen",
-                f"{kind} does not say how it hangs or lies")
+                f"{kind} does not define the direction of gravity")
     stretch = np.linspace(1.0, 0.9, 20)
     table = ts.Recording({"stretch": stretch, "nominal stress": LAW.nominal_stress(stretch, PHANTOM)})
     refused(write_campaign(tmp_path, [table], specimen + GRAVITY), "test[0].recordings",
-            "differ from slice to slice under gravity = true; give displacement and force")
+            "vary over the height with gravity = true; use displacement and force")
 
 
 @pytest.mark.parametrize("fit", ["", "fixed = { C10 = 1.0 }"])

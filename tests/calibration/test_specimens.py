@@ -80,7 +80,7 @@ def test_specimens_that_are_left_out_are_named_with_the_reason(tmp_path, capsys)
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "Not in the population of" in report and ": animal_2 (C20 on its bound 0 Pa).</p>" in report
     methods = (tmp_path / "out" / "methods.txt").read_text(encoding="utf-8")
-    assert "Of the 2 specimens" in methods and "not in it: animal_2 (C20 on its bound 0 Pa)" in methods
+    assert "Population of 2 specimens" in methods and "not included: animal_2 (C20 on its bound 0 Pa)" in methods
 
 
 def test_without_two_determined_specimens_there_is_no_material(tmp_path, capsys):
@@ -159,7 +159,7 @@ def test_a_specimen_that_no_fit_has_seen_is_predicted_by_the_mean(tmp_path):
     wanted = np.sqrt(stats.t.ppf(0.975, 4)**2 * variance + stats.norm.ppf(0.975)**2 * NOISE**2)
     np.testing.assert_allclose(band, wanted, rtol=1e-3)
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "held out of all fits; its specimen by the mean of 5 others" in report
+    assert "held out of all fits; its specimen from the mean of 5 others" in report
 
 
 def test_an_inverse_fit_predicts_it_alike(tmp_path):

@@ -13,7 +13,7 @@ from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
 from calibration.fit.determination import determine
 from calibration.fit.usability import SETTINGS, contradictions, displacement_R2
-from calibration.report.usability import QUESTIONS
+from calibration.report.usability import CRITERIA
 from scenes.cli import main
 from tissue_sim.recording.screening import Control, LeftOut, Preload, Screening
 
@@ -80,7 +80,7 @@ def test_report_and_material_file_carry_the_other_optimum(tmp_path):
     path = write(tmp_path, [shear(stiffening)], ["ogden_1"], "simple_shear")
     assert main(["calibrate", str(path), "-o", str(tmp_path / "out")]) == 1
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "parameters that fit equally well" in page and QUESTIONS["unique"] in page and "8 or −8" in page
+    assert "parameters that fit equally well" in page and CRITERIA["unique"] in page and "8 or −8" in page
     settings = ts.read_material_file(tmp_path / "out" / "ogden_1.material.json").provenance.settings
     assert settings["status"] == "ambiguous"
     assert settings["alternatives"][0]["parameters"]["alpha1"] == pytest.approx(-8.0, abs=0.01)

@@ -63,9 +63,9 @@ def test_a_running_loop_takes_it_up_and_refuses_one_that_is_not_there(handle, lo
         loop.wait_until_ready(300)
         loop.aim(1e-3)
         with pytest.raises(InputError, match="no handle is there"):
-            loop.follow(open_haptic(f"handle:{tmp_path}"))
+            loop.switch_device(open_haptic(f"handle:{tmp_path}"))
         loop.aim(2e-3)  # the one before is still there
-        loop.follow(open_haptic(f"handle:{tmp_path / 'diary'}"))
+        loop.switch_device(open_haptic(f"handle:{tmp_path / 'diary'}"))
         with pytest.raises(InputError, match="requires a steerable motion; got a StiffHandle"):
             loop.aim(1e-3)
         assert loop.stop().ended_by == "stop"

@@ -238,7 +238,7 @@ def test_another_source_is_followed_and_a_hand_is_steered(run, tissues):
             with pytest.raises(InputError, match=r"requires a steerable motion; got a Ramp\. Follow a HandMotion"):
                 loop.aim(1e-3)
         elif step == 100:
-            loop.follow(HandMotion(2e-3))
+            loop.switch_device(HandMotion(2e-3))
             loop.aim(5e-3)
 
     tissue = tissues.Spring()
@@ -252,7 +252,7 @@ def test_a_hand_takes_the_tool_over_where_it_is(run, tissues):
     """It would jump back where whoever asks knows an older place."""
     def listen(loop):
         if len(tissue.steps) == 100:
-            loop.follow(HandMotion(None))
+            loop.switch_device(HandMotion(None))
             loop.aim(5e-3)
 
     tissue = tissues.Spring()
@@ -266,7 +266,7 @@ def test_another_source_can_begin_anew(run, tissues):
     def listen(loop):
         if len(tissue.steps) == 100 and not done:
             done.append(True)
-            loop.follow(HandMotion(-1e-3), anew=True)
+            loop.switch_device(HandMotion(-1e-3), restart=True)
 
     tissue, done = tissues.Spring(), []
     _, ticks = run(tissue, 0.2, listen=listen)
@@ -317,10 +317,10 @@ def test_a_loop_changes_from_one_device_to_another_that_is_there(run, tissues):
         step = len(tissue.steps)
         if step == 20:
             with pytest.raises(DeviceError, match="no handle is plugged in"):
-                loop.follow(Felt(there=False))
+                loop.switch_device(Felt(there=False))
             assert first.said == [] and len(first.wrenches) == 20
         elif step == 40:
-            loop.follow(other)
+            loop.switch_device(other)
 
     tissue, first, other = tissues.Spring(), Felt(), Felt()
     run(tissue, 0.1, source=first, listen=listen)
@@ -465,7 +465,7 @@ def test_snapshots_are_published_and_follow_the_material(tissues):
             assert seen.snapshot.fields.material == 200.0 and snapshots.latest(after=10**9) is None
             loop.set_parameters(stiffness=300.0)
             assert loop.pattern.fields.material == 300.0
-            loop.follow(HandMotion(0.0))
+            loop.switch_device(HandMotion(0.0))
             loop.aim(3e-3)
             wait_until(lambda: abs(ring.latest()["tool_depth"] - 3e-3) < 1e-6)
             wait_until(lambda: abs(snapshots.latest().snapshot.depth - 3e-3) < 1e-6)

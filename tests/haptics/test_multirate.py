@@ -15,8 +15,9 @@ from haptics.devices.motions import SineMotion
 from haptics.loop.bulk_link import BulkProcess, DelayedBulk
 from haptics.loop.loop import Loop, LoopSettings
 from haptics.loop.model_transition import JUMP
-from haptics.loop.multirate import MultiRateTissue, real_time_tissue
+from haptics.loop.multirate import MultiRateTissue
 from haptics.loop.process import LoopProcess
+from haptics.loop.tissue_factory import real_time_tissue
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.fem.solid.discretisation import make_solver

@@ -206,7 +206,7 @@ def test_a_snapshot_comes_back_with_its_stresses(path, tissues):
         np.testing.assert_array_equal(seen.snapshot.fields.stresses, sent.fields.stresses)
         assert reader.latest(after=1) is None
         reader.pattern = Snapshot(pose, 0.0, tissues.gel_fields(200.0, np.zeros((1, 6))))
-        with pytest.raises(InputError, match="holds 31 numbers where the pattern has 6"):
+        with pytest.raises(InputError, match="must have 31 numbers as the file; got 6"):
             reader.latest()
 
 
@@ -262,7 +262,7 @@ def test_files_of_a_loop_are_this_users_alone(tmp_path, monkeypatch):
     blocked = tmp_path / "file"
     blocked.touch()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(blocked))
-    with pytest.raises(InputError, match="set XDG_RUNTIME_DIR to a folder of yours"):
+    with pytest.raises(InputError, match="set XDG_RUNTIME_DIR to a folder that you own"):
         runtime_folder()
     monkeypatch.delenv("XDG_RUNTIME_DIR")
     assert runtime_folder().is_dir()

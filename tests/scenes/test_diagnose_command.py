@@ -136,7 +136,7 @@ def test_report_begins_with_the_verdict(answer):
     page = Page()
     page.feed(text)
     assert page.open == [] and "http://" not in text and "https://" not in text
-    assert page.texts[:2] == [("dt", "Named"), ("dd", found["message"])]
+    assert page.texts[:2] == [("dt", "One effect"), ("dd", found["message"])]
     cells = [cell for tag, cell in page.texts if tag == "td"]
     assert "viscoelasticity" in cells and "machine compliance" in cells and any("mm/N" in cell for cell in cells)
     # Figures of one test, the regions and the candidates.
@@ -228,5 +228,5 @@ def test_bad_input_is_one_sentence(method, more, words, expected, study, tmp_pat
 def test_other_files_in_the_folder_are_kept(study, tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
     assert run(study, "-o", tmp_path) == 2
-    assert "choose an empty one or add --overwrite" in capsys.readouterr().err
+    assert "choose an empty folder or add --overwrite" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]

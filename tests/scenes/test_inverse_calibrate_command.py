@@ -200,7 +200,8 @@ def test_iteration_table_is_live_on_a_terminal(joint, tmp_path, capsys, monkeypa
     stdout, stderr = capsys.readouterr()
     assert "run" not in stdout.split() and "corrected" not in stdout.split() and stderr == ""
     shown = frames(stream)
-    for sentence in ("looking at the start of reduced_polynomial_2", "1 start", "the difference of the accurate mesh",
+    for sentence in ("checking the start values of reduced_polynomial_2", "1 start",
+                     "the difference of the accurate mesh",
                      "profiles", "tests left out, one at a time", "writing the report"):
         assert any(f"study: {sentence}" in frame for frame in shown)
     (fit,) = read(tmp_path / "out")["fits"]
@@ -395,7 +396,7 @@ def test_number_of_workers_reaches_the_calibration(joint, tmp_path, monkeypatch)
     ("C20 = 600.0", "C20 = -9000.0", "fit.start"),
     ("C20 = 600.0", "C02 = 600.0", "did you mean 'C20'?"),
     ("lubricated_*.csv", "lubricate_*.csv", "recordings"),
-    ("height_mm = 70.0", "height_mm = 7.0", "deeper than the specimen"),
+    ("height_mm = 70.0", "height_mm = 7.0", "must be smaller than the height"),
 ])
 def test_bad_campaign_writes_nothing(old, new, expected, joint, tmp_path, capsys):
     joint.write_text(joint.read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")

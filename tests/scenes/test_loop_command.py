@@ -268,7 +268,7 @@ def test_the_status_line_is_read_from_the_ring(tmp_path):
 @pytest.mark.parametrize(("words", "expected"), [
     (["needle"], "unknown scene 'needle'"),
     (["--seconds", "0"], "must be a positive number; got '0'"),
-    (["--spin-us", "1000"], "spin: 0.001 s; give 0 or more, but less than the period"),
+    (["--spin-us", "1000"], "spin: spin must be at least 0 and less than the period"),
     (["--motion", "jump"], "unknown motion 'jump'; known: random, sine, protocol, hand"),
     (["--motion", "sine:frequency_hz=fast"], "sine.frequency_hz: must be a number; got 'fast'"),
     (["--motion", "sine:frequncy_hz=2"], "sine.frequncy_hz: unknown setting; did you mean 'frequency_hz'?"),

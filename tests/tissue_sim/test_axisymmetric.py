@@ -212,7 +212,7 @@ class TestMesh:
         assert solver.equations.reference.weights.sum() == pytest.approx(np.pi * 0.04**2 * 0.07, rel=1e-12)
 
     def test_mesh_starts_at_the_axis(self):
-        with pytest.raises(ts.InputError, match="starts at the axis"):
+        with pytest.raises(ts.InputError, match="the first radius must be 0, the axis"):
             structured_mesh(np.array([0.01, 0.02]), np.array([-0.07, 0.0]), Q4P0)
 
     def test_folded_mesh_is_refused(self):

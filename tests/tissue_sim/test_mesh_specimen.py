@@ -89,7 +89,8 @@ def test_the_command_line_takes_a_mesh(file, tmp_path, capsys):
     assert main(on_axis) == 2
     assert "requires a cylinder; the specimen is a mesh; take the solver \"solid\" (--solid)" in (
         capsys.readouterr().err)
-    assert "liver.vtu: is 40 m large where its unit is m" in refused("--solid", "--mesh-unit", "m")
+    assert "liver.vtu: the extent must be 0.0001 m to 1 m; got 40 m with the unit m" in refused(
+        "--solid", "--mesh-unit", "m")
     assert "no sides on the surface of the mesh are named 'skull'" in refused("--solid", "--mesh-top", "skull")
     assert "--radius-mm: cannot be combined with --mesh" in refused("--radius-mm", "30")
     assert "reaches beyond the specimen, liver.vtu of 40 x 30 x 20 mm" in refused("--solid", "--offset-mm", "15")

@@ -77,7 +77,7 @@ def test_finer_rings_of_linear_elements_come_to_the_volume_with_order_two():
 
 
 def test_a_circle_beyond_the_cylinder_is_refused():
-    with pytest.raises(InputError, match=r"reaches beyond the cylinder, radius 0\.04 m") as caught:
+    with pytest.raises(InputError, match=r"must be inside the cylinder of radius 0\.04 m") as caught:
         cylinder_solid(0.04, 0.07, HEX8P0, around=2, inward=[0.5, 1.0], outward=[0.0, 1.0], z=[-0.07, 0.0],
                        face_radius=0.01, centre=(0.03, 0.01))
     assert caught.value.field == "centre"

@@ -10,7 +10,7 @@ import tissue_sim as ts
 from tissue_sim.fem.solid import discretisation
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.moved_solid import RingedCylinder, moved_solid
+from tissue_sim.mesh.mesh_mapping import RingedCylinder, map_cylinder
 from tissue_sim.mesh.solid import needle_solid
 from tissue_sim.parameters import parameter, parameter_values, with_values
 
@@ -200,14 +200,14 @@ def test_geometry_moves_the_nodes_of_one_mesh():
 def test_a_moved_mesh_has_its_circle_and_its_side():
     before, after = RingedCylinder(0.04, 0.05, 8e-3, (5e-3, 0.0)), RingedCylinder(0.05, 0.04, 6e-3, (-3e-3, 2e-3))
     mesh = solid_mesh((5e-3, 0.0))
-    moved = moved_solid(mesh, before, after)
+    moved = map_cylinder(mesh, before, after)
     edge = np.intersect1d(mesh.sets["face"], mesh.sets["free"])
     np.testing.assert_allclose(np.hypot(*(moved.nodes[edge, :2] - after.centre).T), 6e-3, rtol=1e-12)
     corners = np.hypot(*mesh.nodes[:, :2].T) > 0.04 * (1 - 1e-12)
     assert corners.sum() > 8
     np.testing.assert_allclose(np.hypot(*moved.nodes[corners, :2].T), 0.05, rtol=1e-12)
     assert moved.nodes[:, 2].min() == pytest.approx(-0.04)
-    np.testing.assert_allclose(moved_solid(moved, after, before).nodes, mesh.nodes, atol=1e-15)
+    np.testing.assert_allclose(map_cylinder(moved, after, before).nodes, mesh.nodes, atol=1e-15)
 
 
 def test_the_force_of_a_recording_is_that_against_the_way():

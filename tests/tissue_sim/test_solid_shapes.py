@@ -85,7 +85,7 @@ def test_mesh_is_closed_and_of_the_shape(case, element):
 
 @pytest.mark.parametrize(("specimen", "place"), [(BLOCK, (0.026, 0.0)), (SHELL, (0.046, 0.0))])
 def test_a_needle_that_reaches_beyond_is_refused(specimen, place):
-    with pytest.raises(ts.InputError, match="reaches beyond the"):
+    with pytest.raises(ts.InputError, match="must be inside the"):
         specimen.solid_mesh(Grading(HEX8P0, 1e-3, 1.8, 8e-3, 2, radius=5e-3, centre=place))
     with pytest.raises(ts.InputError, match=r"reaches beyond the specimen, (length 60|semi axis x 50) mm"):
         ts.KINDS["needle_indentation"].experiment(
@@ -230,7 +230,7 @@ def test_a_block_in_a_campaign(tmp_path):
     result, = calibration.calibrate([path], tmp_path / "out", figures=False)
     assert result.best.parameters["C10"] == pytest.approx(1500.0, rel=1e-3)
     for old, new, words in (
-            ("width_mm = 20.0\n", "", r"specimen\[0\]\.width_mm: a block needs width_mm"),
+            ("width_mm = 20.0\n", "", r"specimen\[0\]\.width_mm: a block requires width_mm"),
             ("width_mm = 20.0", "width_mm = 20.0\nradius_mm = 3.0", "a block has length_mm, not radius_mm")):
         path.write_text(CAMPAIGN.replace(old, new), encoding="utf-8")
         with pytest.raises(ts.InputError, match=words):

@@ -146,5 +146,5 @@ def test_interfaces_are_boundaries_of_elements():
             z = np.unique(mesh.nodes[:, 2])
             for interface in (-0.7e-3, -2.6e-3, -22.6e-3):
                 assert abs(z - interface).min() < 1e-12
-    with pytest.raises(ts.InputError, match="the layers are 80 mm thick, the specimen only 70 mm high"):
+    with pytest.raises(ts.InputError, match="thinner than the specimen, height 70 mm; got 80 mm"):
         build_mesh(model().experiment, "realtime", (ts.Layer(0.08, 2.0),))

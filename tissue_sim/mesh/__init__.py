@@ -1,4 +1,4 @@
-"""Meshes as arrays with named sets."""
+"""Meshes of round specimens as arrays with named node sets, and functions that generate them."""
 
 from tissue_sim.mesh.axisymmetric import (
     Mesh,

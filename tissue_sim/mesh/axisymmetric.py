@@ -1,4 +1,4 @@
-"""Graded structured meshes of a cylinder's half section."""
+"""Graded structured meshes of the half section of a cylinder."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ from tissue_sim.mesh.elements import Element
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Quadrilaterals in the (r, z) half plane; the axis is r = 0, the undeformed top face z = 0, the base z = -height.
+    """Mesh of quadrilaterals in the (r, z) half plane.
+
+    The axis is r = 0, the undeformed top is z = 0 and the base is z = -height.
 
     Attributes:
         element: element type.
         nodes: coordinates, m, shape (n, 2), numbered row by row from base to top.
-        connectivity: node numbers in the element's order, shape (elements, nodes of the element).
-        sets: named node numbers: ``axis``, ``base``, ``top``, ``side``; where a needle comes down also ``face``, the
-            part of the top under its flat face, and ``free``, the rest, both with the node at its edge.
+        connectivity: node numbers in the order of the element, shape (elements, nodes of the element).
+        sets: named node numbers: ``axis``, ``base``, ``top``, ``side``. A mesh under a needle also has ``face``, the
+            part of the top under the flat face of the needle, and ``free``, the rest of the top; both include the node
+            at the edge.
     """
 
     element: Element
@@ -29,19 +32,23 @@ class Mesh:
     sets: dict[str, np.ndarray] = field(default_factory=dict)
 
     def edges(self, name: str) -> np.ndarray:
-        """Element edges all of whose nodes are in a set, as node numbers, ends outside, shape (m, nodes of an edge)."""
+        """Return the element edges with all nodes in a set, as node numbers, shape (m, nodes of an edge).
+
+        The first and the last number of a row are the ends of the edge.
+        """
         sides = self.connectivity[:, np.array(self.element.edges)].reshape(-1, self.element.order + 1)
         return sides[np.isin(sides, self.sets[name]).all(axis=1)]
 
     def stretched(self, factor: float) -> Mesh:
-        """The same mesh, this many times as high."""
+        """Return the mesh with its height multiplied by this factor."""
         return replace(self, nodes=self.nodes * [1.0, factor])
 
     def moved(self, r: tuple[np.ndarray, np.ndarray], z: tuple[np.ndarray, np.ndarray]) -> Mesh:
-        """The same mesh with its lines elsewhere.
+        """Return the mesh with moved mesh lines; positions between the stated lines are interpolated linearly.
 
         Args:
-            r, z: where some lines are and where they shall be, m, each ascending; those between move in proportion.
+            r: old and new radii of some mesh lines, m, each ascending.
+            z: old and new heights of some mesh lines, m, each ascending.
         """
         if np.array_equal(*r) and np.array_equal(*z):
             return self
@@ -49,22 +56,25 @@ class Mesh:
 
 
 def graded_line(length: float, count: int, grading: float = 1.0, ends: str = "last") -> np.ndarray:
-    """Break points of a line divided geometrically.
+    """Divide a line into intervals whose lengths form a geometric series.
 
     Args:
-        length: m.
+        length: length of the line, m.
         count: number of intervals.
-        grading: largest over smallest interval; 1 is uniform.
-        ends: where it is fine: ``first``, ``last`` or ``both``.
+        grading: ratio of the largest to the smallest interval; 1 is uniform.
+        ends: ends with the smallest intervals: ``first``, ``last`` or ``both``.
 
     Returns:
-        count + 1 coordinates from 0 to length.
+        count + 1 coordinates from 0 to length, m.
+
+    Raises:
+        InputError: `count` or `grading` is below 1, or `ends` is unknown.
     """
     if count < 1:
-        raise InputError(f"{count} intervals cannot divide a line; give at least 1", field="count")
+        raise InputError(f"count must be at least 1; got {count}", field="count")
     if grading < 1:
-        raise InputError(f"grading {grading:g} is the largest over the smallest interval; give at least 1",
-                         field="grading")
+        raise InputError(f"grading must be at least 1, the ratio of the largest to the smallest interval; got "
+                         f"{grading:g}", field="grading")
     index = np.arange(count)
     match ends:
         case "first":
@@ -74,7 +84,7 @@ def graded_line(length: float, count: int, grading: float = 1.0, ends: str = "la
         case "both":
             power = np.minimum(index, count - 1 - index)
         case _:
-            raise InputError(f"{ends!r} is not an end; use first, last or both", field="ends")
+            raise InputError(f"ends must be 'first', 'last' or 'both'; got {ends!r}", field="ends")
     steps = grading ** (power / max(1, power.max()))
     points = np.concatenate([[0.0], np.cumsum(steps)]) * (length / steps.sum())
     points[-1] = length
@@ -82,15 +92,18 @@ def graded_line(length: float, count: int, grading: float = 1.0, ends: str = "la
 
 
 def growing_line(length: float, smallest: float, growth: float, largest: float) -> np.ndarray:
-    """Break points of a line whose first interval is about `smallest`, each next one `growth` times as long up to
-    `largest`; all are shortened alike to fit.
+    """Divide a line into growing intervals: each is `growth` times as long as the one before, up to `largest`.
+
+    All intervals are scaled by a common factor to fit the length.
 
     Args:
-        length, smallest, largest: m.
-        growth: at least 1.
+        length: length of the line, m.
+        smallest: approximate length of the first interval, m.
+        growth: ratio of successive intervals, at least 1.
+        largest: limit of the length of an interval, m.
 
     Returns:
-        Coordinates from 0 to length.
+        Coordinates from 0 to length, m.
     """
     steps = [min(smallest, length)]
     while sum(steps) < length * (1 - 1e-9):
@@ -101,7 +114,7 @@ def growing_line(length: float, smallest: float, growth: float, largest: float) 
 
 
 def structured_mesh(r: np.ndarray, z: np.ndarray, element: Element) -> Mesh:
-    """A mesh from element boundaries.
+    """Create a structured mesh from element boundaries.
 
     Args:
         r: radii of the element boundaries, ascending from 0, m.
@@ -109,10 +122,10 @@ def structured_mesh(r: np.ndarray, z: np.ndarray, element: Element) -> Mesh:
         element: element type; mid-side and centre nodes are placed half way.
 
     Raises:
-        InputError: the first radius is not the axis.
+        InputError: the first radius is not 0.
     """
     if r[0] != 0:
-        raise InputError(f"the first radius is {r[0]:g}; the mesh starts at the axis, r = 0", field="mesh.r")
+        raise InputError(f"the first radius must be 0, the axis; got {r[0]:g}", field="mesh.r")
     if element.order == 2:
         r, z = (np.insert(line, np.arange(1, line.size), 0.5 * (line[1:] + line[:-1])) for line in (r, z))
     columns, rows = r.size, z.size
@@ -128,13 +141,14 @@ def structured_mesh(r: np.ndarray, z: np.ndarray, element: Element) -> Mesh:
 
 def cylinder_mesh(radius: float, height: float, elements: tuple[int, int], element: Element, *,
                   grading: tuple[float, float] = (1.0, 1.0)) -> Mesh:
-    """A cylinder, fine towards the side face and towards both end faces, where bonded corners are singular.
+    """Create the mesh of a cylinder with small elements at the side and both ends, where bonded corners are singular.
 
     Args:
-        radius, height: m.
-        elements: number along r and along z.
+        radius: radius of the cylinder, m.
+        height: height of the cylinder, m.
+        elements: number of elements along r and along z.
         element: element type.
-        grading: largest over smallest element along r and along z; 1 is uniform.
+        grading: ratio of the largest to the smallest element along r and along z; 1 is uniform.
     """
     r = graded_line(radius, elements[0], grading[0], "last")
     z = graded_line(height, elements[1], grading[1], "both") - height
@@ -143,12 +157,16 @@ def cylinder_mesh(radius: float, height: float, elements: tuple[int, int], eleme
 
 def needle_mesh(radius: float, height: float, face_radius: float, element: Element, *, smallest: float, growth: float,
                 largest: float) -> Mesh:
-    """A cylinder under a flat-faced needle, fine towards the edge of the face, where the tissue folds.
+    """Create the mesh of a cylinder under a flat needle with small elements at the edge of the needle's face.
 
     Args:
-        radius, height, face_radius: m.
+        radius: radius of the cylinder, m.
+        height: height of the cylinder, m.
+        face_radius: radius of the face of the needle, m.
         element: element type.
-        smallest, growth, largest: of the intervals that lead away from the edge, see `growing_line`.
+        smallest: length of the intervals at the edge, m; see `growing_line`.
+        growth: ratio of successive intervals away from the edge.
+        largest: limit of the length of an interval, m.
     """
     inward = growing_line(face_radius, smallest, growth, largest)
     outward = growing_line(radius - face_radius, smallest, growth, largest)
@@ -156,20 +174,23 @@ def needle_mesh(radius: float, height: float, face_radius: float, element: Eleme
     r[0], r[-1] = 0.0, radius
     mesh = structured_mesh(r, -growing_line(height, smallest, growth, largest)[::-1], element)
     top = mesh.sets["top"]
-    beside = mesh.nodes[top, 0] - face_radius
+    distance = mesh.nodes[top, 0] - face_radius
     slack = 1e-9 * radius
-    return replace(mesh, sets={**mesh.sets, "face": top[beside <= slack], "free": top[beside >= -slack]})
+    return replace(mesh, sets={**mesh.sets, "face": top[distance <= slack], "free": top[distance >= -slack]})
 
 
 def tip_mesh(radius: float, height: float, contact_radius: float, element: Element, *, smallest: float, growth: float,
              largest: float) -> Mesh:
-    """A cylinder under a pointed or rounded tip: even elements under the contact, which grow away from it.
+    """Create the mesh of a cylinder under a pointed or round tip: uniform elements in contact, growing ones outside.
 
     Args:
-        radius, height: m.
-        contact_radius: m; elements are even up to one and a half of it.
+        radius: radius of the cylinder, m.
+        height: height of the cylinder, m.
+        contact_radius: expected radius of the contact, m; elements are uniform up to 1.5 times this radius.
         element: element type.
-        smallest, growth, largest: of the intervals, m; see `growing_line`.
+        smallest: length of the uniform intervals, m; see `growing_line`.
+        growth: ratio of successive intervals outside.
+        largest: limit of the length of an interval, m.
     """
     even = min(1.5 * contact_radius, 0.8 * radius)
     inner = np.linspace(0.0, even, max(2, round(even / smallest)) + 1)
@@ -182,15 +203,15 @@ def tip_mesh(radius: float, height: float, contact_radius: float, element: Eleme
 
 
 def with_lines(z: np.ndarray, interfaces: list[float], least: int) -> np.ndarray:
-    """Element boundaries that meet interfaces, each layer between them at least so many elements thick.
+    """Add interfaces to element boundaries, with a minimum number of elements in each layer.
 
     Args:
-        z: ascending, m.
-        interfaces: inside, m.
-        least: elements between the top and the first interface, and between interfaces.
+        z: element boundaries, ascending, m.
+        interfaces: heights of the interfaces, m.
+        least: minimum number of elements between interfaces, and between the top interface and the top.
 
     Returns:
-        Ascending boundaries. A boundary near an interface moves onto it, others are added.
+        Ascending boundaries, m. A boundary near an interface is moved onto it; otherwise a boundary is added.
     """
     for interface in interfaces:
         k = int(np.argmin(np.abs(z - interface)))

@@ -1,4 +1,4 @@
-"""Meshes of half shells between two ellipsoids."""
+"""Generate meshes of half shells between two ellipsoids."""
 
 from __future__ import annotations
 
@@ -9,47 +9,49 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.mesh.grading import PLATE_RING, Grading
 from tissue_sim.mesh.section import Curve, Section, arc
-from tissue_sim.mesh.solid import SolidMesh, inward_of, raised, with_tool_sets
+from tissue_sim.mesh.solid import SolidMesh, extrude_section, ring_radii, with_tool_sets
 
 
 def ellipsoid_shell(semi_axes: tuple[float, float, float], thickness: float, grading: Grading) -> SolidMesh:
-    """The upper half of a shell, the apex of its outer surface in the origin, with rings of elements about a circle on
-    that surface; the inner surface is the base.
+    """Create the mesh of the upper half of an ellipsoidal shell with rings of elements around a circle.
 
-    A section in a disc of radius 1, in which the distance from the middle is the polar angle, is laid on ellipsoids
-    whose semi-axes become shorter from the outer to the inner one.
+    The apex of the outer surface is the origin and the inner surface is the base. A plane section in the unit disc, in
+    which the distance from the centre is the normalised polar angle, is mapped to ellipsoids whose semi-axes decrease
+    from the outer to the inner surface.
 
     Args:
-        semi_axes: of the outer surface along x, y, z, m. thickness: along the axes, m.
-        grading: of its elements; the circle is one seen from above.
+        semi_axes: semi-axes of the outer surface along x, y, z, m.
+        thickness: thickness along the axes, m.
+        grading: sizes of the elements; the circle is given in the projection along z.
 
     Raises:
-        InputError: a circle that reaches beyond the rim.
+        InputError: the circle is not inside the rim.
     """
     a, b, c = semi_axes
     radius = PLATE_RING * min(a, b) if grading.radius is None else grading.radius
     centre = np.array(grading.centre)
 
-    def on_disc(places: np.ndarray) -> np.ndarray:
-        """Of places seen from above, m, shape (..., 2)."""
-        shares = places / [a, b]
-        sine = np.hypot(shares[..., 0], shares[..., 1])[..., None]
-        return shares * np.where(sine > 0.0, 2.0 / np.pi * np.arcsin(np.minimum(sine, 1.0)) / np.where(
+    def to_disc(points: np.ndarray) -> np.ndarray:
+        """Map (x, y) of points on the outer surface, m, shape (..., 2), to the unit disc."""
+        scaled = points / [a, b]
+        sine = np.hypot(scaled[..., 0], scaled[..., 1])[..., None]
+        return scaled * np.where(sine > 0.0, 2.0 / np.pi * np.arcsin(np.minimum(sine, 1.0)) / np.where(
             sine > 0.0, sine, 1.0), 2.0 / np.pi)
 
     def circle(quarter: int) -> Curve:
-        return lambda t: on_disc(arc(quarter, radius, centre)(t))
+        return lambda t: to_disc(arc(quarter, radius, centre)(t))
 
-    turn = np.linspace(0.0, 2.0 * np.pi, 73)
-    if (np.hypot(*((centre + radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)) / [a, b]).T) >= 1.0).any():
-        raise InputError(f"a circle of radius {radius:g} m about ({centre[0]:g}, {centre[1]:g}) m reaches beyond the "
+    angles = np.linspace(0.0, 2.0 * np.pi, 73)
+    if (np.hypot(*((centre + radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)) / [a, b]).T) >= 1.0).any():
+        raise InputError(f"the circle of radius {radius:g} m about ({centre[0]:g}, {centre[1]:g}) m must be inside the "
                          "rim of the shell", field="centre")
     section = Section(grading.element.order)
-    section.add_disc(centre, radius, inward_of(grading, radius), grading.around, through=on_disc)
+    section.add_disc(centre, radius, ring_radii(grading, radius), grading.around, through=to_disc)
     outward = grading.line(0.25 * np.pi * (max(a, b) + c) - radius)
     for quarter in range(4):
         section.add_ring(circle(quarter), arc(quarter, 1.0), outward / outward[-1], grading.around)
-    flat = raised(section, grading.with_interfaces(-grading.line(thickness)[::-1], thickness), grading.element)
+    flat = extrude_section(section, grading.with_interfaces(-grading.line(thickness)[::-1], thickness),
+                           grading.element)
     u, v, z = flat.nodes.T
     angle, theta = np.arctan2(v, u), 0.5 * np.pi * np.minimum(np.hypot(u, v), 1.0)
     nodes = np.column_stack([(a + z) * np.sin(theta) * np.cos(angle), (b + z) * np.sin(theta) * np.sin(angle),

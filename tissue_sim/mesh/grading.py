@@ -1,4 +1,4 @@
-"""How fine a mesh in space is, and where it is finest."""
+"""Grading of three-dimensional meshes: sizes of the elements and position of the smallest ones."""
 
 from __future__ import annotations
 
@@ -10,24 +10,26 @@ from tissue_sim.errors import InputError
 from tissue_sim.mesh.axisymmetric import growing_line, with_lines
 from tissue_sim.mesh.hexahedra import Hexahedron
 
-#: Radius of the circle that takes a needle's place under a plate, over the distance from the axis to the side.
+#: Radius of the circle of an O-grid under a plate, as a fraction of the radius of the specimen.
 PLATE_RING = 0.6
-#: Share of the tool's radius to which the square core of an O-grid reaches.
+#: Size of the square core of an O-grid, as a fraction of the radius of the tool.
 CORE = 0.5
 
 
 @dataclass(frozen=True)
 class Grading:
-    """Sizes of elements that lead away from the edge of a tool's face, or from the edges under a plate.
+    """Sizes of elements away from the edge of a tool's face, or from the edges of the specimen under a plate.
 
     Attributes:
-        element: element type; a mesh of a file takes those of its own of the same order.
-        smallest, growth, largest: of the intervals, m; see `growing_line`.
-        around: elements along a quarter of the edge of a needle's face.
-        radius: of the circle under a needle, m; None: a plate covers the whole top.
-        centre: of the circle, seen from above, m.
-        interfaces: depths below the top at which element boundaries lie, ascending, m.
-        least: elements between two of them.
+        element: element type; a mesh from a file uses its own shape of element with the same order.
+        smallest: length of the smallest interval, m; see `growing_line`.
+        growth: ratio of successive intervals.
+        largest: limit of the length of an interval, m.
+        around: number of elements along a quarter of the edge of a needle's face.
+        radius: radius of the circle under a needle, m; None: a plate covers the whole top.
+        centre: (x, y) of the centre of the circle, m.
+        interfaces: depths below the top of required element boundaries, ascending, m.
+        least: minimum number of elements between two interfaces.
     """
 
     element: Hexahedron
@@ -41,23 +43,27 @@ class Grading:
     least: int = 1
 
     def line(self, length: float) -> np.ndarray:
-        """Break points from 0 to a length, m."""
+        """Divide a line of this length, m, into growing intervals; return coordinates from 0."""
         return growing_line(length, self.smallest, self.growth, self.largest)
 
     def line_between(self, length: float) -> np.ndarray:
-        """Break points from 0 to a length, m, fine towards both ends."""
+        """Divide a line of this length, m, with small intervals at both ends; return coordinates from 0."""
         half = self.line(0.5 * length)
         return np.concatenate([half, length - half[-2::-1]])
 
     def with_interfaces(self, heights: np.ndarray, height: float) -> np.ndarray:
-        """Heights of element boundaries below 0, base first, that meet the interfaces too, m.
+        """Add the interfaces to the heights of element boundaries.
+
+        Args:
+            heights: heights of element boundaries, ascending to 0, m.
+            height: height of the specimen, m.
 
         Raises:
-            InputError: interfaces that do not lie inside.
+            InputError: the layers are thicker than the specimen.
         """
         if not self.interfaces:
             return heights
         if self.interfaces[-1] >= height * (1.0 - 1e-9):
-            raise InputError(f"the layers are {self.interfaces[-1] * 1e3:g} mm thick, the specimen only "
-                             f"{height * 1e3:g} mm high", field="layers")
+            raise InputError(f"the layers must be thinner than the specimen, height {height * 1e3:g} mm; got "
+                             f"{self.interfaces[-1] * 1e3:g} mm", field="layers")
         return with_lines(heights, [-depth for depth in self.interfaces], self.least)

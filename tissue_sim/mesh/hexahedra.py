@@ -14,19 +14,18 @@ from tissue_sim.mesh.solid_element import SolidElement
 
 @dataclass(frozen=True)
 class Hexahedron(SolidElement):
-    """A hexahedron of tensor-product Lagrange polynomials, of its order in each direction; nodes are numbered along x
-    first, then y, then z."""
+    """Hexahedron with tensor-product Lagrange polynomials; nodes are numbered along x first, then y, then z."""
 
     @cached_property
-    def _places(self) -> np.ndarray:
-        """Place of each node along x, y and z, shape (nodes, 3)."""
+    def _indices(self) -> np.ndarray:
+        """Index of each node along x, y and z, shape (nodes, 3)."""
         line = np.arange(self.order + 1)
         return np.array([(i, j, k) for k in line for j in line for i in line])
 
     @cached_property
     def reference_nodes(self) -> np.ndarray:
         """Reference coordinates in [-1, 1]^3, shape (nodes, 3)."""
-        return np.linspace(-1.0, 1.0, self.order + 1)[self._places]
+        return np.linspace(-1.0, 1.0, self.order + 1)[self._indices]
 
     @cached_property
     def corners(self) -> np.ndarray:
@@ -34,17 +33,20 @@ class Hexahedron(SolidElement):
 
     @cached_property
     def faces(self) -> np.ndarray:
-        """Nodes of each side, shape (6, nodes of a side): along two directions, the first faster, whose cross product
-        points outwards. Sides are those of least and most x, then y, then z."""
+        """Nodes of each face, shape (6, nodes of a face), in the order -x, +x, -y, +y, -z, +z.
+
+        Nodes are numbered along two directions, the first varying faster; the cross product of the directions points
+        outwards.
+        """
         count = self.order + 1
         numbers = np.arange(count**3).reshape(count, count, count)  # [z, y, x]
         sides = []
         for axis in (2, 1, 0):
             for end in (0, -1):
                 side = np.take(numbers, end, axis=axis)
-                # Of y and z, z and x, x and y the cross product points to more x, y and z.
-                turned = (axis == 1) == (end == -1)
-                sides.append((side.T if turned else side).ravel())
+                # The cross products y * z, z * x and x * y point to +x, +y and +z.
+                is_transposed = (axis == 1) == (end == -1)
+                sides.append((side.T if is_transposed else side).ravel())
         return np.array(sides)
 
     @cached_property
@@ -57,37 +59,38 @@ class Hexahedron(SolidElement):
         return np.array([1, 5, 7, 3] if self.order == 2 else [], dtype=np.intp)
 
     @cached_property
-    def face_shares(self) -> np.ndarray:
-        """Of Simpson's rule, or that of trapezoids."""
+    def face_weights(self) -> np.ndarray:
+        """Weights of Simpson's rule (order 2) or of the trapezoidal rule (order 1)."""
         line = np.array([1.0, 4.0, 1.0]) / 6.0 if self.order == 2 else np.array([0.5, 0.5])
         return np.outer(line, line).ravel()
 
     @cached_property
     def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gauss points (q, 3) and weights (q,), order + 1 in each direction."""
+        """Gauss points, shape (q, 3), and weights, shape (q,), with order + 1 points in each direction."""
         x, w = leggauss(self.order + 1)
-        return x[self._places], w[self._places].prod(axis=1)
+        return x[self._indices], w[self._indices].prod(axis=1)
 
     @cached_property
     def from_quadrature(self) -> np.ndarray:
-        """Weights of the quadrature points in the nodes, of the polynomial through them, shape (nodes, q)."""
+        """Matrix that extrapolates values at the quadrature points to the nodes, shape (nodes, q)."""
         return np.linalg.inv(self.shape_functions(self.quadrature[0])[0])
 
     def shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values (q, nodes) and reference gradients (q, nodes, 3) at reference points (q, 3)."""
+        """Return values (q, nodes) and reference gradients (q, nodes, 3) at reference points (q, 3)."""
         values, slopes = zip(*(lagrange(points[:, axis], self.order) for axis in range(3)), strict=True)
-        along = [(values[axis][:, self._places[:, axis]], slopes[axis][:, self._places[:, axis]]) for axis in range(3)]
-        (vx, sx), (vy, sy), (vz, sz) = along
+        factors = [(values[axis][:, self._indices[:, axis]], slopes[axis][:, self._indices[:, axis]])
+                   for axis in range(3)]
+        (vx, sx), (vy, sy), (vz, sz) = factors
         return vx * vy * vz, np.stack([sx * vy * vz, vx * sy * vz, vx * vy * sz], axis=-1)
 
     def corner_functions(self, points: np.ndarray) -> np.ndarray:
-        """Trilinear, in the order of `corners`."""
+        """Return the values of the trilinear functions in the order of `corners`, shape (q, 8)."""
         signs = self.reference_nodes[self.corners]
         return (0.5 * (1.0 + signs * points[:, None])).prod(axis=-1)
 
 
-#: Twenty-seven nodes with four discontinuous pressures: for truth (Bathe, Finite Element Procedures, 2014, section
+#: 27-node hexahedron with four discontinuous pressures, for accuracy (Bathe, Finite Element Procedures, 2014, section
 #: 4.4.3, the three-dimensional 27/4 element).
 HEX27P1 = Hexahedron("H27/P-1", order=2, pressure_modes=4)
-#: Eight nodes with one pressure, which is mean dilatation: for speed.
+#: Eight-node hexahedron with one pressure (mean dilatation), for speed.
 HEX8P0 = Hexahedron("H8/P0", order=1, pressure_modes=1)

@@ -1,4 +1,4 @@
-"""Quadrilaterals in the plane: rectangles, discs and rings, from which meshes in space are raised."""
+"""Plane meshes of quadrilaterals made of rectangles, discs and rings, which are extruded to solid meshes."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ from collections.abc import Callable
 
 import numpy as np
 
-#: Nodes nearer to each other than this share of the section's size are one.
+#: Distance below which nodes are merged, as a fraction of the size of the section.
 _SAME = 1e-9
-#: How round the sides of the square in the middle of a disc are: 0 of a square, 1 of a circle.
-_ROUND = 0.4
-#: A map of two coordinates in [0, 1] to (x, y), m.
+#: Roundness of the sides of the core of a disc: 0 for a square, 1 for a circle.
+_ROUNDNESS = 0.4
+#: Map of two coordinates in [0, 1] to (x, y), m.
 _Map = Callable[[np.ndarray, np.ndarray], np.ndarray]
-#: (x, y), m.
-Place = tuple[float, float] | np.ndarray
-#: A map of one coordinate in [0, 1] to (x, y), m.
+#: Coordinates (x, y), m.
+Point = tuple[float, float] | np.ndarray
+#: Map of one coordinate in [0, 1] to (x, y), m.
 Curve = Callable[[np.ndarray], np.ndarray]
 
 
 class Section:
-    """Quadrilaterals in the plane, patch by patch; nodes at one place are one.
+    """Plane mesh of quadrilaterals, assembled from patches; coincident nodes are merged.
 
     Args:
-        order: of the elements.
+        order: polynomial order of the elements.
     """
 
     def __init__(self, order: int):
@@ -31,10 +31,16 @@ class Section:
         self._quads: list[np.ndarray] = []
         self._count = 0
 
-    def add(self, place: _Map, first: np.ndarray, second: np.ndarray) -> None:
-        """Add the elements between these boundaries, from 0 to 1, of a map."""
+    def add(self, mapping: _Map, first: np.ndarray, second: np.ndarray) -> None:
+        """Add a patch of elements.
+
+        Args:
+            mapping: map of the unit square to the plane.
+            first: element boundaries along the first coordinate, from 0 to 1.
+            second: element boundaries along the second coordinate, from 0 to 1.
+        """
         s, t = (self._with_middles(line) for line in (first, second))
-        grid = place(*np.meshgrid(s, t))  # [t, s]
+        grid = mapping(*np.meshgrid(s, t))  # [t, s]
         numbers = np.arange(s.size * t.size).reshape(t.size, s.size) + self._count
         order = self._order
         self._quads += [numbers[j : j + order + 1, i : i + order + 1].ravel()
@@ -43,24 +49,25 @@ class Section:
         self._count += numbers.size
 
     def add_rectangle(self, x: np.ndarray, y: np.ndarray) -> None:
-        """Add the elements between these boundaries, ascending, m."""
+        """Add a rectangle with these element boundaries along x and y, ascending, m."""
         self.add(lambda s, t: np.stack([_between(x, s), _between(y, t)], axis=-1),
                  np.linspace(0, 1, x.size), np.linspace(0, 1, y.size))
 
-    def add_disc(self, centre: Place, radius: float, rings: np.ndarray, around: int,
-                 through: Callable[[np.ndarray], np.ndarray] = lambda places: places) -> None:
-        """Add a square with round sides and rings about it.
+    def add_disc(self, centre: Point, radius: float, rings: np.ndarray, around: int,
+                 through: Callable[[np.ndarray], np.ndarray] = lambda points: points) -> None:
+        """Add a disc as an O-grid: a core with round sides, surrounded by rings.
 
         Args:
-            centre, radius: of the disc, m.
-            rings: radii from that of the square's end, ascending, to 1, over that of the disc.
-            around: elements along a quarter.
-            through: what becomes of places, shape (..., 2).
+            centre: centre of the disc, m.
+            radius: radius of the disc, m.
+            rings: radii of the ring boundaries from the core to 1, ascending, as fractions of the radius of the disc.
+            around: number of elements along a quarter.
+            through: map applied to all points, shape (..., 2).
         """
         core, origin, line = rings[0] * radius, np.asarray(centre), np.linspace(0, 1, around + 1)
 
         def square(s: np.ndarray, t: np.ndarray) -> np.ndarray:
-            # Even angles along the sides of the square.
+            # Uniform angles along the sides of the core.
             return through(origin + core * _rounded_square(*(
                 np.sqrt(2.0) * np.sin(0.25 * np.pi * (2.0 * each - 1.0)) for each in (s, t))))
 
@@ -69,18 +76,33 @@ class Section:
             self.add_ring(_side_of_square(quarter, core, origin), arc(quarter, radius, centre),
                           (rings - rings[0]) / (1.0 - rings[0]), around, through)
 
-    def add_ring(self, near: Curve, far: Curve, shares: np.ndarray, around: int,
-                 through: Callable[[np.ndarray], np.ndarray] = lambda places: places) -> None:
-        """Add the elements between two curves, at these shares of the way from one to the other."""
-        def place(s: np.ndarray, t: np.ndarray) -> np.ndarray:
-            share = s[..., None]
-            return through((1.0 - share) * near(t) + share * far(t))
+    def add_ring(self, near: Curve, far: Curve, fractions: np.ndarray, around: int,
+                 through: Callable[[np.ndarray], np.ndarray] = lambda points: points) -> None:
+        """Add the elements between two curves.
 
-        self.add(place, shares, np.linspace(0, 1, around + 1))
+        Args:
+            near: inner curve.
+            far: outer curve.
+            fractions: element boundaries from the inner (0) to the outer curve (1).
+            around: number of elements along the curves.
+            through: map applied to all points, shape (..., 2).
+        """
+        def mapping(s: np.ndarray, t: np.ndarray) -> np.ndarray:
+            fraction = s[..., None]
+            return through((1.0 - fraction) * near(t) + fraction * far(t))
 
-    def raised(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes, (n, 3), m, and hexahedra over the section between these heights, base first, m."""
-        plane, quads = _joined(np.concatenate(self._nodes), np.array(self._quads))
+        self.add(mapping, fractions, np.linspace(0, 1, around + 1))
+
+    def extrude(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Extrude the section to hexahedra.
+
+        Args:
+            z: heights of the element boundaries, base first, m.
+
+        Returns:
+            Nodes, m, shape (n, 3), and node numbers of the hexahedra.
+        """
+        plane, quads = _merge(np.concatenate(self._nodes), np.array(self._quads))
         heights = self._with_middles(z)
         count, order = len(plane), self._order
         nodes = np.concatenate([np.column_stack([plane, np.full(count, height)]) for height in heights])
@@ -94,65 +116,66 @@ class Section:
         return np.sort(np.concatenate([line, 0.5 * (line[1:] + line[:-1])]))
 
 
-def arc(quarter: int, radius: float, centre: Place = (0.0, 0.0)) -> Curve:
-    """A quarter of a circle, the first about +x, counter-clockwise, m."""
-    def place(t: np.ndarray) -> np.ndarray:
+def arc(quarter: int, radius: float, centre: Point = (0.0, 0.0)) -> Curve:
+    """Return a quarter of a circle, counter-clockwise; quarter 0 is centred on +x."""
+    def curve(t: np.ndarray) -> np.ndarray:
         angle = 0.25 * np.pi * (2.0 * t - 1.0) + 0.5 * np.pi * quarter
         return np.asarray(centre) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
-    return place
+    return curve
 
 
-def side_of_box(quarter: int, low: Place, high: Place, centre: Place) -> Curve:
-    """A side of a rectangle, counter-clockwise, the first at the largest x; half way it is beside `centre`.
+def side_of_box(quarter: int, low: Point, high: Point, centre: Point) -> Curve:
+    """Return a side of a rectangle, counter-clockwise; the middle of the curve is at the coordinate of `centre`.
 
     Args:
-        quarter: number of the side.
-        low, high: its corners with the least and the most x and y, m.
-        centre: of the tool, m.
+        quarter: number of the side; 0 is the side at the largest x.
+        low: corner with the smallest x and y, m.
+        high: corner with the largest x and y, m.
+        centre: centre of the tool, m.
     """
-    across = quarter % 2  # the coordinate that is the same all along
+    across = quarter % 2  # index of the constant coordinate
     end = (high if quarter < 2 else low)[across]
     first, last = (low, high) if quarter in (0, 3) else (high, low)
     line = np.array([first[1 - across], centre[1 - across], last[1 - across]])
 
-    def place(t: np.ndarray) -> np.ndarray:
+    def curve(t: np.ndarray) -> np.ndarray:
         along, fixed = np.interp(t, [0.0, 0.5, 1.0], line), np.full_like(t, end)
         return np.stack([along, fixed] if across else [fixed, along], axis=-1)
 
-    return place
+    return curve
 
 
-def _joined(places: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places without repetitions, and numbers of them."""
+def _merge(points: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Merge coincident points; return the remaining points and the connectivity `numbers` in terms of them."""
     from scipy.spatial import cKDTree
 
-    first = np.arange(len(places))
-    for a, b in sorted(cKDTree(places).query_pairs(_SAME * np.ptp(places))):
+    first = np.arange(len(points))
+    for a, b in sorted(cKDTree(points).query_pairs(_SAME * np.ptp(points))):
         first[b] = first[a]
     kept, inverse = np.unique(first, return_inverse=True)
-    return places[kept], inverse[numbers]
+    return points[kept], inverse[numbers]
 
 
-def _between(line: np.ndarray, share: np.ndarray) -> np.ndarray:
-    return np.interp(share, np.linspace(0, 1, line.size), line)
+def _between(line: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+    return np.interp(fraction, np.linspace(0, 1, line.size), line)
 
 
 def _rounded_square(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """[-1, 1]^2 as a square whose sides bulge outwards and whose corners are at a distance of 1 from the middle."""
+    """Map [-1, 1]^2 to a square with sides that bulge outwards and corners at a distance of 1 from the centre."""
     straight = np.stack([u, v], axis=-1) / np.sqrt(2.0)
     disc = np.stack([u * np.sqrt(1.0 - 0.5 * v**2), v * np.sqrt(1.0 - 0.5 * u**2)], axis=-1)
-    share = _ROUND * np.maximum(np.abs(u), np.abs(v))[..., None]
-    return (1.0 - share) * straight + share * disc
+    weight = _ROUNDNESS * np.maximum(np.abs(u), np.abs(v))[..., None]
+    return (1.0 - weight) * straight + weight * disc
 
 
 def _side_of_square(quarter: int, core: float, centre: np.ndarray) -> Curve:
-    """A side of the square in the middle of a disc."""
-    turn = 0.5 * np.pi * quarter
+    """Return a side of the core of a disc."""
+    angle = 0.5 * np.pi * quarter
 
-    def place(t: np.ndarray) -> np.ndarray:
+    def curve(t: np.ndarray) -> np.ndarray:
         side = _rounded_square(np.ones_like(t), np.sqrt(2.0) * np.sin(0.25 * np.pi * (2.0 * t - 1.0)))
-        return centre + core * np.stack([np.cos(turn) * side[..., 0] - np.sin(turn) * side[..., 1],
-                                         np.sin(turn) * side[..., 0] + np.cos(turn) * side[..., 1]], axis=-1)
+        return centre + core * np.stack([np.cos(angle) * side[..., 0] - np.sin(angle) * side[..., 1],
+                                         np.sin(angle) * side[..., 0] + np.cos(angle) * side[..., 1]], axis=-1)
 
-    return place
+    return curve

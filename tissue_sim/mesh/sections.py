@@ -1,7 +1,7 @@
-"""Bodies of tetrahedra cut by a surface, and triangles cut by it: where a number at the nodes is zero.
+"""Cut tetrahedra and triangles by the zero level of a scalar field at the nodes.
 
-The number is the height over a plane, for one. A node on the surface counts as below it, so that what lies in the
-surface belongs to one of two neighbours.
+The scalar is, for example, the height above a plane. A node with the value zero counts as below, so that a triangle in
+the surface belongs to one of its two neighbours only.
 """
 
 from __future__ import annotations
@@ -10,42 +10,42 @@ from dataclasses import dataclass
 
 import numpy as np
 
-#: Corners of a section through a tetrahedron whose nodes stand in order, those below first, as pairs of its nodes, the
-#: first one below; by how many are above. Of a tetrahedron with a positive volume the section turns upwards.
+#: Number of nodes above -> corners of the section of a tetrahedron, as pairs of its nodes, the first one below. The
+#: nodes are sorted, those below first; for a positive volume the normal of the section points upwards.
 _CORNERS = {3: ((0, 1), (0, 2), (0, 3)), 1: ((0, 3), (1, 3), (2, 3)), 2: ((0, 2), (0, 3), (1, 3), (1, 2))}
 
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """Points on lines between nodes.
+    """Points on edges between nodes.
 
     Attributes:
-        ends: node numbers, the one below first, shape (m, 2); a node on the surface is both of its ends.
-        share: of the way from the first to the second, shape (m,).
+        ends: node numbers, the node below first, shape (m, 2); a node on the surface is both ends.
+        share: position between the first (0) and the second node (1), shape (m,).
     """
 
     ends: np.ndarray
     share: np.ndarray
 
     def carry(self, values: np.ndarray) -> np.ndarray:
-        """Values of the nodes, shape (nodes, ...), at the points, linearly, shape (m, ...)."""
+        """Interpolate values at the nodes, shape (nodes, ...), linearly to the points, shape (m, ...)."""
         first, second = values[self.ends[:, 0]], values[self.ends[:, 1]]
         return first + self.share.reshape(-1, *(1,) * (values.ndim - 1)) * (second - first)
 
     def extend(self, values: np.ndarray) -> np.ndarray:
-        """Values of the nodes, and behind them those at the points, shape (nodes + m, ...)."""
+        """Return the values at the nodes followed by those at the points, shape (nodes + m, ...)."""
         return np.concatenate([values, self.carry(values)])
 
 
 def section(cells: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndarray]:
-    """Where tetrahedra cross height zero.
+    """Return the section of tetrahedra at height zero.
 
     Args:
-        cells: node numbers, each tetrahedron with a positive volume, shape (t, 4).
-        heights: of the nodes, shape (nodes,).
+        cells: node numbers of tetrahedra with positive volume, shape (t, 4).
+        heights: heights of the nodes, shape (nodes,).
 
     Returns:
-        The corners, and the triangles between them, shape (k, 3); their normals point upwards.
+        The corners of the section, and triangles between them, shape (k, 3), with normals that point upwards.
     """
     above = heights[cells] > 0.0
     count = above.sum(axis=1)
@@ -62,11 +62,11 @@ def section(cells: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndarr
         corners += [numbers[:, [0, k, k + 1]] for k in range(1, len(of_nodes) - 1)]
         before += numbers.size
     crossings, point = _crossings(np.concatenate(pairs), heights)
-    return crossings, _real(point[np.concatenate(corners)])
+    return crossings, _without_degenerate(point[np.concatenate(corners)])
 
 
 def section_lines(triangles: np.ndarray, heights: np.ndarray) -> Crossings:
-    """Where triangles cross height zero: the ends of a line for each, shape (2 k,), two behind each other."""
+    """Return the line segments at which triangles cross height zero, as pairs of successive points, 2 k points."""
     _, pairs = _cut_triangles(triangles, heights)
     crossings, number = _crossings(pairs, heights)
     lines = number.reshape(-1, 2)
@@ -75,22 +75,22 @@ def section_lines(triangles: np.ndarray, heights: np.ndarray) -> Crossings:
 
 
 def clip(triangles: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndarray, np.ndarray]:
-    """Triangles cut where they cross height zero.
+    """Cut triangles at height zero into triangles below and above.
 
     Args:
         triangles: node numbers, shape (t, 3).
-        heights: of the nodes, shape (nodes,).
+        heights: heights of the nodes, shape (nodes,).
 
     Returns:
-        The points where edges cross, which are numbered behind the nodes; and the triangles below and above, turned as
-        those that were given.
+        The crossing points of edges, which are numbered after the nodes; and the triangles below and above, with the
+        orientation of the given triangles.
     """
     nodes = len(heights)
     count = (heights[triangles] > 0.0).sum(axis=1)
     turned, pairs = _cut_triangles(triangles, heights)
     crossings, number = _crossings(pairs, heights)
     p, q = (nodes + number).reshape(-1, 2).T
-    # A crossing at a node is the node.
+    # A crossing at a node is replaced by the node.
     at_node = np.concatenate([np.arange(nodes), np.where(crossings.share == 0.0, crossings.ends[:, 0],
                                                          nodes + np.arange(len(crossings.share)))])
     alone, b, c = turned.T
@@ -100,12 +100,16 @@ def clip(triangles: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndar
     twice = np.concatenate([tip_is_above, tip_is_above])
     below = np.concatenate([triangles[count == 0], tip[~tip_is_above], rest[twice]])
     above = np.concatenate([triangles[count == 3], tip[tip_is_above], rest[~twice]])
-    return crossings, _real(below), _real(above)
+    return crossings, _without_degenerate(below), _without_degenerate(above)
 
 
 def _cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles that cross, turned so that the node which is alone on its side comes first, shape (k, 3); and the two
-    edges from it, as pairs with the node below first, shape (2 k, 2)."""
+    """Return the triangles that cross height zero, and their crossing edges.
+
+    Returns:
+        Triangles with the node that is alone on its side first, shape (k, 3); and the two edges from this node, as
+        pairs with the node below first, shape (2 k, 2).
+    """
     above = heights[triangles] > 0.0
     count = above.sum(axis=1)
     cut = np.flatnonzero((count == 1) | (count == 2))
@@ -119,7 +123,7 @@ def _cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[np.ndarr
 
 
 def _crossings(pairs: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndarray]:
-    """Points between pairs of nodes, each once, and the number of each pair's point."""
+    """Return the distinct crossing points between pairs of nodes, and the number of the point of each pair."""
     low, high = heights[pairs[:, 0]], heights[pairs[:, 1]]
     ends = np.where((low == 0.0)[:, None], pairs[:, :1], pairs)
     _, first, number = np.unique(ends[:, 0].astype(np.int64) * len(heights) + ends[:, 1], return_index=True,
@@ -129,12 +133,12 @@ def _crossings(pairs: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.nd
 
 
 def _is_odd(order: np.ndarray) -> np.ndarray:
-    """Whether permutations (n, k) are odd."""
+    """Return whether each permutation, shape (n, k), is odd."""
     first, second = np.triu_indices(order.shape[1], 1)
     return (order[:, first] > order[:, second]).sum(axis=1) % 2 == 1
 
 
-def _real(triangles: np.ndarray) -> np.ndarray:
-    """Without those that have a corner twice."""
+def _without_degenerate(triangles: np.ndarray) -> np.ndarray:
+    """Remove triangles in which a corner occurs twice."""
     a, b, c = triangles.T
     return triangles[(a != b) & (b != c) & (c != a)]

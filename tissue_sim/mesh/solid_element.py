@@ -1,4 +1,4 @@
-"""What an element of the solid is to the solver: shape functions, quadrature, sides."""
+"""Interface of a solid element: shape functions, quadrature and faces."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 
 @dataclass(frozen=True)
 class SolidElement(ABC):
-    """An element with discontinuous pressures.
+    """Solid element with discontinuous pressures.
 
     Attributes:
-        name: as the field writes it.
-        order: polynomial order of its displacements, 1 or 2.
-        pressure_modes: 1 (constant) or 4 (linear), discontinuous.
+        name: name in the notation of the literature, such as ``H27/P-1``.
+        order: polynomial order of the displacements, 1 or 2.
+        pressure_modes: number of pressure modes, 1 (constant) or 4 (linear), discontinuous.
     """
 
     name: str
@@ -25,7 +25,7 @@ class SolidElement(ABC):
 
     @property
     def nodes(self) -> int:
-        """Of an element."""
+        """Number of nodes of the element."""
         return len(self.reference_nodes)
 
     @property
@@ -41,43 +41,45 @@ class SolidElement(ABC):
     @property
     @abstractmethod
     def faces(self) -> np.ndarray:
-        """Nodes of each side, shape (sides, nodes of a side); corners go round counter-clockwise from outside."""
+        """Nodes of each face, shape (faces, nodes of a face); corners are counter-clockwise viewed from outside."""
 
     @property
     @abstractmethod
     def face_corners(self) -> np.ndarray:
-        """Places of the corners among the nodes of a side, going round it."""
+        """Indices of the corners among the nodes of a face, in circumferential order."""
 
     @property
     @abstractmethod
     def face_middles(self) -> np.ndarray:
-        """Places of the middles of a side's edges among its nodes, from each of the `face_corners` to the next; none of
-        elements whose edges are straight."""
+        """Indices of the edge midpoints among the nodes of a face, from each of `face_corners` to the next.
+
+        The array is empty for elements with straight edges.
+        """
 
     @property
     @abstractmethod
-    def face_shares(self) -> np.ndarray:
-        """Share of a side's area that each of its nodes stands for, all positive, shape (nodes of a side,)."""
+    def face_weights(self) -> np.ndarray:
+        """Fraction of the area of a face that belongs to each of its nodes, positive, shape (nodes of a face,)."""
 
     @property
     @abstractmethod
     def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
-        """Points (q, 3) and weights (q,)."""
+        """Quadrature points, shape (q, 3), and weights, shape (q,)."""
 
     @property
     @abstractmethod
     def from_quadrature(self) -> np.ndarray:
-        """Weights of the quadrature points in the nodes, of a polynomial through or near them, shape (nodes, q)."""
+        """Matrix that extrapolates values at the quadrature points to the nodes, shape (nodes, q)."""
 
     @abstractmethod
     def shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values (q, nodes) and reference gradients (q, nodes, 3) at reference points (q, 3)."""
+        """Return values (q, nodes) and reference gradients (q, nodes, 3) at reference points (q, 3)."""
 
     @abstractmethod
     def corner_functions(self, points: np.ndarray) -> np.ndarray:
-        """Values (q, corners) of the functions of lowest order, one for each corner."""
+        """Return the values (q, corners) of the lowest-order shape functions, one for each corner."""
 
     @cached_property
-    def corner_shares(self) -> np.ndarray:
-        """Of the corners in the place of each node, shape (nodes, corners)."""
+    def corner_weights(self) -> np.ndarray:
+        """Values of the corner functions at the nodes, shape (nodes, corners)."""
         return self.corner_functions(self.reference_nodes)

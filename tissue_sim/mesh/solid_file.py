@@ -1,4 +1,4 @@
-"""Tetrahedral and hexahedral meshes from files of other programs."""
+"""Read tetrahedral and hexahedral meshes from files of other programs."""
 
 from __future__ import annotations
 
@@ -14,45 +14,48 @@ from tissue_sim.atomic_write import write_bytes
 from tissue_sim.bounded import bounded
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.files import read_bytes
+from tissue_sim.mesh.element_conversion import join_at_corners
 from tissue_sim.mesh.formats.checks import require_size, require_sound, solid_cells
 from tissue_sim.mesh.formats.content import FACES, SIDES, Cells, MeshContent
 from tissue_sim.mesh.formats.inp import read_inp
 from tissue_sim.mesh.formats.through_meshio import read_through_meshio
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.raising import joined_at_corners
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.mesh.solid_element import SolidElement
 from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1, ten_node_functions
 
-#: Largest file, bytes. Endings of files that are known.
+#: Size of the largest accepted file, bytes.
 LARGEST_MESH = 100_000_000
+#: Supported file name extensions.
 ENDINGS = (".msh", ".vtu", ".vtk", ".inp")
-#: Unit of coordinates -> m.
+#: Unit of coordinates -> value in m.
 MESH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
-#: Elements that a file's are raised to, by their shape and the order of their displacements.
-_RAISED: dict[str, Mapping[int, SolidElement]] = {"tetra": {1: TET8P0, 2: TET15P1},
-                                                  "hexahedron": {1: HEX8P0, 2: HEX27P1}}
-#: Reference coordinates of a hexahedron's 27 nodes in the order of VTK; the first eight are its corners.
+#: Element of the solver for each shape in a file and each order of the displacements.
+_ELEMENTS: dict[str, Mapping[int, SolidElement]] = {"tetra": {1: TET8P0, 2: TET15P1},
+                                                    "hexahedron": {1: HEX8P0, 2: HEX27P1}}
+#: Reference coordinates of the 27 nodes of a hexahedron in the order of VTK; the first eight are the corners.
 _HEXAHEDRON = np.array([
     (-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1), (-1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1),
     (0, -1, -1), (1, 0, -1), (0, 1, -1), (-1, 0, -1), (0, -1, 1), (1, 0, 1), (0, 1, 1), (-1, 0, 1),
     (-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0),
     (-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1), (0, 0, 0)], dtype=float)
-#: Places of the corners of VTK in the order of `SolidElement.corners`.
+#: Indices of the corners in VTK order for each corner in the order of `SolidElement.corners`.
 _CORNERS = {"tetra": [0, 1, 2, 3], "hexahedron": [0, 1, 3, 2, 4, 5, 7, 6]}
-#: Sides whose normal is not farther than this from the vertical look up or down, cosine.
+#: Smallest cosine between the normal of an upward face and the vertical.
 _UPWARDS = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class FileMesh:
-    """A sound mesh of a file, in m.
+    """Valid mesh from a file, in m.
 
     Attributes:
-        cells: elements of the volume. points: shape (n, 3), m.
-        sides: of the surface, as places of their corners in `points`, shape (m, corners of a side).
-        named_sides: name -> which of them, sorted. regions: name -> places of elements in `cells`, sorted.
-        digest: SHA-256 of the bytes that it was read from.
+        cells: elements of the volume.
+        points: coordinates, m, shape (n, 3).
+        sides: faces of the surface as indices of their corners in `points`, shape (m, corners of a face).
+        named_sides: named sets of faces as sorted indices in `sides`.
+        regions: named sets of elements as sorted indices in `cells`.
+        digest: SHA-256 of the file.
     """
 
     cells: Cells
@@ -64,14 +67,15 @@ class FileMesh:
 
 
 def read_file_mesh(path: str | Path, unit: str = "mm") -> FileMesh:
-    """The mesh of a file of Gmsh (.msh), VTK (.vtu, .vtk), Abaqus or CalculiX (.inp).
+    """Read a mesh file of Gmsh (.msh), VTK (.vtu, .vtk), Abaqus or CalculiX (.inp).
 
     Args:
-        path: the file.
-        unit: of its coordinates, one of `MESH_UNITS`.
+        path: path of the file.
+        unit: unit of the coordinates, one of `MESH_UNITS`.
 
     Raises:
-        InputError: a file that is none, or a mesh that is not sound, with the number of an element or node in the file.
+        InputError: the file cannot be read, or the mesh is invalid; the error states the number of an element or node
+            in the file.
     """
     path = Path(path)
     if unit not in MESH_UNITS:
@@ -79,7 +83,7 @@ def read_file_mesh(path: str | Path, unit: str = "mm") -> FileMesh:
     if path.suffix.lower() not in ENDINGS:
         raise InputError(f"has the ending {path.suffix!r}, expected a mesh with one of {', '.join(ENDINGS)}", file=path)
     data = read_bytes(path, "a mesh", LARGEST_MESH)
-    # Readers open a file by its name, some of them twice; it may be written anew meanwhile.
+    # Readers open the file by name, some of them twice: a copy cannot change in the meantime.
     with TemporaryDirectory(prefix="tissue_sim_") as folder:
         copy = Path(folder) / path.name
         write_bytes(copy, data)
@@ -96,29 +100,29 @@ def _read(path: Path, unit: str) -> FileMesh:
     content = reader(path, LARGEST_MESH)
     cells = solid_cells(content)
     points = content.points * MESH_UNITS[unit]
-    # Nodes of lines and surfaces alone belong to no element of the volume either.
+    # Nodes that belong only to lines and surfaces are also not part of the volume.
     require_size(points, unit)
     require_sound(cells, points, content.point_numbers)
     return _named(content, cells, points)
 
 
 def _named(content: MeshContent, cells: Cells, points: np.ndarray) -> FileMesh:
-    """Sides of the surface and regions by the names of the file."""
+    """Return the mesh with the faces of its surface and its regions, named as in the file."""
     sides = np.array(SIDES[cells.shape])
-    everyone = cells.corners[:, sides].reshape(-1, sides.shape[1])
-    keys = _keys(everyone, len(points))
+    all_faces = cells.corners[:, sides].reshape(-1, sides.shape[1])
+    keys = _keys(all_faces, len(points))
     _, inverse, times = np.unique(keys, return_inverse=True, return_counts=True)
     outer = times[inverse] == 1
-    surface, outer_keys = everyone[outer], keys[outer]
+    surface, outer_keys = all_faces[outer], keys[outer]
     order = np.argsort(outer_keys)
-    # Where the solids of each block stand in `cells`, and their sides among those of the surface.
+    # Index of the first element of each block in `cells`, and index of each face in the surface (-1 inside).
     starts, start = {}, 0
     for number, block in enumerate(content.cells):
         if block.kind == cells.kind:
             starts[number] = start
             start += len(block.nodes)
-    place = np.full(len(everyone), -1)
-    place[np.flatnonzero(outer)] = np.arange(len(surface))
+    surface_index = np.full(len(all_faces), -1)
+    surface_index[np.flatnonzero(outer)] = np.arange(len(surface))
     found: dict[str, list[np.ndarray]] = {}
     regions: dict[str, np.ndarray] = {}
     for name, blocks in content.cell_sets.items():
@@ -126,115 +130,125 @@ def _named(content: MeshContent, cells: Cells, points: np.ndarray) -> FileMesh:
         regions[name] = np.unique(np.concatenate([np.zeros(0, dtype=np.intp), *members])).astype(np.intp)
         for block, chosen in zip(content.cells, blocks, strict=True):
             if block.kind in FACES and len(chosen) and block.corners.shape[1] == sides.shape[1]:
-                wanted = _keys(block.corners[chosen], len(points))
-                at = np.minimum(np.searchsorted(outer_keys, wanted, sorter=order), len(order) - 1)
-                found.setdefault(name, []).append(order[at[outer_keys[order[at]] == wanted]])
+                face_keys = _keys(block.corners[chosen], len(points))
+                at = np.minimum(np.searchsorted(outer_keys, face_keys, sorter=order), len(order) - 1)
+                found.setdefault(name, []).append(order[at[outer_keys[order[at]] == face_keys]])
     for name, rows in content.side_sets.items():
         rows = rows[[block in starts for block in rows[:, 0].tolist()]] if len(rows) else rows
         at = np.array([len(sides) * (starts[block] + element) + side for block, element, side in rows.tolist()
                        if side < len(sides)], dtype=np.intp)
-        found.setdefault(name, []).append(place[at][place[at] >= 0])
+        found.setdefault(name, []).append(surface_index[at][surface_index[at] >= 0])
     for name, chosen in content.point_sets.items():
         member = np.zeros(len(points), dtype=bool)
         member[chosen] = True
         found.setdefault(name, []).append(np.flatnonzero(member[surface].all(axis=1)))
-    named = {name: np.unique(np.concatenate(places)) for name, places in found.items()}
-    return FileMesh(cells, points, surface, {name: places for name, places in named.items() if places.size},
-                    _apart(regions, len(cells.nodes)))
+    named = {name: np.unique(np.concatenate(members)) for name, members in found.items()}
+    return FileMesh(cells, points, surface, {name: members for name, members in named.items() if members.size},
+                    _disjoint(regions, len(cells.nodes)))
 
 
 def _keys(sides: np.ndarray, points: int) -> np.ndarray:
-    """A number for each side, by three of its corners, which no other side of a sound mesh has; shape (m,)."""
+    """Return a number for each face from three of its corners, unique in a valid mesh, shape (m,)."""
     low = np.sort(sides, axis=1)[:, :3].astype(np.int64)
     return (low[:, 0] * points + low[:, 1]) * points + low[:, 2]
 
 
-def _apart(regions: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
-    """Sets of elements with a name that share none with another; one of all elements is no region."""
-    parts = {name: places for name, places in regions.items() if name and 0 < places.size < count}
+def _disjoint(regions: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
+    """Return the named sets of elements that do not overlap with others, without sets of all elements."""
+    parts = {name: members for name, members in regions.items() if name and 0 < members.size < count}
     times = np.bincount(np.concatenate([np.zeros(0, dtype=np.intp), *parts.values()]), minlength=count)
-    return {name: places for name, places in parts.items() if (times[places] == 1).all()}
+    return {name: members for name, members in parts.items() if (times[members] == 1).all()}
 
 
 def solid_from_file(mesh: FileMesh, order: int = 2, *, base: str | None = None, top: str | None = None) -> SolidMesh:
-    """The mesh with elements of the solver, its base and top named; the middle of the box about the top comes to
-    x = y = 0, its highest node to z = 0.
+    """Convert the mesh of a file to elements of the solver and name its base and top.
+
+    The mesh is translated so that the centre of the bounding box of the top is at x = y = 0 and its highest node at
+    z = 0.
 
     Args:
-        mesh: of a file.
-        order: of the displacements: 1 (`TET8P0`, `HEX8P0`) or 2 (`TET15P1`, `HEX27P1`).
-        base: name in the file of the sides that are held; None: those in the lowest plane.
-        top: of those that the tool may meet; None: those in the highest plane, where nothing is flat there all that
-            look up.
+        mesh: mesh of a file.
+        order: order of the displacements: 1 (`TET8P0`, `HEX8P0`) or 2 (`TET15P1`, `HEX27P1`).
+        base: name in the file of the fixed faces; None: the faces in the lowest plane.
+        top: name in the file of the faces that the tool may touch; None: the faces in the highest plane, or all upward
+            faces if the highest plane contains no face.
 
     Raises:
-        InputError: no such name, nothing in the lowest plane, or a curved element that is turned inside out.
+        InputError: the name does not exist, no face lies in the lowest plane, or a curved element is inverted.
     """
     cells, points = mesh.cells, mesh.points
-    element = _RAISED[cells.shape][order]
+    element = _ELEMENTS[cells.shape][order]
     corners = cells.corners[:, _CORNERS[cells.shape]]
     values = _functions(cells.kind, element.reference_nodes) if order == 2 else _functions(
         cells.shape, element.reference_nodes)
     given = cells.nodes if order == 2 else cells.corners
-    nodes, connectivity = joined_at_corners(element, corners, np.einsum("ng,egi->eni", values, points[given]))
-    _require_round(element, nodes, connectivity, cells)
-    # Corners come first, in the order of the file.
+    nodes, connectivity = join_at_corners(element, corners, np.einsum("ng,egi->eni", values, points[given]))
+    _require_positive_volumes(element, nodes, connectivity, cells)
+    # Corners are first, in the order of the file.
     number = np.full(len(points), -1)
     number[np.unique(corners)] = np.arange(np.unique(corners).size)
     held, met = base_and_top(mesh, base, top)
     chosen = {"base": mesh.sides[held], "top": mesh.sides[met], "side": np.delete(mesh.sides, np.union1d(held, met), 0)}
     nodes = nodes - origin(mesh, met)
-    everyone = connectivity[:, element.faces].reshape(-1, element.faces.shape[1])
-    keys = _keys(everyone[:, element.face_corners], len(points))
+    all_faces = connectivity[:, element.faces].reshape(-1, element.faces.shape[1])
+    keys = _keys(all_faces[:, element.face_corners], len(points))
     sorter = np.argsort(keys)
-    faces = {name: everyone[sorter[np.searchsorted(keys, _keys(number[sides], len(points)), sorter=sorter)]]
+    faces = {name: all_faces[sorter[np.searchsorted(keys, _keys(number[sides], len(points)), sorter=sorter)]]
              for name, sides in chosen.items()}
     return SolidMesh(element, nodes, connectivity, {name: np.unique(each) for name, each in faces.items()}, faces,
                      dict(mesh.regions))
 
 
 def origin(mesh: FileMesh, met: np.ndarray) -> np.ndarray:
-    """The middle of the box about the top, at its highest node, m, shape (3,)."""
+    """Return the centre (x, y) of the bounding box of the top and the height of its highest node, m, shape (3,)."""
     high = mesh.points[np.unique(mesh.sides[met])]
     return np.array([*(0.5 * (high.min(axis=0) + high.max(axis=0)))[:2], high[:, 2].max()])
 
 
-def _functions(kind: str, places: np.ndarray) -> np.ndarray:
-    """Shape functions of a kind of element of a file at reference places of ours, shape (places, its nodes)."""
+def _functions(kind: str, positions: np.ndarray) -> np.ndarray:
+    """Return the shape functions of an element type of a file at reference positions of the solver's element.
+
+    Args:
+        kind: element type of the file.
+        positions: reference coordinates, shape (q, 3).
+
+    Returns:
+        Values, shape (q, nodes of the element type).
+    """
     if kind == "tetra":
-        return TET15P1.corner_functions(places)
+        return TET15P1.corner_functions(positions)
     if kind == "tetra10":
-        return ten_node_functions(places)
+        return ten_node_functions(positions)
     powers = [(i, j, k) for k in range(3) for j in range(3) for i in range(3)]
     count = {"hexahedron": 8, "hexahedron20": 20, "hexahedron27": 27}[kind]
-    # Of the serendipity element no more than one factor is squared, of the trilinear none.
+    # At most one factor is squared in the serendipity element, none in the trilinear element.
     most = {8: 0, 20: 1, 27: 3}[count]
     powers = [each for each in powers if each.count(2) <= most]
 
     def products(points: np.ndarray) -> np.ndarray:
         return np.stack([(points ** np.array(each)).prod(axis=1) for each in powers], axis=-1)
 
-    return products(places) @ np.linalg.inv(products(_HEXAHEDRON[:count]))
+    return products(positions) @ np.linalg.inv(products(_HEXAHEDRON[:count]))
 
 
-def _require_round(element: SolidElement, nodes: np.ndarray, connectivity: np.ndarray, cells: Cells) -> None:
+def _require_positive_volumes(element: SolidElement, nodes: np.ndarray, connectivity: np.ndarray, cells: Cells) -> None:
     _, slopes = element.shape_functions(element.quadrature[0])
     volumes = np.linalg.det(np.einsum("eai,qaj->eqij", nodes[connectivity], slopes)).min(axis=1)
     if not (volumes > 0.0).all():
-        raise InputError(f"element {cells.numbers[np.argmin(volumes)]} is turned inside out by the middles of its "
-                         "edges", field="mesh_file")
+        raise InputError(f"element {cells.numbers[np.argmin(volumes)]} is turned inside out by its mid-edge nodes; "
+                         "correct the mesh", field="mesh_file")
 
 
 def base_and_top(mesh: FileMesh, base: str | None, top: str | None) -> tuple[np.ndarray, np.ndarray]:
-    """Which sides of the surface are held, and which the tool may meet; see `solid_from_file`."""
+    """Return the indices of the fixed faces and of the faces that the tool may touch; see `solid_from_file`."""
     heights = mesh.points[mesh.sides, 2]
     low, high = heights.min(), heights.max()
     slack = 1e-6 * (high - low)
     held = _of_name(mesh, base, "mesh_base") if base is not None else np.flatnonzero(
         (heights <= low + slack).all(axis=1))
     if not held.size:
-        raise InputError("no side of the mesh lies in its lowest plane, on which it could stand; name the sides that "
-                         f"are held (mesh_base, --mesh-base){_known(mesh)}", field="mesh_base")
+        raise InputError("no side of the mesh lies in its lowest plane; name the fixed sides (mesh_base, --mesh-base)"
+                         f"{_known(mesh)}", field="mesh_base")
     if top is not None:
         met = _of_name(mesh, top, "mesh_top")
     else:
@@ -245,26 +259,27 @@ def base_and_top(mesh: FileMesh, base: str | None, top: str | None) -> tuple[np.
             met = np.flatnonzero(normals[:, 2] > _UPWARDS * np.linalg.norm(normals, axis=1))
     met = np.setdiff1d(met, held)
     if not met.size:
-        raise InputError("no side of the mesh is left that a tool could meet; name them (mesh_top, --mesh-top)"
-                         f"{_known(mesh)}", field="mesh_top")
+        raise InputError("no side of the mesh remains for contact with a tool; name the sides of the top (mesh_top, "
+                         f"--mesh-top){_known(mesh)}", field="mesh_top")
     return held, met
 
 
 def _of_name(mesh: FileMesh, name: str, field: str) -> np.ndarray:
-    known = {each.upper(): places for each, places in mesh.named_sides.items()}
+    known = {each.upper(): members for each, members in mesh.named_sides.items()}
     if name.upper() not in known:
         raise InputError(f"no sides on the surface of the mesh are named {name!r}"
-                         f"{nearest(name, mesh.named_sides) if mesh.named_sides else '; it names none'}", field=field)
+                         f"{nearest(name, mesh.named_sides) if mesh.named_sides else '; the file names none'}",
+                         field=field)
     return known[name.upper()]
 
 
 def _known(mesh: FileMesh) -> str:
-    return f"; it names {', '.join(sorted(mesh.named_sides))}" if mesh.named_sides else "; it names none itself"
+    return f"; the file names {', '.join(sorted(mesh.named_sides))}" if mesh.named_sides else "; the file names none"
 
 
 def read_solid(path: str | Path, unit: str = "mm", order: int = 2, *, base: str | None = None,
                top: str | None = None) -> SolidMesh:
-    """The mesh of a file with elements of the solver; see `read_file_mesh` and `solid_from_file`."""
+    """Read the mesh of a file and convert it to elements of the solver; see `read_file_mesh` and `solid_from_file`."""
     mesh = read_file_mesh(path, unit)
     try:
         return solid_from_file(mesh, order, base=base, top=top)

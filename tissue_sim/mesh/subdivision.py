@@ -1,4 +1,4 @@
-"""Elements in space as tetrahedra, and their sides as triangles, between their nodes: for pictures and sections."""
+"""Subdivide solid elements into tetrahedra and their faces into triangles, for figures and sections."""
 
 from __future__ import annotations
 
@@ -7,45 +7,45 @@ from typing import Protocol
 
 import numpy as np
 
-#: Nodes are pressed together along their main diagonal by this share before they are divided: then no choice is left
-#: for those on a lattice, and neighbours on one lattice divide their common side alike (Freudenthal, Annals of
-#: Mathematics 43 (1942) 580).
-_PRESSED = 0.5
-#: Volumes (areas) below this share of the largest one are none.
+#: Compression of the nodes along their main diagonal before the Delaunay triangulation. The triangulation of a lattice
+#: is then unique, and neighbours divide their common face in the same way (Freudenthal, Annals of Mathematics 43
+#: (1942) 580).
+_COMPRESSION = 0.5
+#: Volume (area) below which a tetrahedron (triangle) is degenerate, as a fraction of the largest one.
 _FLAT = 1e-9
 
 
 class DivisibleElement(Protocol):
-    """What is asked of an element in space."""
+    """Properties of a solid element that the subdivision requires."""
 
     def __hash__(self) -> int:
-        """It is divided once."""
+        """Return a hash, under which the subdivision is cached."""
 
     @property
     def reference_nodes(self) -> np.ndarray:
-        """Reference coordinates, of a convex body, shape (nodes, 3)."""
+        """Reference coordinates of a convex body, shape (nodes, 3)."""
 
     @property
     def faces(self) -> np.ndarray:
-        """Nodes of each side, all numbered by one pattern that turns outwards, shape (sides, nodes of a side)."""
+        """Nodes of each face, numbered in the same order with outward orientation, shape (faces, nodes of a face)."""
 
 
 @cache
 def tetrahedra(element: DivisibleElement) -> np.ndarray:
-    """An element as tetrahedra between its nodes.
+    """Subdivide an element into tetrahedra between its nodes.
 
     Returns:
-        Numbers of the element's nodes, shape (t, 4), read-only; each tetrahedron has a positive volume.
+        Node numbers of the element, shape (t, 4), read-only; each tetrahedron has a positive volume.
     """
-    places = element.reference_nodes
-    middle = _middle(places)
+    nodes = element.reference_nodes
+    middle = _central_node(nodes)
     if middle is None:
-        cells = _divided(places)
+        cells = _triangulate(nodes)
     else:
-        # From a node inside to the triangles of all sides, so that neighbours divide their common side alike.
+        # From the central node to the triangles of all faces, so that neighbours divide their common face equally.
         triangles = element.faces[:, side_triangles(element)].reshape(-1, 3)
         cells = np.column_stack([np.full(len(triangles), middle), triangles])
-    edges = places[cells[:, 1:]] - places[cells[:, :1]]
+    edges = nodes[cells[:, 1:]] - nodes[cells[:, :1]]
     volumes = np.linalg.det(edges)
     cells[volumes < 0.0] = cells[volumes < 0.0][:, [0, 2, 1, 3]]
     cells = cells[np.abs(volumes) > _FLAT * np.abs(volumes).max()]
@@ -55,27 +55,27 @@ def tetrahedra(element: DivisibleElement) -> np.ndarray:
 
 @cache
 def side_triangles(element: DivisibleElement) -> np.ndarray:
-    """A side of an element as triangles between its nodes.
+    """Subdivide a face of an element into triangles between its nodes.
 
     Returns:
-        Numbers among the nodes of a row of `faces`, shape (k, 3), read-only; their normals point outwards.
+        Indices among the nodes of a row of `faces`, shape (k, 3), read-only; the normals point outwards.
     """
-    places = element.reference_nodes[element.faces[0]]
-    # Two coordinates are enough: a side lies in a plane.
-    normal = np.abs(np.linalg.svd(places - places.mean(axis=0))[2][2])
+    nodes = element.reference_nodes[element.faces[0]]
+    # Two coordinates are sufficient, because a reference face is plane.
+    normal = np.abs(np.linalg.svd(nodes - nodes.mean(axis=0))[2][2])
     kept = np.delete(np.arange(3), int(np.argmax(normal)))
-    middle = _middle(places)
+    middle = _central_node(nodes)
     if middle is None:
-        triangles = _divided(places[:, kept])
+        triangles = _triangulate(nodes[:, kept])
     else:
-        # Round a node inside: whatever the side of the neighbour begins with, it has the same ones.
-        x, y = (places[:, kept] - places[middle, kept]).T
+        # Triangles around the central node do not depend on the node at which the face of a neighbour begins.
+        x, y = (nodes[:, kept] - nodes[middle, kept]).T
         around = np.argsort(np.arctan2(y, x))
         around = around[around != middle]
         triangles = np.column_stack([np.full(around.size, middle), around, np.roll(around, -1)])
-    a, b, c = np.moveaxis(places[triangles], 1, 0)
+    a, b, c = np.moveaxis(nodes[triangles], 1, 0)
     normals = np.cross(b - a, c - a)
-    inwards = (normals * (places.mean(axis=0) - element.reference_nodes.mean(axis=0))).sum(axis=1) < 0.0
+    inwards = (normals * (nodes.mean(axis=0) - element.reference_nodes.mean(axis=0))).sum(axis=1) < 0.0
     triangles[inwards] = triangles[inwards][:, [0, 2, 1]]
     areas = np.linalg.norm(normals, axis=1)
     triangles = triangles[areas > _FLAT * areas.max()]
@@ -85,7 +85,7 @@ def side_triangles(element: DivisibleElement) -> np.ndarray:
 
 @cache
 def side_edges(element: DivisibleElement) -> np.ndarray:
-    """The lines around a side of an element, numbers among the nodes of a row of `faces`, shape (k, 2), read-only."""
+    """Return the edges around a face as indices among the nodes of a row of `faces`, shape (k, 2), read-only."""
     triangles = side_triangles(element)
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     different, times = np.unique(edges, axis=0, return_counts=True)
@@ -95,27 +95,28 @@ def side_edges(element: DivisibleElement) -> np.ndarray:
 
 
 def surface_triangles(element: DivisibleElement, sides: np.ndarray) -> np.ndarray:
-    """Sides of elements as triangles, normals outwards.
+    """Subdivide faces of elements into triangles with outward normals.
 
     Args:
-        element: their type.
-        sides: node numbers by its pattern, shape (m, nodes of a side).
+        element: element type.
+        sides: node numbers of the faces in the order of the element, shape (m, nodes of a face).
 
     Returns:
-        Node numbers, shape (m k, 3), the triangles of a side behind each other.
+        Node numbers, shape (m k, 3); the triangles of a face are successive.
     """
     return np.take(sides, side_triangles(element), axis=1).reshape(-1, 3)
 
 
-def _middle(places: np.ndarray) -> int | None:
-    """Number of the node that stands in the middle of others, if one does."""
-    away = np.linalg.norm(places - places.mean(axis=0), axis=1)
-    best = int(np.argmin(away))
-    return best if away[best] < 0.1 * away.max() else None
+def _central_node(nodes: np.ndarray) -> int | None:
+    """Return the index of a node at the centroid of all nodes, or None."""
+    distance = np.linalg.norm(nodes - nodes.mean(axis=0), axis=1)
+    nearest = int(np.argmin(distance))
+    return nearest if distance[nearest] < 0.1 * distance.max() else None
 
 
-def _divided(places: np.ndarray) -> np.ndarray:
+def _triangulate(nodes: np.ndarray) -> np.ndarray:
+    """Return the Delaunay simplices of nodes, unique for nodes on a lattice."""
     from scipy.spatial import Delaunay
 
-    pressed = places - _PRESSED * places.mean(axis=1, keepdims=True)
-    return np.array(Delaunay(pressed).simplices, dtype=np.intp)
+    compressed = nodes - _COMPRESSION * nodes.mean(axis=1, keepdims=True)
+    return np.array(Delaunay(compressed).simplices, dtype=np.intp)

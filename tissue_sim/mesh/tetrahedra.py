@@ -1,11 +1,11 @@
 """Mixed displacement-pressure tetrahedra of the solid.
 
-Nodes stand in the order of VTK, Abaqus and CalculiX: corners, then the middles of the edges 01, 12, 20, 03, 13, 23,
-where there are any; then the middles of the sides in the order of `Tetrahedron.faces`, then that of the element.
+Nodes are in the order of VTK, Abaqus and CalculiX: corners, then the midpoints of the edges 01, 12, 20, 03, 13, 23
+(quadratic elements), then the centres of the faces in the order of `Tetrahedron.faces`, then the centre of the element.
 
-A node in the middle of each side lets the volume of the elements beside it change apart from everything else, which is
-what pressures that are constant in an element need so that they neither lock nor oscillate. Ten nodes with one pressure
-have none, and their pressures oscillate: docs/tetrahedra.md has the numbers.
+A node at the centre of each face (bubble function) changes the volume of the adjacent elements independently of other
+nodes. Elements with constant pressure need this for inf-sup stability; without it they lock or their pressures
+oscillate, as with ten nodes and one pressure. Numbers are in docs/tetrahedra.md.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ import numpy as np
 
 from tissue_sim.mesh.solid_element import SolidElement
 
+#: Corners of each edge.
 _EDGES = np.array([(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)])
-#: Corners of each side, counter-clockwise from outside.
+#: Corners of each face, counter-clockwise viewed from outside.
 _SIDES = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])
-#: A rule of degree 5 with 14 points (Walkington, Quadrature on simplices of arbitrary dimension, CMU 2000): barycentric
-#: coordinates of a point, and the weight of each of its permutations as a share of the volume.
+#: Quadrature rule of degree 5 with 14 points (Walkington, Quadrature on simplices of arbitrary dimension, CMU 2000):
+#: barycentric coordinates of a point, and the weight of each of its permutations as a fraction of the volume.
 _DEGREE_5 = (((*3 * (0.31088591926330060980,), 0.06734224221009817060), 0.11268792571801585080),
              ((*3 * (0.092735250310891226402,), 0.72179424906732632079), 0.073493043116361949544),
              ((*2 * (0.045503704125649649492,), *2 * (0.45449629587435035051,)), 0.042546020777081466438))
@@ -30,12 +31,15 @@ _DEGREE_5 = (((*3 * (0.31088591926330060980,), 0.06734224221009817060), 0.112687
 
 @dataclass(frozen=True)
 class Tetrahedron(SolidElement):
-    """A tetrahedron of linear or quadratic polynomials, enriched with a cubic one for each side, and the quadratic one
-    with a quartic one for the interior; reference coordinates are the shares of the corners 1, 2 and 3."""
+    """Tetrahedron with linear or quadratic polynomials, enriched with bubble functions.
+
+    Each face has a cubic bubble; the quadratic element also has a quartic bubble in the interior. The reference
+    coordinates are the barycentric coordinates of the corners 1, 2 and 3.
+    """
 
     @cached_property
     def _barycentric(self) -> np.ndarray:
-        """Of the nodes, shape (nodes, 4)."""
+        """Barycentric coordinates of the nodes, shape (nodes, 4)."""
         corners = np.eye(4)
         if self.order == 1:
             return np.concatenate([corners, corners[_SIDES].mean(axis=1)])
@@ -53,10 +57,10 @@ class Tetrahedron(SolidElement):
 
     @cached_property
     def faces(self) -> np.ndarray:
-        """See `SolidElement.faces`: corners, then the middles of the edges from each to the next, then the middle."""
+        """Nodes of each face: corners, midpoints of the edges from each corner to the next, centre."""
         if self.order == 1:
             return np.column_stack([_SIDES, np.arange(4, 8)])
-        number = {frozenset(edge): 4 + place for place, edge in enumerate(_EDGES.tolist())}
+        number = {frozenset(edge): 4 + index for index, edge in enumerate(_EDGES.tolist())}
         edges = [[number[frozenset((side[i], side[(i + 1) % 3]))] for i in range(3)] for side in _SIDES.tolist()]
         return np.column_stack([_SIDES, edges, np.arange(10, 14)])
 
@@ -69,80 +73,89 @@ class Tetrahedron(SolidElement):
         return np.arange(3, 6) if self.order == 2 else np.zeros(0, dtype=np.intp)
 
     @cached_property
-    def face_shares(self) -> np.ndarray:
-        """The integrals of the shape functions; all positive, which those of six nodes are not."""
+    def face_weights(self) -> np.ndarray:
+        """Normalised integrals of the shape functions; positive, in contrast to those of the six-node triangle."""
         return np.repeat(*((11 / 60, 9 / 20), (3, 1)) if self.order == 1 else ((1 / 20, 2 / 15, 9 / 20), (3, 3, 1)))
 
     @cached_property
     def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
-        """Points and weights, exact for the divergence of all displacements times all pressures of a straight element,
-        of degree 2 or 4. With four points, enough for small deformations of the linear one, its bubbles lose their
-        stability under pressures."""
-        places = [(place, weight / 6.0) for first, weight in _DEGREE_5 for place in sorted(set(permutations(first)))]
-        return np.array([place[1:] for place, _ in places]), np.array([weight for _, weight in places])
+        """Quadrature points, shape (14, 3), and weights, shape (14,).
+
+        The rule integrates the product of divergence and pressure of a straight element exactly (degree 2 or 4). Four
+        points would be sufficient for small deformations of the linear element, but its bubbles then become unstable
+        under pressure.
+        """
+        points = [(point, weight / 6.0) for first, weight in _DEGREE_5 for point in sorted(set(permutations(first)))]
+        return np.array([point[1:] for point, _ in points]), np.array([weight for _, weight in points])
 
     @cached_property
     def from_quadrature(self) -> np.ndarray:
-        """See `SolidElement.from_quadrature`: of the polynomial of the element's order nearest to the points."""
-        powers = _shares if self.order == 1 else _quadratic
+        """Matrix that extrapolates values at the quadrature points to the nodes, shape (nodes, q).
+
+        The values are fitted by a polynomial of the element's order (least squares).
+        """
+        powers = _barycentric_of if self.order == 1 else _quadratic
         return powers(self.reference_nodes) @ np.linalg.pinv(powers(self.quadrature[0]))
 
     def shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values (q, nodes) and reference gradients (q, nodes, 3) at reference points (q, 3)."""
-        shares = _shares(points)
-        # By each share as if the four were independent, then along the reference coordinates.
-        slopes = self._slopes(shares)
-        values = self._functions(shares) @ self._from_nodes
+        """Return values (q, nodes) and reference gradients (q, nodes, 3) at reference points (q, 3)."""
+        barycentric = _barycentric_of(points)
+        # Derivatives by the four barycentric coordinates, taken as independent, then by the reference coordinates.
+        slopes = self._slopes(barycentric)
+        values = self._functions(barycentric) @ self._from_nodes
         return values, np.einsum("qmk,mn->qnk", slopes[..., 1:] - slopes[..., :1], self._from_nodes)
 
     def corner_functions(self, points: np.ndarray) -> np.ndarray:
-        """The shares of the corners."""
-        return _shares(points)
+        """Return the barycentric coordinates at reference points, shape (q, 4)."""
+        return _barycentric_of(points)
 
     @cached_property
     def _from_nodes(self) -> np.ndarray:
-        """Coefficients of the shape functions in `_functions`, shape (nodes, nodes)."""
+        """Coefficients of the shape functions in the basis `_functions`, shape (nodes, nodes)."""
         return np.linalg.inv(self._functions(self._barycentric))
 
     @cached_property
     def _factors(self) -> list[tuple[int, ...]]:
-        """Of each polynomial of the basis the corners whose shares are multiplied."""
+        """Indices of the barycentric coordinates whose product is each polynomial of the basis."""
         sides = [tuple(side) for side in _SIDES.tolist()]
         if self.order == 1:
             return [*((i,) for i in range(4)), *sides]
         return [*((i, i) for i in range(4)), *(tuple(edge) for edge in _EDGES.tolist()), *sides, (0, 1, 2, 3)]
 
-    def _functions(self, shares: np.ndarray) -> np.ndarray:
-        return np.stack([shares[:, list(factors)].prod(axis=1) for factors in self._factors], axis=-1)
+    def _functions(self, barycentric: np.ndarray) -> np.ndarray:
+        """Return the polynomials of the basis, shape (q, nodes)."""
+        return np.stack([barycentric[:, list(factors)].prod(axis=1) for factors in self._factors], axis=-1)
 
-    def _slopes(self, shares: np.ndarray) -> np.ndarray:
-        slopes = np.zeros((len(shares), self.nodes, 4))
+    def _slopes(self, barycentric: np.ndarray) -> np.ndarray:
+        """Return the derivatives of the basis by the four barycentric coordinates, shape (q, nodes, 4)."""
+        slopes = np.zeros((len(barycentric), self.nodes, 4))
         for number, factors in enumerate(self._factors):
-            for place, corner in enumerate(factors):
-                others = [*factors[:place], *factors[place + 1:]]
-                slopes[:, number, corner] += shares[:, others].prod(axis=1)
+            for index, corner in enumerate(factors):
+                others = [*factors[:index], *factors[index + 1:]]
+                slopes[:, number, corner] += barycentric[:, others].prod(axis=1)
         return slopes
 
 
-def _shares(points: np.ndarray) -> np.ndarray:
-    """Of the four corners at reference points, shape (q, 4)."""
+def _barycentric_of(points: np.ndarray) -> np.ndarray:
+    """Return the barycentric coordinates at reference points, shape (q, 4)."""
     return np.concatenate([1.0 - points.sum(axis=1, keepdims=True), points], axis=1)
 
 
 def _quadratic(points: np.ndarray) -> np.ndarray:
-    """Ten products that span the quadratic polynomials, at reference points, shape (q, 10)."""
-    shares = _shares(points)
-    return np.stack([shares[:, i] * shares[:, k] for i in range(4) for k in range(i + 1)], axis=-1)
+    """Return ten products that span the quadratic polynomials at reference points, shape (q, 10)."""
+    barycentric = _barycentric_of(points)
+    return np.stack([barycentric[:, i] * barycentric[:, k] for i in range(4) for k in range(i + 1)], axis=-1)
 
 
 def ten_node_functions(points: np.ndarray) -> np.ndarray:
-    """Shape functions of the plain quadratic tetrahedron, in which files have them, at reference points, (q, 10)."""
-    shares = _shares(points)
-    return np.concatenate([shares * (2.0 * shares - 1.0), 4.0 * shares[:, _EDGES].prod(axis=-1)], axis=1)
+    """Return the shape functions of the ten-node tetrahedron of mesh files at reference points, shape (q, 10)."""
+    barycentric = _barycentric_of(points)
+    return np.concatenate([barycentric * (2.0 * barycentric - 1.0), 4.0 * barycentric[:, _EDGES].prod(axis=-1)],
+                          axis=1)
 
 
-#: Quadratic with bubbles and four discontinuous pressures: for truth (Crouzeix and Raviart, R.A.I.R.O. 7 (1973) 33;
-#: Boffi, Brezzi and Fortin, Mixed Finite Element Methods and Applications, 2013, chapter 8).
+#: Quadratic tetrahedron with bubbles and four discontinuous pressures, for accuracy (Crouzeix and Raviart, R.A.I.R.O. 7
+#: (1973) 33; Boffi, Brezzi and Fortin, Mixed Finite Element Methods and Applications, 2013, chapter 8).
 TET15P1 = Tetrahedron("T15/P-1", order=2, pressure_modes=4)
-#: Linear with bubbles of the sides and one pressure: for speed (Bernardi and Raugel, Math. Comput. 44 (1985) 71).
+#: Linear tetrahedron with face bubbles and one pressure, for speed (Bernardi and Raugel, Math. Comput. 44 (1985) 71).
 TET8P0 = Tetrahedron("T8/P0", order=1, pressure_modes=1)

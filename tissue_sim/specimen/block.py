@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from tissue_sim.mesh.grading import Grading
-    from tissue_sim.mesh.moved_solid import Circle
+    from tissue_sim.mesh.mesh_mapping import Circle
     from tissue_sim.mesh.solid import SolidMesh
 
 
@@ -50,10 +50,10 @@ class Block(Specimen):
         return mesh(self.length, self.width, self.height, grading)
 
     def moved_mesh(self, mesh: SolidMesh, before: Specimen, circles: tuple[Circle, Circle]) -> SolidMesh:
-        from tissue_sim.mesh.moved_solid import moved_block
+        from tissue_sim.mesh.mesh_mapping import map_block
 
         assert isinstance(before, Block)
-        return moved_block(mesh, (before.extent, self.extent), circles)
+        return map_block(mesh, (before.extent, self.extent), circles)
 
     @property
     def extent(self) -> np.ndarray:

@@ -12,7 +12,7 @@ from tissue_sim.specimen.specimen import Specimen, with_article
 
 if TYPE_CHECKING:
     from tissue_sim.mesh.grading import Grading
-    from tissue_sim.mesh.moved_solid import Circle
+    from tissue_sim.mesh.mesh_mapping import Circle
     from tissue_sim.mesh.solid import SolidMesh
 
 
@@ -47,12 +47,12 @@ class Cylinder(Specimen):
         return graded_cylinder(self.radius, self.height, grading)
 
     def moved_mesh(self, mesh: SolidMesh, before: Specimen, circles: tuple[Circle, Circle]) -> SolidMesh:
-        from tissue_sim.mesh.moved_solid import RingedCylinder, moved_solid
+        from tissue_sim.mesh.mesh_mapping import RingedCylinder, map_cylinder
 
         assert isinstance(before, Cylinder)
         old, new = (RingedCylinder(body.radius, body.height, *circle)
                     for body, circle in zip((before, self), circles, strict=True))
-        return moved_solid(mesh, old, new)
+        return map_cylinder(mesh, old, new)
 
 
 def require_cylinder(specimen: Specimen, who: str, instead: str = 'take the solver "solid" (--solid)') -> Cylinder:

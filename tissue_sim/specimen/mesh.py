@@ -13,9 +13,9 @@ from tissue_sim.specimen.specimen import Specimen
 
 if TYPE_CHECKING:
     from tissue_sim.mesh.grading import Grading
-    from tissue_sim.mesh.seen_from_above import SeenFromAbove
     from tissue_sim.mesh.solid import SolidMesh
     from tissue_sim.mesh.solid_file import FileMesh
+    from tissue_sim.mesh.vertical_projection import VerticalProjection
 
 #: Smallest number of corner nodes under a tool.
 _FEWEST = 4
@@ -92,16 +92,16 @@ class MeshSpecimen(Specimen):
         return self._mesh.digest
 
     @cached_property
-    def _seen(self) -> SeenFromAbove:
-        from tissue_sim.mesh.seen_from_above import SeenFromAbove
+    def _seen(self) -> VerticalProjection:
         from tissue_sim.mesh.solid_file import base_and_top, origin
+        from tissue_sim.mesh.vertical_projection import VerticalProjection
 
         mesh = self._mesh
         try:
             held, met = base_and_top(mesh, self.mesh_base, self.mesh_top)
         except InputError as error:
             raise error.located(file=self.mesh_file) from None
-        return SeenFromAbove(mesh.points - origin(mesh, met), mesh.sides[met], mesh.sides[held], mesh.sides)
+        return VerticalProjection(mesh.points - origin(mesh, met), mesh.sides[met], mesh.sides[held], mesh.sides)
 
     @property
     def height(self) -> float:

@@ -21,7 +21,7 @@ from tissue_sim.registry import Registry
 
 if TYPE_CHECKING:
     from tissue_sim.mesh.grading import Grading
-    from tissue_sim.mesh.moved_solid import Circle
+    from tissue_sim.mesh.mesh_mapping import Circle
     from tissue_sim.mesh.solid import SolidMesh
 
 #: Standard value of gravity, m/s2.

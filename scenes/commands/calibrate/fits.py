@@ -10,8 +10,8 @@ from rich.text import Text
 
 from calibration.fit.ranking import ranked_by_held_out
 from calibration.fit.self_weight import statement
-from calibration.report.curve_figures import place_of, probability
-from calibration.report.drawing import counted
+from calibration.report.curve_figures import describe_region, format_probability
+from calibration.report.drawing import format_count
 from calibration.report.page import estimate_of, interval_of, moduli_of, number, remarks_by_law, stable_stretches
 from calibration.report.report_tables import direction_in_words, suggestion_in_words
 from calibration.report.units import Units
@@ -195,13 +195,13 @@ def _misfit_remarks(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units
             more = f"; and {len(bad) - _MAX_REGIONS} more" if len(bad) > _MAX_REGIONS else ""
             yield f"{fit.law}: smooth misfit in {worst}{more}"
         elif fit.regions:
-            yield f"{fit.law}: no smooth misfit in any of {counted(len(fit.regions), 'region')}"
+            yield f"{fit.law}: no smooth misfit in any of {format_count(len(fit.regions), 'region')}"
 
 
 def _describe_misfit(region: Region, test: Test, units: Units) -> str:
     """Return test, range, size and significance of a misfit."""
     size = units.load(test).text(region.misfit_N, 2)
-    return f"{region.test} ({place_of(region, test, units)}): {size}, {probability(region.p)}"
+    return f"{region.test} ({describe_region(region, test, units)}): {size}, {format_probability(region.p)}"
 
 
 def _accuracy_remarks(result: CalibrationResult, tests: Mapping[str, Test], units: Units) -> Iterator[str]:
@@ -217,7 +217,7 @@ def _accuracy_remarks(result: CalibrationResult, tests: Mapping[str, Test], unit
     scatter = ""
     if jitter is not None:
         freedom = "stated" if jitter.freedom is None else "assumed" if not jitter.freedom else \
-            f"from {counted(jitter.freedom, 'degree')} of freedom"
+            f"from {format_count(jitter.freedom, 'degree')} of freedom"
         contact, zero = units.scatter(jitter, result.campaign.tests)
         scatter = f"; scatter between recordings {contact} of contact, {zero} of zero, {freedom}"
     if parts:
@@ -230,6 +230,6 @@ def _accuracy_remarks(result: CalibrationResult, tests: Mapping[str, Test], unit
 
 def _describe_effort(fit: Fit) -> str:
     """Return the computational effort of a fit in words."""
-    return (f"{counted(fit.iterations, 'solve')} from {counted(fit.starts, 'start')}, "
-            f"{counted(fit.fem_solves, 'simulated test')} with profiles and predictions, {fit.cpu_s:.3g} s of "
+    return (f"{format_count(fit.iterations, 'solve')} from {format_count(fit.starts, 'start')}, "
+            f"{format_count(fit.fem_solves, 'simulated test')} with profiles and predictions, {fit.cpu_s:.3g} s of "
             "processor time")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from calibration.report.population import scatter
+from calibration.report.population import format_population
 from scenes.commands.shared.text_table import text_table
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def population_table(fits: Sequence[Fit], units: Units) -> Table | None:
             continue
         if len(fits) > 1:
             table.add_row(fit.law, "", "", "", "")
-        for each in scatter(fit, fit.population, units):
+        for each in format_population(fit, fit.population, units):
             table.add_row(f"{'  ' if len(fits) > 1 else ''}{each.symbol}", each.mean, each.mean_interval, each.spread,
                           each.spread_interval)
     return table

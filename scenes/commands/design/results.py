@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from calibration.report.diagnosis_tables import label_of, labels_of, sizes_in_words
+from calibration.report.diagnosis_tables import candidate_label, candidate_labels, sizes_in_words
 from calibration.report.rounding import value_and_error
 from calibration.report.units import Units
 from scenes.commands.shared.text_table import print_sentence, text_table
@@ -56,14 +56,14 @@ def _parameters_table(design: Design, units: Units) -> Table:
 
 def _detectable_table(design: Design, units: Units) -> Table | None:
     """Return the table of detectable effects, with their smallest detectable size and effects that look alike."""
-    labels = labels_of(design.candidates)
+    labels = candidate_labels(design.candidates)
     rows = [each for each in design.candidates if each.testable]
     if not rows:
         return None
     table = text_table("effect", "detectable from", "similar to", text=3)
     table.columns[2].no_wrap = False
     for each in rows:
-        table.add_row(label_of(each), sizes_in_words(each, units), ", ".join(labels.get(name, name)
+        table.add_row(candidate_label(each), sizes_in_words(each, units), ", ".join(labels.get(name, name)
                                                                             for name in each.twins) or "-")
     return table
 
@@ -77,5 +77,5 @@ def _undetectable_table(design: Design) -> Table | None:
     for column in table.columns[1:]:
         column.no_wrap = False
     for each in rows:
-        table.add_row(label_of(each), each.reason, each.separated_by)
+        table.add_row(candidate_label(each), each.reason, each.separated_by)
     return table

@@ -6,9 +6,15 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from calibration.diagnosis.words import joined
-from calibration.report.diagnosis_page import places
-from calibration.report.diagnosis_tables import absorbed, label_of, labels_of, odds, sizes_in_words
-from calibration.report.drawing import counted
+from calibration.report.diagnosis_page import misfit_sentences
+from calibration.report.diagnosis_tables import (
+    candidate_label,
+    candidate_labels,
+    format_odds,
+    relative_bias,
+    sizes_in_words,
+)
+from calibration.report.drawing import format_count
 from calibration.report.page import estimate_of
 from calibration.report.rounding import gain_text
 from calibration.report.units import Units
@@ -32,7 +38,7 @@ def print_diagnoses(results: Sequence[DiagnosisResult], console: Console) -> Non
         console.print(f"{result.campaign.name}: {diagnosis.verdict}", style="bold", markup=False, emoji=False)
         print_sentence(console, diagnosis.message)
         console.print()
-        for sentence in places(diagnosis):
+        for sentence in misfit_sentences(diagnosis):
             print_sentence(console, f"- {sentence}")
         tables = (_effects_table(diagnosis, units), _parameters_table(diagnosis, units),
                   _held_out_table(diagnosis, units))
@@ -55,10 +61,10 @@ def _effects_table(diagnosis: Diagnosis, units: Units) -> Table | None:
         return None
     table = text_table("effect", "score", "dBIC", "explains", "odds against", "detectable from", text=1)
     for each in detectable[:_MAX_EFFECTS]:
-        table.add_row(label_of(each), "-" if each.score is None else f"{each.score:.1f}",
+        table.add_row(candidate_label(each), "-" if each.score is None else f"{each.score:.1f}",
                       "-" if each.delta_BIC is None else gain_text(each.delta_BIC),
                       "-" if each.explained_percent is None else f"{each.explained_percent:.3g} %",
-                      odds(each.evidence_ratio),
+                      format_odds(each.evidence_ratio),
                       sizes_in_words(each, units))
     return table
 
@@ -73,7 +79,7 @@ def _parameters_table(diagnosis: Diagnosis, units: Units) -> Table:
         row = [(before if name in before.parameters else after or before).symbols[name]]
         row += ["-" if fit is None or name not in fit.parameters else estimate_of(fit, name, units)
                 for fit in (before, after)][:len(headings) - 1]
-        moved = absorbed(before, after, name)
+        moved = relative_bias(before, after, name)
         table.add_row(*[*row, "-" if moved is None else f"{100 * moved:+.2g} %"][:len(headings)])
     return table
 
@@ -95,11 +101,11 @@ def _remarks(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield sentences on further effects, undetectable effects, the next experiments and the computing time."""
     detectable = sum(each.testable for each in diagnosis.candidates)
     if detectable > _MAX_EFFECTS:
-        yield f"{counted(detectable - _MAX_EFFECTS, 'more detectable effect')}: see the report"
-    undetectable = [label_of(each) for each in diagnosis.candidates if not each.testable]
+        yield f"{format_count(detectable - _MAX_EFFECTS, 'more detectable effect')}: see the report"
+    undetectable = [candidate_label(each) for each in diagnosis.candidates if not each.testable]
     if undetectable:
         yield f"not detectable with these tests: {joined(undetectable)}"
-    labels = labels_of(diagnosis.candidates)
+    labels = candidate_labels(diagnosis.candidates)
     for each in diagnosis.next_experiment[:2]:
         names = joined([labels.get(name, name) for name in each.separates])
         yield f"next experiment: {each.sentence}{f' (distinguishes {names})' if names else ''}"

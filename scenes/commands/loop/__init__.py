@@ -156,8 +156,8 @@ def run(arguments) -> int:
     reduced = read_reduced(arguments)
 
     from haptics.loop.loop import LoopSettings
-    from haptics.loop.multirate import real_time_tissue
     from haptics.loop.process import LoopError, LoopProcess
+    from haptics.loop.tissue_factory import real_time_tissue
     from tissue_sim import Model
 
     material = reduced.model.material if reduced and not arguments.material else read_material(arguments.material)

@@ -162,7 +162,7 @@ def test_a_process_killed_during_its_start_gives_a_message(of_gel, needle, until
     try:
         os.kill(simulation.process.pid, signal.SIGKILL)
         until(simulation.poll, lambda _: simulation.phase is Phase.DIED)
-        assert "was killed by signal 9 before it began" in simulation.message
+        assert "was killed by signal 9 during its start" in simulation.message
     finally:
         simulation.close()
 

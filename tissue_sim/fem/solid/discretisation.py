@@ -26,7 +26,7 @@ from tissue_sim.fem.solver import Neighbours
 from tissue_sim.material.layer import Layer
 from tissue_sim.mesh.grading import PLATE_RING, Grading
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
-from tissue_sim.mesh.moved_solid import Circle
+from tissue_sim.mesh.mesh_mapping import Circle
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, raised

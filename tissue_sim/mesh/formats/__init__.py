@@ -1,1 +1,1 @@
-"""Files of meshes: what other programs write, as one type."""
+"""Readers of mesh files of other programs, which return the common type `MeshContent`."""

@@ -1,4 +1,4 @@
-"""What a mesh of a file must be: elements of one kind that fill one body, each the right way round."""
+"""Check a mesh from a file: elements of one kind with positive volumes that form one connected body."""
 
 from __future__ import annotations
 
@@ -7,22 +7,26 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.mesh.formats.content import FACES, OTHER_SOLIDS, SIDES, SOLIDS, Cells, MeshContent
 
-#: Largest extent of a specimen, and the least, m.
-LARGEST_EXTENT, SMALLEST_EXTENT = 1.0, 1e-4
-#: Most elements and nodes; a product of three numbers of nodes is one of 64 bits.
-MOST_ELEMENTS, MOST_NODES = 300_000, 2_000_000
-#: An element whose volume is below this share of that of a cube over its longest edge is flat.
+#: Largest extent of a specimen, m.
+LARGEST_EXTENT = 1.0
+#: Smallest extent of a specimen, m.
+SMALLEST_EXTENT = 1e-4
+#: Maximum number of elements.
+MOST_ELEMENTS = 300_000
+#: Maximum number of nodes; the product of three node numbers must fit into 64 bits.
+MOST_NODES = 2_000_000
+#: Smallest volume of an element, as a fraction of the cube of its largest extent.
 _FLAT = 1e-6
-#: Nodes nearer to each other than this share of the mesh's size are at one place.
+#: Distance below which nodes are coincident, as a fraction of the size of the mesh.
 _SAME = 1e-9
 
 
 def solid_cells(content: MeshContent) -> Cells:
-    """The elements that fill the volume, all of one kind.
+    """Return the volume elements of a file, all of one kind.
 
     Raises:
-        InputError: none, too many, several kinds, or one that the solid has no element for; coordinates that are no
-            numbers, nodes that are not there.
+        InputError: there are no elements, too many elements, several kinds or an unsupported kind; a coordinate is not
+            finite, or a node is missing.
     """
     solids = [block for block in content.cells if block.kind in SOLIDS and len(block.nodes)]
     for block in content.cells:
@@ -32,7 +36,7 @@ def solid_cells(content: MeshContent) -> Cells:
     if not solids:
         kinds = sorted({block.kind for block in content.cells if len(block.nodes)})
         has = f"it has only {', '.join(kinds)}" if kinds else "it has no elements"
-        raise InputError(f"holds no volume elements, {has}; export tetrahedra or hexahedra")
+        raise InputError(f"contains no volume elements, {has}; export tetrahedra or hexahedra")
     other = next((block for block in solids if block.kind != solids[0].kind), None)
     if other is not None:
         raise InputError(f"mixes kinds of elements: element {solids[0].numbers[0]} is a {solids[0].kind}, element "
@@ -40,11 +44,11 @@ def solid_cells(content: MeshContent) -> Cells:
     cells = Cells(solids[0].kind, np.concatenate([block.nodes for block in solids]),
                   np.concatenate([block.numbers for block in solids]))
     if len(cells.nodes) > MOST_ELEMENTS or len(content.points) > MOST_NODES:
-        raise InputError(f"has {len(cells.nodes)} elements and {len(content.points)} nodes, expected at most "
-                         f"{MOST_ELEMENTS} and {MOST_NODES}; give a coarser mesh")
+        raise InputError(f"must have at most {MOST_ELEMENTS} elements and {MOST_NODES} nodes; got {len(cells.nodes)} "
+                         f"and {len(content.points)}. Use a coarser mesh")
     if (~np.isfinite(content.points)).any():
         worst = int(np.flatnonzero(~np.isfinite(content.points).all(axis=1))[0])
-        raise InputError(f"node {content.point_numbers[worst]} has a coordinate that is no number")
+        raise InputError(f"node {content.point_numbers[worst]} has a coordinate that is not finite")
     for block in (cells, *(block for block in content.cells if block.kind in FACES)):
         outside = (block.nodes < 0) | (block.nodes >= len(content.points))
         if outside.any():
@@ -54,21 +58,32 @@ def solid_cells(content: MeshContent) -> Cells:
 
 
 def require_size(points: np.ndarray, unit: str) -> None:
-    """Refuse a specimen, in m, of no size of a specimen."""
+    """Require a mesh of the size of a specimen.
+
+    Args:
+        points: coordinates, m, shape (n, 3).
+        unit: unit of the coordinates in the file, for the message.
+
+    Raises:
+        InputError: the extent is outside the range.
+    """
     extent = float(np.ptp(points, axis=0).max())
     if not SMALLEST_EXTENT <= extent <= LARGEST_EXTENT:
-        raise InputError(f"is {extent:g} m large where its unit is {unit}, expected {SMALLEST_EXTENT:g} m to "
-                         f"{LARGEST_EXTENT:g} m; state the unit of its coordinates (mesh_unit, --mesh-unit)")
+        raise InputError(f"the extent must be {SMALLEST_EXTENT:g} m to {LARGEST_EXTENT:g} m; got {extent:g} m with the "
+                         f"unit {unit}. State the unit of the coordinates (mesh_unit, --mesh-unit)")
 
 
 def require_sound(cells: Cells, points: np.ndarray, point_numbers: np.ndarray) -> None:
-    """Refuse elements that are degenerate or there twice, nodes without elements, and what is no one body.
+    """Require a valid mesh: no degenerate, inverted or duplicate elements, no unused nodes, one connected body.
 
     Args:
-        cells: of the volume. points: m, shape (n, 3). point_numbers: in the file.
+        cells: volume elements.
+        points: coordinates, m, shape (n, 3).
+        point_numbers: numbers of the points in the file, shape (n,).
 
     Raises:
-        InputError: the first fault, with the number of an element or a node in the file.
+        InputError: the mesh is invalid; the error states the first fault with the number of an element or node in the
+            file.
     """
     numbers, corners = cells.numbers, np.sort(cells.corners, axis=1)
     everything = np.sort(cells.nodes, axis=1)
@@ -83,13 +98,13 @@ def require_sound(cells: Cells, points: np.ndarray, point_numbers: np.ndarray) -
     used[cells.nodes] = True
     if not used.all():
         raise InputError(f"node {point_numbers[np.argmin(used)]} belongs to no element of the volume; export only "
-                         "nodes that elements have")
-    _require_apart(points, point_numbers)
+                         "nodes of elements")
+    _require_distinct(points, point_numbers)
     _require_volume(cells, points)
     _require_one_body(cells)
 
 
-def _require_apart(points: np.ndarray, point_numbers: np.ndarray) -> None:
+def _require_distinct(points: np.ndarray, point_numbers: np.ndarray) -> None:
     from scipy.spatial import cKDTree
 
     tree = cKDTree(points)
@@ -97,18 +112,19 @@ def _require_apart(points: np.ndarray, point_numbers: np.ndarray) -> None:
     same = distance[:, 1] <= _SAME * float(np.ptp(points, axis=0).max())
     if same.any():
         one = int(np.argmax(same))
-        # Which of the two the tree finds first is open.
+        # The tree returns the node itself and the coincident node in any order.
         a, b = point_numbers[[one, int(other[one][other[one] != one][0])]]
-        raise InputError(f"nodes {a} and {b} are at one place, so that the mesh is torn there; merge coincident nodes")
+        raise InputError(f"nodes {a} and {b} have the same position, so the mesh is not connected there; merge "
+                         "coincident nodes")
 
 
 def _require_volume(cells: Cells, points: np.ndarray) -> None:
-    """Of the straight element between the corners; curved ones are looked at where they are integrated."""
+    """Require positive volumes of the straight elements between the corners; curved elements are checked later."""
     corners = points[cells.corners]
     if cells.shape == "tetra":
         volumes = np.linalg.det(corners[:, 1:] - corners[:, :1])[:, None] / 6.0
     else:
-        # At every corner, by the three edges from it.
+        # The determinant of the three edges at each corner.
         edges = [(1, 3, 4), (2, 0, 5), (3, 1, 6), (0, 2, 7), (7, 5, 0), (4, 6, 1), (5, 7, 2), (6, 4, 3)]
         volumes = np.stack([np.linalg.det(corners[:, list(ends)] - corners[:, [corner]])
                             for corner, ends in enumerate(edges)], axis=-1)
@@ -118,7 +134,7 @@ def _require_volume(cells: Cells, points: np.ndarray) -> None:
         raise InputError(f"element {cells.numbers[np.argmax(flat)]} is degenerate: it has no volume")
     if (least < 0.0).all():
         raise InputError(f"all elements are turned inside out, element {cells.numbers[0]} the first; the mesh is "
-                         "mirrored, or its nodes are numbered the wrong way round")
+                         "mirrored, or its nodes are numbered in the wrong orientation")
     if (least < 0.0).any():
         raise InputError(f"element {cells.numbers[np.argmin(least)]} is turned inside out")
 
@@ -135,23 +151,24 @@ def _require_one_body(cells: Cells) -> None:
     if (times > 2).any():
         shared = owners[inverse == np.argmax(times > 2)]
         named = ", ".join(map(str, cells.numbers[shared[:3]]))
-        raise InputError(f"elements {named} share one side, which has room for two; the mesh overlaps itself")
+        raise InputError(f"elements {named} share one side, but a side belongs to at most two elements; the mesh "
+                         "overlaps itself")
     order = np.argsort(inverse, kind="stable")
     pairs = np.flatnonzero(np.diff(inverse[order]) == 0)
     a, b = owners[order[pairs]], owners[order[pairs + 1]]
     parts, label = connected_components(sparse.coo_array((np.ones(len(a)), (a, b)), shape=(len(cells.nodes),) * 2),
                                         directed=False)
     if parts > 1:
-        raise InputError(f"is not one body: no way over the sides of elements leads from element {cells.numbers[0]} to "
-                         f"element {cells.numbers[np.argmax(label != label[0])]}; merge coincident nodes, or export "
-                         "one part")
-    of_outer = owners[times[inverse] == 1]
-    # Their order round the side, which the sorted keys have lost.
-    rounds = cells.corners[:, sides].reshape(-1, sides.shape[1])[times[inverse] == 1]
-    edges = np.sort(np.stack([rounds, np.roll(rounds, -1, axis=1)], axis=-1), axis=-1).reshape(-1, 2)
+        raise InputError(f"is not one connected body: element {cells.numbers[0]} and element "
+                         f"{cells.numbers[np.argmax(label != label[0])]} are not connected through sides; merge "
+                         "coincident nodes, or export one part")
+    outer_owners = owners[times[inverse] == 1]
+    # Corners in circumferential order, which the sorted keys do not have.
+    loops = cells.corners[:, sides].reshape(-1, sides.shape[1])[times[inverse] == 1]
+    edges = np.sort(np.stack([loops, np.roll(loops, -1, axis=1)], axis=-1), axis=-1).reshape(-1, 2)
     _, edge, shared = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
     wrong = shared[edge.ravel()] != 2
     if wrong.any():
-        number = cells.numbers[of_outer[np.argmax(wrong) // sides.shape[1]]]
-        raise InputError(f"the surface does not close, or touches itself, at an edge of element {number}; every edge "
-                         "of it belongs to two sides")
+        number = cells.numbers[outer_owners[np.argmax(wrong) // sides.shape[1]]]
+        raise InputError(f"the surface does not close, or touches itself, at an edge of element {number}; each edge of "
+                         "the surface must belong to two sides")

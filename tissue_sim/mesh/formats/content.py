@@ -1,4 +1,4 @@
-"""What a file of a mesh holds, whatever its format."""
+"""Content of a mesh file, independent of its format."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Corners of the sides of a tetrahedron and a hexahedron, in the order of VTK, counter-clockwise from outside; by the
-#: numbers that Abaqus gives them.
+#: Corners of the faces of a tetrahedron and a hexahedron: node order of VTK, counter-clockwise viewed from outside;
+#: face order of Abaqus.
 SIDES = {"tetra": ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)),
          "hexahedron": ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (0, 4, 7, 3))}
-#: Nodes of each kind of element, by meshio's names.
+#: Name of a volume element in meshio -> number of nodes.
 SOLIDS = {"tetra": 4, "tetra10": 10, "hexahedron": 8, "hexahedron20": 20, "hexahedron27": 27}
+#: Name of a surface element in meshio -> number of nodes.
 FACES = {"triangle": 3, "triangle6": 6, "triangle7": 7, "quad": 4, "quad8": 8, "quad9": 9}
-#: What else fills a volume, and is refused.
+#: Prefixes of volume elements; those that are not in `SOLIDS` are rejected.
 OTHER_SOLIDS = ("wedge", "pyramid", "tetra", "hexahedron", "voxel", "polyhedron")
 
 
@@ -22,8 +23,9 @@ class Cells(NamedTuple):
     """Elements of one kind.
 
     Attributes:
-        kind: meshio's name: ``tetra10``. nodes: places in the file's points, in the order of VTK, shape (m, nodes).
-        numbers: of the elements in the file, shape (m,).
+        kind: name in meshio, such as ``tetra10``.
+        nodes: indices in the points of the file, in the order of VTK, shape (m, nodes).
+        numbers: numbers of the elements in the file, shape (m,).
     """
 
     kind: str
@@ -32,26 +34,28 @@ class Cells(NamedTuple):
 
     @property
     def shape(self) -> str:
-        """``tetra`` or ``hexahedron``, of a solid."""
+        """Shape of the elements, for volume elements ``tetra`` or ``hexahedron``."""
         return self.kind.rstrip("0123456789")
 
     @property
     def corners(self) -> np.ndarray:
-        """Of each element, in the order of VTK."""
+        """Corners of each element in the order of VTK, shape (m, corners)."""
         count = {"tetra": 4, "hexahedron": 8, "triangle": 3, "quad": 4}[self.shape]
         return self.nodes[:, :count]
 
 
 @dataclass(frozen=True, eq=False)
 class MeshContent:
-    """The content of a file, in its own unit.
+    """Content of a mesh file in the unit of the file.
 
     Attributes:
-        points: shape (n, 3). point_numbers: of the points in the file, shape (n,).
-        cells: elements, a block for each kind in the order of the file.
-        point_sets: name -> places of points.
-        cell_sets: name -> for each block of `cells` the places of elements in it.
-        side_sets: name -> (block of `cells`, place in it, number of the side from 0), shape (m, 3).
+        points: coordinates, shape (n, 3).
+        point_numbers: numbers of the points in the file, shape (n,).
+        cells: blocks of elements in the order of the file, each of one kind.
+        point_sets: named sets of points as indices in `points`.
+        cell_sets: named sets of elements as indices in each block of `cells`.
+        side_sets: named sets of faces as rows (index of the block, index of the element in it, number of the face from
+            0), shape (m, 3).
     """
 
     points: np.ndarray

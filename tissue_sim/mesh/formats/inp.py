@@ -1,7 +1,7 @@
-"""Input files of Abaqus and CalculiX.
+"""Read input files of Abaqus and CalculiX.
 
-They are read here and not by meshio, which follows ``*INCLUDE`` to any file, takes the names of element sets that a
-``*ELEMENT`` line states for another block, forgets the numbers of the elements, and knows no ``*SURFACE``.
+meshio is not used because it follows ``*INCLUDE`` to any file, assigns element sets of ``*ELEMENT`` lines to another
+block, discards the numbers of the elements, and does not support ``*SURFACE``.
 """
 
 from __future__ import annotations
@@ -17,23 +17,36 @@ from tissue_sim.errors import InputError
 from tissue_sim.files import decode_text, read_bytes
 from tissue_sim.mesh.formats.content import FACES, SOLIDS, Cells, MeshContent
 
+#: Description of the expected file for messages.
 _EXPECTED = "a mesh of Abaqus or CalculiX"
-#: Beginnings of the names of element types -> kind, where the digits that follow say how many nodes there are.
+#: Names of volume element types; the digits are the number of nodes.
 _SOLID = re.compile(r"C3D(\d+)")
+#: Names of surface element types; the digits are the number of nodes.
 _FACE = re.compile(r"(?:S|STRI|CPS|CPE|CAX|M3D|SFM3D|R3D|DS)(\d+)")
+#: Number of nodes of a volume element -> name in meshio.
 _SOLID_KINDS = {4: "tetra", 10: "tetra10", 8: "hexahedron", 20: "hexahedron20", 27: "hexahedron27", 6: "wedge",
                 15: "wedge15", 5: "pyramid"}
+#: Digits in the name of a surface element type -> name in meshio.
 _FACE_KINDS = {3: "triangle", 6: "triangle6", 65: "triangle6", 4: "quad", 8: "quad8", 9: "quad9"}
+#: Name in meshio -> number of nodes.
 _NODES = SOLIDS | FACES | {"wedge": 6, "wedge15": 15, "pyramid": 5}
-#: Of Abaqus' 27 nodes in the order of VTK: it begins the last seven with the middle of the element.
+#: Indices of the 27 nodes of Abaqus in the order of VTK; in Abaqus the centre is the first of the last seven nodes.
 _ORDER_27 = [*range(20), 26, 24, 23, 25, 21, 22, 20]
+#: Name of a face of an element.
 _SIDE = re.compile(r"S(\d)")
-#: Most numbers that a generated set may have.
-_MOST_GENERATED = 10_000_000
+#: Maximum number of members of a generated set.
+_MAX_GENERATED = 10_000_000
 
 
 class _Keyword:
-    """A line that begins with a star, and the lines of data below it."""
+    """Keyword line (``*NAME, OPTION=VALUE``) with its data lines.
+
+    Attributes:
+        line: number of the keyword line in the file.
+        name: name in upper case.
+        options: options by name in upper case.
+        rows: words of the data lines.
+    """
 
     def __init__(self, line: int, text: str):
         self.line, self.rows = line, []  # type: tuple[int, list[list[str]]]
@@ -43,19 +56,20 @@ class _Keyword:
                         for key, _, value in (option.partition("=") for option in options if option)}
 
     def integers(self) -> np.ndarray:
-        """All data as integers.
+        """Return all data as integers.
 
         Raises:
-            InputError: some are none.
+            InputError: a word is not an integer.
         """
         flat = [word for row in self.rows for word in row if word]
         try:
             return np.array(list(map(int, flat)), dtype=np.int64)
         except (ValueError, OverflowError):
-            raise InputError(f"there are words below *{self.name} that are no numbers", line=self.line) from None
+            raise InputError(f"the data of *{self.name} must be integers", line=self.line) from None
 
 
 def _keywords(text: str) -> Iterator[_Keyword]:
+    """Yield the keywords of a file with their data lines; comments are skipped."""
     current: _Keyword | None = None
     waiting = ""
     for number, raw in enumerate(text.splitlines(), start=1):
@@ -64,13 +78,13 @@ def _keywords(text: str) -> Iterator[_Keyword]:
             continue
         if waiting or line.startswith("*"):
             waiting += line
-            if line.endswith(","):  # it goes on in the next line
+            if line.endswith(","):  # the keyword line continues on the next line
                 continue
             if current is not None:
                 yield current
             current, waiting = _Keyword(number, waiting), ""
         elif current is None:
-            raise InputError(f"does not begin with a keyword such as *NODE, expected {_EXPECTED}", line=number)
+            raise InputError(f"the file must begin with a keyword such as *NODE; expected {_EXPECTED}", line=number)
         else:
             current.rows.append([word.strip() for word in line.split(",")])
     if current is not None:
@@ -78,30 +92,32 @@ def _keywords(text: str) -> Iterator[_Keyword]:
 
 
 def read_inp(path: Path, largest: int) -> MeshContent:
-    """The mesh of an input file.
+    """Read the mesh of an input file.
 
     Args:
-        path: the file. largest: bytes that it may have.
+        path: path of the file.
+        largest: maximum size of the file, bytes.
 
     Raises:
-        InputError: what it is not, with the line.
+        InputError: the file is invalid; the error states the line.
     """
     text, _ = decode_text(read_bytes(path, _EXPECTED, largest), path, _EXPECTED)
     reader = _Reader()
     for keyword in _keywords(text):
         if keyword.name == "INCLUDE":
-            raise InputError("takes a part of the mesh from another file (*INCLUDE); put all into one",
-                             line=keyword.line)
+            raise InputError("*INCLUDE is not supported; write the whole mesh into one file", line=keyword.line)
         if keyword.name == "INSTANCE" and keyword.rows:
-            raise InputError("moves a part where it is assembled (*INSTANCE); export the mesh as it stands",
+            raise InputError("*INSTANCE with a translation is not supported; export the assembled mesh",
                              line=keyword.line)
-        take = getattr(reader, f"take_{keyword.name.lower()}", None)
-        if take is not None:
-            take(keyword)
+        read = getattr(reader, f"read_{keyword.name.lower()}", None)
+        if read is not None:
+            read(keyword)
     return reader.content()
 
 
 class _Reader:
+    """Collect nodes, elements, sets and surfaces; a method ``read_NAME`` reads the keyword ``*NAME``."""
+
     def __init__(self) -> None:
         self._numbers: list[np.ndarray] = []
         self._points: list[np.ndarray] = []
@@ -110,44 +126,44 @@ class _Reader:
         self._element_sets: dict[str, np.ndarray] = {}
         self._surfaces: dict[str, list[tuple[np.ndarray, int]]] = {}
 
-    def take_node(self, keyword: _Keyword) -> None:
+    def read_node(self, keyword: _Keyword) -> None:
         try:
             rows = [(int(row[0]), *(float(word or 0.0) for word in (row[1:4] + ["0"] * 3)[:3])) for row in keyword.rows]
         except (ValueError, IndexError, OverflowError):
-            raise InputError("a node below *NODE is not its number and its coordinates", line=keyword.line) from None
+            raise InputError("a node in *NODE must be its number and its coordinates", line=keyword.line) from None
         table = np.array(rows, dtype=float).reshape(-1, 4)
         self._numbers.append(np.array([row[0] for row in rows], dtype=np.int64))
         self._points.append(table[:, 1:])
         if "NSET" in keyword.options:
             self._add(self._node_sets, keyword.options["NSET"], self._numbers[-1])
 
-    def take_element(self, keyword: _Keyword) -> None:
+    def read_element(self, keyword: _Keyword) -> None:
         name = keyword.options.get("TYPE", "").upper()
         solid, face = _SOLID.match(name), _FACE.match(name)
         kind = (_SOLID_KINDS.get(int(solid[1])) if solid else _FACE_KINDS.get(int(face[1])) if face else None)
         if kind is None:
             if solid:
-                raise InputError(f"elements of the type {name} are not known; use C3D4, C3D10, C3D8, C3D20 or C3D27",
+                raise InputError(f"elements must have the type C3D4, C3D10, C3D8, C3D20 or C3D27; got {name}",
                                  line=keyword.line)
-            return  # bars, springs and the like
+            return  # ignored types such as bars and springs
         data = keyword.integers()
         if data.size % (_NODES[kind] + 1):
-            raise InputError(f"an element below *ELEMENT is not its number and {_NODES[kind]} nodes, which type {name} "
-                             "has", line=keyword.line)
+            raise InputError(f"an element in *ELEMENT must be its number and {_NODES[kind]} nodes for the type {name}",
+                             line=keyword.line)
         table = data.reshape(-1, _NODES[kind] + 1)
         if kind == "hexahedron27":
-            table = table[:, [0, *(1 + place for place in _ORDER_27)]]
+            table = table[:, [0, *(1 + index for index in _ORDER_27)]]
         self._blocks.append((kind, table))
         if "ELSET" in keyword.options:
             self._add(self._element_sets, keyword.options["ELSET"], table[:, 0])
 
-    def take_nset(self, keyword: _Keyword) -> None:
-        self._take_set(keyword, self._node_sets, "NSET")
+    def read_nset(self, keyword: _Keyword) -> None:
+        self._read_set(keyword, self._node_sets, "NSET")
 
-    def take_elset(self, keyword: _Keyword) -> None:
-        self._take_set(keyword, self._element_sets, "ELSET")
+    def read_elset(self, keyword: _Keyword) -> None:
+        self._read_set(keyword, self._element_sets, "ELSET")
 
-    def take_surface(self, keyword: _Keyword) -> None:
+    def read_surface(self, keyword: _Keyword) -> None:
         name, kind = keyword.options.get("NAME", ""), keyword.options.get("TYPE", "ELEMENT").upper()
         sides = self._surfaces.setdefault(name.upper(), [])
         for row in keyword.rows if kind == "ELEMENT" else []:
@@ -159,16 +175,17 @@ class _Reader:
             numbers = np.array([int(row[0])]) if row[0].isdigit() else self._known(self._node_sets, row[0], keyword)
             self._add(self._node_sets, name, numbers)
 
-    def _take_set(self, keyword: _Keyword, sets: dict[str, np.ndarray], option: str) -> None:
+    def _read_set(self, keyword: _Keyword, sets: dict[str, np.ndarray], option: str) -> None:
         name = keyword.options.get(option, "")
         if "GENERATE" in keyword.options:
             for row in keyword.rows:
                 try:
                     first, last, step = map(int, (*[word for word in row if word], "1")[:3])
                 except ValueError:
-                    raise InputError("a generated set is not first, last and step", line=keyword.line) from None
-                if step < 1 or (last - first) // step > _MOST_GENERATED:
-                    raise InputError("a generated set has a step below 1, or too many members", line=keyword.line)
+                    raise InputError("a generated set must be first, last and step", line=keyword.line) from None
+                if step < 1 or (last - first) // step > _MAX_GENERATED:
+                    raise InputError(f"a generated set must have a step of at least 1 and at most {_MAX_GENERATED} "
+                                     "members", line=keyword.line)
                 self._add(sets, name, np.arange(first, last + 1, step))
             return
         words = [word for row in keyword.rows for word in row if word]
@@ -180,7 +197,8 @@ class _Reader:
     @staticmethod
     def _known(sets: dict[str, np.ndarray], name: str, keyword: _Keyword) -> np.ndarray:
         if name.upper() not in sets:
-            raise InputError(f"*{keyword.name} names the set {name!r}, which is not stated above", line=keyword.line)
+            raise InputError(f"*{keyword.name} names the set {name!r}, which is not defined before this line",
+                             line=keyword.line)
         return sets[name.upper()]
 
     @staticmethod
@@ -188,20 +206,20 @@ class _Reader:
         sets[name.upper()] = np.concatenate([sets.get(name.upper(), np.zeros(0, dtype=np.int64)), numbers])
 
     def content(self) -> MeshContent:
-        """What was read, with places instead of numbers."""
+        """Return the content of the file, with indices instead of numbers."""
         nodes = _Index(self._numbers, "node")
         points = np.concatenate(self._points) if self._points else np.zeros((0, 3))
         elements = _Index([table[:, 0] for _, table in self._blocks], "element")
-        cells = [Cells(kind, nodes.places(table[:, 1:], table[:, 0]), table[:, 0]) for kind, table in self._blocks]
+        cells = [Cells(kind, nodes.indices(table[:, 1:], table[:, 0]), table[:, 0]) for kind, table in self._blocks]
         starts = np.cumsum([0, *(len(block.numbers) for block in cells)])
 
         def by_block(numbers: np.ndarray) -> list[np.ndarray]:
-            places = np.sort(elements.known(np.unique(numbers)))
-            return [places[(places >= first) & (places < last)] - first
+            indices = np.sort(elements.known(np.unique(numbers)))
+            return [indices[(indices >= first) & (indices < last)] - first
                     for first, last in pairwise(starts.tolist())]
 
-        sides = {name: np.array([(block, place, side) for numbers, side in rows
-                                 for block, places in enumerate(by_block(numbers)) for place in places.tolist()],
+        sides = {name: np.array([(block, index, side) for numbers, side in rows
+                                 for block, indices in enumerate(by_block(numbers)) for index in indices.tolist()],
                                 dtype=np.intp).reshape(-1, 3) for name, rows in self._surfaces.items() if rows}
         return MeshContent(points, nodes.numbers, cells,
                            {name: nodes.known(np.unique(numbers)) for name, numbers in self._node_sets.items()},
@@ -209,14 +227,22 @@ class _Reader:
 
 
 class _Index:
-    """Where numbers of nodes or elements stand in the order of the file."""
+    """Map from numbers of nodes or elements to their indices in the order of the file.
 
-    def __init__(self, numbers: Sequence[np.ndarray], what: str):
+    Args:
+        numbers: numbers in the order of the file, in blocks.
+        noun: ``node`` or ``element``, for messages.
+
+    Raises:
+        InputError: a number occurs twice.
+    """
+
+    def __init__(self, numbers: Sequence[np.ndarray], noun: str):
         self.numbers = np.concatenate([np.zeros(0, dtype=np.int64), *numbers])
         self._order = np.argsort(self.numbers, kind="stable")
-        self._sorted, self._what = self.numbers[self._order], what
+        self._sorted, self._noun = self.numbers[self._order], noun
         if (twice := self._sorted[1:][np.diff(self._sorted) == 0]).size:
-            raise InputError(f"{what} {twice[0]} is stated twice; give every {what} a number of its own")
+            raise InputError(f"{noun} {twice[0]} is stated twice; numbers must be unique")
 
     def _look_up(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if not self._sorted.size:
@@ -225,15 +251,23 @@ class _Index:
         return self._order[at], self._sorted[at] == numbers
 
     def known(self, numbers: np.ndarray) -> np.ndarray:
-        """Places of those that there are."""
-        places, there = self._look_up(numbers)
-        return places[there]
+        """Return the indices of the numbers that exist in the file."""
+        indices, exists = self._look_up(numbers)
+        return indices[exists]
 
-    def places(self, numbers: np.ndarray, owners: np.ndarray) -> np.ndarray:
-        """Places of all, of elements with the numbers `owners`."""
-        places, there = self._look_up(numbers)
-        if not there.all():
-            row, column = np.argwhere(~there)[0]
-            raise InputError(f"element {owners[row]} has the {self._what} {numbers[row, column]}, which is not in the "
+    def indices(self, numbers: np.ndarray, owners: np.ndarray) -> np.ndarray:
+        """Return the indices of all numbers.
+
+        Args:
+            numbers: numbers of the nodes of elements, shape (m, nodes).
+            owners: numbers of these elements, shape (m,), for the message.
+
+        Raises:
+            InputError: a number does not exist in the file.
+        """
+        indices, exists = self._look_up(numbers)
+        if not exists.all():
+            row, column = np.argwhere(~exists)[0]
+            raise InputError(f"element {owners[row]} has the {self._noun} {numbers[row, column]}, which is not in the "
                              "file")
-        return places
+        return indices

@@ -1,4 +1,4 @@
-"""Meshes of Gmsh and VTK, through meshio: the extra ``meshes``."""
+"""Read mesh files of Gmsh and VTK with meshio; requires the extra ``meshes``."""
 
 from __future__ import annotations
 
@@ -14,25 +14,26 @@ from tissue_sim.errors import InputError
 from tissue_sim.files import open_file
 from tissue_sim.mesh.formats.content import Cells, MeshContent
 
-#: Ending -> module of meshio, and the number that the program of the format gives to what stands first.
+#: File name extension -> module of meshio, and number of the first node or element in this format.
 _MODULES = {".msh": ("gmsh", 1), ".vtu": ("vtu", 0), ".vtk": ("vtk", 0)}
-#: Arrays of integers with more values than this name nothing.
-_MOST_VALUES = 100
-#: Types of elements in Gmsh's files -> meshio's names.
+#: Maximum number of different values of an integer array that defines sets.
+_MAX_VALUES = 100
+#: Element type in Gmsh files -> name in meshio.
 _GMSH = {2: "triangle", 3: "quad", 4: "tetra", 5: "hexahedron", 9: "triangle6", 10: "quad9", 11: "tetra10",
          12: "hexahedron27", 16: "quad8", 17: "hexahedron20"}
-#: What meshio calls the arrays of Gmsh that name nothing.
-_OF_GMSH = ("gmsh:geometrical", "gmsh:dim_tags", "gmsh:bounding_entities")
+#: Names of Gmsh arrays in meshio that define no sets.
+_IGNORED = ("gmsh:geometrical", "gmsh:dim_tags", "gmsh:bounding_entities")
 
 
 def read_through_meshio(path: Path, largest: int) -> MeshContent:
-    """The mesh of a file by its ending.
+    """Read a mesh file; the format depends on the file name extension.
 
     Args:
-        path: the file. largest: bytes that it may have.
+        path: path of the file.
+        largest: maximum size of the file, bytes.
 
     Raises:
-        InputError: it cannot be read, or meshio is not installed.
+        InputError: the file cannot be read, or meshio is not installed.
     """
     module, first = _MODULES[path.suffix.lower()]
     with open_file(path, "a mesh", largest) as file:
@@ -43,7 +44,7 @@ def read_through_meshio(path: Path, largest: int) -> MeshContent:
         with uncounted():
             reader = importlib.import_module(f"meshio.{module}")
     except ImportError as error:
-        raise InputError(f"reading this mesh needs the package meshio ({error}); install it with pip install "
+        raise InputError(f"reading this mesh requires the package meshio ({error}); install it with pip install "
                          "'tissue-sim[meshes]', or save the mesh as .inp", file=path) from None
     try:
         mesh = reader.read(path)
@@ -51,10 +52,9 @@ def read_through_meshio(path: Path, largest: int) -> MeshContent:
         raise
     except InputError:
         raise
-    except BaseException as error:  # what it makes of a damaged file is anything, SystemExit included
+    except BaseException as error:  # meshio may raise any exception for a damaged file, including SystemExit
         reason = str(error) or type(error).__name__
-        raise InputError(f"cannot be read as the mesh that its ending {path.suffix!r} says it is: {reason}",
-                         file=path) from None
+        raise InputError(f"cannot be read as a mesh of the format {path.suffix!r}: {reason}", file=path) from None
     numbers, point_numbers = _numbers(path, largest) if module == "gmsh" else ({}, None)
     return _content(mesh, first, numbers, point_numbers)
 
@@ -62,14 +62,15 @@ def read_through_meshio(path: Path, largest: int) -> MeshContent:
 def _content(mesh: Any, first: int, known: dict[str, np.ndarray], point_numbers: np.ndarray | None) -> MeshContent:
     points = np.asarray(mesh.points, dtype=float)
     if points.ndim != 2 or points.shape[1] not in (2, 3):
-        raise InputError(f"its points have the shape {points.shape}, expected three coordinates each")
+        raise InputError(f"points must have three coordinates each; got an array of shape {points.shape}")
     if points.shape[1] == 2:
         points = np.column_stack([points, np.zeros(len(points))])
     cells, start, used = [], first, dict.fromkeys(known, 0)
     for block in mesh.cells:
         data = np.asarray(block.data)
         if data.ndim != 2 or not np.issubdtype(data.dtype, np.integer):
-            raise InputError(f"its elements of the kind {block.type} are no table of node numbers")
+            raise InputError(f"elements of the kind {block.type} must be a table of node numbers; got an array of "
+                             f"shape {data.shape} and type {data.dtype}")
         numbers = np.arange(start, start + len(data))
         of_kind = known.get(block.type)
         if of_kind is not None and used[block.type] + len(data) <= len(of_kind):
@@ -83,10 +84,10 @@ def _content(mesh: Any, first: int, known: dict[str, np.ndarray], point_numbers:
 
 
 def _point_sets(mesh: Any) -> dict[str, np.ndarray]:
-    sets = {str(name): np.asarray(places, dtype=np.intp).ravel() for name, places in (mesh.point_sets or {}).items()}
+    sets = {str(name): np.asarray(members, dtype=np.intp).ravel() for name, members in (mesh.point_sets or {}).items()}
     for name, values in (mesh.point_data or {}).items():
         values = np.asarray(values)
-        if values.ndim == 1 and name not in _OF_GMSH:
+        if values.ndim == 1 and name not in _IGNORED:
             sets.update({each: np.flatnonzero(values == value) for each, value in _values(name, values)})
     return sets
 
@@ -94,14 +95,14 @@ def _point_sets(mesh: Any) -> dict[str, np.ndarray]:
 def _cell_sets(mesh: Any, cells: list[Cells]) -> dict[str, list[np.ndarray]]:
     sets: dict[str, list[np.ndarray]] = {}
     for name, blocks in (mesh.cell_sets or {}).items():
-        if name not in _OF_GMSH and len(blocks) == len(cells):
+        if name not in _IGNORED and len(blocks) == len(cells):
             sets[str(name)] = [np.zeros(0, dtype=np.intp) if block is None else np.asarray(block, dtype=np.intp).ravel()
                                for block in blocks]
     named = {int(value[0]): (str(name), int(value[1])) for name, value in (mesh.field_data or {}).items()
              if np.size(value) == 2}
     for name, blocks in (mesh.cell_data or {}).items():
         blocks = [np.asarray(block) for block in blocks]
-        if name in _OF_GMSH or len(blocks) != len(cells) or any(block.ndim != 1 for block in blocks):
+        if name in _IGNORED or len(blocks) != len(cells) or any(block.ndim != 1 for block in blocks):
             continue
         for each, value in _values(name, np.concatenate(blocks) if blocks else np.zeros(0)):
             if name == "gmsh:physical":
@@ -111,13 +112,16 @@ def _cell_sets(mesh: Any, cells: list[Cells]) -> dict[str, list[np.ndarray]]:
 
 
 def _values(name: str, values: np.ndarray) -> list[tuple[str, float]]:
-    """Names of the sets that an array of integers stands for, and the value of each: ``name`` where it marks, with
-    ones, what belongs to one set, else ``name:value``."""
+    """Return the names of the sets that an integer array defines, and the value of the members of each.
+
+    An array of zeros and ones defines one set with the name of the array; other arrays define sets ``name:value``. An
+    array that is not integer or has more than 100 values defines no set.
+    """
     finite = np.isfinite(values) if np.issubdtype(values.dtype, np.number) else np.zeros(values.shape, dtype=bool)
     if not values.size or not finite.all() or (values != np.rint(values)).any():
         return []
     found = np.unique(values)
-    if found.size > _MOST_VALUES:
+    if found.size > _MAX_VALUES:
         return []
     if set(found.tolist()) <= {0, 1}:
         return [(name, 1.0)]
@@ -125,8 +129,12 @@ def _values(name: str, values: np.ndarray) -> list[tuple[str, float]]:
 
 
 def _numbers(path: Path, largest: int) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
-    """Numbers of the elements of a text file of Gmsh, by their kind, in the order of the file, and those
-    of the nodes; meshio forgets them. None of a binary file, which Gmsh numbers one after the other."""
+    """Read the numbers of elements and nodes in a text file of Gmsh, which meshio discards.
+
+    Returns:
+        Numbers of the elements by kind in the order of the file, and numbers of the nodes. Empty and None for a binary
+        file, in which Gmsh numbers consecutively.
+    """
     with open_file(path, "a mesh", largest) as file:
         data = file.read(largest + 1)
     head = re.match(rb"\s*\$MeshFormat\s+(\S+)\s+0\s", data)

@@ -1,23 +1,24 @@
-"""A surface of flat sides, seen from above."""
+"""Vertical projection of a surface mesh: distance from the rim of its top, and thickness at a position (x, y)."""
 
 from __future__ import annotations
 
 import numpy as np
 
-#: Heights that differ by less than this share of a body's own are one.
+#: Tolerance of equal heights, as a fraction of the height of the body.
 _FLAT = 1e-6
 
 
-class SeenFromAbove:
-    """The top of a body and all of its surface.
+class VerticalProjection:
+    """Vertical projection of the top and of the surface of a body with plane faces.
 
     Args:
         points: corners, m, shape (n, 3).
-        top: sides of the top, as numbers of their corners going round, shape (m, corners).
-        base: those of the base; surface: all of them.
+        top: faces of the top as numbers of their corners in circumferential order, shape (m, corners).
+        base: faces of the base.
+        surface: all faces of the surface.
 
     Attributes:
-        is_flat: whether top and base are horizontal planes, and the base the lower one.
+        is_flat: whether top and base are horizontal planes and the base is the lower one.
     """
 
     def __init__(self, points: np.ndarray, top: np.ndarray, base: np.ndarray, surface: np.ndarray):
@@ -30,35 +31,35 @@ class SeenFromAbove:
         self._rim = edges[first[times == 1]]
 
     def margin(self, x: float, y: float) -> float:
-        """Distance of a place from the rim of the top, m; negative beyond it."""
+        """Return the horizontal distance of a position from the rim of the top, m; negative outside of the top."""
         a, b = self._points[self._rim[:, 0], :2], self._points[self._rim[:, 1], :2]
-        place, way = np.array([x, y]), b - a
-        length2 = np.einsum("ei,ei->e", way, way)
-        share = np.clip(np.einsum("ei,ei->e", place - a, way) / np.where(length2 > 0.0, length2, 1.0), 0.0, 1.0)
-        distance = float(np.linalg.norm(a + share[:, None] * way - place, axis=1).min())
+        position, edge = np.array([x, y]), b - a
+        length2 = np.einsum("ei,ei->e", edge, edge)
+        fraction = np.clip(np.einsum("ei,ei->e", position - a, edge) / np.where(length2 > 0.0, length2, 1.0), 0.0, 1.0)
+        distance = float(np.linalg.norm(a + fraction[:, None] * edge - position, axis=1).min())
         return distance if self._heights(self._top, x, y).size else -distance
 
     def depth_at(self, x: float, y: float) -> float:
-        """From the highest to the lowest place of the surface on a vertical, m; 0 beside the body."""
+        """Return the distance from the highest to the lowest point of the surface on a vertical line, m; 0 outside."""
         heights = self._heights(self._surface, x, y)
         return float(np.ptp(heights)) if heights.size else 0.0
 
     @property
     def outer_radius(self) -> float:
-        """Of the circle about the axis that the body fits in, m."""
+        """Radius of the smallest circle about the axis that contains the projection of the body, m."""
         return float(np.hypot(*self._points[np.unique(self._surface), :2].T).max())
 
     def _heights(self, triangles: np.ndarray, x: float, y: float) -> np.ndarray:
-        """Where a vertical meets triangles, m."""
+        """Return the heights at which a vertical line meets triangles, m."""
         corners = self._points[triangles]
         a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
         area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-        lying = np.abs(area) > 0.0
-        a, u, v, area = a[lying], u[lying], v[lying], area[lying]
+        is_projected = np.abs(area) > 0.0
+        a, u, v, area = a[is_projected], u[is_projected], v[is_projected], area[is_projected]
         dx, dy = x - a[:, 0], y - a[:, 1]
         s, t = (dx * v[:, 1] - dy * v[:, 0]) / area, (u[:, 0] * dy - u[:, 1] * dx) / area
-        met = (s >= -1e-9) & (t >= -1e-9) & (s + t <= 1.0 + 1e-9)
-        return (a[:, 2] + s * u[:, 2] + t * v[:, 2])[met]
+        inside = (s >= -1e-9) & (t >= -1e-9) & (s + t <= 1.0 + 1e-9)
+        return (a[:, 2] + s * u[:, 2] + t * v[:, 2])[inside]
 
 
 def _triangles(sides: np.ndarray) -> np.ndarray:

@@ -1,0 +1,40 @@
+"""Compare the specimen in the metadata of a recording with the specimen of the campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from calibration.campaign.campaign import Campaign, Test
+from calibration.campaign.schema import PRISM
+from tissue_sim.errors import InputError
+from tissue_sim.recording.recording import Recording
+from tissue_sim.specimen.specimen import with_article
+
+#: Largest relative difference between the specimen size in a recording and in the campaign.
+SIZE_TOLERANCE = 0.02
+
+
+def check_size(recording: Recording, test: Test, campaign: Campaign, path: Path) -> None:
+    """Reject a recording whose metadata state another shape or size of the specimen than the campaign.
+
+    Metadata with ``radius_mm`` and without a shape mean a cylinder (older files). The shape is not compared if the test
+    depends on the cross-section only.
+
+    Raises:
+        InputError: shape or size differ; the error states the field of the specimen.
+    """
+    if test.specimen is None or not isinstance(metadata := recording.metadata.get("specimen"), Mapping):
+        return
+    field = f"specimen[{list(campaign.specimens).index(test.specimen.name)}]"
+    shape = test.specimen.shape
+    recorded = metadata.get("shape", "cylinder" if "radius_mm" in metadata else None)
+    any_shape = test.kind.gripped or campaign.fit.method == "analytical" or test.specimen.name in campaign.prisms
+    if not any_shape and isinstance(recorded, str) and recorded not in (shape, PRISM):
+        raise InputError(f"the campaign states {with_article(shape)} and {path.name} states {with_article(recorded)}; "
+                         "correct the wrong one", file=campaign.path, field=f"{field}.shape")
+    for key, size in test.specimen.sizes.items():
+        stated = metadata.get(key)
+        if isinstance(stated, int | float) and abs(stated - size) > SIZE_TOLERANCE * size:
+            raise InputError(f"the campaign states {size:g} mm and {path.name} states {stated:g} mm; correct the "
+                             "wrong one", file=campaign.path, field=f"{field}.{key}")

@@ -1,0 +1,85 @@
+"""Convert meshes: nodes of elements of any order from element corners, and hexahedra to tetrahedra."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+from tissue_sim.mesh.solid import SolidMesh, with_surface
+from tissue_sim.mesh.solid_element import SolidElement
+from tissue_sim.mesh.tetrahedra import Tetrahedron
+
+#: Largest distance between the positions of a shared node in two elements, as a fraction of the element size.
+_SAME = 1e-6
+#: Smallest weight of a corner on which a node depends.
+_MIN_WEIGHT = 1e-9
+
+
+def join_at_corners(element: SolidElement, corners: np.ndarray,
+                    positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return nodes and connectivity of elements that share nodes if they share the corners of an edge or face.
+
+    Args:
+        element: element type.
+        corners: numbers of the corners in the order of `SolidElement.corners`, shape (elements, corners).
+        positions: coordinates of the nodes of each element, m, shape (elements, nodes of the element, 3).
+
+    Returns:
+        Coordinates, shape (n, 3), corners first in the order of their numbers; and node numbers, shape (elements, nodes
+        of the element).
+
+    Raises:
+        InputError: two elements have different positions of the middle of a shared edge or face.
+    """
+    # A node is identified by the corners on which it depends: two for an edge, those of a face, all for the interior.
+    depends = element.corner_weights > _MIN_WEIGHT
+    keys = np.sort(np.where(depends, corners[:, None], -1), axis=-1).reshape(-1, corners.shape[1])
+    _, first, numbers = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    nodes, connectivity = positions.reshape(-1, 3)[first], numbers.reshape(len(corners), -1)
+    distance = np.abs(nodes[connectivity] - positions).max(axis=(1, 2))
+    mismatched = np.flatnonzero(distance > _SAME * np.ptp(positions, axis=1).max(axis=1))
+    if mismatched.size:
+        raise InputError(f"element {mismatched[0]} does not fit its neighbour: both have different positions of the "
+                         "middle of a shared edge or face. Correct the mesh", field="mesh")
+    return nodes, connectivity
+
+
+def split_hexahedra(mesh: SolidMesh, element: Tetrahedron) -> SolidMesh:
+    """Split each hexahedron of a mesh into six tetrahedra; quadratic tetrahedra keep curved faces.
+
+    The corner with the lowest number is joined to the three faces that do not contain it. Each face is cut at its
+    lowest corner, so that neighbours match (Dompierre et al., How to subdivide pyramids, prisms and hexahedra into
+    tetrahedra, 8th International Meshing Roundtable, 1999).
+
+    Args:
+        mesh: mesh of hexahedra.
+        element: element type of the tetrahedra.
+    """
+    given = mesh.element
+    corners = mesh.connectivity[:, given.corners]
+    sides = given.faces[:, given.face_corners]
+    local = {node: index for index, node in enumerate(given.corners.tolist())}
+    sides = np.vectorize(local.get)(sides)
+    cut = np.array([_split(each, sides) for each in corners])  # indices of the element's corners, (elements, 6, 4)
+    vertices = given.reference_nodes[given.corners][cut]
+    is_inverted = np.linalg.det(vertices[..., 1:, :] - vertices[..., :1, :]) < 0.0
+    cut[is_inverted] = cut[is_inverted][:, [0, 2, 1, 3]]
+    vertices = given.reference_nodes[given.corners][cut]
+    inside = np.einsum("nc,etci->etni", element.corner_weights, vertices)
+    values, _ = given.shape_functions(inside.reshape(-1, 3))
+    positions = np.einsum("etng,egi->etni", values.reshape(*inside.shape[:-1], -1), mesh.nodes[mesh.connectivity])
+    if element.order == 1:  # straight edges
+        positions = np.einsum("nc,etci->etni", element.corner_weights, positions[:, :, element.corners])
+    numbers = np.take_along_axis(corners[:, None], cut, axis=2).reshape(-1, 4)
+    return with_surface(element, *join_at_corners(element, numbers, positions.reshape(-1, element.nodes, 3)))
+
+
+def _split(corners: np.ndarray, sides: np.ndarray) -> list[list[int]]:
+    """Return the six tetrahedra of a hexahedron as indices of its corners; `corners` are their node numbers."""
+    lowest = int(np.argmin(corners))
+    found = []
+    for side in sides:
+        if lowest not in side:
+            a, b, c, d = np.roll(side, -int(np.argmin(corners[side]))).tolist()
+            found += [[lowest, a, b, c], [lowest, a, c, d]]
+    return found
