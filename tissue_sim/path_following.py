@@ -1,4 +1,4 @@
-"""Steps of a simulator: the path of the tool to a pose, followed from equilibrium to equilibrium."""
+"""Path following: equilibria along the path of the tool from step to step of a simulator."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from tissue_sim.tool_force import (
 )
 from tissue_sim.tool_track import ToolTrack, fraction_in_air
 
-#: Linear solutions of a part of a step that begins with an extrapolation (True) or without one.
+#: Largest number of linear solves of a part of a step, with an extrapolation (True) or without one.
 _MOST_SOLVES = {True: 6, False: 30}
-#: Linear solutions after an extrapolation that came as near as `_NEAR`.
+#: The same after an extrapolation whose relative residual is at most `_NEAR`.
 _MOST_IF_NEAR = 12
 #: Relative residual below which an extrapolation is near.
 _NEAR = 1e-2
@@ -41,17 +41,17 @@ _STRAIGHT = 2.0**-8
 #: Force of waves over the largest force so far above which an equilibrium of merged ticks is not CONVERGED; about the
 #: error of the coarsest mesh for real time.
 _WAVE = 0.02
-#: Below this fraction of the largest part the tissue creeps past a part that fails.
+#: Fraction of the largest part below which a failed part is repeated with artificial damping (`Solver.creep`).
 _CREEPS = 0.5
-#: Linear solutions of a step of a creep.
+#: Largest number of linear solves of a damped step.
 _MOST_OF_CREEP = 12
 #: Force over the largest force so far below which the tool may have lifted off.
 _FREE = 1e-6
-#: A stiffness that was due this many times without a linear solve left for it gets a reserved one.
+#: Number of times that a static stiffness is postponed before a linear solve is reserved for it.
 RESERVED_AFTER = 2
-#: Tool speed from which on the mass of the tissue counts, m/s.
+#: Tool speed from which on the mass of the tissue acts, m/s.
 INERTIAL_SPEED = 0.005
-#: Time after the last fast motion for which the mass of the tissue counts, s.
+#: Time after the last fast motion for which the mass of the tissue acts, s.
 LINGERS = 0.1
 
 
@@ -102,7 +102,7 @@ class PathFollower:
 
     @property
     def max_solves(self) -> int | None:
-        """Linear solutions of a step at most; None: no bound."""
+        """Largest number of linear solves of a step; None: no limit."""
         return self._most or solves_in(self.budget, self._solve)
 
     def _note_motion(self, target: Pose, dt: float) -> None:
@@ -132,9 +132,12 @@ class PathFollower:
         return not self._pulls and abs(x) + abs(y) + abs(z) <= _FREE * self._largest_force
 
     def _step_in_air(self, pose: Pose, target: Pose, dt: float, began: float) -> ToolForce | float:
-        """A step of a tool that has lifted off. If the step has to be followed, because the tool touches, or because
-        the tissue relaxes or swings, the solver has the tool where the tissue meets it, and the answer is the time to
-        follow, s."""
+        """Make a step of a tool that has lifted off.
+
+        Returns:
+            The force, if no equilibrium is needed; else the time of the step that remains to be solved, s, because the
+            tool touches, or because the tissue relaxes or oscillates. The tool is then where the tissue touches it.
+        """
         solver, tool = self._solver, self._tool
         clearance = solver.clearance(target)
         if clearance is None:
@@ -162,12 +165,12 @@ class PathFollower:
         return self._answer
 
     def _distance(self, start: Pose, end: Pose) -> float:
-        """How far the points of the contact go at most, m."""
+        """Upper bound of the displacement of contact points in a rigid motion, m."""
         x, y, z, a, b, c = motion(start, end)
         return math.hypot(x, y, z) + self._radius * math.hypot(a, b, c)
 
     def _touch_late(self, inertial: bool) -> None:
-        """Let the next tick begin at the touch if the tool comes back in it, as `_step_in_air` does in time."""
+        """Let a late tick begin at the touch if the tool returns to the tissue in it; see `_step_in_air`."""
         solver, pending, here = self._solver, self._pending, self._solver.pose
         first = pending.ticks[0]
         if not self._is_unloaded or solver.ignores_twist or here == first.pose:
@@ -186,7 +189,7 @@ class PathFollower:
             pending.split_first(here, until)
 
     def _move_to_touch(self) -> Pose:
-        """Take a tool in the air to where it meets the tissue in the next tick, and answer its pose."""
+        """Move a tool in the air to where it touches the tissue in the next tick, and return its pose."""
         solver, end = self._solver, self._pending.ticks[0].pose
         here = solver.pose
         clearance, before = solver.clearance(end), solver.clearance(here)
@@ -195,8 +198,14 @@ class PathFollower:
         return solver.pose
 
     def _follow(self, pose: Pose, tick: float, began: float, is_behind: bool) -> ToolForce:
-        """Step to a pose in as many parts as needed; the next step is assumed to be as long as `tick`, s. If the step
-        `is_behind`, ticks of earlier steps have yet to be followed."""
+        """Step to a pose in as many parts as needed.
+
+        Args:
+            pose: pose of the solver at the end.
+            tick: length of the step, s; the next step is assumed to be as long.
+            began: start of the step, `time.perf_counter`.
+            is_behind: whether ticks of earlier steps have yet to be solved.
+        """
         solver, status, solves, residual, outside = self._solver, None, 0, self._answer.residual, False
         pending = self._pending
         allowance = Allowance(self._clock, self.max_solves, None if self.budget is None else began + self.budget)
@@ -212,7 +221,7 @@ class PathFollower:
                     here = self._move_to_touch()
             first = pending.ticks[0]
             way, part = self._distance(here, first.pose), self._share * self._largest_part
-            # Parts of one length: the mass of the tissue resists a short one as a blow.
+            # Parts of equal length, because the mass of the tissue resists a short part like an impact.
             share = 1.0 / max(1, math.ceil(way / part - _ROUNDING)) if way else 1.0
             # Without rounding the last part ends where the tool is.
             target, dt = between(here, first.pose, share), 0.0 if self._leaps else share * first.dt
@@ -226,7 +235,7 @@ class PathFollower:
                 solver.meet(target)
                 pending.meets = False
             if attempt is None:
-                # Across a change of contact extrapolation leads astray, but less so where mass is in the way.
+                # Extrapolation is inaccurate across a change of contact, but less with mass.
                 order = min(solver.highest_order, max(solver.unchanged, weighs)) if self._extrapolates else 0
                 attempt = Attempt(target, dt, order, _MOST_SOLVES[order > 0])
             most = attempt.limit - attempt.spent
@@ -242,10 +251,10 @@ class PathFollower:
                                    predictor_order=attempt.order, inertial=weighs, resumes=attempt is self._attempt)
             elif (crept := creep.go_on(fitting)) is not None:
                 step = crept
-            else:  # it has arrived, or will not
+            else:  # the damped path has ended
                 step, target, dt, self._creep = replace(creep.last, iterations=0), creep.pose, creep.dt, None
             solves, residual = solves + step.iterations, step.residual
-            # Its own stiffness, whether it was found or not; a reserved solve is not part of the allowance.
+            # The static stiffness takes one answer, computed or not; a reserved solve is not part of the allowance.
             allowance.take(step.iterations, 1 + (weighs and asks is OwnStiffness.IF_LEFT and step.iterations < allowed))
             if not step.found_own_stiffness:
                 self._clock.follow(time.perf_counter() - started, step.iterations)
@@ -289,7 +298,7 @@ class PathFollower:
             else:
                 self._share, self._extrapolates = 0.5 * self._share, True
                 if self._share < _SMALLEST_CUT and self._anew:
-                    # Press again from above this pose; what friction remembers begins there.
+                    # Press on again from above this pose; stick anchors are new there.
                     solver.lift_off()
                     solver.move_in_air(raised(pose, -solver.height_above(pose)))
                     pending.restart(pose)
@@ -323,13 +332,13 @@ class PathFollower:
             self._is_long = path.wave > _WAVE * self._largest_force
 
     def _straightness(self, inertial: bool) -> float:
-        """How far late poses of the tool may be from one line that replaces them, m."""
+        """Largest distance of late poses from a straight line that replaces them, m."""
         if inertial or self._solver.relaxes or self._keeps_path:
             return _STRAIGHT * self._largest_part
         return math.inf
 
     def _stiffness_request(self, allowance: Allowance, allowed: int) -> OwnStiffness:
-        """Whether a part that may take `allowed` linear solves also finds the stiffness without mass."""
+        """Decide whether a part of at most `allowed` linear solves also computes the static stiffness."""
         age = self._equilibrium.stiffness_age + 1
         if age < self._stiffness_lasts:
             return OwnStiffness.OMITTED
@@ -339,14 +348,14 @@ class PathFollower:
 
     @property
     def _counts_mass(self) -> bool:
-        """Whether the mass of the tissue takes part in this step."""
+        """Whether the mass of the tissue acts in this step."""
         if not self._weighs or self._begins:
             return False
         return self.inertia == "on" or (self._lingers < LINGERS and self._motion_check.quiet >= LINGERS)
 
     def _answered(self, pose: Pose, tick: float, status: ForceStatus, outside: bool, solves: int, residual: float,
                   began: float) -> ToolForce:
-        """The answer of a step to a pose of the solver."""
+        """Make the result of a step to a pose of the solver."""
         at, tool, waiting = self._equilibrium, self._tool, self._pending.time
         wrench, ahead, within = at.wrench, None, None
         if status is ForceStatus.CONVERGED:
@@ -366,17 +375,17 @@ class PathFollower:
                          least_tool_mass(at.stiffness, at.step_stiffness, tick))
 
     def _ahead(self, tick: float) -> NextForce | None:
-        """What a next step of a tick, s, would answer, after one that converged."""
+        """Predict the force of the next step, of length `tick`, s, after a converged one."""
         ahead, left = self._solver.ahead(tick), self._left
         return ahead if ahead is None or left == 1.0 else ahead.scaled(left)
 
     def _carried_on(self, wrench: Screw, way: Screw) -> Screw:
-        """The wrench of the last equilibrium a little further on; tissue that cannot pull at the tool does not."""
+        """Extrapolate the wrench of the last equilibrium; tissue that cannot attract the tool does not pull."""
         wrench = carried_on(wrench, self._equilibrium.stiffness, way)
         return wrench if self._pulls or wrench[2] > 0.0 else AT_REST.wrench
 
     def _take(self, step: Step, dt: float, inertial: bool) -> None:
-        """Keep the answer of an equilibrium."""
+        """Store the result of an equilibrium."""
         self._is_long = False
         left = self._left = self._reduced.commit(self._solver.pose.depth, dt)
         at = self._equilibrium = self._equilibrium.followed_by(step, self._solver.pose, left, inertial, dt)

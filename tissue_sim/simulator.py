@@ -1,4 +1,4 @@
-"""Real-time stepping: where the tool is, a thousand times a second, to the force on it."""
+"""Real-time simulation: pose of the tool in, force on the tool out, about 1000 times per second."""
 
 from __future__ import annotations
 
@@ -31,44 +31,44 @@ from tissue_sim.step_clock import StepClock, require_solves
 from tissue_sim.tool_force import ForceStatus, ToolForce, error_floor
 from tissue_sim.tool_track import ToolTrack, is_on_axis
 
-#: Unbalanced over balanced forces at which an equilibrium is one.
+#: Relative residual below which a state is an equilibrium, 1.
 TOLERANCE = 1e-6
 #: Density of tissue for which none is stated, kg/m3: that of water.
 DENSITY = 1000.0
-#: Inertial steps after which the stiffness of the tissue without its mass is computed again, by a linear solution.
+#: Number of inertial steps after which the static stiffness is computed again, by a linear solve.
 _STIFFNESS_LASTS = 5
-#: Number of the level of the ladder of meshes that is tried first.
+#: Index of the resolution level that is measured first.
 _FIRST_LEVEL = 1
 
 
 class Simulator(PathFollower, KernelOwner):
-    """Force on a tool that goes where it likes, step by step.
+    """Force on a tool that follows any path, step by step.
 
-    A step finds the equilibrium at the new pose from the one before; a long way is followed in parts, along a rigid
-    motion at an even rate. Everything that the model's experiment and material state takes part: friction,
-    relaxation, softening, layers, adhesion, puncture, self-weight. The rig does not: it belongs to the measurement.
+    A step computes the equilibrium at the new pose from the previous one; a long motion is divided into parts along a
+    rigid motion at constant velocity. All parts of the model's experiment and material act: friction, relaxation,
+    softening, layers, adhesion, puncture, self-weight. The rig does not act, because it belongs to a measurement.
 
     Args:
-        model: experiment, material; of the protocol only the largest depth matters, to the mesh of tools without a
-            flat face.
-        resolution: as in `simulate`. With a budget ``"realtime"`` is the finest mesh of a ladder that this computer
-            steps in it, chosen by `warm_up`; ``"realtime_63"`` and the like fix it.
-        mesh: a mesh of your own instead.
-        budget: wall time of a step, s, after which it answers what it knows (`ForceStatus.LATE`); None: however long
-            it takes, and the same motion gives the same forces bit for bit.
-        inertia: ``"auto"``: the mass of the tissue counts if the tool is faster than
+        model: experiment and material. Of the protocol only the largest depth is used, for the mesh under tools without
+            a flat face.
+        resolution: as in `simulate`. With a budget ``"realtime"`` is the finest mesh whose steps fit into the budget on
+            this computer, chosen by `warm_up`; ``"realtime_63"`` and similar names fix the mesh.
+        mesh: mesh to use instead.
+        budget: wall time of a step, s, after which the step returns an extrapolated force (`ForceStatus.LATE`); None:
+            no limit, and the same motion gives the same forces bit for bit.
+        inertia: ``"auto"``: the mass of the tissue acts if the tool is faster than
             `tissue_sim.path_following.INERTIAL_SPEED`, if the solver has a mass, and if the steps resolve the motion
             (`tissue_sim.explicit_coupling.MotionCheck`); ``"on"``, ``"off"``.
-        tolerance: unbalanced over balanced nodal forces.
+        tolerance: relative residual of the nodal forces, 1.
         solver: name in `tissue_sim.fem.solver.SOLVERS`.
-        looks_ahead: whether answers in which the mass counts say what the next step would answer (`ToolForce.ahead`),
-            for a virtual coupling; a tenth of the step's time.
-        max_solves: linear solutions of a step, those of its stiffness included (of a reduced solid iterations, each
-            with a contact of its own), after which it answers what it knows (`ForceStatus.LATE`). A stiffness of
-            inertial steps for which none was left gets one more in every tenth step. None: with a budget as many as
-            `warm_up` finds to fit into it, else no bound.
-        strict_axis: whether an axisymmetric scene refuses a pose away from its axis or across it
-            (`ForceStatus.REFUSED`), instead of marking the answer (`ToolForce.is_on_axis`). The tolerances are
+        looks_ahead: whether inertial steps predict the force of the next step (`ToolForce.ahead`), for a virtual
+            coupling; takes a tenth of the time of a step.
+        max_solves: largest number of linear solves of a step, with those of its stiffness (for a reduced solid:
+            iterations, each with a contact solution), after which the step returns an extrapolated force
+            (`ForceStatus.LATE`). Every tenth step has one more for a static stiffness that found none left. None: the
+            number that fits into the budget, as measured by `warm_up`; without a budget no limit.
+        strict_axis: whether an axisymmetric scene refuses a pose off its axis or tilted (`ForceStatus.REFUSED`),
+            instead of marking the result (`ToolForce.is_on_axis`). The tolerances are
             `tissue_sim.tool_track.AXIS_OFFSET` and `AXIS_ANGLE`.
         limits: of poses and time steps; see `MotionLimits`.
 
@@ -76,15 +76,16 @@ class Simulator(PathFollower, KernelOwner):
     `clone` makes an independent simulator at the same state, `save` and `restore` keep a state.
 
     Attributes:
-        resolution: which of the solver's names it has come to; "own mesh" where it was given.
-        force_error: largest known error of the force on that mesh, over the force; None if it is not known.
-        error: estimate of the error of the force at the last equilibrium, N; None if it is not known.
+        resolution: name of the resolution in use; "own mesh" for a given mesh.
+        force_error: largest known relative error of the force on this mesh, 1; None if unknown.
+        error: estimated error of the force at the last equilibrium, N; None if unknown.
 
     Raises:
-        InputError: an unknown solver, resolution or inertia, inertia that must be on where a solver has none, a tool
-            that leans or slips in part, a modulus that is none of tissue, a bulk response or layers that do not fit.
-        ConvergenceError: the specimen does not stand under its own weight.
-        MissingBackendError: Taichi is not there.
+        InputError: an unknown solver, resolution or inertia; inertia "on" with a solver without inertia; a tilted tool
+            or partial slip; a modulus outside of the range of tissues; a bulk response or layers that the solver does
+            not support.
+        ConvergenceError: the specimen has no equilibrium under its own weight.
+        MissingBackendError: Taichi is not installed.
     """
 
     copy_remedy = "Use clone() for an independent simulator at the same state, or save() and restore()."
@@ -94,9 +95,9 @@ class Simulator(PathFollower, KernelOwner):
                  solver: str = "axisymmetric", looks_ahead: bool = False, max_solves: int | None = None,
                  strict_axis: bool = False, limits: MotionLimits | None = None):
         if inertia not in ("auto", "on", "off"):
-            raise InputError(f"{inertia!r} is not a choice of inertia; use 'auto', 'on' or 'off'", field="inertia")
+            raise InputError(f"must be 'auto', 'on' or 'off'; got {inertia!r}.", field="inertia")
         if budget is not None and not budget > 0:
-            raise InputError(f"{budget:g} s is not a time to compute in; give a positive one or None", field="budget")
+            raise InputError(f"must be positive or None; got {budget:g} s.", field="budget")
         require_solves(max_solves)
         require_live(model.experiment)
         require_tissue(model.material)
@@ -105,44 +106,45 @@ class Simulator(PathFollower, KernelOwner):
         self._made_of, self._guard = (model, mesh), threading.RLock()
         self._solver = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh)
         self._solver_name, levels = solver, () if mesh is not None else self._solver.realtime_levels(model)
-        #: To choose from.
+        #: Levels among which `warm_up` chooses.
         self._levels = levels if resolution == "realtime" and budget is not None else ()
         self.resolution = "own mesh" if mesh is not None else resolution
         self.force_error = {level.resolution: level.force_error for level in levels}.get(resolution)
         self._solver.ask_for_stiffness()
         self.density = model.experiment.specimen.density or model.material.density or DENSITY
-        # Whether the solver knows of mass.
+        # Whether the solver supports inertia.
         self._weighs = inertia != "off" and self._solver.follow_motion(self.density) is not False
         if inertia == "on" and not self._weighs:
-            raise InputError(f"the solver {solver!r} knows no mass of the tissue; use 'auto' or 'off'", field="inertia")
-        # Whether the tool stays on the tissue, and whether the tissue can pull at it.
+            raise InputError(f"must be 'auto' or 'off' with the solver {solver!r}, which supports no inertia.",
+                             field="inertia")
+        # Whether the tool cannot lift off, and whether the tissue can attract the tool.
         self._bonded = model.experiment.friction == "bonded"
         self._pulls = self._bonded or bool(model.experiment.acting_laws)
-        # Whether the force depends on the path of the tool even if time does not count.
+        # Whether the force depends on the path of the tool, apart from its dependence on time.
         self._keeps_path = model.experiment.is_path_dependent or model.material.remembers
-        # A turn counts as the way of a point at the edge of the contact.
+        # A rotation counts as the displacement of a point at the edge of the contact.
         self._radius = model.experiment.contact_radius
         self._largest_part = LARGEST_PART * self._radius
         self._error_floor = error_floor(model.material.mu0, self._radius)
         self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
-        # What the effects on the whole force left of it at the last equilibrium.
+        # Factor of effects in reduced form on the force at the last equilibrium.
         self._left = 1.0
-        self._solve: float | None = None  # wall time of one when it was warmed up, s
+        self._solve: float | None = None  # wall time of a linear solve at warm-up, s
         self._clock, self._most = StepClock(), max_solves
         self._answer = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
         self._equilibrium = AT_REST
         self.error: float | None = None
-        # Where the tool is, and whether it has touched; whether its first pose in the tissue has yet to be reached.
+        # Track of the tool; whether its first pose in the tissue has yet to be reached; largest force so far, N.
         self._tool, self._begins, self._largest_force = ToolTrack(), False, 0.0
         self._pose, self._motion_check, self._has_warned = self._solver.pose, MotionCheck(), False
         # Path since the last equilibrium; time since the last fast motion, s; fraction of the largest part that works.
         self._pending, self._lingers, self._share = PendingPath(), math.inf, 1.0
-        # Whether the tool is pressed on again after no other way was left: until then no time passes.
+        # Whether a quasi-static transition is in progress: the tool is pressed on again, and no time passes.
         self._leaps = False
         # Whether the last equilibrium is one of merged ticks of tissue that swings.
         self._is_long = False
-        # An iteration to go on with; whether one may begin with an extrapolation; and whether the tool may be pressed
-        # anew where no other way is left.
+        # Unfinished iteration; whether an iteration may begin with an extrapolation; whether the tool may be pressed on
+        # again if no equilibrium is found.
         self._attempt: Attempt | None = None
         self._extrapolates, self._anew = True, not self._bonded
         self._creep: Creep | None = None
@@ -162,19 +164,21 @@ class Simulator(PathFollower, KernelOwner):
 
     @property
     def solve_time(self) -> float:
-        """Wall time of a linear solve with all that belongs to it, s, as it is known after `warm_up`."""
+        """Wall time of a linear solve with its assembly, s, estimated since `warm_up`."""
         return self._clock.solve
 
     @exclusive
     def warm_up(self) -> None:
-        """Compile what a step needs, or load it from the cache, choose a mesh where there is one to choose, and leave
-        the state as it is. Takes seconds the first time on a computer; call it before the first step."""
+        """Compile the kernels of a step or load them from the cache, and choose the mesh; the state is kept.
+
+        This takes seconds the first time on a computer; call it before the first step.
+        """
         self._compile()
         if self._levels:
             self._choose_mesh()
 
     def _choose_mesh(self) -> None:
-        """Take the finest mesh whose ticks fit into the budget, once."""
+        """Choose the finest mesh whose ticks fit into the budget; only the first call has an effect."""
         levels, self._levels = self._levels, ()
         depth = float(np.max(self.model.experiment.protocol.displacement))
         made: dict[str, Simulator] = {}
@@ -183,11 +187,11 @@ class Simulator(PathFollower, KernelOwner):
             try:
                 one = Simulator(self.model, resolution=level.resolution, inertia=self.inertia, tolerance=self.tolerance,
                                 solver=self._solver_name, looks_ahead=self.looks_ahead)
-            except ConvergenceError:  # a specimen that stands under its own weight on finer meshes only
+            except ConvergenceError:  # the specimen has an equilibrium under its weight on finer meshes only
                 return math.inf
             made[level.resolution] = one
             one._compile()
-            one._stiffness_lasts = NEVER  # it has time where there is some
+            one._stiffness_lasts = NEVER  # the static stiffness is only computed in spare time
             tick = measure_tick(one, depth, lifts=not self._bonded, budget=self.budget or math.inf)
             one.reset()
             return tick
@@ -202,36 +206,36 @@ class Simulator(PathFollower, KernelOwner):
         self.restore(self._start)
 
     def _compile(self) -> None:
-        """Take three tiny steps, and go back."""
+        """Compile the kernels by three small steps, and restore the state."""
         saved, pose = self.save(), self._solver.pose
         x, y, z = pose.position
         spent = []
-        for way in (1e-5, 2e-5, 3e-5):
+        for depth in (1e-5, 2e-5, 3e-5):
             started = time.perf_counter()
-            step = self._solver.step(replace(pose, position=(x, y, z - way * self._radius)), 1e-3,
+            step = self._solver.step(replace(pose, position=(x, y, z - depth * self._radius)), 1e-3,
                                      tolerance=self.tolerance)
             spent.append((time.perf_counter() - started) / (1 + step.iterations))
         self._clock.begin(min(spent))
         self._solve = self._clock.solve
-        # What the first touch is carried on with, where it comes late.
+        # Stiffness with which a late first touch is extrapolated.
         touch = replace(AT_REST, stiffness=AT_REST.followed_by(step, AT_REST.pose, 1.0, False).stiffness)
         self._start = replace(self._start, equilibrium=touch)
         self.restore(saved if saved.tool.touch.has_touched else replace(saved, equilibrium=touch))
 
     def step(self, pose: float | Pose, dt: float) -> ToolForce:
-        """Go where the tool is now.
+        """Move the tool to a pose and compute the force.
 
-        Until the tool touches for the first time, and while it is in the air after lift-off, no equilibrium is computed
-        because of its motion. A tool that is inside in the first step is at rest there. A step that came late leaves
-        the rest of the path and of the time to the next one.
+        Before the first touch, and in the air after lift-off, a motion of the tool needs no equilibrium. A tool that is
+        inside of the tissue in the first step is at rest there. A late step leaves the rest of its path and of its time
+        to the next step.
 
         Args:
             pose: depth, m, or a `Pose`; an axisymmetric scene uses its depth only.
             dt: time since the last step, s; 0 for a sudden step.
 
         Returns:
-            The force and its status. REFUSED, with the last force and nothing changed: numbers that are not finite, or
-            beyond `limits`; with `strict_axis` a pose away from the axis or across it.
+            The force and its status. REFUSED, with the last force and an unchanged state: numbers that are not finite,
+            or outside of `limits`; with `strict_axis` a pose off the axis or tilted.
 
         Raises:
             InputError: a pose or a time that does not consist of numbers.
@@ -286,12 +290,12 @@ class Simulator(PathFollower, KernelOwner):
 
     @exclusive
     def reset(self) -> None:
-        """Back to the specimen that nobody has touched."""
+        """Return to the specimen before the first touch."""
         self.restore(self._start)
 
     @exclusive
     def save(self) -> SimulatorState:
-        """State on which the next step depends, without the parameters. A creep is stopped and starts again."""
+        """Return the state on which the next step depends, without parameters; a damped path is restarted."""
         self._stop_creeping()
         return SimulatorState(self._origin, self._solver.save(), self._answer, self._equilibrium, self._tool.copy(),
                               self._pose, self._leaps, self._pending.copy(), self._lingers, self._share, self._begins,
@@ -320,10 +324,10 @@ class Simulator(PathFollower, KernelOwner):
 
     @exclusive
     def clone(self) -> Simulator:
-        """An independent simulator with the same parameters at the same state.
+        """Return an independent simulator with the same parameters at the same state.
 
-        Compiled kernels are shared, all arrays are its own. Steps of one do not change the other, so that planners and
-        tree searches can try motions on it, also in another thread.
+        Compiled kernels are shared, arrays are copied. Steps of one do not change the other, so that planners and tree
+        searches can try motions, also in another thread.
         """
         model, mesh = self._made_of
         chosen = self.resolution if mesh is None else "realtime"
@@ -339,7 +343,7 @@ class Simulator(PathFollower, KernelOwner):
         return other
 
     def _stop_creeping(self) -> None:
-        """Back to the equilibrium from which the tissue crept away."""
+        """Stop a damped path and return to the equilibrium at its start."""
         if self._creep is not None:
             self._creep.steps.close()
             self._creep = None
@@ -349,11 +353,11 @@ class Simulator(PathFollower, KernelOwner):
         """Change parameters of the material; the state is kept, and the next step finds its equilibrium.
 
         Args:
-            values: by name, as in `sensitivities`: ``C10``; those of paths through a mapping,
+            values: by name, as in `sensitivities`: ``C10``; paths through a mapping,
                 ``set_parameters(**{"viscoelastic.terms[0].g": 0.2})``.
 
         Raises:
-            InputError: no such parameter, a value that the material refuses, or a modulus that is none of tissue
+            InputError: an unknown parameter, an invalid value, or a modulus outside of the range of tissues
                 (`tissue_sim.live_material`); nothing is changed.
         """
         material = with_values(self.model.material, values)
@@ -371,10 +375,10 @@ class Simulator(PathFollower, KernelOwner):
 
     @exclusive
     def surface(self) -> Surface:
-        """The surface of the tissue at the last equilibrium."""
+        """Return the surface of the tissue at the last equilibrium."""
         return self._solver.surface()
 
     @exclusive
     def snapshot(self) -> Snapshot:
-        """The whole tissue at the last equilibrium, with its fields."""
+        """Return a snapshot of the tissue at the last equilibrium, with its fields."""
         return snapshot(self._solver)

@@ -103,7 +103,7 @@ def test_what_cannot_be_is_refused(film):
         plates(film(), friction="bonded")
     with pytest.raises(InputError, match="taken by another law of a contact"):
         CONTACT_LAWS.register(type("Other", (film,), {}))
-    with pytest.raises(InputError, match="no law of a contact"):
+    with pytest.raises(InputError, match="is not a valid law of a contact"):
         CONTACT_LAWS.register(type("Loose", (ContactLaw,), {"name": "loose"}))
 
     class Branching(film):

@@ -230,7 +230,8 @@ def test_two_plugins_of_one_name_are_two_kernels(tmp_path):
 @pytest.mark.parametrize(("line", "message"), [
     ("k = self.modulus if C[0] > 1.0 else 0.0", r"choose with numpy\.where"),
     ("import numpy; k = numpy.arctan(C[0])", r"cannot use numpy\.arctan"),
-    ("k = self.modulus; state = [k]", "1 state variables; give 6, 6 rows of 6, and as many as in `rest`, 0"),
+    ("k = self.modulus; state = [k]",
+     "and 0 state variables, as many as `rest` has; got 6 stresses, 6 rows and 1 state"),
 ])
 def test_what_a_kernel_cannot_do_is_refused(line, message):
     names = {}
@@ -242,7 +243,7 @@ def test_what_a_kernel_cannot_do_is_refused(line, message):
 
 
 def test_closed_forms_leave_it_to_the_elements(branch):
-    with pytest.raises(InputError, match="closed forms know nothing of effects") as caught:
+    with pytest.raises(InputError, match="closed forms do not include effects") as caught:
         ts.nominal_stress_history(material(branch), [0.0, 1.0], [1.0, 0.9])
     assert caught.value.field == "effects.maxwell_branch"
 

@@ -46,7 +46,7 @@ def test_shape_of_one_file(wedge, tmp_path, capsys):
 
 
 def test_no_closed_form_and_no_axis(wedge, tmp_path):
-    with pytest.raises(ts.InputError, match=r"takes cylinders only, and the specimen is a wedge; .*--solid"):
+    with pytest.raises(ts.InputError, match=r"requires a cylinder; the specimen is a wedge; .*--solid"):
         ts.simulate(model(ts.Specimen(shape="wedge", **SIZES)))
     (tmp_path / "run.csv").write_text("displacement [mm],force [N]\n0,0\n1,1\n2,2\n", encoding="utf-8")
     path = tmp_path / "study.toml"

@@ -56,7 +56,7 @@ def test_several_change_at_once():
     """One share may only rise where the other falls: together they are accepted in any order."""
     changed = with_values(MATERIAL.viscoelastic, {"terms[1].g": 0.9, "terms[0].g": 0.05})
     assert [term.g for term in changed.terms] == [0.05, 0.9]
-    with pytest.raises(ts.InputError, match="add up to"):
+    with pytest.raises(ts.InputError, match="the sum of all g must be below 1"):
         with_values(MATERIAL.viscoelastic, {"terms[1].g": 0.9})
 
 

@@ -105,7 +105,7 @@ def test_a_mesh_on_which_nothing_stands_is_left_out(monkeypatch):
     elements = len(sim.mesh.connectivity)
 
     def refuse(*arguments, **options):
-        raise ts.ConvergenceError("the specimen does not stand under its own weight")
+        raise ts.ConvergenceError("the specimen has no equilibrium under its own weight")
 
     monkeypatch.setattr(simulator, "Simulator", refuse)
     sim.warm_up()

@@ -288,7 +288,7 @@ class TestMeshesOfFiles:
         regions = organ[1].mesh.regions
         ts.write_reduced(replace(organ[1], mesh=replace(organ[1].mesh, regions={**regions, "x": regions["part:1"]})),
                          path)
-        with pytest.raises(ts.InputError, match="lies in two regions") as refused:
+        with pytest.raises(ts.InputError, match="must contain each element in at most one region") as refused:
             ts.load_reduced(path)
         assert str(refused.value.file) == str(path)
 

@@ -107,7 +107,8 @@ def test_no_moulded_height_fits():
 
 
 @pytest.mark.parametrize(("change", "words"), [
-    ({"density": None, "gravity": 9.81}, "gravity needs a density"), ({"gravity": -1.0, "density": 1.0}, "gravity"),
+    ({"density": None, "gravity": 9.81}, "must be given, in kg/m3, if gravity acts"),
+    ({"gravity": -1.0, "density": 1.0}, "gravity"),
     ({"density": -1.0}, "positive density"), ({"height_is": "guessed"}, "'moulded' or 'placed'")])
 def test_bad_input(change, words):
     with pytest.raises(ts.InputError, match=words):

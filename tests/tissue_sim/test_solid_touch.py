@@ -122,7 +122,7 @@ def test_beside_the_specimen_it_touches_nothing():
     mesh = block(LINE, LINE, [-0.02, 0.0], HEX8P0)
     for tool in (ts.Tool("sphere", radius=RADIUS), ts.Tool("flat", radius=RADIUS)):
         for place in (0.1, 0.02 + RADIUS + 1e-5):
-            with pytest.raises(InputError, match="comes down beside the specimen"):
+            with pytest.raises(InputError, match="comes down outside of the specimen"):
                 height(mesh, tool, Pose((place, 0.0, 0.0)))
 
 

@@ -157,8 +157,9 @@ def test_no_energy_comes_out(law, mode, steps, g, tau, loss):
 
 
 @pytest.mark.parametrize(("time", "strain", "message"), [
-    ([0.0, 1.0], [1.0], "two lists of the same length"), ([0.0, -1.0], [1.0, 0.9], "runs backwards"),
-    ([0.0, np.nan], [1.0, 0.9], "not finite"), ([0.0, 1.0], [1.0, 0.0], "not a stretch"), ([], [], "same length")])
+    ([0.0, 1.0], [1.0], "two lists of the same length"), ([0.0, -1.0], [1.0, 0.9], "must not decrease"),
+    ([0.0, np.nan], [1.0, 0.9], "must be finite"),
+    ([0.0, 1.0], [1.0, 0.0], "must be above 0 .*; got 0"), ([], [], "same length")])
 def test_refused(time, strain, message):
     with pytest.raises(ts.InputError, match=message):
         nominal_stress_history(STUDY, time, strain)

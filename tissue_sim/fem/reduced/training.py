@@ -379,4 +379,4 @@ def training_mesh(model: Model, box: PoseBox, resolution: str) -> SolidMesh:
                              f"{at} mm; make the box smaller", field="box.sideways")
     # Rings that fit into the top.
     room = _ROOM * specimen.margin(x, y) - experiment.contact_radius
-    return build_mesh(experiment, resolution, model.material.layers, beside=max(0.0, min(aside, room)))
+    return build_mesh(experiment, resolution, model.material.layers, distance=max(0.0, min(aside, room)))

@@ -1,4 +1,4 @@
-"""The elements of a solid a few at a time, as the arrays that the kernel works on."""
+"""Batches of elements as the arrays on which the kernels work."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.mesh.solid import SolidMesh
 
-#: Elements that a kernel works on at once, one in each lane of its vectors.
+#: Number of elements that a kernel processes at once, one in each lane of its vectors.
 LANES = 4
 
 
 def quadrature(mesh: SolidMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of all elements, undeformed.
+    """Compute quadrature data of all undeformed elements.
 
     Returns:
         Volumes of the quadrature points, m3, shape (elements, q); gradients of the shape functions there, 1/m, shape
-        (elements, q, nodes, 3); and orthonormal pressure modes, 1/m^1.5, shape (elements, q, modes).
+        (elements, q, nodes, 3); orthonormal pressure modes, 1/m^1.5, shape (elements, q, modes).
 
     Raises:
-        InputError: an element of no or negative volume.
+        InputError: an element of zero or negative volume.
     """
     points, shares = mesh.element.quadrature
     values, slopes = mesh.element.shape_functions(points)
@@ -34,33 +34,35 @@ def quadrature(mesh: SolidMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         raise InputError(f"element {worst} of the mesh is turned inside out or has no volume", field="mesh")
     modes = np.ones((*weights.shape, mesh.element.pressure_modes))
     if mesh.element.pressure_modes == 4:
-        place = np.einsum("qa,eai->eqi", values, X)
-        modes[..., 1:] = (place - place.mean(axis=1, keepdims=True)) / np.ptp(X, axis=1)[:, None]
+        position = np.einsum("qa,eai->eqi", values, X)
+        modes[..., 1:] = (position - position.mean(axis=1, keepdims=True)) / np.ptp(X, axis=1)[:, None]
     gram = np.einsum("eq,eqm,eqn->emn", weights, modes, modes)
     return (weights, np.einsum("qaj,eqji->eqai", slopes, np.linalg.inv(jacobian)),
             np.einsum("eqm,enm->eqn", modes, np.linalg.inv(np.linalg.cholesky(gram))))
 
 
 class ElementBatches:
-    """Elements of a group stand in lanes of batches of their own; lanes that are left over repeat the group's last
-    element and write nowhere.
+    """Elements in batches of `LANES`; each group of elements has its own batches.
+
+    Unused lanes repeat the last element of the group; their results are discarded.
 
     Args:
-        mesh: undeformed.
-        groups: numbers of the elements of each group; all elements are in one. None: one group.
-        shares: how many times its own volume each element stands for, shape (elements,); None: once.
+        mesh: undeformed mesh.
+        groups: indices of the elements of each group, a partition of all elements; None: one group.
+        shares: weight of each element in units of its volume, shape (elements,); None: 1.
 
     Attributes:
-        parts: batches of each group. lane_of: place of each element among all lanes, shape (elements,).
-        moduli: that each lane's moduli are times those of the material, shape (batches, LANES).
+        parts: batches of each group.
+        lane_of: index of each element among all lanes, shape (elements,).
+        moduli: factor of each lane on the moduli of the material, shape (batches, LANES).
         weights: volumes of the quadrature points, m3, shape (elements, q).
-        volumes: that each node stands for, m3, shape (nodes,).
+        volumes: volume that each node represents, m3, shape (nodes,).
         pressures: amplitudes of the elements' pressure modes, Pa.
-        matrix: rows and columns of the stiffness of all freedoms, a `scipy.sparse.csc_array` whose data the kernel
-            writes; residual: forces of all freedoms, N, shape (freedoms,).
+        matrix: stiffness of all degrees of freedom, a `scipy.sparse.csc_array` whose data the kernel writes.
+        residual: forces of all degrees of freedom and one unused entry, N, shape (freedoms + 1,).
 
     Raises:
-        InputError: an element of no or negative volume.
+        InputError: an element of zero or negative volume.
     """
 
     def __init__(self, mesh: SolidMesh, groups: Sequence[np.ndarray] | None = None,
@@ -100,28 +102,28 @@ class ElementBatches:
         self._number(mesh.connectivity, len(mesh.nodes))
 
     def _lanes(self, values: np.ndarray) -> np.ndarray:
-        """Values of the elements, shape (elements, ...), with the lanes last: (batches times the rest, LANES)."""
+        """Rearrange values of the elements, shape (elements, ...), to lanes, shape (batches times the rest, LANES)."""
         return np.ascontiguousarray(np.moveaxis(values[self._elements], 1, -1).reshape(-1, LANES))
 
     def _of_elements(self, lanes: np.ndarray, *inner: int) -> np.ndarray:
-        """What `_lanes` made, element by element again, shape (elements, *inner)."""
+        """Rearrange lanes to elements, shape (elements, *inner); the inverse of `_lanes`."""
         return np.moveaxis(lanes.reshape(self.batches, *inner, LANES), -1, 1).reshape(-1, *inner)[self.lane_of]
 
     @cached_property
     def of_points(self) -> tuple[np.ndarray, np.ndarray]:
-        """At the quadrature points: gradients of the shape functions, 1/m, shape (elements, q, nodes, 3), and
-        orthonormal pressure modes, shape (elements, q, modes)."""
+        """Gradients of the shape functions at the points, 1/m, shape (elements, q, nodes, 3), and orthonormal pressure
+        modes, shape (elements, q, modes)."""
         points, nodes = self.weights.shape[1], self._dofs.shape[1]
         gradients = np.stack([self._of_elements(each, points, nodes) for each in self._gradients], axis=-1)
         return gradients, self._of_elements(self._mode_values, points, self._modes)
 
     @property
     def element_moduli(self) -> np.ndarray:
-        """In units of the material's, shape (elements,)."""
+        """Ratio of the moduli of each element to those of the material, shape (elements,)."""
         return self._of_elements(self.moduli)
 
     def _number(self, connectivity: np.ndarray, nodes: int) -> None:
-        """The pattern of the matrix, and where the stiffness of each pair of nodes stands in it."""
+        """Compute the pattern of the matrix, and the positions of the stiffness of each pair of nodes in its data."""
         from scipy import sparse
 
         of_element = connectivity.shape[1]
@@ -131,7 +133,7 @@ class ElementBatches:
                                  shape=(len(connectivity), nodes))
         pattern = (holds.T @ holds).tocsc()
         pattern.sort_indices()
-        # Of each pair of nodes that an element has, its place among the blocks of the column of the second.
+        # Index of the block of each pair of nodes of an element, in the column of the second node.
         places = places_of(pattern, connectivity[:, a], connectivity[:, c])
         mirrored = places_of(pattern, connectivity[:, c], connectivity[:, a])
         starts, rows = pattern.indptr.astype(np.int64), pattern.indices
@@ -139,30 +141,30 @@ class ElementBatches:
         i, k = np.tile(np.arange(3), 3), np.repeat(np.arange(3), 3)
 
         def entries(place: np.ndarray, column: np.ndarray, row: np.ndarray, along: np.ndarray) -> np.ndarray:
-            """Of the nine of a block: columns stand behind each other, three for a node, rows of a column likewise."""
+            """Positions of the nine entries of blocks: a node has three columns, each with three rows for a node."""
             first = 9 * starts[column] + 3 * (place - starts[column])
             return first[..., None] + 3 * blocks[column][..., None] * along + row
 
-        nobody = 9 * rows.size
+        unused = 9 * rows.size
         direct = entries(places, connectivity[:, c], i, k)
-        # A block of the diagonal is there once.
-        across = np.where((c == a)[:, None], nobody, entries(mirrored, connectivity[:, a], k, i))
-        self._places, self._mirrored = (self._pair_lanes(each.reshape(len(connectivity), -1), nobody)
+        # A diagonal block has no mirror image.
+        across = np.where((c == a)[:, None], unused, entries(mirrored, connectivity[:, a], k, i))
+        self._places, self._mirrored = (self._pair_lanes(each.reshape(len(connectivity), -1), unused)
                                         for each in (direct, across))
         self._stiffness = np.zeros((9 * c.size, LANES))
-        self._data = np.zeros(nobody + 1)
+        self._data = np.zeros(unused + 1)
         lengths = np.repeat(3 * blocks, 3)
         indices = np.concatenate([(3 * rows[starts[n] : starts[n + 1], None] + np.arange(3)).ravel()
                                   for n in range(nodes) for _ in range(3)])
         self.matrix = sparse.csc_array((self._data[:-1], indices.astype(np.int32), np.concatenate(
             [[0], np.cumsum(lengths)])), shape=(3 * nodes, 3 * nodes))
 
-    def _pair_lanes(self, places: np.ndarray, nobody: int) -> np.ndarray:
-        lanes = np.where(self._real[..., None], places[self._elements], nobody)
+    def _pair_lanes(self, places: np.ndarray, unused: int) -> np.ndarray:
+        lanes = np.where(self._real[..., None], places[self._elements], unused)
         return np.ascontiguousarray(np.moveaxis(lanes, 1, -1).reshape(self.batches, -1), dtype=np.int32)
 
     def arrays(self, part: slice) -> dict[str, np.ndarray]:
-        """Those of a group's batches, and what all share, by their names in the kernel; ``elements`` are numbers in the
+        """Arrays of a group's batches, and shared arrays, by their names in the kernel; ``elements`` are indices in the
         group."""
         dofs = np.ascontiguousarray(np.moveaxis(self._dofs[self._elements], 1, -1).reshape(-1, LANES))
         named = dict(zip(("gradient_x", "gradient_y", "gradient_z"), self._gradients, strict=True))
@@ -178,37 +180,44 @@ class ElementBatches:
 
     @property
     def element_forces(self) -> np.ndarray:
-        """Of each element on its freedoms, N, shape (elements, freedoms of an element), as the kernel left them."""
+        """Forces of each element on its degrees of freedom after the last assembly, N, shape (elements, freedoms)."""
         return self._of_elements(self._forces, 3 * self._dofs.shape[1])
 
     def pressure_forces(self, pressures: np.ndarray) -> np.ndarray:
-        """What pressures, as they stand in the lanes, Pa, do to the freedoms of the elements where these were evaluated
-        last, N, shape (elements, freedoms of an element)."""
+        """Forces of pressures in lanes, Pa, on the degrees of freedom of the elements, at the last evaluated state.
+
+        Returns:
+            N, shape (elements, freedoms of an element).
+        """
         rates = self._of_elements(self.volume_rates, self._modes, 3 * self._dofs.shape[1])
         return np.einsum("em,emi->ei", self.by_element(pressures), rates)
 
     @property
     def stretch_rates(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Arrays that the kernel reads, to be written in place, and their rates with the logarithm of the height of the
+        """Arrays that the kernel reads, and their derivatives with respect to the logarithm of the height of the
         undeformed mesh."""
         return [(self._gradients[2], -self._gradients[2]), (self._weights, self._weights.copy()),
                 (self._mode_values, -0.5 * self._mode_values)]
 
     def set_moduli(self, ratios: np.ndarray) -> None:
-        """Of each element's moduli to those of its material, shape (elements,)."""
+        """Set the ratio of the moduli of each element to those of its material, shape (elements,)."""
         self.moduli[:] = ratios[self._elements]
 
     def by_element(self, amplitudes: np.ndarray) -> np.ndarray:
-        """Amplitudes of the pressure modes as they stand in the lanes, by element, shape (elements, modes)."""
+        """Convert amplitudes of the pressure modes from lanes to elements, shape (elements, modes)."""
         return self._of_elements(amplitudes, self._modes)
 
     def in_lanes(self, amplitudes: np.ndarray) -> np.ndarray:
-        """What `by_element` gave, as it stands in the lanes."""
+        """Convert amplitudes from elements to lanes; the inverse of `by_element`."""
         return self._lanes(amplitudes)
 
     def follow(self, motion: np.ndarray, kappa: np.ndarray | float) -> None:
-        """Let the pressures follow a linear solution, in which the freedoms moved so, shape (freedoms,), m; `kappa` is
-        the bulk modulus, or those of the batches, Pa."""
+        """Update the pressures after a linear solution.
+
+        Args:
+            motion: increments of the degrees of freedom, m, shape (freedoms,).
+            kappa: bulk modulus, or those of the batches, Pa.
+        """
         nodes = self._dofs.shape[1]
         moved = motion[self._equations_of_nodes].reshape(self.batches, 1, 3 * nodes, LANES)
         rates = self.known_rates.reshape(self.batches, self._modes, 3 * nodes, LANES)
@@ -216,27 +225,31 @@ class ElementBatches:
         self.pressures += ((np.reshape(kappa, (-1, 1)) * self.moduli)[:, None] * change).reshape(-1, LANES)
 
     def keep_volume_rates(self) -> None:
-        """Those of the volumes with the nodes are those that the matrix holds."""
+        """Store the present derivatives of the volumes as those in the matrix."""
         self.known_rates[:] = self.volume_rates
 
     def add_known_volumes(self, forces: np.ndarray, kappa: np.ndarray) -> None:
-        """Add to forces, shape (freedoms,), N, what eliminating the pressures with the rates that the matrix holds
-        makes of them, instead of with those of now; `kappa` are the bulk moduli of the batches, Pa."""
+        """Correct forces for the elimination of the pressures with the volume derivatives in the matrix.
+
+        Args:
+            forces: N, shape (freedoms,); changed in place.
+            kappa: bulk moduli of the batches, Pa.
+        """
         shape = self.batches, self._modes, -1, LANES
         missed = (kappa[:, None] * self.moduli)[:, None] * self.gaps.reshape(self.batches, self._modes, LANES)
         more = (missed[:, :, None] * (self.known_rates - self.volume_rates).reshape(shape)).sum(axis=1)
-        # The equation after the last one is that of lanes which are left over.
+        # The additional equation is that of the unused lanes.
         forces += np.bincount(self._equations.ravel(), more.ravel(), minlength=forces.size + 1)[:-1]
 
     @cached_property
     def _equations_of_nodes(self) -> np.ndarray:
-        # Of lanes that are left over those of the last element, so that they stay its copies.
+        # Unused lanes have the equations of the last element, so that they remain copies of it.
         own = (self._dofs[:, :, None] + np.arange(3, dtype=np.int32)).reshape(self.count, -1)
         return np.moveaxis(own[self._elements], 1, -1)
 
 
 def places_of(pattern, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Where these entries stand in the data of a matrix by columns with sorted rows."""
+    """Indices of entries in the data of a matrix in compressed columns with sorted rows."""
     count = pattern.shape[0]
     keys = np.repeat(np.arange(count, dtype=np.int64), np.diff(pattern.indptr)) * count + pattern.indices
     return np.searchsorted(keys, columns.astype(np.int64) * count + rows)

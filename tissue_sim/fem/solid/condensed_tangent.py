@@ -1,4 +1,4 @@
-"""The tangent of a solid's bulk at one of its iterates, condensed onto nodes that the tool can meet."""
+"""Tangent of a solid's bulk at one iterate, condensed onto nodes that the tool may touch (Schur complement)."""
 
 from __future__ import annotations
 
@@ -12,24 +12,26 @@ from tissue_sim.fem.solid.free_dofs import FreeDofSystem
 
 
 class CondensedTangent:
-    """Numbers of a tangent, which stay what they were while the tissue goes on, and what is made of them.
+    """Copy of a tangent, which stays constant while the iteration continues, with its factor and condensed matrices.
 
     Args:
-        free: of the solid, as a pattern.
-        held: numbers of the freedoms that the tool holds.
+        free: free degrees of freedom of the solid, for the sparsity pattern.
+        held: indices of the degrees of freedom that the tool holds.
 
     Attributes:
-        interface: numbers in the `ContactSurface` of the nodes onto which it is condensed, shape (m,).
+        interface: indices, in the `ContactSurface`, of the nodes onto which the tangent is condensed, shape (m,).
         nodes: those of them that are published, shape (n,).
-        volume_rates: with which its pressures were eliminated, see `ElementBatches`.
-        held: columns of the matrix, of the freedoms that the tool holds.
-        factor: None before it is there, or where there is none.
-        compliance: of the nodes, m/N, shape (3 n, 3 n).
-        drive, stiffness: how the nodes and the wrench follow what the tool holds, shape (3 n, 6) and (6, 6).
+        volume_rates: volume derivatives with which the pressures were eliminated, see `ElementBatches`.
+        held: columns of the matrix for the degrees of freedom that the tool holds.
+        factor: None before it is computed, or if the matrix is singular.
+        compliance: of the published nodes, m/N, shape (3 n, 3 n).
+        tool_coupling: derivative of the nodal displacements with respect to the pose of the tool that holds tissue,
+            shape (3 n, 6).
+        stiffness: derivative of the wrench, shape (6, 6).
     """
 
     compliance: np.ndarray
-    drive: np.ndarray
+    tool_coupling: np.ndarray
     stiffness: np.ndarray
 
     def __init__(self, free: FreeDofSystem, held: np.ndarray):
@@ -43,58 +45,59 @@ class CondensedTangent:
         self.volume_rates, self.held = np.zeros(0), free.all[:, held]
         self.factor: CondensedFactor | None = None
 
-    def take(self, free: FreeDofSystem, interface: np.ndarray, equations: np.ndarray, volume_rates: np.ndarray,
-             beside: Beside) -> None:
-        """Take the numbers of now, and make a factor of them.
+    def assign(self, free: FreeDofSystem, interface: np.ndarray, equations: np.ndarray, volume_rates: np.ndarray,
+               executor: Beside) -> None:
+        """Copy the present tangent and start its factorisation.
 
         Args:
-            free: the matrix.
-            interface: see there. equations: of their freedoms, shape (m, 3).
-            volume_rates: of the matrix.
-            beside: where.
+            free: matrix with the present values.
+            interface: indices of the interface nodes in the surface, shape (m,).
+            equations: equations of their degrees of freedom, shape (m, 3).
+            volume_rates: volume derivatives in the matrix.
+            executor: runs the factorisation.
         """
         self._matrix.data[:], self.held = free.free.data, free.all[:, self._held]
         self.interface, self.volume_rates, self.factor = interface, volume_rates.copy(), None
         self._order = np.argsort(equations.ravel())
         self._sorted = equations.ravel()[self._order]
-        self._is_done = beside(self._compute)
+        self._is_done = executor(self._compute)
 
     def _compute(self) -> None:
         self.factor = self._sparse.condense(self._matrix, self._sorted)
 
     @property
     def is_done(self) -> bool:
-        """Whether the factor is there, or it is known that there is none."""
+        """Whether the factorisation has ended, with or without a factor."""
         return self._is_done()
 
     def choose(self, nodes: np.ndarray, equations: np.ndarray) -> None:
-        """Publish these nodes of the interface, with the equations of their freedoms, shape (n, 3)."""
+        """Publish nodes of the interface, given with the equations of their degrees of freedom, shape (n, 3)."""
         assert self.factor is not None
-        places = np.searchsorted(self._sorted, equations.ravel())
-        self.nodes, self.compliance = nodes, self.factor.compliance[np.ix_(places, places)]
-        self.drive, self.stiffness = np.zeros((3 * nodes.size, 6)), np.zeros((6, 6))
+        indices = np.searchsorted(self._sorted, equations.ravel())
+        self.nodes, self.compliance = nodes, self.factor.compliance[np.ix_(indices, indices)]
+        self.tool_coupling, self.stiffness = np.zeros((3 * nodes.size, 6)), np.zeros((6, 6))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Motion under forces on the free freedoms, shape (free,) or (free, several)."""
+        """Displacements for forces on the free degrees of freedom, shape (free,) or (free, n)."""
         assert self.factor is not None
         return self.factor.solve(right)
 
     @property
     def rows(self) -> np.ndarray:
-        """Places among the free freedoms of those of the interface, sorted, shape (3 m,)."""
+        """Indices of the interface equations among the free degrees of freedom, sorted, shape (3 m,)."""
         return self._sorted
 
     def begin(self, right: np.ndarray) -> np.ndarray:
-        """The same motion, begun: it stands in the rows of the interface; see `CondensedFactor.begin`."""
+        """First half of `solve`: the interface rows hold the displacements; see `CondensedFactor.begin`."""
         assert self.factor is not None
         return self.factor.begin(right)
 
     def push(self, forces: np.ndarray) -> np.ndarray:
-        """A motion begun under forces on the interface alone, shape (m, 3)."""
+        """First half of a solution for forces on the interface only, shape (m, 3)."""
         assert self.factor is not None
         return self.factor.begin_push(forces.ravel()[self._order])
 
     def finish(self, begun: np.ndarray) -> np.ndarray:
-        """The motion of all free freedoms that was begun."""
+        """Second half of a solution: displacements of all free degrees of freedom."""
         assert self.factor is not None
         return self.factor.finish(begun)

@@ -1,12 +1,12 @@
-"""Contact of a solid's surface with rigid bodies of revolution, at its nodes.
+"""Contact of a solid's surface nodes with rigid bodies of revolution.
 
-The method is that of the axisymmetric solver (`tissue_sim.fem.axisymmetric.contact_kernels`), in space: a primal-dual
-active set (Hüeber and Wohlmuth, Comput. Methods Appl. Mech. Eng. 194 (2005) 3147) in which the force of a node is an
-unknown beside its displacement and follows the linear solution as that does. Stiff springs eliminate the forces node
-by node, and the next iteration takes their error away; who presses is decided by the force plus a soft spring times
-the gap. Only the blocks of the nodes themselves in the matrix are touched.
+The method is a primal-dual active set strategy (Hüeber and Wohlmuth, Comput. Methods Appl. Mech. Eng. 194 (2005) 3147),
+as in the axisymmetric solver (`tissue_sim.fem.axisymmetric.contact_kernels`). The contact force of a node is an unknown
+besides its displacement. A penalty stiffness eliminates the forces node by node, and the next iteration removes the
+error of the penalty. The active set is decided by the force plus a small stiffness times the gap. Only the diagonal
+blocks of the nodes in the matrix change.
 
-Forces here are those that the tissue exerts on the body, as in the residual; a normal points out of the body.
+Forces are those of the tissue on the body, as in the residual; normals point out of the body.
 """
 
 from __future__ import annotations
@@ -22,37 +22,42 @@ from tissue_sim.fem.solid.contact_state import ContactState
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.pose import Pose
 
-#: Stiffness of the springs that eliminate contact forces, in units of mu0 over the length of what a node stands for:
-#: the share of the tissue in the stiffness that a step answers is too small by about its inverse.
+#: Penalty stiffness that eliminates contact forces, in units of mu0 times the square root of the nodal area; the
+#: contribution of the tissue to the stiffness of a step is too small by about the inverse of this number.
 STIFFNESS = 3e5
-#: How many times stiffer a node that does not slip is held.
+#: Penalty stiffness of the slip of a sticking node over that of its gap, 1.
 HOLD = 3.0
-#: What an interface without slip stands for among the coefficients of friction.
+#: Value that stands for an interface without slip among the coefficients of friction.
 STICK = -1.0
-#: Share of a node's spring that weighs gap and slip against its force where its state is decided: about the stiffness
-#: of the tissue.
+#: Factor on the penalty stiffness with which gap and slip are compared with the force to decide the state of a node, 1;
+#: the product is about the stiffness of the tissue.
 TRIAL = 1e-5
-#: How a node is bound to its body: not at all, held by an interface without slip, touching with friction.
-FREE, HELD, TOUCHED = range(3)
-#: All nodes may change their state at once; any other number draws a quarter of them, so that they do not go round in
-#: circles together.
-ALL, _DRAWN = 1_000_000, 4
+#: State of a node without connection to its body.
+FREE = 0
+#: State of a node that an interface without slip holds.
+HELD = 1
+#: State of a node that touches with friction.
+TOUCHED = 2
+#: Value of `changeable` with which all nodes may change their state in one evaluation.
+ALL = 1_000_000
+#: With other values of `changeable` one node in this number may change, so that the active set does not cycle.
+_DRAWN = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A rigid body of revolution and the nodes that it may meet.
+    """A rigid body of revolution, and the nodes that may touch it.
 
     Attributes:
-        profile: its outline, in its own frame.
-        nodes: numbers of the nodes.
-        friction: of its face and of its shaft: a coefficient, 0 frictionless, `STICK` no slip.
-        moves: whether it moves with the tool; else its frame is that of the mesh.
+        profile: outline in the frame of the body.
+        nodes: indices of the nodes.
+        friction: of its face and of its shaft: a coefficient, 0 for frictionless, `STICK` for no slip.
+        moves: whether the body moves with the tool; else its frame is that of the mesh.
         tied: whether an interface without slip holds the nodes from the start.
-        stays: whether the nodes stay on it even when they are pulled.
-        first_line: line of the profile's chain from which on the nodes may meet it.
-        closed: whether a sharp shaft goes on downwards while the tool is pressed in: what is held below an upright face
-            leaves no room there.
+        stays: whether the nodes cannot lift off.
+        first_line: index of the first segment of the profile that the nodes may touch.
+        closed: whether a sharp shaft is extended downwards while the tool is pressed in, because the tissue that is
+            held below an upright face occupies the space there.
     """
 
     profile: Profile
@@ -67,9 +72,15 @@ class Body:
 
 @dataclass(frozen=True)
 class Nearest:
-    """Of points in the frame of their body: signed distance, m, shape (n,), outward normal, (n, 3), how it turns with
-    the place, 1/m, (n, 3, 3), whether the nearest place belongs to the shaft, (n,), and the direction along the outline
-    there, (n, 3)."""
+    """Nearest points of a body's surface to given points, in the frame of the body.
+
+    Attributes:
+        gap: signed distance, m, shape (n,).
+        normal: outward normal, shape (n, 3).
+        curvature: derivative of the normal with respect to position, 1/m, shape (n, 3, 3).
+        on_shaft: whether the nearest point belongs to the shaft, shape (n,).
+        meridian: direction along the outline, shape (n, 3).
+    """
 
     gap: np.ndarray
     normal: np.ndarray
@@ -79,12 +90,12 @@ class Nearest:
 
 
 def nearest(body: Body, points: np.ndarray, pressed_in: bool) -> Nearest:
-    """The surface of a body nearest to points in its frame, m, shape (n, 3).
+    """Find the nearest points of a body's surface.
 
     Args:
         body: the body.
-        points: the points.
-        pressed_in: whether it is where it touched, or deeper; see `Body.closed`.
+        points: in the frame of the body, m, shape (n, 3).
+        pressed_in: whether the body is at its position of first touch, or deeper; see `Body.closed`.
     """
     profile, first = body.profile, body.first_line
     closed = body.closed and pressed_in and first == profile.shaft and profile.rounding == 0.0
@@ -99,11 +110,11 @@ def nearest(body: Body, points: np.ndarray, pressed_in: bool) -> Nearest:
     arrow = offset - share[..., None] * t
     distance = np.linalg.norm(arrow, axis=-1)
     front = arrow[..., 0] * t[:, 1] - arrow[..., 1] * t[:, 0]
-    # At a vertex two lines are equally near: the one that the point stands farther in front of decides.
+    # At a vertex two segments are equally near; the one with the larger normal distance determines the sign.
     best = np.lexsort((-np.abs(front), np.round(distance, 15)), axis=-1)[:, 0]
     rows = np.arange(len(points))
     distance, front, share, along, arrow = (each[rows, best] for each in (distance, front, share, along, arrow))
-    # Before the start of the chain there is no inside.
+    # Points before the start of the polyline are outside.
     inside = (front < 0.0) & (closed | ~((best == 0) & (along < 0.0)))
     sign = np.where(inside, -1.0, 1.0)
     beyond = (share != along) & (distance > 0.0)
@@ -114,7 +125,7 @@ def nearest(body: Body, points: np.ndarray, pressed_in: bool) -> Nearest:
     normal = np.concatenate([n2[:, :1] * outwards, n2[:, 1:]], axis=1)
     meridian = np.concatenate([-n2[:, 1:] * outwards, n2[:, :1]], axis=1)
     around = np.stack([-outwards[:, 1], outwards[:, 0], np.zeros(len(r))], axis=-1)
-    # On the axis the surface bends alike in all directions.
+    # On the axis both principal curvatures are equal.
     hoop = np.where(r > 1e-9 * length.max(initial=1.0), n2[:, 0] / np.where(r > 0.0, r, 1.0), bent)
     curvature = (bent[:, None, None] * meridian[:, :, None] * meridian[:, None]
                  + hoop[:, None, None] * around[:, :, None] * around[:, None])
@@ -125,12 +136,13 @@ def nearest(body: Body, points: np.ndarray, pressed_in: bool) -> Nearest:
 
 @dataclass(frozen=True)
 class ContactEvaluation:
-    """What the contact is at a state; sums over all nodes.
+    """Result of an evaluation of the contact, summed over all nodes.
 
     Attributes:
-        violation: the largest of a contact condition, m.
-        slipping: how many nodes slip.
-        switched, wanting: how many changed their state, and how many should have but were not drawn.
+        violation: largest violation of a contact condition, m.
+        slipping: number of slipping nodes.
+        switched: number of nodes that changed their state.
+        wanting: number of nodes that should have changed their state but were not allowed to.
     """
 
     violation: float
@@ -140,25 +152,30 @@ class ContactEvaluation:
 
 
 class ContactNodes:
-    """The nodes that may meet a body, and what is known of them.
+    """All nodes that may touch a body, with their contact state and forces.
 
-    A node is there once for the bodies that rest and once for those that move.
+    A node occurs once for the bodies at rest and once for the bodies that move.
 
     Args:
-        bodies: who may be met.
-        places: of all nodes of the mesh, undeformed, m, shape (nodes, 3).
-        areas: that each node of the mesh stands for on the surface, m2, shape (nodes,).
-        laws: of contact with the tool, beside friction.
+        bodies: bodies that may be touched.
+        places: undeformed positions of all nodes of the mesh, m, shape (nodes, 3).
+        areas: surface area that each node of the mesh represents, m2, shape (nodes,).
+        laws: additional contact laws of the tool.
 
     Attributes:
-        nodes: numbers, shape (n,). moves, stays: whether the body of each moves, keeps it, shape (n,).
-            parts: bodies, and where their nodes are in these arrays.
-        bound: `FREE`, `HELD` or `TOUCHED`; anchors: where, as a displacement in the body's frame, m, shape (n, 3).
-        pressed, slips: states of a step, shape (n,); slipped: which slipped at the last equilibrium.
+        nodes: indices in the mesh, shape (n,).
+        moves, stays: `Body.moves` and `Body.stays` of each node, shape (n,).
+        parts: bodies, and indices of their nodes in these arrays.
+        bound: `FREE`, `HELD` or `TOUCHED`, shape (n,).
+        anchors: displacements at which nodes are held or stick, in the frame of the body, m, shape (n, 3).
+        pressed, slips: active sets of the present step, shape (n,).
+        slipped: nodes that slipped at the last equilibrium, shape (n,).
         forces: of contact and friction on the bodies, N, in the frame of the mesh, shape (n, 3).
-        rates: of all forces with the motion of the nodes against their bodies, N/m, shape (n, 3, 3); law_rates: of laws
-            alone; known_rates: in the matrix, without them. missed: by how much the constraints are, m, shape (n, 3).
-        state: what each does where it was looked at last.
+        rates: derivative of all forces with respect to nodal motions relative to the bodies, N/m, shape (n, 3, 3).
+        law_rates: derivative of the forces of the additional laws alone.
+        known_rates: derivatives in the matrix, without those of the laws.
+        missed: residuals of the constraints, m, shape (n, 3).
+        state: state of each node at the last evaluation.
     """
 
     state: ContactState
@@ -187,34 +204,34 @@ class ContactNodes:
         self._met, self._met_at = self.bound.copy(), self.anchors.copy()
         self.pressed, self.slips, self.slipped = np.zeros((3, n), dtype=bool)
         self._ways, self.ways_before = np.zeros((2, n, 3))
-        self._about = np.zeros(n)  # how far what begins to slip is about to, m; 0: it does not just begin
+        self._about = np.zeros(n)  # length of slip at which a node that begins to slip is aimed, m; 0: none
         self.forces, self.missed, self.normals, self._law_forces = np.zeros((4, n, 3))
         self.rates, self.known_rates, self.law_rates = np.zeros((3, n, 3, 3))
         self.laws = laws or NodeLaws()
 
     @property
     def acting(self) -> np.ndarray:
-        """All forces on the bodies as they were looked at last, those of the laws too, N, shape (n, 3)."""
+        """All forces on the bodies at the last evaluation, with those of the laws, N, shape (n, 3)."""
         return self.forces + self._law_forces if self.laws else self.forces
 
     @property
     def has_friction(self) -> bool:
-        """Whether anything can slip against friction."""
+        """Whether any node may slip against friction."""
         return bool((self._friction > 0.0).any())
 
     def set_stiffness(self, modulus: float) -> None:
-        """Springs for tissue of this shear modulus, Pa."""
+        """Set the penalty stiffness for a shear modulus of the tissue, Pa."""
         self.springs[:] = STIFFNESS * modulus * np.sqrt(np.maximum(self.areas, 1e-3 * self.areas.max(initial=0.0)))
 
     def bring_down(self, start: Pose, datum: float, displacement: np.ndarray,
                    settled: ContactNodes | None = None) -> None:
-        """The tool stands where it first touches; bind what meets a body with friction there.
+        """Place the tool at its first touch, and connect the nodes that touch a body with friction there.
 
         Args:
-            start: of the tool.
+            start: pose of the tool.
             datum: height of the scene's origin in the frame of the mesh, m.
             displacement: of the nodes of the mesh, m, shape (nodes, 3).
-            settled: the contact with what rests in that state; None: nothing has moved yet.
+            settled: contact with bodies at rest in the settled state; None: the mesh is undeformed.
         """
         self._first = Frame(start, datum)
         for body, own in self.parts:
@@ -231,18 +248,23 @@ class ContactNodes:
         self._first_bonds = tuple(array.copy() for array in self.kept)
 
     def forget(self) -> None:
-        """Bonds and forces as they were at the first touch."""
+        """Restore connections and forces of the first touch."""
         for array, first in zip(self.kept, self._first_bonds, strict=True):
             array[:] = first
 
     def begin(self) -> None:
-        """Before a step: bonds as they are at the last equilibrium."""
+        """Begin a step with the connections of the last equilibrium."""
         self.held[:], self.held_at[:] = self.bound, self.anchors
         self.pressed[:], self.slips[:], self._ways[:], self._about[:] = False, self.slipped, self.ways_before, 0.0
 
     def measure(self, displacement: np.ndarray, frame: Frame) -> tuple[np.ndarray, ...]:
-        """How far each node has come in the frame of its body since the tool touched, gap, curvature, whether the shaft
-        is near, turn of that frame, meridian; notes the normals."""
+        """Measure the nodes relative to their bodies, and store the normals.
+
+        Returns:
+            Displacement in the frame of the body since the first touch, m, (n, 3); gap, m, (n,); derivative of the
+            normals, 1/m, (n, 3, 3); whether the shaft is nearest, (n,); rotation of the frame, (n, 3, 3); meridians,
+            (n, 3).
+        """
         n = len(self.nodes)
         travel, gap, curved, shaft = np.zeros((n, 3)), np.zeros(n), np.zeros((n, 3, 3)), np.zeros(n, dtype=bool)
         meridians = np.zeros((n, 3))
@@ -263,16 +285,16 @@ class ContactNodes:
 
     def evaluate(self, displacement: np.ndarray, frame: Frame, changeable: int, slack: float, bending: float,
              negligible: float, tolerance: float) -> ContactEvaluation:
-        """Note forces, rates and what the constraints miss at a state.
+        """Compute forces, derivatives and constraint residuals at a state, and update the active sets.
 
         Args:
             displacement: of the nodes, m, shape (n, 3).
-            frame: of the tool.
-            changeable: who may change its state: 0 none, `ALL`, or a number that draws some.
-            slack: what is nearer than this counts as touching, m.
-            bending: 1 where the curvature of the bodies, and the fall of a pull, take part in the rates, 0 where not.
-            negligible: friction below this is none, N.
-            tolerance: how far a condition may be violated, m.
+            frame: frame of the tool.
+            changeable: nodes that may change their state: 0 none, `ALL`, or a number that selects a subset.
+            slack: gap below which a node touches, m.
+            bending: 1: the derivatives contain the curvature of the bodies and the decrease of a pull; 0: they do not.
+            negligible: friction below this force is ignored, N.
+            tolerance: largest permitted violation of a contact condition, m.
         """
         n = len(self.nodes)
         self.rates[:], self.missed[:] = 0.0, 0.0
@@ -302,12 +324,12 @@ class ContactNodes:
                                     [0.0]]).max()
         eye, nn = np.eye(3), normals[:, :, None] * normals[:, None]
         found_forces = np.zeros((n, 3))
-        # Held where they touched.
+        # Held nodes: constraint on all three components of the slip.
         stiff = (HOLD * springs)[:, None, None] * eye
         self.rates[held] = stiff[held]
         self.missed[held] = slip[held]
         found_forces[held] = forces[held]
-        # Pressed: no way into the body, and along its surface what friction says.
+        # Pressed nodes: no penetration, and friction along the surface.
         rates = springs[:, None, None] * nn + bending * normal[:, None, None] * curved
         missed = gap[:, None] * normals
         pushed = normal[:, None] * normals
@@ -317,7 +339,7 @@ class ContactNodes:
         tried = tangential + (TRIAL * HOLD * springs)[:, None] * along
         size = np.linalg.norm(tried, axis=1)
         if changeable and rubs.any():
-            # Where nothing has slipped yet rounding would decide: what slipped goes on.
+            # Without slip the direction is decided by rounding errors: nodes that slipped before continue to slip.
             onwards = (np.einsum("ni,ni->n", self._ways, along) > 0.0) | (length <= 1e-3 * tolerance)
             slips = np.where(self.slips, onwards, size > mu * np.maximum(-trial, 0.0))
             differs = (slips != self.slips) & rubs
@@ -329,8 +351,9 @@ class ContactNodes:
             self._about = np.where(begins, np.maximum(size - limit, 1e-300) / (TRIAL * HOLD * springs), 0.0)
             self.slips = np.where(differs & drawn, slips, self.slips)
         sticks, sliding = rubs & ~self.slips, rubs & self.slips
-        # What slips is dragged along its way, what begins to along its force: its slip is still the error of the spring
-        # that held it, along the change of the force, which at a turn of the motion is against the force.
+        # The friction force of a slipping node is along its slip; that of a node that begins to slip is along its trial
+        # force. Its slip is still the penalty error in the direction of the change of the force, which at a reversal of
+        # the motion is opposite to the force.
         far = np.where(self._about > 0.0, self._about, length)
         goes = sliding & (self._about == 0.0) & (length > 1e-3 * tolerance)
         self._ways[goes] = along[goes] / length[goes, None]
@@ -354,12 +377,12 @@ class ContactNodes:
                 self.nodes[near], gap[near], normal[near], along[near], normals[near], meridians[near], curved[near],
                 bending)
             self.rates += self.law_rates
-        # What it would be bound to at an equilibrium here.
+        # State of the nodes if this were an equilibrium.
         surface = travel - np.einsum("nji,nj->ni", turn, gap[:, None] * normals)
         touches = pressed | ((mu > 0.0) & (gap <= 1e-3 * tolerance))
         self._met[:] = np.where(touches & (mu < 0.0) & pressed, HELD, np.where(touches & (mu > 0.0), TOUCHED, FREE))
         keeps = sticks | (touches & ~pressed & (self.held == TOUCHED))
-        if self.laws:  # what has touched the tool remembers it up to their reach, and slips on from there
+        if self.laws:  # nodes that have touched the tool keep their anchors up to the reach of the laws
             others = self.moves & ~held & (self._met == FREE) & (pressed | near)
             self._met[others] = TOUCHED
             keeps = keeps | (others & (mu == 0.0) & (self.held == TOUCHED))
@@ -369,32 +392,32 @@ class ContactNodes:
         return ContactEvaluation(float(violation), int(sliding.sum()), switched, wanting)
 
     def keep_rates(self) -> None:
-        """Those of now, without those of laws, are those that the matrix holds of the contact."""
+        """Store the present derivatives, without those of the laws, as those in the matrix."""
         self.known_rates[:] = self.rates - self.law_rates
 
     def follow(self, motion: np.ndarray) -> None:
-        """Let the forces follow a linear solution in which the nodes moved so against their bodies, m, shape (n, 3)."""
+        """Update the forces after a linear solution with nodal increments relative to the bodies, m, shape (n, 3)."""
         self.forces += np.einsum("nij,nj->ni", self.known_rates, self.missed + motion)
         self._about[:] = 0.0
 
     def release(self) -> int:
-        """Let go of nodes that are held and pull at an equilibrium; returns how many there are."""
+        """Release held nodes that pull more than the laws bear at an equilibrium; returns their number."""
         bears = np.where(self.moves, self.laws.pull_of(self.nodes), 0.0)
         pulls = (self.held == HELD) & ~self.stays & (np.einsum("ni,ni->n", self.forces, self.normals) > bears)
         self.held[pulls] = np.where(self.moves[pulls] & (self.laws.reach > 0.0), TOUCHED, FREE)
         return int(pulls.sum())
 
     def hold(self) -> None:
-        """Bind the nodes to what they met in this step."""
+        """Connect the nodes to the bodies that they touch at this equilibrium."""
         loose = self.held != HELD
         self.held[loose], self.held_at[loose] = self._met[loose], self._met_at[loose]
 
     def commit(self) -> None:
-        """After a step that converged."""
+        """Accept the last step, which converged."""
         self.bound[:], self.anchors[:] = self.held, self.held_at
         self.slipped[:], self.ways_before[:] = self.slips & self.pressed, self._ways
 
     @property
     def kept(self) -> tuple[np.ndarray, ...]:
-        """All that a committed step leaves behind; to go back there, fill them with what they were."""
+        """Arrays that define the committed state; writing saved copies into them restores the state."""
         return self.bound, self.anchors, self.slipped, self.ways_before, self.forces

@@ -1,4 +1,4 @@
-"""From an experiment to its mesh in space and its boundary-value problem."""
+"""Discretisation of an experiment in three dimensions: mesh, boundary conditions and solver."""
 
 from __future__ import annotations
 
@@ -31,20 +31,23 @@ from tissue_sim.model import Model
 from tissue_sim.pose import Pose, raised
 from tissue_sim.specimen.specimen import with_article
 
-#: How far a node may violate a contact condition, in radii of the tool, and of the specimen between plates.
-_NEEDLE_TOLERANCE, _PLATE_TOLERANCE = 1e-4, 1e-7
-#: Elements far from a needle need not be smaller than this share of the specimen.
+#: Tolerance of contact conditions under a needle, in radii of the tool.
+_NEEDLE_TOLERANCE = 1e-4
+#: Tolerance of contact conditions between plates, in units of the specimen's margin.
+_PLATE_TOLERANCE = 1e-7
+#: Lower bound of the largest element far from a needle, over the size of the specimen, 1.
 _LEAST_LARGEST = 0.17
 
 
 class Resolution(NamedTuple):
-    """Sizes of elements.
+    """Element type and sizes of a resolution.
 
     Attributes:
         element: element type.
-        smallest, growth, largest: of the intervals that lead away from the edge of a tool's face, in its radii.
-        around: elements along a quarter of the edge.
-        layer_elements: fewest in a layer of the material.
+        smallest, growth, largest: sizes of the intervals from the edge of a tool's face outwards, in its radii, and the
+            ratio of successive intervals.
+        around: number of elements along a quarter of the edge.
+        layer_elements: smallest number of elements through a layer of the material.
     """
 
     element: Hexahedron
@@ -55,23 +58,25 @@ class Resolution(NamedTuple):
     layer_elements: int = 1
 
 
+#: Name -> resolution.
 RESOLUTIONS = {
     "realtime": Resolution(HEX8P0, 0.2, 1.8, 1.9, 4),
     "fast": Resolution(HEX27P1, 0.25, 1.8, 1.9, 2),
     "accurate": Resolution(HEX27P1, 0.12, 1.6, 1.2, 4, layer_elements=2),
 }
+#: Interface of the base -> fixed axes.
 _FIXED = {"bonded": "xyz", "frictionless": "z"}
 
 
 def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | None = None,
                 topology: Model | None = None) -> SolidSolver:
-    """The solver in space of a model; see `tissue_sim.fem.solver.SolverMaker`.
+    """Make the three-dimensional solver of a model; see `tissue_sim.fem.solver.SolverMaker`.
 
     Args:
         model: experiment and material.
         resolution: a key of `RESOLUTIONS`.
-        mesh: a mesh of your own instead.
-        topology: a model whose mesh is taken, or of which `mesh` is one, and moved to the geometry of this one.
+        mesh: mesh to use instead.
+        topology: model whose mesh (or `mesh`, which belongs to it) is moved to the geometry of `model`.
     """
     experiment = model.experiment
     _require(experiment)
@@ -85,14 +90,15 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
 
 
 def _solver(model: Model, mesh: SolidMesh, start: Pose | None, datum: float | None, *, can_move: bool) -> SolidSolver:
-    """The solver of a model on its mesh.
+    """Make the solver of a model on its mesh.
 
     Args:
         model: experiment and material.
-        mesh: undeformed, made for the place of the first touch.
+        mesh: undeformed mesh, made for the position of the first touch.
         start: pose of the first touch; None: that of the experiment's approach.
-        datum: height of the scene's origin in the frame of the mesh, m; None: where the tool at `start` touches.
-        can_move: whether the mesh can be moved to another place of first touch.
+        datum: height of the scene's origin in the frame of the mesh, m; None: that at which the tool at `start`
+            touches.
+        can_move: whether the mesh can be moved to another position of the first touch.
     """
     experiment = model.experiment
     layers, weight = element_layers(mesh, model.material.layers), experiment.specimen.specific_weight
@@ -131,19 +137,20 @@ def _solver(model: Model, mesh: SolidMesh, start: Pose | None, datum: float | No
 
 def _solver_at(model: Model, mesh: SolidMesh, start: Pose, datum: float, can_move: bool, pose: Pose,
                solver: SolidSolver) -> SolidSolver | None:
-    """The solver of a first touch at another pose, with the mesh moved there.
+    """Make the solver of a first touch at another pose, with the mesh moved there.
 
     Args:
         model: experiment and material.
-        mesh: undeformed, made for a first touch at `start`.
+        mesh: undeformed mesh, made for a first touch at `start`.
+        start: pose of the present first touch.
         datum: height of the scene's origin in the frame of the mesh, m.
         can_move: whether the mesh can be moved.
-        pose: of the new first touch.
-        solver: whose material, mass and requests the new one takes over.
+        pose: pose of the new first touch.
+        solver: solver whose material, mass and requests are copied.
 
     Returns:
-        None where the tool would reach beyond the specimen, or where the mesh cannot be moved and is needed there: the
-        edge of a flat tool has to be on edges of elements.
+        None if the tool would reach beyond the specimen, or if the mesh would have to be moved but cannot: the edge of
+        a flat tool must coincide with element edges.
     """
     experiment = model.experiment
     (x, y, _), (u, v, _) = pose.position, start.position
@@ -165,21 +172,27 @@ def _solver_at(model: Model, mesh: SolidMesh, start: Pose, datum: float, can_mov
 
 
 def _lifted(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray:
-    """How much of the places of the nodes a plate does not mind: it meets a top that has settled unevenly, these
-    heights above the plate's place, shape (n, ...), all at once, as if it had been cut level as it stands."""
+    """Heights that a plate ignores at all nodes, m, shape (nodes, ...).
+
+    A plate touches an unevenly settled top at all nodes at once, as if the top had been cut flat in its settled state.
+
+    Args:
+        mesh: undeformed mesh.
+        heights: of the nodes of the top above the plate, m, shape (n, ...).
+    """
     from scipy.spatial import cKDTree
 
-    _, beside = cKDTree(mesh.nodes[mesh.sets["top"], :2]).query(mesh.nodes[:, :2])
-    return heights[beside]
+    _, nearest_top = cKDTree(mesh.nodes[mesh.sets["top"], :2]).query(mesh.nodes[:, :2])
+    return heights[nearest_top]
 
 
 def _start_rates(settling: Settling, experiment: Experiment, first: Touch, neighbours: Neighbours
                  ) -> StartRates | None:
-    """How the state in which the tool touches changes with parameters; None where that is not known."""
+    """Derivatives of the state of the first touch with respect to parameters; None if they are not available."""
     mesh = settling.mesh
     specimen, over_sides = experiment.specimen, experiment.tool.is_plate or not experiment.specimen.is_flat
     if specimen.height_is == "placed" and experiment.acting_laws and over_sides:
-        return None  # areas for tractions would change with the height, too
+        return None  # the areas for tractions would depend on the height as well
     if first.place is None:
         return None
     found = settling.differentiate(neighbours)
@@ -197,10 +210,10 @@ def _fixed(experiment: Experiment) -> dict[str, str]:
 
 
 def _standing(model: Model, mesh: SolidMesh, layers: np.ndarray) -> SolidSolver:
-    """The specimen on its base, without a tool."""
+    """Make the solver of the specimen on its base, without a tool."""
     experiment, pins = model.experiment, []
     if experiment.base_interface not in ("bonded", "stick"):
-        # Three pins that carry nothing: weight has no part along the base.
+        # Three pins without reaction forces, because the weight has no component along the base.
         base = mesh.sets["base"]
         place = mesh.nodes[base, :2] - mesh.nodes[base, :2].mean(axis=0)
         middle = int(np.argmin(np.hypot(*place.T)))
@@ -213,9 +226,14 @@ def _standing(model: Model, mesh: SolidMesh, layers: np.ndarray) -> SolidSolver:
 
 
 def _pins(experiment: Experiment, mesh: SolidMesh) -> list[tuple[int, str]]:
-    """What keeps a specimen where it is that nothing holds, between faces without friction, or with friction where
-    nothing presses yet: the middle of its base, and one more node there from turning about it. By symmetry they carry
-    no force under a tool on the axis."""
+    """Pins against rigid motions of a specimen between frictionless faces, or faces with friction before pressure acts.
+
+    The middle of the base is fixed horizontally, and one more node against rotation. By symmetry the pins carry no
+    force under a tool on the axis.
+
+    Raises:
+        InputError: a tool off the axis, whose side force the pins would carry.
+    """
     faces = experiment.base_interface, experiment.friction
     without, rubbed = (all(loose(face) for face in faces) for loose in (_is_frictionless, _may_slip))
     if not (without or (rubbed and experiment.tool.is_plate)):
@@ -225,7 +243,7 @@ def _pins(experiment: Experiment, mesh: SolidMesh) -> list[tuple[int, str]]:
     middle, beside = base[np.argmin(np.hypot(x, y))], base[np.argmax(x - np.abs(y))]
     if np.hypot(*mesh.nodes[middle, :2]) > 1e-9 or experiment.approach is not None:
         remedy = "give one of them friction" if without and not experiment.tool.is_plate else "let it stick to one"
-        raise InputError(f"nothing keeps the specimen from sliding off: neither base nor tool holds it; {remedy}",
+        raise InputError(f"neither base nor tool keeps the specimen from sliding; {remedy}",
                          field="friction_base")
     return [(int(middle), "xy"), (int(beside), "y")]
 
@@ -239,22 +257,28 @@ def _may_slip(face: str | float) -> bool:
 
 
 def _require(experiment: Experiment) -> None:
+    """Check that the interfaces are possible on a curved specimen."""
     if not experiment.specimen.is_flat:
         shape = with_article(experiment.specimen.shape)
         if experiment.base_interface != "bonded":
-            raise InputError(f"the base of {shape} is curved, and held; use 'bonded'", field="friction_base")
+            raise InputError(f"must be 'bonded' below {shape}, whose curved base is held.", field="friction_base")
         if experiment.tool.is_plate and experiment.friction == "bonded":
             raise InputError(f"a plate cannot be bonded to the curved top of {shape}; use 'stick', 'frictionless' or "
                              "a coefficient of friction", field="friction")
 
 
 def build_mesh(experiment: Experiment, resolution: str = "fast", layers: tuple[Layer, ...] = (),
-               beside: float = 0.0) -> SolidMesh:
-    """The mesh that a named resolution stands for; element boundaries lie on the interfaces of layers. It is as fine as
-    under the tool to a distance from it, `beside`, m.
+               distance: float = 0.0) -> SolidMesh:
+    """Make the mesh of a resolution; element boundaries coincide with the interfaces of layers.
+
+    Args:
+        experiment: specimen, tool and approach.
+        resolution: a key of `RESOLUTIONS`.
+        layers: layers of the material.
+        distance: around the tool up to which the mesh is as fine as under the tool, m.
 
     Raises:
-        InputError: unknown resolution, or layers thicker than the specimen is high.
+        InputError: unknown resolution, or layers thicker than the specimen.
     """
     chosen = RESOLUTIONS.get(resolution)
     if chosen is None:
@@ -265,7 +289,7 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", layers: tuple[L
         return specimen.solid_mesh(Grading(chosen.element, chosen.smallest * size, chosen.growth,
                                            chosen.largest * size, chosen.around, interfaces=interfaces,
                                            least=chosen.layer_elements))
-    radius = (tool.face_radius or experiment.contact_radius) + beside
+    radius = (tool.face_radius or experiment.contact_radius) + distance
     least = _LEAST_LARGEST * max(size, specimen.height)
     offset = 0.0 if experiment.approach is None else experiment.approach.offset
     return specimen.solid_mesh(Grading(chosen.element, chosen.smallest * radius, chosen.growth,
@@ -274,7 +298,7 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", layers: tuple[L
 
 
 def _moved(mesh: SolidMesh, topology: Model, experiment: Experiment) -> SolidMesh:
-    """The mesh of a model, moved to the geometry of an experiment where that is another.
+    """Move the mesh of a model to the geometry of an experiment, if that differs.
 
     Raises:
         InputError: layers, or a shape whose mesh cannot be moved.
@@ -284,13 +308,13 @@ def _moved(mesh: SolidMesh, topology: Model, experiment: Experiment) -> SolidMes
     if circles[0] == circles[1] and (before.shape, before.stated) == (after.shape, after.stated):
         return mesh
     if topology.material.layers:
-        raise InputError("the mesh of a solid with layers cannot be moved to another geometry; fit no sizes of it",
+        raise InputError("the mesh of a solid with layers cannot be moved to another geometry; do not fit its sizes",
                          field="topology")
     return after.moved_mesh(mesh, before, circles)
 
 
 def _circle(experiment: Experiment) -> Circle:
-    """What the rings of the mesh lie about."""
+    """Circle about which the rings of the mesh are arranged."""
     tool = experiment.tool
     if tool.is_plate:
         return Circle(PLATE_RING * experiment.specimen.margin(), (0.0, 0.0))
@@ -299,14 +323,14 @@ def _circle(experiment: Experiment) -> Circle:
 
 
 def _coefficient(interface: str | float) -> float:
-    """Coefficient of friction of an interface for tissue that meets it during the test."""
+    """Coefficient of friction of an interface, for tissue that touches it during the test; `STICK` without slip."""
     if not isinstance(interface, str):
         return interface
     return {"bonded": STICK, "stick": STICK, "frictionless": 0.0}[interface]
 
 
 def _resting(experiment: Experiment, mesh: SolidMesh) -> list[Body]:
-    """What the base and the lower half of the side may meet."""
+    """Bodies at rest: the base, which the nodes of the base and of the lower half of the side may touch."""
     bottom = float(mesh.nodes[:, 2].min())
     plane = Profile(np.array([[PLATE_RADIUS, bottom], [0.0, bottom]]), 0.0, 1)
     mu = _coefficient(experiment.base_interface)
@@ -318,7 +342,7 @@ def _resting(experiment: Experiment, mesh: SolidMesh) -> list[Body]:
 
 
 def _moving(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, start: Pose) -> list[Body]:
-    """The tool, and the nodes that may meet it, if it first touches at a pose."""
+    """Moving bodies: the tool with the nodes that may touch it, if its first touch is at a pose."""
     tool, mu = experiment.tool, _coefficient(experiment.friction)
     free = np.setdiff1d(mesh.sets["top"], bonded)
     if tool.is_plate:
@@ -333,7 +357,7 @@ def _moving(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, start: 
     beside = np.setdiff1d(free, under)
     if experiment.friction == "bonded":
         return [Body(tool.profile, beside, (mu, wall), first_line=1, closed=upright)]
-    # Tissue beside a sharp edge cannot come under the face without slip.
+    # Tissue next to a sharp edge cannot move under the face without slip.
     first = 0 if tool.edge_radius else 1
     return [Body(tool.profile, under, (mu, wall), tied=mu == STICK),
             Body(tool.profile, beside, (mu, wall), first_line=first, closed=upright)]
@@ -341,16 +365,27 @@ def _moving(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, start: 
 
 def tool_contact(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, places: np.ndarray
                  ) -> tuple[list[Body], float]:
-    """The tool with the nodes that may meet it, and the height of the scene's origin in the frame of the mesh where it
-    first touches, m; `bonded` are the nodes that it holds, all are at `places`, m, shape (nodes, 3)."""
+    """Make the bodies of the tool, and find its first touch.
+
+    Args:
+        experiment: tool and interfaces.
+        mesh: undeformed mesh.
+        bonded: indices of the nodes that the tool holds.
+        places: positions of the nodes, m, shape (nodes, 3).
+
+    Returns:
+        Bodies, and height of the scene's origin in the frame of the mesh at the first touch, m.
+    """
     start = experiment.tool_pose(0.0)
     bodies = _moving(experiment, mesh, bonded, start)
     return bodies, touch(mesh, places, bodies, start).height
 
 
 def _law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:
-    """Area on which each node stands for tractions of the tool, m2, shape (nodes,): at the rim of the top that of the
-    top alone, at the edge of a flat face that of the face."""
+    """Area that each node represents for tractions of the tool, m2, shape (nodes,).
+
+    At the rim of the top only the area of the top counts, at the edge of a flat face only that of the face.
+    """
     areas, top = mesh.areas("side"), mesh.sets["top"]
     areas[top] = mesh.areas("top")[top]
     if experiment.tool.face_radius:
@@ -361,5 +396,5 @@ def _law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:
 
 
 def _side(mesh: SolidMesh) -> np.ndarray:
-    """Nodes of the side that neither base nor top has."""
+    """Nodes of the side that belong neither to the base nor to the top."""
     return np.setdiff1d(mesh.sets["side"], np.concatenate([mesh.sets["base"], mesh.sets["top"]]))

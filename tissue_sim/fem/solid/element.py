@@ -70,15 +70,14 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
     V, A, RATE, PAIRS = (_AT[name] for name in ("V", "A", "RATE", "PAIRS"))
     PLACE, COFACTOR = point.PLACE, point.COFACTOR
 
-    # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi, four times slower here. And what is
-    # added up over points is added up in the scratch field, not in variables: vectors that are stored in a loop tell
-    # LLVM what belongs together, where it else loads and packs number by number.
+    # `a = a + b` on arrays, because `a += b` is an atomic operation in Taichi and four times slower here. Sums over
+    # points are kept in the scratch field, not in variables: with stores in a loop LLVM uses vector instructions.
 
     @ti.func
     def at_point(b, q, tangent: ti.template(), remembers, H, J, p, weights: ti.template(), moduli: ti.template(),
                  coefficients: ti.template(), elements: ti.template(), past: ti.template(), inherited: ti.template(),
                  largest: ti.template(), stresses: ti.template(), energies: ti.template()):
-        """Stress and dJ/dF of a point, times its weight; its tangent is noted."""
+        """Compute stress and dJ/dF of a point times its weight, and store its tangent in the scratch field."""
         F = [H[m] + ti.static(float(m % 4 == 0)) for m in ti.static(range(9))]
         W, P, T = stress_and_tangent(F, J, inverse_root(ti.max(J, 1e-6)), coefficients, tangent)
         cof = cofactor(F)
@@ -123,8 +122,10 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
                   elements: ti.template(), past: ti.template(), inherited: ti.template(), largest: ti.template(),
                   stresses: ti.template(), energies: ti.template(), volume_rates: ti.template(), gaps: ti.template(),
                   forces: ti.template()):
-        """Forces of the nodes of a batch, with the pressure's share of what the volume still misses; returns the
-        smallest J. What the tissue remembers is as in `tissue_sim.fem.history`."""
+        """Compute the nodal forces of a batch, with the eliminated pressure increments; returns the smallest J.
+
+        The material history is that of `tissue_sim.fem.history`.
+        """
         for a in range(nodes):
             i = b * nodes + a
             for k in ti.static(range(3)):
@@ -147,7 +148,7 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
                     H[3 * k] = H[3 * k] + u * x0
                     H[3 * k + 1] = H[3 * k + 1] + u * y0
                     H[3 * k + 2] = H[3 * k + 2] + u * z0
-            # J - 1 from the displacement gradient: nothing is lost to the 1 when K/mu multiplies it.
+            # J - 1 from the displacement gradient, without cancellation, because K/mu multiplies it.
             minors = (H[0] * H[4] - H[1] * H[3] + H[0] * H[8] - H[2] * H[6] + H[4] * H[8] - H[5] * H[7])
             cube = (H[0] * (H[4] * H[8] - H[5] * H[7]) - H[1] * (H[3] * H[8] - H[5] * H[6])
                     + H[2] * (H[3] * H[7] - H[4] * H[6]))
@@ -159,7 +160,7 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
                 p = p + phi * s[PRESSURE + m]
                 s[GAP + m] = s[GAP + m] + weights[b * points + q] * phi * dilation
             P, cof = [vec(0.0) for _m in ti.static(range(9))], [vec(0.0) for _m in ti.static(range(9))]
-            # Compiled twice: forces alone take three quarters of the time.
+            # Compiled twice, because forces alone take three quarters of the time.
             if tangent > 0.0:
                 P1, cof1 = at_point(b, q, True, remembers, H, 1.0 + dilation, p, weights, moduli, coefficients,
                                     elements, past, inherited, largest, stresses, energies)
@@ -197,8 +198,10 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
     @ti.func
     def stiffen(b, kappa, moduli: ti.template(), gx: ti.template(), gy: ti.template(), gz: ti.template(),
                 stiffness: ti.template()):
-        """Stiffness of all pairs of nodes (c, a), a <= c: the force on a along i for a motion of c along k stands at
-        3 k + i of their nine."""
+        """Compute the stiffness of all pairs of nodes (c, a), a <= c.
+
+        Entry 3 k + i of the nine of a pair is the force on a along i for a displacement of c along k.
+        """
         bulk = kappa * moduli[b]
         for c in range(nodes):
             for i in range(9 * (c + 1)):

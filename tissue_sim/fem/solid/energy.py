@@ -1,10 +1,10 @@
-"""Stress and tangent of a law in three dimensions, as Taichi functions.
+"""Stress and tangent of a strain-energy law in three dimensions, as Taichi functions.
 
-Components of a deformation gradient F_iJ, and of everything conjugate to it, stand in the order xX, xY, xZ, yX, ... zZ.
-The isochoric energy is W(F / J^(1/3)); the pressure adds p (J - 1). What happens to the tissue in time acts on the
-isochoric part: softening scales it, relaxation scales it and adds what is left of earlier stresses.
+Components of the deformation gradient F_iJ and of conjugate quantities are in the order xX, xY, xZ, yX, ... zZ. The
+isochoric energy is W(F / J^(1/3)); the pressure adds p (J - 1). Softening scales the isochoric stress; relaxation
+scales it and adds the contribution of earlier stresses.
 
-Every function here works on vectors, of as many points at once as they have lanes.
+Every function works on vectors, one point in each lane.
 """
 
 from functools import cache
@@ -20,22 +20,25 @@ if TYPE_CHECKING:
 else:
     sp = LazyModule("sympy")
 
-#: Packed symmetric 9 x 9: row and column of every entry of the tangent.
+#: Row and column of every entry of a symmetric 9 x 9 tangent in packed storage.
 PACKED = packed(9)
-#: Where entry (m, n) stands among them.
+#: Index of entry (m, n) in packed storage.
 PLACE = tuple(tuple(PACKED.index((max(m, n), min(m, n))) for n in range(9)) for m in range(9))
-#: Rows and columns of a symmetric tensor's components, and the place of each entry among them.
+#: Rows and columns of the components of a symmetric tensor.
 SYMMETRIC = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+#: Index of entry (i, k) among these components.
 SYMMETRIC_PLACE = tuple(tuple(SYMMETRIC.index((min(i, k), max(i, k))) for k in range(3)) for i in range(3))
-#: Sweeps of rotations that make a 3 x 3 matrix diagonal to rounding, and the pairs of a sweep.
-_SWEEPS, _PAIRS = 5, ((0, 1), (0, 2), (1, 2))
+#: Number of sweeps of Jacobi rotations that diagonalise a 3 x 3 matrix to rounding.
+_SWEEPS = 5
+#: Index pairs of a sweep.
+_PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 def _permutation(i: int, k: int, m: int) -> int:
     return (i - k) * (k - m) * (m - i) // 2
 
 
-#: Second derivatives of the determinant: of each entry (m, n) the component of F and its sign.
+#: Second derivatives of the determinant: entry (m, n) -> (component of F, sign).
 COFACTOR = {(m, n): (3 * (3 - m // 3 - n // 3) + 3 - m % 3 - n % 3,
                      float(_permutation(m // 3, n // 3, 3 - m // 3 - n // 3)
                            * _permutation(m % 3, n % 3, 3 - m % 3 - n % 3)))
@@ -44,8 +47,10 @@ COFACTOR = {(m, n): (3 * (3 - m // 3 - n // 3) + 3 - m % 3 - n % 3,
 
 @cache
 def _isochoric_chain():
-    """Python function of (I1, I2, J, s, W1, W2, W11, W12, W22) -> gradient and Hessian of the isochoric energy with
-    respect to the invariants of F; s = J^(-2/3) comes in ready, so that no other power is taken."""
+    """Return the Python function (I1, I2, J, s, W1, W2, W11, W12, W22) -> gradient and Hessian of the isochoric energy.
+
+    The derivatives are with respect to the invariants of F; s = J^(-2/3) is an argument, so that no power is computed.
+    """
     return taichi_function(_isochoric_derivatives, ("solid chain",), __file__)
 
 
@@ -57,7 +62,7 @@ def _isochoric_derivatives():
     hessian = sp.Matrix(2, 2, [second[0], second[1], second[1], second[2]])
 
     def total(expression, x):
-        """Derivative with respect to x, s included."""
+        """Derivative with respect to x, with s as a function of J."""
         inner = -sp.Rational(2, 3) * s / x if x is J else 0
         return sp.diff(expression, x) + sp.diff(expression, s) * inner
 
@@ -72,7 +77,7 @@ def _isochoric_derivatives():
 
 @cache
 def cofactor_function():
-    """Taichi function ``cofactor(F)``: dJ/dF, 9 components."""
+    """Return the Taichi function ``cofactor(F)``: dJ/dF, 9 components."""
     ti = initialise()
 
     @ti.func
@@ -86,14 +91,14 @@ def cofactor_function():
 
 @cache
 def relax_function():
-    """Taichi function ``relax(F, cof, J, instant, h, P, A) -> (S, P, A)``."""
+    """Return the Taichi function ``relax(F, cof, J, instant, h, P, A) -> (S, P, A)``."""
     ti = initialise()
 
     @ti.func
     def relax(F, cof, J, instant, h, P, A):
-        """Make the stress F S of this step that of the hereditary integral, F (instant S + h), and return S besides.
+        """Replace the elastic stress F S of this step by that of the hereditary integral, F (instant S + h); return S.
 
-        S and h are isochoric second Piola stresses (XX, XY, XZ, YY, YZ, ZZ); see
+        S and h are isochoric second Piola-Kirchhoff stresses (XX, XY, XZ, YY, YZ, ZZ); see
         `tissue_sim.material.viscoelasticity`.
         """
         S = [(cof[ti.static(I)] * P[ti.static(K)] + cof[ti.static(3 + I)] * P[ti.static(3 + K)]
@@ -114,17 +119,17 @@ def relax_function():
 
 @cache
 def function(energy: KernelEnergy):
-    """Taichi function ``stress_and_tangent(F, J, root, coefficients, tangent) -> (W, P, A)`` for one kernel energy.
+    """Return the Taichi function ``stress_and_tangent(F, J, root, coefficients, tangent) -> (W, P, A)`` of an energy.
 
     Args of the Taichi function:
         F: deformation gradient, 9 components; its determinant J must be positive.
         root: J^(-1/3).
         coefficients: array of the energy's coefficients.
-        tangent: True or False, when the kernel is compiled; without it A is zero.
+        tangent: True or False, known when the kernel is compiled; A is zero without it.
 
     Returns of the Taichi function:
-        W: isochoric energy density; P (9): its first Piola stress; A (45): the derivative of that, symmetric, packed
-        as `PACKED`.
+        W: isochoric energy density; P (9): first Piola-Kirchhoff stress; A (45): tangent dP/dF, symmetric, packed as
+        `PACKED`.
     """
     return (_of_invariants if energy.family == "invariants" else _of_stretches)(energy)
 
@@ -140,7 +145,7 @@ def _of_invariants(energy: KernelEnergy):
     @ti.func
     def stress_and_tangent(F, J, root, coefficients: ti.template(), tangent: ti.template()):
         scale = root * root
-        # Of F' F and F F'.
+        # F^T F and F F^T.
         right = [[F[i] * F[k] + F[3 + i] * F[3 + k] + F[6 + i] * F[6 + k] for k in ti.static(range(3))]
                  for i in ti.static(range(3))]
         left = [[F[3 * i] * F[3 * k] + F[3 * i + 1] * F[3 * k + 1] + F[3 * i + 2] * F[3 * k + 2]
@@ -153,7 +158,7 @@ def _of_invariants(energy: KernelEnergy):
         w = [v + 0.0 * J for v in ti.static(derivatives(I1 * scale, I2 * scale * scale,
                                                         [coefficients[i] for i in range(count)]))]
         d = [v + 0.0 * J for v in ti.static(chain(I1, I2, J, scale, w[1], w[2], w[3], w[4], w[5]))]
-        # Derivatives of I1, I2 and J; they span the first and a part of the second derivative of the energy.
+        # Derivatives of I1, I2 and J with respect to F; the tangent contains their products.
         first = [2.0 * F[m] for m in ti.static(range(9))]
         second = [2.0 * (I1 * F[m] - F[ti.static(m // 3 * 3)] * right[0][ti.static(m % 3)]
                          - F[ti.static(m // 3 * 3 + 1)] * right[1][ti.static(m % 3)]
@@ -190,7 +195,7 @@ def _of_stretches(energy: KernelEnergy):
 
     @ti.func
     def stress_and_tangent(F, J, root, coefficients: ti.template(), tangent: ti.template()):
-        # Jacobi's rotations make F' F diagonal, V its directions; F V then has orthogonal columns.
+        # Jacobi rotations diagonalise F^T F; V contains its directions, and F V has orthogonal columns.
         zero = 0.0 * J
         C = [[F[i] * F[k] + F[3 + i] * F[3 + k] + F[6 + i] * F[6 + k] for k in ti.static(range(3))]
              for i in ti.static(range(3))]
@@ -216,7 +221,7 @@ def _of_stretches(energy: KernelEnergy):
                     v, w = V[i][p], V[i][q]
                     V[i][p] = c * v - s * w
                     V[i][q] = s * v + c * w
-        # Stretches, and the directions in space, by the columns of F V.
+        # Principal stretches and spatial directions from the columns of F V.
         U = [[F[3 * i] * V[0][k] + F[3 * i + 1] * V[1][k] + F[3 * i + 2] * V[2][k] for k in ti.static(range(3))]
              for i in ti.static(range(3))]
         stretch = [ti.sqrt(U[0][k] * U[0][k] + U[1][k] * U[1][k] + U[2][k] * U[2][k]) for k in ti.static(range(3))]
@@ -236,7 +241,7 @@ def _of_stretches(energy: KernelEnergy):
         w2 = [[((-(u[i] + u[k]) / 3.0 + mean_u / 3.0
                  + ti.static(float(i == k)) * (u[i] - (t[i] - mean_t))) / (stretch[i] * stretch[k]))
                for k in ti.static(range(3))] for i in ti.static(range(3))]
-        # Directions of stretching.
+        # Dyads of spatial and material principal directions.
         N = [[U[ti.static(m // 3)][k] * V[ti.static(m % 3)][k] for m in ti.static(range(9))]
              for k in ti.static(range(3))]
         P = [w1[0] * N[0][m] + w1[1] * N[1][m] + w1[2] * N[2][m] for m in ti.static(range(9))]
@@ -246,7 +251,7 @@ def _of_stretches(energy: KernelEnergy):
         for m, n in ti.static(PACKED if tangent else ()):
             A[ti.static(PLACE[m][n])] = N[0][m] * Q[0][n] + N[1][m] * Q[1][n] + N[2][m] * Q[2][n]
         for p, q in ti.static(_PAIRS if tangent else ()):
-            # What turns and what shears a pair of directions.
+            # Contributions of rotation and shear of a pair of principal directions.
             twist = (w1[p] + w1[q]) / (stretch[p] + stretch[q])
             apart = ti.abs(stretch[p] - stretch[q]) > 1e-5 * stretch[p]
             flip = ti.select(apart, (w1[p] - w1[q]) / ti.select(apart, stretch[p] - stretch[q], stretch[p]),

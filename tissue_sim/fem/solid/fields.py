@@ -1,4 +1,4 @@
-"""Converged fields of a solid in space, computed from the stored states when asked for."""
+"""Fields of a three-dimensional solid, computed from stored states on request."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from tissue_sim.fem.fields import FIELD_UNITS, TAIL, extrapolate, volume_quantil
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 
-#: Components of Cauchy stress along the axes of the scene, which only a solid in space has, and where they stand.
+#: Components of the Cauchy stress along the axes of the scene, which only three-dimensional solids have -> indices.
 _ALONG = {f"cauchy_{'xyz'[i]}{'xyz'[k]}": (i, k) for i in range(3) for k in range(i, 3)}
 #: Field -> unit.
 SOLID_UNITS = FIELD_UNITS | dict.fromkeys(_ALONG, "Pa")
-#: What is known without the pressure.
+#: Fields that do not need the pressure.
 _WITHOUT_PRESSURE = ("displacement", "von_mises", "J", "stretch")
-#: Rows and columns of a symmetric tensor from its components XX, XY, XZ, YY, YZ, ZZ.
+#: Index of each entry of a symmetric tensor among its components XX, XY, XZ, YY, YZ, ZZ.
 _SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
@@ -29,17 +29,17 @@ class SolidFields:
 
     Attributes:
         mesh: undeformed mesh.
-        material: what it is made of.
-        bulk_modulus: K that each element used, in units of `moduli`, Pa, shape (elements,).
+        material: material of the elements.
+        bulk_modulus: K of each element in units of `moduli`, Pa, shape (elements,).
         displacements: of the nodes, m, shape (samples, nodes, 3).
-        pressures: amplitudes of the pressure modes, shape (samples, elements, modes); None where nobody knows them, and
-            then `names` are fewer.
+        pressures: amplitudes of the pressure modes, shape (samples, elements, modes); None if the solver does not
+            compute the pressure: `names` then has fewer fields.
         gradients: of the shape functions at the quadrature points, 1/m, shape (elements, q, nodes, 3).
         pressure_modes: orthonormal pressure modes there, shape (elements, q, modes).
         weights: volumes of the quadrature points, m3, shape (elements, q).
-        moduli: of the elements in units of the material's, shape (elements,).
-        stresses: isochoric second Piola stress in units of `moduli`, Pa, shape (samples, elements, q, 6: XX, XY, XZ,
-            YY, YZ, ZZ), where it depends on the past; else None.
+        moduli: ratio of the moduli of each element to those of the material, shape (elements,).
+        stresses: isochoric second Piola-Kirchhoff stress in units of `moduli`, Pa, shape (samples, elements, q, 6: XX,
+            XY, XZ, YY, YZ, ZZ), if it depends on the history; else None.
         datum: height of the scene's origin in the frame of the mesh, m.
     """
 
@@ -56,12 +56,12 @@ class SolidFields:
     datum: float = 0.0
 
     def __post_init__(self):
-        # One number stands for all elements.
+        # A scalar applies to all elements.
         object.__setattr__(self, "bulk_modulus", np.broadcast_to(self.bulk_modulus, self.moduli.shape))
 
     @property
     def names(self) -> Collection[str]:
-        """Of the fields that are known; see `SOLID_UNITS`."""
+        """Names of the available fields; see `SOLID_UNITS`."""
         return SOLID_UNITS if self.pressures is not None else _WITHOUT_PRESSURE
 
     def arrays(self) -> tuple[np.ndarray, ...]:
@@ -79,10 +79,10 @@ class SolidFields:
         return replace(self, **changed)
 
     def part(self, elements: np.ndarray) -> SolidFields:
-        """The fields of some of the elements; nodes keep their numbers.
+        """Return the fields of some of the elements; nodes keep their indices.
 
         Args:
-            elements: their numbers, shape (m,).
+            elements: indices of the elements, shape (m,).
         """
         mesh = replace(self.mesh, connectivity=self.mesh.connectivity[elements], regions={})
         return replace(self, mesh=mesh, bulk_modulus=self.bulk_modulus[elements],
@@ -92,7 +92,7 @@ class SolidFields:
                        stresses=None if self.stresses is None else self.stresses[:, elements])
 
     def means(self) -> SolidFields:
-        """The fields of elements that are deformed as they are in the mean of their volume, one point each."""
+        """Return fields with one point in each element: the mean deformation over its volume."""
         volumes = self.weights.sum(axis=1, keepdims=True)
         shares = self.weights / volumes
         return replace(self, gradients=np.einsum("eq,eqai->eai", shares, self.gradients)[:, None],
@@ -101,31 +101,31 @@ class SolidFields:
                        else np.einsum("eq,seqi->sei", shares, self.stresses)[:, :, None])
 
     def displacement(self, sample: int = -1) -> np.ndarray:
-        """Of the nodes (x, y, z), m, shape (nodes, 3)."""
+        """Displacement (x, y, z) of the nodes, m, shape (nodes, 3)."""
         return self.displacements[sample]
 
     def deformation_gradient(self, sample: int = -1) -> np.ndarray:
-        """F_iJ at the quadrature points, shape (elements, q, 3, 3)."""
+        """Deformation gradient F_iJ at the quadrature points, shape (elements, q, 3, 3)."""
         u = self.displacement(sample)[self.mesh.connectivity]
         count, points, nodes, _ = self.gradients.shape
-        # As products of matrices, (i, a) (a, qJ).
+        # As matrix products, (i, a) (a, qJ).
         flat = self.gradients.transpose(0, 2, 1, 3).reshape(count, nodes, 3 * points)
         rates = (u.transpose(0, 2, 1) @ flat).reshape(count, 3, points, 3).transpose(0, 2, 1, 3)
         return rates + np.eye(3)
 
     def at_points(self, name: str, sample: int = -1) -> np.ndarray:
-        """A field of `SOLID_UNITS` at the quadrature points, shape (elements, q).
+        """Field of `SOLID_UNITS` at the quadrature points, shape (elements, q).
 
-        Stress, pressure and energy are what `tissue_sim.fem.axisymmetric.fields.Fields.at_points` says. Components by
-        r, z and hoop are those along, and around, the axis of the scene where the point has come to.
+        For the definition of stress, pressure and energy see `tissue_sim.fem.axisymmetric.fields.Fields.at_points`.
+        Components rr, zz, rz and hoop refer to the axis of the scene, at the deformed position of the point.
 
         Raises:
-            InputError: no such field.
+            InputError: an unknown field, or one that the solver does not compute.
         """
         if name not in SOLID_UNITS:
             raise InputError(f"unknown field {name!r}{nearest(name, SOLID_UNITS)}", field="field")
         if name not in self.names:
-            raise InputError(f"of this solid nobody knows the pressure, so there is no {name!r}; use one of "
+            raise InputError(f"this solver does not compute pressure and therefore no {name!r}; use one of "
                              f"{', '.join(self.names)}", field="field")
         if name == "displacement":
             return np.linalg.norm(self._at_points(self.displacement(sample)), axis=-1)
@@ -146,7 +146,7 @@ class SolidFields:
             return own + p**2 / (2.0 * self.bulk_modulus[:, None] * modulus)
         scale = modulus / J
         if self.stresses is None and name in ("pressure", "von_mises"):
-            # Of principal stresses, without their directions.
+            # From principal stresses, without their directions.
             _, tau = self._response(principal_stretches(left))
             if name == "pressure":
                 return -(scale * tau.mean(axis=-1) + p)
@@ -162,7 +162,7 @@ class SolidFields:
         return np.einsum("eqi,eqik,eqk->eq", first, tensor, second) + across
 
     def _region_by_region(self, name: str, sample: int) -> np.ndarray:
-        """A field at the points of elements of several materials."""
+        """Evaluate a field for elements of several materials."""
         count, materials = len(self.mesh.connectivity), self.material.regions
         base = replace(self.material, regions={})
         taken = np.concatenate(list(self.mesh.regions.values()))
@@ -177,7 +177,7 @@ class SolidFields:
         return self.material.energy_law.principal_response(stretches, self.material.parameters)
 
     def _isochoric(self, F: np.ndarray, left: np.ndarray, sample: int) -> np.ndarray:
-        """Kirchhoff stress in units of `moduli`, Pa, shape (elements, q, 3, 3)."""
+        """Isochoric Kirchhoff stress in units of `moduli`, Pa, shape (elements, q, 3, 3)."""
         if self.stresses is not None:
             return F @ self.stresses[sample][..., _SYMMETRIC] @ F.swapaxes(-1, -2)
         squares, ways = np.linalg.eigh(left)
@@ -185,14 +185,14 @@ class SolidFields:
         return (ways * tau[..., None, :]) @ ways.swapaxes(-1, -2)
 
     def _at_points(self, nodal: np.ndarray) -> np.ndarray:
-        """Of vectors of the nodes (nodes, 3), shape (elements, q, 3)."""
+        """Interpolate nodal vectors, shape (nodes, 3), at the quadrature points, shape (elements, q, 3)."""
         values, _ = self.mesh.element.shape_functions(self.mesh.element.quadrature[0])
         if self.weights.shape[1] == 1 < len(values):
             values = values.mean(axis=0, keepdims=True)
         return np.einsum("qa,eai->eqi", values, nodal[self.mesh.connectivity])
 
     def _directions(self, name: str, sample: int) -> tuple[np.ndarray, np.ndarray]:
-        """The two unit vectors of a component of stress, each of shape (elements, q, 3)."""
+        """Two unit vectors that define a stress component, shape (elements, q, 3) each."""
         shape = (*self.weights.shape, 3)
         if name in _ALONG:
             first, second = (np.broadcast_to(np.eye(3)[axis], shape) for axis in _ALONG[name])
@@ -207,31 +207,34 @@ class SolidFields:
                 "cauchy_hoop": (around, around)}[name]
 
     def stretch_range(self, sample: int = -1) -> tuple[float, float]:
-        """Smallest and largest principal stretch, without `TAIL` of the volume at either end."""
+        """Smallest and largest principal stretch; the fraction `TAIL` of the volume is left out at each end."""
         F = self.deformation_gradient(sample)
         stretches = principal_stretches(F @ F.swapaxes(-1, -2))
         return (volume_quantile(stretches[..., 2], self.weights, TAIL),
                 volume_quantile(stretches[..., 0], self.weights, 1 - TAIL))
 
     def at_nodes(self, name: str, sample: int = -1) -> np.ndarray:
-        """A field carried to the nodes, shape (nodes,): each element's polynomial through its quadrature points,
-        averaged over the elements that share a node; 0 at nodes of no element."""
+        """Field at the nodes, shape (nodes,).
+
+        Each element's polynomial through its quadrature points is averaged over the elements of a node; 0 at nodes
+        without an element.
+        """
         if name == "displacement":
             return np.linalg.norm(self.displacement(sample), axis=1)
         return extrapolate(self.mesh, self.at_points(name, sample))
 
 
 def _determinant(F: np.ndarray) -> np.ndarray:
-    """Of many small matrices (..., 3, 3); quicker than by factors."""
+    """Determinants of 3 x 3 matrices, shape (..., 3, 3); faster than by factorisation."""
     (a, b, c), (d, e, f), (g, h, i) = ([F[..., row, column] for column in range(3)] for row in range(3))
     return a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
 
 
 def principal_stretches(left: np.ndarray) -> np.ndarray:
-    """Stretches, the largest first, from left (or right) Cauchy-Green tensors (..., 3, 3), shape (..., 3).
+    """Principal stretches, largest first, of left or right Cauchy-Green tensors, shape (..., 3) from (..., 3, 3).
 
-    The roots of the characteristic polynomial by angles, a few times faster than eigenvectors; what they miss is 1e-8
-    of what they differ by (Smith, Communications of the ACM 4 (1961) 168).
+    Trigonometric roots of the characteristic polynomial, a few times faster than eigenvectors; the error is 1e-8 of the
+    differences of the stretches (Smith, Communications of the ACM 4 (1961) 168).
     """
     a, b, c = left[..., 0, 0], left[..., 1, 1], left[..., 2, 2]
     d, e, f = left[..., 0, 1], left[..., 1, 2], left[..., 0, 2]

@@ -1,4 +1,4 @@
-"""Where the tool first touches a solid: the mesh, the nodes under the tool and what it holds are moved there."""
+"""Placement of the first touch on a solid: mesh, nodes under the tool and held nodes are moved to its position."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from tissue_sim.kernel_owner import KernelOwner
 from tissue_sim.material.material import Material
 from tissue_sim.pose import Pose, motion, raised
 
-#: A tool that touches within this fraction of its radius of the place of the mesh touches at that place.
+#: Distance between two first touches, over the radius of the tool, below which they are the same.
 SAME_PLACE = 1e-6
-#: A flat tool may touch this fraction of its radius away from the place of a mesh that cannot be moved.
+#: Largest distance of a flat tool from the position of a mesh that cannot be moved, over the radius of the tool.
 FACE_WITHIN = 0.01
 
 
 class PlacedSolver(KernelOwner, Solver):
-    """A solver whose mesh is made for a place, and that can be made again for another one.
+    """Solver whose mesh belongs to one position of the first touch, and that can be made again for another one.
 
     Attributes:
-        placement: makes the solver for a first touch at another pose; None: the solver stays where it is.
+        placement: makes the solver for a first touch at another pose; None: the solver cannot be moved.
     """
 
     ignores_twist = True
@@ -52,7 +52,7 @@ class PlacedSolver(KernelOwner, Solver):
         return pose.position[2] if self.placement is None else self.placement.height_above(pose)
 
     def place_tool(self, pose: Pose) -> bool:
-        """See `FreeTool.place_tool`. The mesh is moved so that it is as fine there as it was at its own place."""
+        """See `FreeTool.place_tool`. The mesh is moved, so that it has the same fineness under the tool."""
         if self.placement is None or self.placement.is_at(self._start, pose):
             return True
         other = self.placement.solver_at(pose, self)
@@ -62,7 +62,7 @@ class PlacedSolver(KernelOwner, Solver):
         return True
 
     def _with_error(self, step: Step) -> Step:
-        """A converged step with the estimated error of its force, where stiffness is asked for in every step."""
+        """Add the estimated error of the force to a converged step, if stiffness is requested in every step."""
         if not self._asked:
             return step
         error = faceting_error(self.contact, self.mesh, self.committed_displacement, math.hypot(*step.wrench[:3]))
@@ -78,8 +78,7 @@ class PlacedSolver(KernelOwner, Solver):
             other.set_material(self.material)
 
     def clearance(self, pose: Pose) -> float | None:
-        """See `FreeTool.clearance`; the contact is at the nodes. None for a tool that holds tissue, and with laws of
-        contact."""
+        """See `FreeTool.clearance`, with distances of nodes; None if the tool holds tissue, and with contact laws."""
         contact = self.contact
         if self._bonded.size or contact.laws or (contact.moves & (contact.stays | (contact.bound != FREE))).any():
             return None
@@ -102,7 +101,7 @@ class PlacedSolver(KernelOwner, Solver):
 
     @property
     def committed_displacement(self) -> np.ndarray:
-        """Of all nodes at the last committed state, m, shape (nodes, 3)."""
+        """Displacement of all nodes at the last committed state, m, shape (nodes, 3)."""
         return self._committed[0].reshape(-1, 3)
 
     def approach(self, pose: Pose) -> bool:
@@ -117,7 +116,7 @@ class PlacedSolver(KernelOwner, Solver):
 
     @property
     def _is_at_rest(self) -> bool:
-        """Whether the tissue is back where it was before the first touch."""
+        """Whether the tissue has returned to its state before the first touch."""
         return float(np.abs(self._committed[0] - self._rest[0]).max()) <= AT_REST * self._tolerance
 
     def move_in_air(self, pose: Pose) -> None:
@@ -126,17 +125,17 @@ class PlacedSolver(KernelOwner, Solver):
 
 
 class Placement:
-    """The place on the top of a solid where a tool first touches.
+    """Positions of a first touch on the top of a solid.
 
     Args:
-        places: of the nodes of the top without a tool, m, shape (n, 3).
+        places: positions of the nodes of the top without a tool, m, shape (n, 3).
         bodies: the tool and others.
         datum: height of the scene's origin in the frame of the mesh, m.
         is_level: whether the top is flat and has not settled.
-        margin: distance of a place from the edge of the top, m.
-        touch_height: height of the scene's origin at which a tool at a pose touches, m; raises InputError outside
-            the top.
-        remake: the solver for a first touch at a pose; None if there is none.
+        margin: returns the distance of a point from the edge of the top, m.
+        touch_height: returns the height of the scene's origin at which a tool at a pose touches, m; raises InputError
+            outside of the top.
+        remake: returns the solver for a first touch at a pose; None if there is none.
     """
 
     def __init__(self, places: np.ndarray, bodies: list[Body], datum: float, is_level: bool,
@@ -149,7 +148,7 @@ class Placement:
         self._touch_height, self._remake = touch_height, remake
 
     def is_at(self, start: Pose, pose: Pose) -> bool:
-        """Whether a first touch at a pose is one at the place of the mesh."""
+        """Whether a first touch at a pose is at the position of the mesh."""
         x, y, z, *turn = motion(start, pose)
         return math.hypot(x, y, z) + self.radius * math.hypot(*turn) <= SAME_PLACE * self.radius
 
@@ -171,6 +170,6 @@ class Placement:
             return math.inf  # outside the top
 
     def solver_at(self, pose: Pose, solver: Any) -> Any:
-        """The solver for a first touch at a pose, with the material and the mass of another one; None if
-        there is none."""
+        """Return the solver for a first touch at a pose, with material and mass of another solver; None if there is
+        none."""
         return None if self._remake is None else self._remake(pose, solver)

@@ -1,6 +1,6 @@
-"""Effects at the points of a solid in space: their stress, its share in forces and stiffness, and what they remember.
+"""Point effects of a three-dimensional solid: stress, contributions to forces and stiffness, and state variables.
 
-Formulas are run on arrays of all points at once, beside the kernel of the law, so that nothing is compiled for them.
+The formulas are evaluated on numpy arrays of all points, outside of the kernel of the law, so that nothing is compiled.
 """
 
 from __future__ import annotations
@@ -14,23 +14,25 @@ from tissue_sim.fem.solid.batches import ElementBatches, places_of
 from tissue_sim.fem.taichi.trace import Formula
 from tissue_sim.material.effect import PointEffect, TissueEffect
 
-#: Components of formulas, 11, 22, 33, 12, 13, 23, and their places in a memory, XX, XY, XZ, YY, YZ, ZZ.
+#: Index pairs of the components of formulas: 11, 22, 33, 12, 13, 23.
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+#: Indices of these components in the order of a memory: XX, XY, XZ, YY, YZ, ZZ.
 _IN_MEMORY = [0, 3, 4, 1, 5, 2]
-#: Elements whose stiffness is computed at once.
+#: Number of elements whose stiffness is computed at once, to limit memory.
 _AT_ONCE = 200
 
 
 class SolidEffects:
-    """All such effects of a material.
+    """All point effects of a material.
 
     Args:
-        batches: of the mesh. connectivity: shape (elements, nodes of an element).
-        elements: numbers of those of the material, shape (n,).
+        batches: batches of the mesh.
+        connectivity: shape (elements, nodes of an element).
+        elements: indices of the elements of the material, shape (n,).
 
     Attributes:
-        states: of all effects at the last committed step, shape (n, q, variables); stress: of all together there, Pa,
-            in the order of a memory, shape (n, q, 6).
+        states: state variables of all effects at the last committed step, shape (n, q, variables).
+        stress: sum of the stresses there, Pa, in the order of a memory, shape (n, q, 6).
     """
 
     def __init__(self, batches: ElementBatches, connectivity: np.ndarray, elements: np.ndarray):
@@ -49,8 +51,11 @@ class SolidEffects:
         return bool(self._effects) and len(self._elements) > 0
 
     def set_effects(self, effects: Iterable[TissueEffect]) -> None:
-        """Take over the effects of a material; the memory is kept where they are of the same make; errors as
-        `require_formula`."""
+        """Set the effects of a material; state variables are kept if the formulas are the same.
+
+        Raises:
+            InputError: see `require_formula`.
+        """
         points = tuple(effect for effect in effects if isinstance(effect, PointEffect))
         makes = tuple(Formula.of(effect) for effect in points)
         if makes != self._makes:
@@ -63,15 +68,15 @@ class SolidEffects:
         self._effects = points
 
     def prepare(self, dt: float) -> None:
-        """Before a step of `dt`, s."""
+        """Set the length of the next step, dt in s."""
         self._dt = min(dt, LONGEST)
 
     def commit(self) -> None:
-        """After a step that converged."""
+        """Accept the state variables of the last step, which converged."""
         self.states[:], self.stress[:] = self._found, self._stress
 
     def add(self, x: np.ndarray, tangent: bool) -> None:
-        """Add forces and, if asked for, stiffness at displacements x, m, to those of the batches."""
+        """Add forces, and optionally stiffness, at displacements x, m, shape (freedoms,), to those of the batches."""
         gradients = self._batches.of_points[0]
         ratios = self._batches.element_moduli
         forces, stiffness = np.zeros(self._dofs.shape), []
@@ -82,7 +87,7 @@ class SolidEffects:
             F = np.eye(3) + np.einsum("eai,eqaJ->eqiJ", x[dofs].reshape(*dofs.shape[:1], -1, 3), G)
             S, D = self._respond(part, F)
             weights = self._batches.weights[mine] * ratios[mine, None]
-            # How the Green strains, shears doubled, change with the places of the nodes.
+            # Derivative of the Green strains, with doubled shears, with respect to the nodal positions.
             B = np.stack([np.einsum("eqi,eqa->eqai", F[..., I], G[..., J])
                           + (0.0 if I == J else np.einsum("eqi,eqa->eqai", F[..., J], G[..., I]))
                           for I, J in _PAIRS], axis=2)
@@ -107,12 +112,19 @@ class SolidEffects:
             matrix.data += np.bincount(self._places, np.concatenate(stiffness).ravel(), minlength=matrix.nnz)
 
     def _respond(self, part: slice, F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Stress, shape (e, q, 6), and tangent, (e, q, 6, 6), Pa, of some elements at deformation gradients, shape
-        (e, q, 3, 3); notes what becomes of the states."""
+        """Evaluate the effects of some elements, and store their new state variables.
+
+        Args:
+            part: elements.
+            F: deformation gradients, shape (e, q, 3, 3).
+
+        Returns:
+            Stress, Pa, shape (e, q, 6), and tangent, Pa, shape (e, q, 6, 6).
+        """
         C = [np.einsum("eqi,eqi->eq", F[..., I], F[..., J]) for I, J in _PAIRS]
         S, D, at = np.zeros((*F.shape[:2], 6)), np.zeros((*F.shape[:2], 6, 6)), 0
         for effect in self._effects:
-            # Copies: a formula may add in place, and the committed states must stay.
+            # Copies, because a formula may change its arguments, and the committed states must not change.
             state = [self.states[part, :, at + i].copy() for i in range(len(effect.rest))]
             stress, tangent, found = effect.response([each.copy() for each in C], state, self._dt)
             for i in range(6):

@@ -1,9 +1,9 @@
-"""Exact derivatives of a solid's force with respect to its material, carried from step to step.
+"""Exact derivatives of a solid's force with respect to material parameters, updated from step to step.
 
-At a converged step the equations of the tissue and of its contact are differentiated as they stand (Michaleris,
-Tortorelli and Vidal, Int. J. Numer. Methods Eng. 37 (1994) 2471). What a parameter does to the forces of a tissue that
-does not move is a central difference of the assembly, in the direction of all that depends on the parameter, the past
-included; how the tissue moves for it is solved with the tangent at the converged state.
+The discrete equations of tissue and contact are differentiated at every converged step (Michaleris, Tortorelli and
+Vidal, Int. J. Numer. Methods Eng. 37 (1994) 2471). The derivative of the forces at constant displacements is a central
+difference of the assembly, in the direction of all inputs that depend on the parameter, the history included. The
+derivative of the displacements is solved with the tangent at the converged state.
 """
 
 from __future__ import annotations
@@ -24,22 +24,40 @@ from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.material.material import Material
 
-#: Half width of the differences, in those of the neighbours, which are a millionth of the parameter apart.
+#: Half width of the differences in units of the distance of the neighbours, which is 1e-6 of the parameter.
 _WIDTH = 10.0
-#: Linear solutions with one factor are refined until this share of the forces is left, or so often; more is no answer.
-_LEFT, _ENOUGH, _SOLUTIONS = 1e-10, 1e-7, 12
+
+
+@dataclass(frozen=True)
+class RefinementSettings:
+    """Iterative refinement of the linear solutions.
+
+    Attributes:
+        tolerance: relative residual at which the refinement ends, 1.
+        acceptable: largest acceptable relative residual after the last iteration, 1; above it the result is NaN.
+        max_solutions: largest number of solutions with one factor.
+    """
+
+    tolerance: float = 1e-10
+    acceptable: float = 1e-7
+    max_solutions: int = 12
+
+
+_SETTINGS = RefinementSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class SolidParts:
-    """What a sensitivity sees of its solver.
+    """Parts of a solver that its derivatives use.
 
     Attributes:
-        nodes: where those of the mesh are, undeformed, m, shape (nodes, 3).
-        x: displacements, m, shape (freedoms,). free, moved: numbers of those that are free, and that the tool holds.
-        tissue, contact, matrix: of the solver.
-        first: the tool where it first touches.
-        assemble: forces and the matrix of the tissue at the state as it is.
+        nodes: undeformed positions of the nodes, m, shape (nodes, 3).
+        x: displacements, m, shape (freedoms,).
+        free: indices of the free degrees of freedom.
+        moved: indices of the degrees of freedom that the tool holds.
+        tissue, contact, matrix: those of the solver.
+        first: frame of the tool at its first touch.
+        assemble: assembles forces and matrix of the tissue at the present state.
     """
 
     nodes: np.ndarray
@@ -55,14 +73,14 @@ class SolidParts:
 
 @dataclass(frozen=True, eq=False)
 class StartRates:
-    """How the state in which the tool touches changes with m parameters.
+    """Derivatives of the state of the first touch with respect to m parameters.
 
     Attributes:
         stretch: of the logarithm of the height of the undeformed mesh, shape (m,).
-        settled: what `SolidSensitivity.carried` was of the specimen that has settled; None: it has not moved.
-        resting: numbers of the nodes of its contact.
+        settled: `SolidSensitivity.carried` of the settled specimen; None: it is undeformed.
+        resting: indices of the nodes of its contact.
         datum: of the height of the scene's origin in the frame of the mesh, m, shape (m,).
-        lift: of how much higher nodes stand than the tool takes them to, m, shape (nodes, m); None: of nothing.
+        lift: of the height of nodes above the surface that the tool is assumed to touch, m, shape (nodes, m); None: 0.
     """
 
     stretch: np.ndarray
@@ -73,21 +91,22 @@ class StartRates:
 
     @classmethod
     def moulded(cls, stretch: np.ndarray) -> StartRates:
-        """Of a specimen as moulded."""
+        """Make the derivatives for an undeformed specimen."""
         return cls(stretch, None, np.zeros(0, dtype=np.intp), np.zeros_like(stretch), None)
 
 
 class SolidSensitivity:
-    """Rates of a solver's state with m parameters, at its last committed step.
+    """Derivatives of a solver's state with respect to m parameters, at its last committed step.
 
     Args:
-        parts: of a solver before its first step.
-        input_rates: of each region's inputs, in their order, with the parameters, shape (m, ...).
-        memories: of each region.
-        widths: difference of each parameter's neighbours, shape (m,).
+        parts: parts of a solver before its first step.
+        input_rates: derivatives of each region's inputs, in their order, shape (m, ...).
+        memories: derivatives of the history of each region.
+        widths: distance of each parameter's neighbours, shape (m,).
 
     Attributes:
-        force: of the force along z, N per unit, shape (m,). vector: of all three components, shape (m, 3).
+        force: derivatives of the force along z, N per unit, shape (m,).
+        vector: derivatives of all three components, shape (m, 3).
     """
 
     def __init__(self, parts: SolidParts, input_rates: Sequence[Sequence[np.ndarray]], memories: Sequence[MemoryRates],
@@ -95,13 +114,13 @@ class SolidSensitivity:
         self._parts, self._memories, self._half = parts, memories, _WIDTH * widths
         self._regions = range(len(memories))
         m, n = widths.size, parts.contact.nodes.size
-        #: Of each parameter and region, what it does to the region's inputs.
+        #: For each parameter and region: input arrays and their derivatives.
         self._inputs = [[[(array, rate[k]) for array, rate in zip(region.inputs, rates, strict=True) if rate[k].any()]
                          for region, rates in zip(parts.tissue.regions, input_rates, strict=True)] for k in range(m)]
         self.vector = np.zeros((m, 3))
         self.force = self.vector[:, 2]
-        #: Of where nodes are bound, in the frames of their bodies; of their undeformed places against the bodies;
-        #: of where those that the tool holds are in its frame, and of its origin and these in the frame of the mesh.
+        #: Derivatives of: the anchors, in the frames of their bodies; the undeformed positions relative to the bodies;
+        #: the held nodes in the frame of the tool; its origin, and the undeformed positions, in the frame of the mesh.
         self._anchors, self._apart = np.zeros((2, n, 3, m))
         self._held = np.zeros((parts.moved.size // 3, 3, m))
         self._origin, self._undeformed = np.zeros((3, m)), np.zeros((*parts.nodes.shape, m))
@@ -114,11 +133,13 @@ class SolidSensitivity:
     @classmethod
     def of(cls, parts: SolidParts, neighbours: Neighbours, here: Material,
            set_material: Callable[[Material], None]) -> SolidSensitivity:
-        """With what the solver's `set_material` makes of the neighbours of its material, which it has again afterwards.
+        """Make the derivatives from the neighbours of a material, which are set in turn; the material is restored.
 
         Args:
-            parts: of a solver before its first step. neighbours: see `tissue_sim.fem.solver.Neighbours`.
-            here: its material.
+            parts: parts of a solver before its first step.
+            neighbours: see `tissue_sim.fem.solver.Neighbours`.
+            here: material of the solver.
+            set_material: sets the material of the solver.
         """
         def inputs(material: Material) -> list[list[np.ndarray]]:
             set_material(material)
@@ -143,7 +164,7 @@ class SolidSensitivity:
         return cls(parts, rates, memories, widths)
 
     def begin(self, start: StartRates) -> None:
-        """Before the first step, where the state in which the tool touches depends on the parameters."""
+        """Set the derivatives of the state of the first touch, before the first step."""
         parts, contact, first = self._parts, self._parts.contact, self._parts.first
         self._stretch[:] = start.stretch
         self._stretched = parts.tissue.batches.stretch_rates if start.stretch.any() else []
@@ -152,7 +173,7 @@ class SolidSensitivity:
         self._apart[:] = self._undeformed[contact.nodes]
         if start.lift is not None:
             self._apart[contact.moves, 2] -= start.lift[contact.nodes[contact.moves]]
-        # What rests stands under the lowest nodes.
+        # The base is under the lowest nodes.
         self._apart[contact.moves] -= self._origin
         self._apart[~contact.moves, 2] -= parts.nodes[:, 2].min() * start.stretch
         if start.settled is not None:
@@ -171,19 +192,24 @@ class SolidSensitivity:
 
     @property
     def carried(self) -> list[np.ndarray]:
-        """Rates of displacements, of where nodes of the contact are bound, and of what the regions remember, parameters
-        first, at the last committed step."""
+        """Derivatives of displacements, anchors and history at the last committed step, parameters first."""
         return [self._motion.T, np.moveaxis(self._anchors, -1, 0), *(array for each in self._memories
                                                                      for array in each.kept)]
 
     def pop_changed(self) -> bool:
-        """Whether since the last call the contact changed; see `tissue_sim.fem.solver.Derivatives`."""
+        """Whether the contact changed since the last call; see `tissue_sim.fem.solver.Derivatives`."""
         changed, self._changed = self._changed, False
         return changed
 
     def advance(self, frame: Frame) -> None:
-        """At an equilibrium with the tool there, whose contact was looked at with the bonds of the step, before it
-        binds anew and anything is committed. The matrix is that of the tissue, and gets the rates of contact."""
+        """Update the derivatives at an equilibrium, before anchors change and the step is committed.
+
+        The contact must have been evaluated with the anchors of the step. The matrix must be that of the tissue; the
+        contact stiffness is added.
+
+        Args:
+            frame: frame of the tool.
+        """
         parts, m = self._parts, self._half.size
         state = parts.contact.state
         self._changed |= not np.array_equal(state.kinds, self._kinds)
@@ -210,7 +236,7 @@ class SolidSensitivity:
         parts.tissue.batches.residual[:] = residual
 
     def _forces(self, k: int) -> np.ndarray:
-        """Rates with parameter k of the forces of tissue that does not move, N per unit, shape (freedoms,)."""
+        """Derivative of the forces at constant displacements with respect to parameter k, N per unit, (freedoms,)."""
         acting = {number: [(array, rate) for array, rate in self._directions(k, number) if rate.any()]
                   for number in self._regions}
         stretched, tissue = self._stretches(k), self._parts.tissue
@@ -220,7 +246,7 @@ class SolidSensitivity:
         return forces[:-1]
 
     def _remember(self, motion: np.ndarray) -> None:
-        """What the memories make of it when the step is committed."""
+        """Update the derivatives of the history for the step that will be committed."""
         for number, each in enumerate(self._memories):
             memory = each.memory
             for k in range(motion.shape[1] if memory.works else 0):
@@ -228,17 +254,23 @@ class SolidSensitivity:
                 each.commit(k, *self._difference(k, [number], directions, [memory.stresses, memory.energies]))
 
     def _directions(self, k: int, number: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """What the assembly of a region reads, and its rates with parameter k, nothing moving."""
+        """Inputs of the assembly of a region, and their derivatives with respect to parameter k at rest."""
         return self._inputs[k][number] + self._memories[number].directions(k)
 
     def _stretches(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """What the assembly of all regions reads of the undeformed mesh, and its rates with parameter k."""
+        """Inputs of the assembly that depend on the undeformed mesh, and their derivatives for parameter k."""
         return [(array, self._stretch[k] * rate) for array, rate in self._stretched] if self._stretch[k] else []
 
     def _difference(self, k: int, regions: Sequence[int], directions: Sequence[tuple[np.ndarray, np.ndarray]],
                     results: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Rates of what the assembly of these regions makes, along directions of arrays that it reads, a step of
-        parameter k wide. Everything is as it was afterwards."""
+        """Central difference of the assembly of some regions.
+
+        Args:
+            k: index of the parameter, which determines the step.
+            regions: indices of the regions.
+            directions: input arrays and their derivatives.
+            results: arrays whose derivatives are returned. All arrays are restored.
+        """
         arrays = [array for array, _ in directions]
         written: list[np.ndarray] = [self._parts.tissue.batches.residual]
         for number in regions:
@@ -257,8 +289,15 @@ class SolidSensitivity:
         return [(more - less) / (2.0 * self._half[k]) for more, less in zip(*found, strict=True)]
 
     def _solve(self, rates: np.ndarray, follows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How the tissue moves, m per unit, shape (freedoms, m), and how forces of its contact change, (n, 3, m), where
-        what the tool holds moves so, (3 held nodes, m)."""
+        """Solve for the derivatives of displacements and contact forces.
+
+        Args:
+            rates: derivatives of the forces at constant displacements, shape (freedoms, m).
+            follows: derivatives of the displacements of the held nodes, shape (3 held nodes, m).
+
+        Returns:
+            Displacements, m per unit, shape (freedoms, m), and contact forces, N per unit, shape (n, 3, m).
+        """
         parts, contact = self._parts, self._parts.contact
         state, m, own = contact.state, rates.shape[1], contact.rates - contact.law_rates
         motion, forces = np.zeros_like(rates), np.zeros((contact.nodes.size, 3, m))
@@ -269,28 +308,28 @@ class SolidSensitivity:
         factor = self._sparse.factorise(parts.matrix.free, symmetric=symmetric)
         if factor is None:
             return np.full_like(motion, np.nan), np.full_like(forces, np.nan)
-        # Measured by forces of tissue and contact; those of the springs that hold the contact are larger by far.
+        # Reference: forces of tissue and contact; the penalty forces of the contact are much larger.
         size = np.linalg.norm(rates, axis=0)
-        for _ in range(_SOLUTIONS):
+        for _ in range(_SETTINGS.max_solutions):
             found, missing, acting = self._contact_forces(motion, forces)
             right = rates + self._product(motion)
             np.add.at(right.reshape(-1, 3, m), contact.nodes, acting)
             left = np.linalg.norm(right[parts.free], axis=0)
             size = np.maximum(size, np.linalg.norm(found.reshape(-1, m), axis=0))
-            if (left <= _LEFT * size).all():
+            if (left <= _SETTINGS.tolerance * size).all():
                 return motion, acting - missing
             change = np.zeros_like(motion)
             change[parts.free] = -factor.solve(np.asfortranarray(right[parts.free])).reshape(-1, m)
             motion += change
             forces = found + missing + own @ self._at_contact(change)
         _, missing, acting = self._contact_forces(motion, forces)
-        if not (left <= _ENOUGH * size).all():
+        if not (left <= _SETTINGS.acceptable * size).all():
             return np.full_like(motion, np.nan), np.full_like(acting, np.nan)
         return motion, acting - missing
 
     def _contact_forces(self, motion: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rates of the forces that the contact allows, what its constraints still miss, and all that acts then, laws
-        included, N, shape (n, 3, m)."""
+        """Derivatives of contact forces, residuals of the constraints, and all acting forces with laws, N, shape
+        (n, 3, m) each."""
         state, against = self._parts.contact.state, self._at_contact(motion) + self._apart
         found, missing = state.force_rates(against, self._anchors, forces)
         acting = found + missing
@@ -299,7 +338,7 @@ class SolidSensitivity:
         return found, missing, acting
 
     def _product(self, motion: np.ndarray) -> np.ndarray:
-        """Forces of the tissue alone for a motion, the rates of contact being in the matrix."""
+        """Forces of the tissue alone for displacements; the contact stiffness in the matrix is subtracted."""
         product = self._parts.matrix.all @ motion
         np.add.at(product.reshape(-1, 3, motion.shape[1]), self._parts.contact.nodes,
                   -(self._added @ self._at_contact(motion)))
@@ -310,5 +349,5 @@ class SolidSensitivity:
 
 
 def _are_symmetric(blocks: np.ndarray) -> bool:
-    """Whether matrices, shape (n, 3, 3), are, but for the rounding of differences."""
+    """Whether matrices, shape (n, 3, 3), are symmetric up to the rounding of differences."""
     return bool(np.abs(blocks - blocks.swapaxes(1, 2)).max(initial=0.0) <= 1e-7 * np.abs(blocks).max(initial=0.0))

@@ -1,4 +1,4 @@
-"""A solid in space: a mesh of hexahedra, a material and how its faces are held, stepped from pose to pose of a tool."""
+"""Newton solver of a three-dimensional solid under a rigid tool, stepped from pose to pose."""
 
 from __future__ import annotations
 
@@ -29,43 +29,44 @@ from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose, Screw
 from tissue_sim.tool_force import Matrix, NextForce
 
-#: A step that turns an element inside out is halved so often.
+#: Largest number of bisections of an increment that turns an element inside out.
 _HALVINGS = 4
-#: From this linear solution on only some of the nodes may change their state at once.
+#: Number of linear solves from which on only a subset of the nodes may change their contact state at once.
 _CIRCLING = 8
-#: Unbalanced forces are measured against the reactions, but at least this share of the largest load so far.
+#: Smallest reference force of the relative residual, over the largest load so far, 1.
 _FLOOR_SHARE = 0.1
-#: A tool that goes less than this share of the mesh's size has not moved.
-_NO_WAY = 1e-14
-#: Friction below this share of the floor is none.
+#: Motion of the tool over the size of the mesh below which the tool is at rest, 1.
+_NO_MOTION = 1e-14
+#: Friction over the smallest reference force below which friction is ignored, 1.
 _FRICTION_FLOOR = 1e-6
 
 
 class SolidSolver(PlacedSolver):
-    """Stateful Newton solver of one boundary-value problem in space.
+    """Stateful Newton solver of one three-dimensional boundary-value problem.
 
     Args:
         mesh: undeformed mesh.
         material: law, parameters, bulk response.
-        fixed: node set -> axes, ``"z"`` or ``"xyz"``, along which its nodes stay where they are.
+        fixed: node set -> axes, ``"z"`` or ``"xyz"``, along which its nodes are fixed.
         bonded: nodes that the tool holds, shape (n,).
-        pins: nodes and axes, ``"xy"``, along which they stay where they are, where nothing else keeps the solid from
-            sliding off or turning.
-        bodies: what the surface may meet. laws: of contact with the tool.
-        tolerance: how far a contact condition may be violated, m.
-        start: of the tool, where it first touches, in the frame of the scene.
-        datum: height of that frame's origin in that of the mesh, m.
-        contact_radius: m; how fast the pores drain, see `Material.relaxation`.
+        bodies: rigid bodies that the surface may touch.
+        laws: additional contact laws of the tool.
+        tolerance: largest permitted violation of a contact condition, m.
+        start: pose of the tool at its first touch, in the frame of the scene.
+        datum: height of that frame's origin in the frame of the mesh, m.
+        contact_radius: m, for the time of drainage, see `Material.relaxation`.
+        pins: nodes and axes, ``"xy"``, along which they are fixed if nothing else prevents rigid motions.
         element_layers: see `Tissue`.
         specific_weight: density times gravity, N/m3, towards -z.
-        settled: a solver on the same mesh without a tool, whose last state is the one in which the tool touches; None:
-            the undeformed mesh.
-        lift: how much higher nodes stand than what meets the tool is taken to, m, shape (nodes,); None: nothing.
-        start_rates: how `settled` and what follows from it change with parameters; None: not at all.
+        settled: solver on the same mesh without a tool, whose last state is that of the first touch; None: the
+            undeformed mesh.
+        lift: height of nodes above the surface that the tool is assumed to touch, m, shape (nodes,); None: 0.
+        start_rates: returns the derivatives of `settled`, and of the touch, with respect to parameters; None: they are
+            zero.
 
     Raises:
-        InputError: what it does not take of a material, or a bulk ratio outside `BULK_RATIOS`.
-        MissingBackendError: Taichi is not there.
+        InputError: a part of the material is not supported, or a bulk ratio is outside of `BULK_RATIOS`.
+        MissingBackendError: Taichi is not installed.
     """
 
     highest_order = 0
@@ -89,7 +90,7 @@ class SolidSolver(PlacedSolver):
         self._free = np.flatnonzero(~(stays | moved))
         self._reacting = np.flatnonzero(stays | moved)
         self._moved = freedoms[self._bonded].ravel()
-        # Where what is bonded stands in the tool's frame.
+        # Positions of the bonded nodes in the frame of the tool.
         self._held_at = Frame(start, datum).into(self._places_of(self._bonded))
         self.contact = ContactNodes(bodies, mesh.nodes, mesh.node_areas, laws)
         if lift is not None:
@@ -103,9 +104,9 @@ class SolidSolver(PlacedSolver):
         self._derivatives: SolidSensitivity | None = None
         self._start_rates, self._mass = start_rates, None
         self._last: Step | None = None
-        # How everything goes with the tool at the last equilibrium whose stiffness was asked for, shape (freedoms, 6).
+        # Derivative of all displacements with respect to the tool's pose at the last stiffness, shape (freedoms, 6).
         self._along: np.ndarray | None = None
-        #: Of the tool where the state that is worked on belongs to it.
+        #: Frame of the tool to which the present iterate belongs.
         self._here = Frame(start, datum)
         self.set_material(material)
         if settled is not None:
@@ -117,7 +118,7 @@ class SolidSolver(PlacedSolver):
         before: float = self._modulus or material.mu0
         self.tissue.set_material(material)
         self.material, self._modulus = material, material.mu0
-        # Where all moduli change alike, the tissue stays where it is and its forces follow them.
+        # If all moduli change by one factor, the displacements stay the same and all forces change by the factor.
         for array in (*self._committed[1:], *self._rest[1:], self.batches.pressures, self.contact.forces):
             array *= material.mu0 / before
         self.contact.set_stiffness(material.mu0)
@@ -125,17 +126,17 @@ class SolidSolver(PlacedSolver):
 
     @property
     def pose(self) -> Pose:
-        """Of the tool at the last committed state."""
+        """Pose of the tool at the last committed state."""
         return self._pose
 
     def ask_for_stiffness(self) -> None:
-        """Let every step answer its stiffness matrix from now on."""
+        """Let every step compute its stiffness matrix from now on."""
         self._asked = True
 
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
              own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
-        """Move the tool to a pose and find equilibrium; see `Solver.step`. The tool's motion is solved linearly."""
+        """Move the tool to a pose and solve for equilibrium; see `Solver.step`. The motion is solved linearly first."""
         self.tissue.prepare(dt)
         if self._mass is not None:
             self._mass.prepare(self._committed[0], dt, inertial)
@@ -159,21 +160,22 @@ class SolidSolver(PlacedSolver):
         return outcome
 
     def _go_back(self) -> None:
-        """To the last committed state."""
+        """Return to the last committed state."""
         self.x[:], self.batches.pressures[:], self.contact.forces[:] = self._committed
         self.contact.begin()
         self._here = Frame(self._pose, self.datum)
 
     def _iterate(self, frame: Frame, tolerance: float, max_iterations: int) -> Step:
-        """Newton's iteration from the state as it is."""
+        """Newton's method from the present iterate."""
         contact, batches, x, tangent = self.contact, self.batches, self.x, self._tangent
         goal = self.held_displacement(frame)
         here = self._here
         way = np.zeros_like(x)
         way[self._moved] = goal - x[self._moved]
-        # Nodes that touch the tool begin by going with it.
+        # Nodes in contact with the tool move with it in the first linear solution.
         tool_way = frame.out_of(here.into(self._places())) - self._places()
-        pending = max(np.abs(way).max(), np.abs(tool_way).max(initial=0.0)) > _NO_WAY * float(np.ptp(self.mesh.nodes))
+        pending = (max(np.abs(way).max(), np.abs(tool_way).max(initial=0.0))
+                   > _NO_MOTION * float(np.ptp(self.mesh.nodes)))
         changeable, bending, iterations, halvings, waits = ALL, 0.0, 0, 0, 0
         floor = max(self._floor, _FLOOR_SHARE * self._largest_force)
         before = first_ratio = None
@@ -186,7 +188,7 @@ class SolidSolver(PlacedSolver):
                     array[:] = 0.5 * (array + earlier)
                 continue
             displacement = x.reshape(-1, 3)[contact.nodes]
-            # At first what just touches counts as pressed: the tool is about to move, or a law pulls.
+            # In the first iteration nodes at zero gap count as pressed, because the tool will move or a law pulls.
             slack = 1e-9 if pending or (contact.laws.strength > 0.0 and iterations == 0) else 0.0
             evaluation = contact.evaluate(displacement, here if pending else frame, changeable, slack, bending,
                                 _FRICTION_FLOOR * floor, self._tolerance)
@@ -208,7 +210,7 @@ class SolidSolver(PlacedSolver):
                 if tangent.stale and (self._asked or self._derivatives is not None):
                     self._assemble()
                 if self._derivatives is not None:
-                    # They are those of this step, whose bonds are the earlier ones.
+                    # The derivatives belong to this step, with the anchors of the last equilibrium.
                     contact.evaluate(displacement, frame, 0, 0.0, 1.0, _FRICTION_FLOOR * floor, self._tolerance)
                     self._derivatives.advance(frame)
                     if self._asked:
@@ -216,7 +218,7 @@ class SolidSolver(PlacedSolver):
                 contact.hold()
                 status = StepStatus.CONVERGED
                 if self._asked:
-                    # The stiffness is that with the new bonds.
+                    # The stiffness belongs to the new anchors.
                     evaluation = contact.evaluate(displacement, frame, 0, 0.0, 1.0, _FRICTION_FLOOR * floor,
                                                   self._tolerance)
             elif iterations >= max_iterations:
@@ -250,14 +252,14 @@ class SolidSolver(PlacedSolver):
             contact.follow(motion.reshape(-1, 3)[contact.nodes] + apart)
             self._here = frame
             iterations += 1
-            halvings = _HALVINGS if pending else 0  # the tool's way is not cut in here
+            halvings = _HALVINGS if pending else 0  # the motion of the tool is not bisected here
             tangent.keep(ratio, far=pending)
             pending = False
             changeable = ALL if iterations < _CIRCLING else iterations
             bending = 1.0 if ratio < 0.1 else 0.0
 
     def held_displacement(self, frame: Frame) -> np.ndarray:
-        """Of the nodes that the tool holds, when it is there, m, shape (3 n,)."""
+        """Displacements of the nodes that the tool holds, for a frame of the tool, m, shape (3 n,)."""
         return (frame.out_of(self._held_at) - self.mesh.nodes[self._bonded]).ravel()
 
     @property
@@ -265,7 +267,7 @@ class SolidSolver(PlacedSolver):
         return self.x, self.batches.pressures, self.contact.forces
 
     def _places(self) -> np.ndarray:
-        """Where the nodes of the contact are, m, shape (n, 3)."""
+        """Positions of the contact nodes, m, shape (n, 3)."""
         return self._places_of(self.contact.nodes)
 
     def _assemble(self, tangent: bool = True) -> None:
@@ -281,7 +283,7 @@ class SolidSolver(PlacedSolver):
 
     def _answer(self, status: StepStatus, iterations: int, ratio: float, evaluation: ContactEvaluation, frame: Frame,
                 factor: Factor | None = None) -> Step:
-        """The step, with its stiffness where there is a factor of the last matrix."""
+        """Make the result of a step, with its stiffness if there is a factor of the last matrix."""
         stiffness, constraint = None, self._tool_constraint(frame)
         if factor is not None:
             stiffness, self._along = constraint.stiffness(self._matrix.all, factor, self._free)
@@ -289,7 +291,7 @@ class SolidSolver(PlacedSolver):
                     None if stiffness is None else rows(stiffness), evaluation.violation, evaluation.slipping)
 
     def _own_stiffness(self, frame: Frame) -> Matrix | None:
-        """That of the tissue without its mass, just after an inertial step; None where it would not stand so."""
+        """Static stiffness of the tissue directly after an inertial step; None if the static tangent is indefinite."""
         assert self._mass is not None
         self._mass.rate, rate = 0.0, self._mass.rate
         self._assemble()
@@ -300,12 +302,12 @@ class SolidSolver(PlacedSolver):
         return rows(self._tool_constraint(frame).stiffness(self._matrix.all, factor, self._free)[0])
 
     def follow_motion(self, density: float) -> bool:
-        """Let the tissue have a mass (kg/m3) from now on, in all its regions alike; it has one."""
+        """Give all regions of the tissue a mass, density in kg/m3; returns True. See `Solver.follow_motion`."""
         self._mass = Mass(self.mesh, self.batches.weights, density, self._matrix.all)
         return True
 
     def ahead(self, dt: float) -> NextForce | None:
-        """See `Solver.ahead`, and that of the axisymmetric solver for how."""
+        """Predict the force of the next step; see `Solver.ahead` and the axisymmetric solver for the method."""
         last = self._last
         if self._mass is None or self._along is None or last is None or last.step_stiffness_matrix is None:
             return None
@@ -317,7 +319,7 @@ class SolidSolver(PlacedSolver):
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
 
     def differentiate(self, neighbours: Neighbours) -> SolidSensitivity | None:
-        """See `Solver.differentiate`; there are none with effects at points."""
+        """See `Solver.differentiate`; None with point effects."""
         begins = self._start_rates if neighbours else None
         start = None if begins is None else begins(neighbours)
         if self.tissue.effects or (begins is not None and start is None):
@@ -333,7 +335,7 @@ class SolidSolver(PlacedSolver):
         return self._derivatives
 
     def lift_off(self) -> None:
-        """Take the tool away at once; see `Solver.lift_off`."""
+        """Remove the tool at once; see `Solver.lift_off`."""
         for array, rest in zip(self._committed, self._rest, strict=True):
             array[:] = rest
         self.contact.forget()
@@ -342,11 +344,11 @@ class SolidSolver(PlacedSolver):
         self._go_back()
 
     def save(self) -> SavedState:
-        """All that a committed step leaves behind, for `restore`."""
+        """Return the committed state for `restore`."""
         return SavedState(tuple(array.copy() for array in self._kept), self._pose, self._largest_force, self._start)
 
     def restore(self, saved: SavedState) -> None:
-        """Go back to where `save` was called."""
+        """Restore a state of `save`."""
         self.place_tool(saved.start or self._start)
         for array, before in zip(self._kept, saved.arrays, strict=True):
             array[:] = before
@@ -358,21 +360,21 @@ class SolidSolver(PlacedSolver):
         return (*self._committed, *self.contact.kept, *self.tissue.kept, *moving)
 
     def rest_here(self) -> None:
-        """Let the committed state be the one without a tool."""
+        """Make the committed state the resting state, without a tool."""
         self._rest = tuple(array.copy() for array in self._committed)
 
     @property
     def sag(self) -> float:
-        """How much lower the top stands, on the mean of its area, than it was moulded when the tool touches, m."""
+        """Mean settlement of the top under the weight at the first touch, m."""
         return -float(np.average(self._rest[0][2::3], weights=self.mesh.areas("top")))
 
     def sample(self) -> Sample:
-        """What `fields` needs of the last committed state."""
+        """Return the data of the last committed state that `fields` needs."""
         x, pressures, _ = self._committed
         return Sample(x.reshape(-1, 3).copy(), self.batches.by_element(pressures), self.tissue.stresses())
 
     def fields(self, samples: Sequence[Sample]) -> SolidFields:
-        """Fields of states that `sample` gave."""
+        """Return fields of states, given by `sample`."""
         stresses = [sample.stresses for sample in samples if sample.stresses is not None]
         return SolidFields(self.mesh, self.material, self.tissue.bulk_by_element,
                            np.array([sample.displacement for sample in samples]),
@@ -381,7 +383,7 @@ class SolidSolver(PlacedSolver):
                            self.datum)
 
     def surface(self) -> SolidSurface:
-        """The surface at the last committed state."""
+        """Return the surface at the last committed state."""
         return SolidSurface(self.mesh, self.committed_displacement, self.datum)
 
     def warnings(self) -> list[str]:
@@ -389,7 +391,7 @@ class SolidSolver(PlacedSolver):
         return faceting_warnings(self.contact, self.mesh, self.committed_displacement)
 
     def report(self) -> dict[str, Any]:
-        """What a recording's metadata say of the solver; see `Solver.report`."""
+        """Return the metadata of the solver for a recording; see `Solver.report`."""
         report = {"element": self.mesh.element.name,
                   "mesh": {"elements": len(self.mesh.connectivity), "freedoms": int(self._free.size)}}
         if self.contact.nodes.size:

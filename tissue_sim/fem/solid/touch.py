@@ -1,4 +1,4 @@
-"""Where the tool first touches a solid."""
+"""First touch of a tool on a solid: height at which the tool touches the surface between the nodes."""
 
 from __future__ import annotations
 
@@ -14,27 +14,48 @@ from tissue_sim.mesh.side_points import SidePoints
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose
 
-#: Steps of a tool on its way down to the tissue, which it has passed where it is so many heights of the mesh below.
-_MOST_APPROACHES, _PASSED = 1000, 100.0
-#: Each line of a side is looked at in so many points, then between the neighbours of the nearest of these, so often.
-_LINE, _ROUNDS = 9, 14
-#: How often the tool is lifted off what is still inside of it, or let down again.
-_MOST_LIFTS = 30
-#: A tool that is lifted goes away from the surface by at least this share of its way.
-_LEAST_SLOPE = 1e-2
-#: Shares of the height of the mesh: what is nearer touches, in one look and where several have found it. Away from what
-#: it touches by the next share a tool whose outline bends by more than `_SHARP` over that height is sharp there.
-_SLACK, _FOUND, _AWAY, _SHARP = 1e-12, 1e-10, 1e-6, 1e4
+
+@dataclass(frozen=True)
+class TouchSettings:
+    """Settings of the search for the first touch. Lengths are relative to the height of the mesh.
+
+    Attributes:
+        most_approaches: largest number of steps of the tool on its way down.
+        passed: depth below the mesh at which the tool has passed it, 1.
+        line_points: number of points of a line in which the minimum is sought.
+        rounds: number of refinements between the neighbours of the best point.
+        most_lifts: largest number of secant steps of the height.
+        least_slope: smallest derivative of the gap with respect to the height, 1.
+        slack: gap below which a point touches in one evaluation, 1.
+        found: gap below which the search has converged, 1.
+        lift: height above the touch at which the curvature of the tool is measured, 1.
+        sharp: curvature times the height of the mesh above which the tool is sharp, 1.
+    """
+
+    most_approaches: int = 1000
+    passed: float = 100.0
+    line_points: int = 9
+    rounds: int = 14
+    most_lifts: int = 30
+    least_slope: float = 1e-2
+    slack: float = 1e-12
+    found: float = 1e-10
+    lift: float = 1e-6
+    sharp: float = 1e4
+
+
+_SETTINGS = TouchSettings()
 
 
 @dataclass(frozen=True)
 class Touch:
-    """Where a tool comes down on the top of a solid.
+    """Position of a first touch on the top of a solid.
 
     Attributes:
         height: of the scene's origin in the frame of the mesh, m.
-        side: number of a side of the top that is touched, -1 where the mesh states none; place: on its square, shape
-            (2,). normal: along which they touch, shape (3,).
+        side: index of the touched face of the top; -1 if the mesh has no faces.
+        place: local coordinates of the touched point in the unit square of the face, shape (2,).
+        normal: common normal of tool and surface, shape (3,).
     """
 
     height: float
@@ -43,8 +64,10 @@ class Touch:
     normal: np.ndarray | None = None
 
     def rate(self, mesh: SolidMesh, ways: np.ndarray) -> float:
-        """How the height follows the nodes, m per parameter, that go these ways, shape (nodes, 3), where a side is
-        touched."""
+        """Derivative of the height, m per parameter, for derivatives of the nodal positions, shape (nodes, 3).
+
+        Requires a touched face.
+        """
         assert self.place is not None and self.normal is not None
         side = mesh.faces["top"][[self.side]]
         way = SidePoints(mesh.element, ways[side]).at(np.array([0]), self.place[None, None])[0, 0]
@@ -52,18 +75,20 @@ class Touch:
 
 
 def touch(mesh: SolidMesh, places: np.ndarray, bodies: list[Body], start: Pose) -> Touch:
-    """Where the tool comes down on the top.
+    """Find the height at which a tool that moves downwards first touches the top.
 
-    The surface between the nodes counts. Contact is at the nodes alone, but to measure depths from the first of them
-    that a round tool meets would make its force depend on where it stands between them, by several percent.
+    The surface between the nodes counts. Contact acts at nodes only, but depths measured from the first node that a
+    round tool touches would make its force depend on its position between nodes, by several percent.
 
     Args:
-        mesh: of the solid. places: of its nodes, m, shape (nodes, 3).
-        bodies: the tool and others. start: of the tool.
+        mesh: mesh of the solid.
+        places: positions of its nodes, m, shape (nodes, 3).
+        bodies: the tool and others.
+        start: pose of the tool.
 
     Raises:
-        InputError: the tool comes down beside the specimen.
-        ConvergenceError: the place was not found.
+        InputError: the tool does not come down on the specimen.
+        ConvergenceError: the search did not converge.
     """
     moving = [body for body in bodies if body.moves]
     if not moving:
@@ -74,103 +99,110 @@ def touch(mesh: SolidMesh, places: np.ndarray, bodies: list[Body], start: Pose) 
         return Touch(tool.met_by(top))
     sides = SidePoints(mesh.element, places[mesh.faces["top"]])
     datum = tool.met_by(np.concatenate([top, sides.middles]))
-    # Others cannot be nearer than the first that was met.
-    reaches = sides.radii + sides.bulges + _SLACK * tool.scale
+    # Other faces cannot be nearer than the point that was met first.
+    reaches = sides.radii + sides.bulges + _SETTINGS.slack * tool.scale
     near = np.flatnonzero(tool.gaps(sides.middles, datum) <= reaches)
     heights = sides.lattice[near, :, 2]
-    if np.ptp(heights) <= _SLACK * tool.scale:
-        # A flat top is met by what is lowest of the tool.
+    if np.ptp(heights) <= _SETTINGS.slack * tool.scale:
+        # The lowest point of the tool touches a flat top.
         datum += float(heights.max()) - tool.lowest(datum)
     found = _Found(sides, near, tool, datum)
     if found.is_all:
         return found.touch(datum)
     missed, slope = found.gap, 1.0
-    # A secant: over one flat side the distance is a linear function of the height.
-    for _ in range(_MOST_LIFTS):
-        if abs(missed) <= _FOUND * tool.scale:
+    # Secant method: over one flat face the distance is a linear function of the height.
+    for _ in range(_SETTINGS.most_lifts):
+        if abs(missed) <= _SETTINGS.found * tool.scale:
             return found.touch(datum)
         lift = -missed / slope
         datum, before = datum + lift, missed
         found = _Found(sides, near, tool, datum)
         missed = found.gap
-        slope = max((missed - before) / lift, _LEAST_SLOPE)
-    raise ConvergenceError(f"the tool's first touch was not found to better than {abs(missed) * 1e3:.2g} mm; is the "
-                           "top of the mesh folded?")
+        slope = max((missed - before) / lift, _SETTINGS.least_slope)
+    raise ConvergenceError(f"the tool's first touch was not found to better than {abs(missed) * 1e3:.2g} mm; check "
+                           "whether the top of the mesh is folded")
 
 
 class _Tool:
-    """A convex tool whose scene has its origin at a height, `datum`, in the frame of the mesh.
+    """A convex tool, for a scene whose origin is at the height `datum` in the frame of the mesh.
 
     Args:
-        bodies: its parts. start: where it is in the scene. scale: height of the mesh, m.
+        bodies: parts of the tool.
+        start: pose in the scene.
+        scale: height of the mesh, m.
     """
 
     def __init__(self, bodies: list[Body], start: Pose, scale: float):
-        # Who may meet which part of it does not matter before it touches.
+        # Restrictions of nodes to parts of the tool have no meaning before the first touch.
         whole = {id(body.profile): replace(body, first_line=0, closed=False) for body in bodies}
         self._bodies, self._start, self.scale = list(whole.values()), start, scale
 
     def nearest(self, points: np.ndarray, datum: float) -> list[Nearest]:
-        """Of points, m, shape (n, 3), for each part."""
+        """Nearest points of each part to given points, m, shape (n, 3)."""
         at = Frame(self._start, datum).into(points)
         return [nearest(body, at, pressed_in=False) for body in self._bodies]
 
     def gaps(self, points: np.ndarray, datum: float) -> np.ndarray:
-        """Distances of points, m, shape (..., 3), from it, shape (...)."""
+        """Distances of points, m, shape (..., 3), from the tool, m, shape (...)."""
         found = self.nearest(points.reshape(-1, 3), datum)
         return np.min([each.gap for each in found], axis=0).reshape(points.shape[:-1])
 
     def normals(self, points: np.ndarray, datum: float) -> np.ndarray:
-        """Out of it, where it is nearest to points, shape (n, 3) each, in the frame of the mesh."""
+        """Outward normals of the tool at the nearest points, in the frame of the mesh, shape (n, 3)."""
         found = self.nearest(points, datum)
         part = np.argmin([each.gap for each in found], axis=0)
         return np.array([each.normal for each in found])[part, np.arange(len(points))] @ Frame(
             self._start, datum).rotation.T
 
     def lowest(self, datum: float) -> float:
-        """Height of its lowest point in the frame of the mesh, m."""
+        """Height of the lowest point of the tool in the frame of the mesh, m."""
         frame = Frame(self._start, datum)
         across, up = float(np.hypot(*frame.rotation[2, :2])), float(frame.rotation[2, 2])
         return float(frame.origin[2]) + min(float((body.profile.vertices @ [-across, up]).min()) - body.profile.rounding
                                             for body in self._bodies)
 
     def is_sharp_at(self, point: np.ndarray, datum: float) -> bool:
-        """Whether it has an edge or a tip where it touches a point, shape (3,)."""
-        away = datum + _AWAY * self.scale
+        """Whether the tool has an edge or a tip where it touches a point, shape (3,)."""
+        away = datum + _SETTINGS.lift * self.scale
         best = min(self.nearest(point[None], away), key=lambda each: each.gap[0])
-        return float(np.abs(best.curvature[0]).max()) * self.scale > _SHARP
+        return float(np.abs(best.curvature[0]).max()) * self.scale > _SETTINGS.sharp
 
     def met_by(self, points: np.ndarray) -> float:
-        """Where it comes down on the first of some points, m, shape (n, 3)."""
-        if abs(self.gaps(points, 0.0).min()) < _SLACK * self.scale:
+        """Height `datum` at which the tool on its way down touches the first of some points, m, shape (n, 3)."""
+        if abs(self.gaps(points, 0.0).min()) < _SETTINGS.slack * self.scale:
             return 0.0
         from scipy.optimize import brentq
 
-        # A tool that comes down by no more than its distance from the tissue does not pass it.
+        # Each step is at most the distance between tool and tissue, so that the tool does not pass the tissue.
         high = self.scale + float(points[:, 2].max())
-        for _ in range(_MOST_APPROACHES):
-            if high < -_PASSED * self.scale:
+        for _ in range(_SETTINGS.most_approaches):
+            if high < -_SETTINGS.passed * self.scale:
                 break
             low = high - max(float(self.gaps(points, high).min()), 1e-5 * self.scale)
             if self.gaps(points, low).min() <= 0.0:
                 return brentq(lambda height: float(self.gaps(points, height).min()), low, high, xtol=1e-15)
             high = low
-        raise InputError("the tool comes down beside the specimen, or between all of its nodes; move it, or give a "
-                         "finer mesh", field="approach")
+        raise InputError("the tool comes down outside of the specimen, or between all of its nodes; move the tool, or "
+                         "use a finer mesh", field="approach")
 
 
 class _Found:
-    """The point of some sides that is nearest to a tool, or deepest in it.
+    """Point of some faces that is nearest to a tool, or deepest inside of it.
 
-    On a flat side the distance from a convex tool is a convex function. Where a side can be nearer than the nearest
-    point of the lattices, by the plane in which its own nearest one sees the tool, it is searched.
+    On a flat face the distance from a convex tool is a convex function. A face is searched if it can be nearer than the
+    nearest lattice point, by the supporting plane of the tool at the nearest lattice point of the face.
 
     Args:
-        sides: all. near: numbers of those that may be meant. tool, datum: where it is.
+        sides: all faces.
+        near: indices of the candidate faces.
+        tool: the tool.
+        datum: height of the scene's origin, m.
 
     Attributes:
-        gap: distance, m. point: m, shape (3,). is_all: whether it touches, and a plane there keeps the tool apart from
-            all of the sides: the one in which they touch, or a level one.
+        gap: distance, m.
+        point: position, m, shape (3,).
+        is_all: whether the tool touches here, and a plane separates it from all faces: the common tangent plane, or a
+            horizontal one.
     """
 
     def __init__(self, sides: SidePoints, near: np.ndarray, tool: _Tool, datum: float):
@@ -185,14 +217,14 @@ class _Found:
         normals = tool.normals(points[rows, best], datum)
         bounds = least + np.einsum("kqi,ki->kq", points - points[rows, best][:, None], normals).min(axis=1)
         bounds -= sides.bulges[near]
-        slack, under = _SLACK * tool.scale, points - self.point
+        slack, under = _SETTINGS.slack * tool.scale, points - self.point
         beyond = (under @ normals[first]).min(axis=1) - sides.bulges[near]
         above = under[..., 2].max(axis=1) + sides.bulges[near]
         self.is_all = abs(self.gap) <= slack and bool(beyond.min() >= -slack or (
             above.max() <= slack and tool.lowest(datum) >= self.point[2] - slack))
         if self.is_all:
             return
-        searched = near[bounds < self.gap - _SLACK * tool.scale]
+        searched = near[bounds < self.gap - _SETTINGS.slack * tool.scale]
         if searched.size:
             found, place = _least_gaps(sides, searched, tool, datum)
             first = int(found.argmin())
@@ -201,8 +233,10 @@ class _Found:
                 self.point = sides.at(searched[[first]], place[first][None, None])[0, 0]
 
     def touch(self, datum: float) -> Touch:
-        """That it is where they touch. An edge of the tool lies on the surface, a side of it is pressed by what it
-        meets."""
+        """Return the touch at this point.
+
+        The normal is that of the surface at an edge or a tip of the tool, else that of the tool.
+        """
         sharp = self._tool.is_sharp_at(self.point, datum)
         normal = (self._sides.normal(self._side, self._place) if sharp
                   else -self._tool.normals(self.point[None], datum)[0])
@@ -210,9 +244,13 @@ class _Found:
 
 
 def _least_gaps(sides: SidePoints, numbers: np.ndarray, tool: _Tool, datum: float) -> tuple[np.ndarray, np.ndarray]:
-    """The least distances of sides from the tool, m, shape (k,), and where on their squares they are, shape (k, 2).
+    """Minimise the distances of faces from the tool.
 
-    The least along lines of one direction is a convex function of the line, too: both are searched alike.
+    The minimum along lines of one direction is a convex function of the line, so that both directions are searched in
+    the same way.
+
+    Returns:
+        Least distances, m, shape (k,), and their local coordinates, shape (k, 2).
     """
     def distances(u: np.ndarray, v: np.ndarray) -> np.ndarray:
         squares = np.stack([np.broadcast_to(u[..., None], v.shape), v], axis=-1)
@@ -221,7 +259,7 @@ def _least_gaps(sides: SidePoints, numbers: np.ndarray, tool: _Tool, datum: floa
     def along(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return _least(lambda v: distances(u, v), u.shape, end)
 
-    end = _SLACK * tool.scale
+    end = _SETTINGS.slack * tool.scale
     found, u = _least(lambda u: along(u)[0], numbers.shape, end)
     _, v = along(u[:, None])
     return found, np.stack([u, v[:, 0]], axis=-1)
@@ -229,15 +267,24 @@ def _least_gaps(sides: SidePoints, numbers: np.ndarray, tool: _Tool, datum: floa
 
 def _least(values: Callable[[np.ndarray], np.ndarray], shape: tuple[int, ...], end: float
            ) -> tuple[np.ndarray, np.ndarray]:
-    """Least values of convex functions between 0 and 1, and where they are, shape `shape`, which are asked for several
-    places each, shape (*shape, q); it ends where these no longer differ by more than `end`."""
+    """Minimise convex functions on [0, 1] by repeated refinement.
+
+    Args:
+        values: functions of shape `shape`, evaluated at q points each, shape (*shape, q).
+        shape: shape of the result.
+        end: the search ends when the values at the points differ by less.
+
+    Returns:
+        Minima and their positions, shape `shape` each.
+    """
     low, high = np.zeros(shape), np.ones(shape)
-    for _ in range(_ROUNDS):
-        line = low[..., None] + (high - low)[..., None] * np.linspace(0.0, 1.0, _LINE)
+    for _ in range(_SETTINGS.rounds):
+        line = low[..., None] + (high - low)[..., None] * np.linspace(0.0, 1.0, _SETTINGS.line_points)
         found = values(line)
         best = found.argmin(axis=-1)[..., None]
         if np.ptp(found, axis=-1).max() <= end:
             break
-        low, high = (np.take_along_axis(line, np.clip(best + way, 0, _LINE - 1), -1)[..., 0] for way in (-1, 1))
+        low, high = (np.take_along_axis(line, np.clip(best + offset, 0, _SETTINGS.line_points - 1), -1)[..., 0]
+                     for offset in (-1, 1))
     least, place = (np.take_along_axis(array, best, -1)[..., 0] for array in (found, line))
     return least, place

@@ -1,0 +1,90 @@
+"""Plug-ins and programs may use old names for one release; they get a `DeprecationWarning` that states the new name."""
+
+from importlib import import_module
+
+import pytest
+
+import tissue_sim as ts
+from tissue_sim.fem.solver import SOLVERS, ResolutionLevel
+from tissue_sim.public_names import OldName, adopt_old_names
+
+MATERIAL = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))
+
+
+def model() -> ts.Model:
+    return ts.Model(ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(4e-3, 5)), MATERIAL)
+
+
+@pytest.fixture
+def old_solver(plugin, registers):
+    """A solver whose class defines members of the contract by their old names only."""
+    spring = plugin("spring_solver")
+    with pytest.warns(DeprecationWarning) as caught:
+        class OldSpring(spring.SpringSolver):
+            poses = 0
+
+            def doubts(self):
+                return ["the spring is old"]
+
+            def follow(self, pose):
+                type(self).poses += 1
+                return pose
+
+            def takes(self, pose):
+                return pose.depth <= 2e-3
+
+    assert {str(each.message) for each in caught} == {
+        "OldSpring.doubts is renamed to warnings; define warnings",
+        "OldSpring.follow is renamed to project_pose; define project_pose",
+        "OldSpring.takes is renamed to accepts_pose; define accepts_pose"}
+    registers(SOLVERS, OldSpring, "old_spring")
+    return OldSpring
+
+
+def test_a_solver_with_old_names_is_used(old_solver):
+    recording = ts.simulate(model(), solver="old_spring")
+    assert recording.metadata["solver"]["warnings"] == ["the spring is old"] and old_solver.poses == 5
+    simulator = ts.Simulator(model(), solver="old_spring", inertia="off")
+    assert simulator.step(1e-3, 1e-3).status is ts.ForceStatus.CONVERGED
+    assert simulator.step(3e-3, 1e-3).status is ts.ForceStatus.STOPPED
+
+
+def test_old_members_of_a_solver_answer_with_a_warning(old_solver):
+    solver = old_solver(model(), resolution="fast")
+    with pytest.warns(DeprecationWarning, match=r"Solver\.doubts is renamed to warnings"):
+        assert solver.doubts() == solver.warnings()
+    with pytest.warns(DeprecationWarning, match=r"Solver\.realtime_rungs is renamed to realtime_levels"):
+        assert old_solver.realtime_rungs(model()) == ()
+
+
+@pytest.mark.parametrize(("old", "new"), [("Rung", "ResolutionLevel"), ("Comparison", "ErrorEstimate")])
+def test_old_classes_answer_with_a_warning(old, new):
+    module = import_module("tissue_sim.fem.solver")
+    with pytest.warns(DeprecationWarning, match=rf"tissue_sim\.fem\.solver\.{old} is renamed to .*\.{new}"):
+        assert getattr(module, old) is getattr(module, new)
+    with pytest.raises(AttributeError, match="has no attribute 'Rang'"):
+        module.Rang  # noqa: B018
+    assert ResolutionLevel("fast", 0.01).force_error == 0.01
+
+
+@pytest.mark.parametrize("part", [model(), model().experiment])
+def test_old_properties_answer_with_a_warning(part):
+    with pytest.warns(DeprecationWarning, match="depends_on_way is renamed to is_path_dependent"):
+        assert part.depends_on_way == part.is_path_dependent
+
+
+def test_the_new_name_wins_over_the_old_one():
+    class Base:
+        old = OldName("new")
+
+    class Both(Base):
+        def old(self):
+            return "old"
+
+        def new(self):
+            return "new"
+
+    adopt_old_names(Both, {"old": "new"})
+    assert Both().new() == "new"
+    with pytest.warns(DeprecationWarning, match=r"Base\.old is renamed to new"):
+        assert Both().old() == "new"
