@@ -97,8 +97,8 @@ def test_last_factor_or_exact_tangent(options, monkeypatch):
     done = sensitivity.Sensitivity._refined
     monkeypatch.setattr(sensitivity.Sensitivity, "_refined", solves)
     for few in (4, 0):
-        monkeypatch.setattr(sensitivity, "FEW", few)
-        monkeypatch.setattr(sensitivity, "FEW_OF_SLIP", few)
+        monkeypatch.setattr(sensitivity, "MAX_REFINED", few)
+        monkeypatch.setattr(sensitivity, "MAX_REFINED_SLIP", few)
         answers.append(ts.sensitivities(model, ["C10", "C20"]).values)
     assert any(refined)
     np.testing.assert_allclose(*answers, rtol=0, atol=1e-8 * abs(answers[1]).max(axis=0).min())

@@ -69,8 +69,8 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", element: Elemen
         return mesh
     interfaces = -np.cumsum([layer.thickness for layer in layers])
     if interfaces[-1] <= -experiment.specimen.height:
-        raise InputError("the layers must be thinner than the specimen, "
-                         f"{experiment.specimen.height * 1e3:g} mm; got {-interfaces[-1] * 1e3:g} mm.", field="layers")
+        raise InputError(f"must be thinner in total than the specimen, {experiment.specimen.height * 1e3:g} mm; got "
+                         f"{-interfaces[-1] * 1e3:g} mm.", field="layers")
     corners = mesh.nodes[mesh.connectivity[:, :4]].reshape(-1, 2)
     r, z = np.unique(corners[:, 0]), np.unique(corners[:, 1])
     layered = structured_mesh(r, with_lines(z, interfaces.tolist(), chosen.layer_elements), element)
@@ -144,10 +144,10 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: Mesh | None = N
         InputError: the model has a pose of approach or regions, or the resolution is unknown.
     """
     if model.experiment.approach is not None:
-        raise InputError("approach must be None for an axisymmetric solid, whose tool is on the axis. Use the solver "
+        raise InputError("must be None for an axisymmetric solid, whose tool is on the axis. Use the solver "
                          "\"solid\" (--solid).", field="approach")
     if model.material.regions:
-        raise InputError("material.regions must be empty for an axisymmetric solid. Use the solver \"solid\" "
+        raise InputError("must be empty for an axisymmetric solid. Use the solver \"solid\" "
                          "(--solid).", field="material.regions")
     meshed = model if topology is None else topology
     if mesh is None:
