@@ -94,8 +94,8 @@ def test_last_factor_or_exact_tangent(options, monkeypatch):
         refined.append(done(self))
         return refined[-1]
 
-    done = sensitivity.Sensitivity._refined
-    monkeypatch.setattr(sensitivity.Sensitivity, "_refined", solves)
+    done = sensitivity.Sensitivity._refine_iteratively
+    monkeypatch.setattr(sensitivity.Sensitivity, "_refine_iteratively", solves)
     for few in (4, 0):
         monkeypatch.setattr(sensitivity, "MAX_REFINED", few)
         monkeypatch.setattr(sensitivity, "MAX_REFINED_SLIP", few)

@@ -25,8 +25,8 @@ class CondensationFunctions(NamedTuple):
     scatter_force: object
     keep_volume: object
     add_known_volume: object
-    follow: object
-    swell: object
+    move_nodes: object
+    volume_increment: object
     update: object
 
 
@@ -105,7 +105,7 @@ def condensation_functions(element_name: str) -> CondensationFunctions:
         scatter_force(b, equations_r, equations_z, residual)
 
     @ti.func
-    def follow(b, step: ti.template(), dofs: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
+    def move_nodes(b, step: ti.template(), dofs: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
                rows_zr: ti.template(), rows_zz: ti.template(), force_r: ti.template(), force_z: ti.template()):
         """Store the displacement increments of all nodes; that of the interior node follows from the shared nodes."""
         for a in range(nb):
@@ -121,7 +121,7 @@ def condensation_functions(element_name: str) -> CondensationFunctions:
             s[SR + centre], s[SZ + centre] = cr, cz
 
     @ti.func
-    def swell(mode, known_r: ti.template(), known_z: ti.template()):
+    def volume_increment(mode, known_r: ti.template(), known_z: ti.template()):
         """Return the volume increment of a pressure mode, with the volume derivatives of the factorised matrix."""
         swelling = vec(0.0)
         for a in range(nodes):
@@ -135,7 +135,7 @@ def condensation_functions(element_name: str) -> CondensationFunctions:
                known_z: ti.template(), gap: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
                rows_zr: ti.template(), rows_zz: ti.template(), force_r: ti.template(), force_z: ti.template()):
         """Update interior nodes and pressures (back substitution) after the `step` of the shared nodes."""
-        follow(b, step, dofs, rows_rr, rows_rz, rows_zr, rows_zz, force_r, force_z)
+        move_nodes(b, step, dofs, rows_rr, rows_rz, rows_zr, rows_zz, force_r, force_z)
         if ti.static(has_centre):
             i, cr, cz = b * nodes + centre, s[SR + centre], s[SZ + centre]
             for l in ti.static(range(LANES)):
@@ -144,10 +144,11 @@ def condensation_functions(element_name: str) -> CondensationFunctions:
                     x[dofs[i, l] + 1] = x[dofs[i, l] + 1] + cz[l]
         for m in range(modes):
             at = b * modes + m
-            change = kappa * moduli[b] * (gap[at] + swell(at, known_r, known_z))
+            change = kappa * moduli[b] * (gap[at] + volume_increment(at, known_r, known_z))
             for l in ti.static(range(LANES)):
                 if real[b][l] > 0.0:
                     i = pressures + modes * elements[b, l] + m
                     x[i] = x[i] + change[l]
 
-    return CondensationFunctions(interior, scatter_force, keep_volume, add_known_volume, follow, swell, update)
+    return CondensationFunctions(interior, scatter_force, keep_volume, add_known_volume, move_nodes, volume_increment,
+                                 update)

@@ -1,10 +1,10 @@
 """Contact forces at points of the surface, as Taichi functions: semismooth Newton method with active sets.
 
 The contact forces lambda are unknowns besides the displacements; compression is negative. The active set of each state
-is the set of points with lambda_n + c g < 0, where g is the gap and c an augmentation parameter (primal-dual active set:
-Hintermüller, Ito and Kunisch, SIAM J. Optim. 13 (2002) 865; Hüeber and Wohlmuth, Comput. Methods Appl. Mech. Eng. 194
-(2005) 3147). c must be of the order of the tissue stiffness: with a large penalty stiffness, the gap that remains after
-a linear solve, of second order, times c exceeds any force, and the active set cycles.
+is the set of points with lambda_n + c g < 0, where g is the gap and c an augmentation parameter (primal-dual active
+set: Hintermüller, Ito and Kunisch, SIAM J. Optim. 13 (2002) 865; Hüeber and Wohlmuth, Comput. Methods Appl. Mech. Eng.
+194 (2005) 3147). c must be of the order of the tissue stiffness: with a large penalty stiffness, the gap that remains
+after a linear solve, of second order, times c exceeds any force, and the active set cycles.
 
 The bodies are rigid. Each force is eliminated with a penalty stiffness k: lambda <- lambda + k g (augmented
 Lagrangian, perturbed Lagrangian). The next iteration corrects the remaining gap, so that the constraint holds at

@@ -1,4 +1,10 @@
-"""One converged step of the axisymmetric solid as one Taichi kernel."""
+"""Newton's method with line search and reused factorisations for a step of the axisymmetric solid (Taichi kernel).
+
+Each iteration solves K du = -R for the displacements of the shared nodes; pressures, interior nodes and contact forces
+follow by back substitution. The factorisation of K is reused while the residual decreases fast enough (modified Newton
+method) and is updated where only contact points change. A step that inverts an element is halved. After each linear
+solve the active set of the contact iterates on the linearised elements (`PassMode.CONTACT`).
+"""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -178,10 +184,14 @@ NEWTON = NewtonSettings()
 @cache
 def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: tuple[Formula, ...] = (),
                 laws: tuple[Formula, ...] = ()):
-    """The compiled step of one element and one family of laws; see `AxisymmetricSolver.step` for its arguments.
+    """Return the kernel of a step for an element type and a law; see `AxisymmetricSolver.step`.
 
-    Nothing is compiled of `effects` at the points and `laws` of contact that are not there; only where something
-    `slips` against friction it contains the solution of unsymmetric equations.
+    Args:
+        element_name: key of `tissue_sim.mesh.elements.ELEMENTS`.
+        energy: energy of the law.
+        slips: whether points may slip against friction; only then the kernel contains an unsymmetric solver.
+        effects: additional stresses at the quadrature points.
+        laws: contact laws (adhesion).
     """
     ti = initialise()
     work, own = element_functions(element_name, energy, effects), condensation_functions(element_name)
@@ -195,16 +205,16 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
     complete, mirror = band_matrix.complete_function(), band_matrix.mirror_function()
     cholesky, lu = cholesky_functions(), lu_functions()
     contact, rates = contact_kernels.functions(laws), rate_functions(slips)
-    # Laws of contact pull at points that do not touch, too.
-    settles = not laws
+    # Contact laws act at a distance, so that the contact cannot iterate on the linearised elements.
+    has_contact_rounds = not laws
     converged, inverted, indefinite, slow, diverged = (float(status) for status in (
         StepStatus.CONVERGED, StepStatus.INVERTED, StepStatus.INDEFINITE, StepStatus.SLOW, StepStatus.DIVERGED))
 
-    # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi, four times slower here.
+    # Arrays are updated by `a = a + b`, because `a += b` is an atomic operation in Taichi, four times slower here.
 
     @ti.func
     def predict(x: ti.template(), history: ti.template(), slots: ti.template(), weights: ti.template()):
-        """Extrapolate the state from up to three earlier ones."""
+        """Extrapolate the state from up to three earlier states."""
         for i in range(x.shape[0]):
             x[i] = (weights[0] * history[slots[0], i] + weights[1] * history[slots[1], i]
                     + weights[2] * history[slots[2], i])
@@ -227,8 +237,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
              motion: real1, history: real2, slots: int1, weights: real1, entries: real4, blocks: block3, flat: block1,
              scattered: real1, upper: real4, upper_blocks: block3, factor: block3, upper_factor: block3, inverse: real1,
              right: block1, residual: real1, pull: real1, reaction: real1, report: real1):
-        # One pass of one serial task, started without waking a thread pool; the count is an argument so that the loop
-        # is not unrolled into many tasks.
+        # One serial task, which starts without a thread pool; the number of passes is an argument, so that the compiler
+        # does not unroll the loop into many tasks.
         ti.loop_config(serialize=True)
         for _ in range(counts[Count.PASSES]):
             free, max_iterations = counts[Count.FREE], counts[Count.MAX_ITERATIONS]
@@ -241,7 +251,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
             multipliers = x.shape[0] - 2 * springs.shape[0]
             if counts[Count.START_MODE] == StartMode.PREDICT:
                 predict(x, history, slots, weights)
-            if counts[Count.START_MODE] != StartMode.RESUME:  # where it ended points have been looked at
+            if counts[Count.START_MODE] != StartMode.RESUME:  # a resumed iteration has already evaluated the contact
                 counts[Count.CHANGEABLE] = (contact_kernels.ALL_POINTS
                                             if counts[Count.START_MODE] == StartMode.PREDICT else 0)
             strength, reach = settings[Setting.STRENGTH], settings[Setting.REACH]
@@ -256,12 +266,12 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         pending = 1
                         motion[dof] = target[dof] - x[dof]
                     else:
-                        x[dof] = target[dof]  # the rounding of the extrapolation
+                        x[dof] = target[dof]  # removes the rounding error of the extrapolation
             report[Report.STATUS], report[Report.STIFFNESS] = 0.0, 0.0
             iterations, tangent, halvings = 0, 1, NEWTON.max_halvings
-            # What the pass looks at, and the block row from which on the factor has to be made.
-            part, settled, circles, waits, begin = PassMode.FULL, 0, 0, 0, 0
-            # Far from equilibrium the surface's curvature would make the tangent indefinite.
+            # Mode of the pass, and first block row that must be factorised again.
+            part, settled, cycles, waits, begin = PassMode.FULL, 0, 0, 0, 0
+            # Far from equilibrium the curvature of the contact surfaces would make the tangent indefinite.
             bending = 1.0 if max_iterations == 0 else 0.0
             if counts[Count.START_MODE] == StartMode.RESUME:
                 bending = float(counts[Count.BENDING])
@@ -269,9 +279,9 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
             gain, more = NEWTON.reuse_ratio, NEWTON.reuse_solves
             if counts[Count.STIFFNESS_ASKED] == 1:
                 gain, more = NEWTON.reuse_ratio_realtime, NEWTON.reuse_solves_realtime
-            # The status lives in the report: Taichi 1.7.4 loses a local variable that a branch of such a loop sets.
-            # Each solve may need more passes: for halves of it, for a tangent that was skipped, for points that have to
-            # change, for contact that settles.
+            # The status is stored in the report: Taichi 1.7.4 loses a local variable that a branch of such a loop sets.
+            # Each linear solve may need more passes: for halvings, a tangent that was skipped, points that change, and
+            # contact rounds.
             for _attempt in range((NEWTON.max_halvings + NEWTON.max_contact_rounds + 4) * max_iterations + 4):
                 if report[Report.STATUS] != 0.0:
                     break
@@ -323,7 +333,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                                 at = entries[i // B, width - 1, i % B, i % B]
                                 entries[i // B, width - 1, i % B, i % B] = at + inertia * masses[dof]
                 tool = settings[Setting.PREDICTED] if pending == 1 else depth
-                # At first what just touches counts as pressed: the tool is about to move, or a law pulls.
+                # Initially points that just touch are active: the tool is about to move, or a law attracts.
                 slack = 1e-9 if pending == 1 or (strength > 0.0 and iterations == 0) else 0.0
                 axial, balanced, violation, slipping, switched, wanting = contact.add_contact(
                     counts[Count.CONTACTS], counts[Count.CHANGEABLE], slack, pending, bending, depth - tool, tool,
@@ -333,11 +343,11 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     slip_signs, met, forces, contact_rates, x, target, equation, residual)
                 counts[Count.CHANGEABLE], counts[Count.BENDING] = 0, int(bending)
                 if part == PassMode.CONTACT and (switched == 0 or settled == NEWTON.max_contact_rounds):
-                    # The elements come next, their tangent too where the contact goes on changing, and does not settle
-                    # any more.
+                    # The elements are evaluated next; also their tangent if the active set still changes, and no more
+                    # contact rounds follow.
                     part, waits = PassMode.FULL, wanting
                     if switched > 0:
-                        tangent, circles = 1, 1
+                        tangent, cycles = 1, 1
                     continue
                 if part == PassMode.FULL:
                     wanting, waits = ti.max(wanting, waits), 0
@@ -353,7 +363,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     if ti.static(slips):
                         if slipping > 0:
                             if counts[Count.UNSYMMETRIC] == 0:
-                                # Cholesky's factor is none of these.
+                                # A Cholesky factorisation cannot be updated to an unsymmetric one.
                                 counts[Count.UNSYMMETRIC], begin = 1, 0
                                 complete(blocks, rows, width)
                             if skewed < counts[Count.SKEWED]:
@@ -374,7 +384,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         total += direction[dof] * residual[equation[dof]]
                 scale = ti.max(ti.sqrt(balanced), floor)
                 ratio = ti.sqrt(unbalanced) / scale
-                # Rounding is allowed for, within reason.
+                # The tolerance includes a bounded allowance for rounding errors.
                 goal = tolerance + ti.min(rounding / scale, 1e-5)
                 if part == PassMode.FULL:
                     report[Report.RESIDUAL], report[Report.FORCE] = ratio, total
@@ -396,7 +406,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                                                    reach, contact_places, areas, spans, vertices, contact_rounding,
                                                    held, forces)
                     if released > 0:
-                        # Another problem from here on.
+                        # The problem has changed: the iteration starts again.
                         tangent, first = 1, iterations + 1
                         counts[Count.CHANGEABLE] = contact_kernels.ALL_POINTS
                     elif wanting > 0 and iterations < max_iterations:
@@ -405,7 +415,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         bound = contact.hold(counts[Count.CONTACTS], held, met)
                         if counts[Count.STIFFNESS_ASKED] == 1 and (bound > 0 or rates.have_changed(
                                 counts[Count.CONTACTS], springs, contact_rates, known_rates) == 1):
-                            # The stiffness is that with the new bonds.
+                            # The stiffness is computed with the new bonds.
                             part = PassMode.STIFFNESS
                         else:
                             report[Report.STATUS] = converged
@@ -433,8 +443,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                 if solves + asked > 0:
                     stiff = 0.0
                     if asked == 1:
-                        # How the forces, and the force on the tool, change when the tool moves and the tissue does
-                        # not yet.
+                        # Derivatives of the nodal forces, and of the force on the tool, with respect to the depth at
+                        # fixed tissue.
                         for i in range(free):
                             residual[i], reaction[i] = pull[i], pull[i]
                         stiff = pull[free] + rates.add_tool_rates(
@@ -488,10 +498,10 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         if part == PassMode.FULL:
                             for i in range(x.shape[0]):
                                 before[i] = x[i]
-                            # The tool's way is not cut in here.
+                            # A step that contains the motion of the tool is not halved.
                             halvings = NEWTON.max_halvings if pending == 1 else 0
                         else:
-                            # What is eliminated has no unbalanced forces left.
+                            # The condensed unknowns have no residual on the linearised elements.
                             for b in range(batches):
                                 force_r[b], force_z[b] = vec(0.0), vec(0.0)
                             for i in range(gap.shape[0]):
@@ -510,14 +520,14 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         contact.update_forces(counts[Count.CONTACTS], depth - tool, multipliers, contact_nodes,
                                               contact_shapes, spans, contact_rates, known_rates, motion, x)
                         if part == PassMode.FULL:
-                            # Where the old factor is likely to serve again, only the residual is computed first.
+                            # If the factorisation is likely to be reused, the next pass computes the residual only.
                             tangent = 1 if pending == 1 or ratio > NEWTON.new_tangent_residual else 0
                             last_ratio = ratio
                             bending = 1.0 if ratio < 0.1 else 0.0
                             pending, settled = 0, 0
                             iterations += 1
-                            if ti.static(settles):
-                                if counts[Count.CONTACTS] > 0 and circles == 0:
+                            if ti.static(has_contact_rounds):
+                                if counts[Count.CONTACTS] > 0 and cycles == 0:
                                     part = PassMode.CONTACT
                         counts[Count.CHANGEABLE] = contact_kernels.ALL_POINTS
                         if iterations + counts[Count.ITERATED] > NEWTON.all_points_iterations:
