@@ -14,7 +14,7 @@ class LimitError(InputError):
 
 
 def checked_pose(pose: float | Pose) -> Pose:
-    """The pose, or that at a depth in m; its numbers may be NaN or infinite.
+    """Return a pose, or the pose at a depth in m; its numbers may be NaN or infinite.
 
     Raises:
         InputError: something else than a pose of numbers, or than one real number.

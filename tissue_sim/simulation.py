@@ -12,7 +12,7 @@ import numpy as np
 
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.fem.solver import SOLVERS, Solver, Step, StepStatus
-from tissue_sim.force_error import WORTH_A_WARNING, ForceError, force_error, other_steps
+from tissue_sim.force_error import WORTH_A_WARNING, ForceError, coarse_samples, force_error
 from tissue_sim.laws import check_stability
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.model import Model
@@ -191,7 +191,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
                                                    _SETTINGS.most_to_compare * report["newton_iterations"]))
         if found is not None:
             report["force_error"] = found.share
-            if found.share > WORTH_A_WARNING:
+            if found.fraction > WORTH_A_WARNING:
                 report["warnings"] = [found.in_words(protocol.displacement, _REMEDIES.get(resolution, _REMEDY)),
                                       *report["warnings"]]
     cuts = report["cuts"]
@@ -235,11 +235,11 @@ def _compare(tissue: Solver, model: Model, force: np.ndarray, solver: str, resol
             other.append(model.experiment.resistance(drive.arrive(step.wrench, dt)))
         return np.array(other)
 
-    samples = other_steps(protocol.displacement)
+    samples = coarse_samples(protocol.displacement)
     other = forces(samples)
     common = np.flatnonzero(samples[:other.size] % 1.0 == 0.0)
     found = force_error(force, samples[common].astype(int), other[common], estimate.fraction)
-    if found is None or found.share <= WORTH_A_WARNING:
+    if found is None or found.fraction <= WORTH_A_WARNING:
         return found
     # A step in which contact begins again may err by many times more than a step half as long. Errors in proportion to
     # the step length, and the error of the mesh, are at most twice the difference to steps half as long.

@@ -116,7 +116,7 @@ class Creep:
 
 @dataclass(frozen=True)
 class StateOrigin:
-    """Origin of a saved state. A simulator restores states whose origin equals that of its own states.
+    """Origin of a saved state. A simulator restores states whose origin equals the origin of the states that it saves.
 
     Attributes:
         solver: name.

@@ -1,100 +1,135 @@
-"""How long a step takes: what a budget in wall time means in linear solves, and what a step may still take of it."""
+"""Wall time of a step: how many linear solves fit into a budget, and how much of it a step has left."""
 
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from numbers import Integral
 
 from tissue_sim.errors import InputError
 
-#: How fast the guess of what a step costs beside its solves follows one that took longer, or shorter.
-_LEARNS, _FORGETS = 0.5, 0.1
-#: A step that took this many times as long as it was thought to counts no more than that: it met the computer in a bad
-#: moment.
-_SPIKE = 2.0
-#: Weight of a step in the means, and variance of the number of solves from which on their own cost is seen.
-_WEIGHT, _SEEN = 0.02, 0.1
-#: Least cost of a solve, as a share of that of a step with none.
-_LEAST = 0.25
-#: A step that is bounded may make one linear solution, answer, and find the stiffness of tissue that has a mass.
+#: Smallest bound on the linear solves of a step: one for the iteration, one for the contact stiffness, and one for the
+#: stiffness of tissue with mass.
 LEAST_SOLVES = 3
-#: Without any bound.
+#: Number of solves that stands for no bound.
 _UNBOUNDED = 1 << 30
 
 
-class StepClock:
-    """Follows the wall time of steps: `fixed` s whatever they are, and `solve` s for each linear solve.
-
-    A step without a solve assembles, factorises and answers; each solve goes over the tissue once more. The two are
-    told apart by the regression of time on solves, old steps forgotten.
+@dataclass(frozen=True)
+class ClockSettings:
+    """Settings of a `StepClock`; all dimensionless.
 
     Attributes:
-        fixed, solve: s.
+        gain_up: fraction by which the estimate of the fixed time approaches a step that took longer.
+        gain_down: the same for a step that took less time.
+        outlier_factor: a step longer than this many times its estimate counts as that long: the operating system may
+            have interrupted it.
+        step_weight: weight of one step in the moving means of the regression.
+        least_variance: variance of the number of solves from which the regression determines the time of a solve.
+        least_solve_fraction: smallest time of a solve as a fraction of the mean time per solve, where the fixed part
+            counts as one solve.
+    """
+
+    gain_up: float = 0.5
+    gain_down: float = 0.1
+    outlier_factor: float = 2.0
+    step_weight: float = 0.02
+    least_variance: float = 0.1
+    least_solve_fraction: float = 0.25
+
+
+_SETTINGS = ClockSettings()
+
+
+class StepClock:
+    """Estimates the wall time of a step, t = fixed + solve n, with n the number of its linear solves.
+
+    The fixed part assembles, factorises and computes the force; each solve is one more pass over the tissue. The slope
+    is a linear regression of the times on n with exponentially decaying weights.
+
+    Attributes:
+        fixed: time of a step without solves, s.
+        solve: time of a linear solve, s.
     """
 
     def __init__(self):
         self.begin(1e-9)
 
     def begin(self, solve: float) -> None:
-        """From a solve's time, s, with all that belongs to it."""
+        """Start the estimate again from the time of one solve, s, including assembly."""
         self.fixed = self.solve = solve
         self._solves, self._time, self._variance, self._covariance = 1.0, 2.0 * solve, 0.0, 0.0
 
     def fitting(self, time: float, first: bool = False) -> int:
-        """How many solves fit into a time, s, with the rest of the step; below zero where not even that does. Of the
-        first part of a step one does where the rest fits: an answer a little late is better than none."""
+        """Number of solves that fit into a time together with the fixed part of the step.
+
+        Args:
+            time: s.
+            first: whether this is the first part of a step. One solve is then allowed if the fixed part fits: a force
+                that is a little late is better than none.
+
+        Returns:
+            The number; -1 if not even the fixed part fits.
+        """
         return max(int((time - self.fixed) / self.solve), int(first)) if time >= self.fixed else -1
 
     def follow(self, time: float, solves: int) -> None:
-        """Take note of a step: its time, s, and its solves."""
+        """Update the estimate with a step that took this time, s, and made this number of solves."""
         expected = self.fixed + solves * self.solve
-        time = min(time, _SPIKE * expected)
-        more = time - expected
-        self.fixed = max(self.fixed + (_LEARNS if more > 0.0 else _FORGETS) * more, 1e-9)
+        time = min(time, _SETTINGS.outlier_factor * expected)
+        excess, weight = time - expected, _SETTINGS.step_weight
+        gain = _SETTINGS.gain_up if excess > 0.0 else _SETTINGS.gain_down
+        self.fixed = max(self.fixed + gain * excess, 1e-9)
         a, b = solves - self._solves, time - self._time
-        self._solves += _WEIGHT * a
-        self._time += _WEIGHT * b
-        self._variance += _WEIGHT * ((1.0 - _WEIGHT) * a * a - self._variance)
-        self._covariance += _WEIGHT * ((1.0 - _WEIGHT) * a * b - self._covariance)
-        if self._variance > _SEEN:
-            even = self._time / (1.0 + self._solves)
-            self.solve = min(max(self._covariance / self._variance, _LEAST * even), even)
+        self._solves += weight * a
+        self._time += weight * b
+        self._variance += weight * ((1.0 - weight) * a * a - self._variance)
+        self._covariance += weight * ((1.0 - weight) * a * b - self._covariance)
+        if self._variance > _SETTINGS.least_variance:
+            mean = self._time / (1.0 + self._solves)
+            least = _SETTINGS.least_solve_fraction * mean
+            self.solve = min(max(self._covariance / self._variance, least), mean)
 
-    def doubt(self) -> None:
-        """Where nothing was tried because of the guess: it may be from a bad moment."""
+    def lower_estimate(self) -> None:
+        """Halve the fixed time if no step was tried because of it: it may come from one slow step."""
         self.fixed *= 0.5
 
 
 def require_solves(most: int | None) -> None:
-    """Refuse a bound within which no step can end.
+    """Refuse a bound on the linear solves of a step that is too small for any step.
 
     Raises:
-        InputError: no whole number, or fewer than `LEAST_SOLVES`.
+        InputError: `most` is not an integer, or less than `LEAST_SOLVES`.
     """
     if most is not None and not (isinstance(most, Integral) and most >= LEAST_SOLVES):
-        raise InputError(f"no step comes to an end in {most!r} linear solutions; give a whole number of at least "
-                         f"{LEAST_SOLVES}, or None",
-                         field="max_solves")
+        raise InputError(f"must be an integer of at least {LEAST_SOLVES}, or None; got {most!r}.", field="max_solves")
 
 
 def solves_in(budget: float | None, solve: float | None) -> int | None:
-    """How many linear solutions of so many s there are in a budget, s, and no less than `LEAST_SOLVES`; None: no
-    budget, or nobody knows."""
+    """Number of linear solves that fit into a budget, at least `LEAST_SOLVES`.
+
+    Args:
+        budget: wall time, s; None: no limit.
+        solve: wall time of a linear solve, s; None: not known.
+
+    Returns:
+        The number; None if there is no budget or the time of a solve is not known.
+    """
     if budget is None or solve is None:
         return None
     return max(LEAST_SOLVES, int(min(budget / solve, _UNBOUNDED)))
 
 
 class Allowance:
-    """What a step may still take: a number of linear solutions, and time.
+    """Number of linear solves and wall time that a step may still use.
 
-    Each part of a step is a call of the solver, which answers a stiffness by a linear solution beside those that its
-    iteration takes; the bound is on all of them.
+    A step consists of parts; each part is a call of the solver, which makes one linear solve for the contact stiffness
+    in addition to those of its iteration. All of them count.
 
     Args:
-        clock: knows what they take.
-        most: linear solutions of the step; None: as many as it takes.
-        ends: when its time ends, on `time.perf_counter`; None: never.
+        clock: estimates the time of solves.
+        most: largest number of linear solves of the step; None: no limit.
+        ends: value of `time.perf_counter` at which the budget ends, s; None: no limit.
 
     Attributes:
         is_bounded: whether the number of solutions or the time is limited.
@@ -105,7 +140,11 @@ class Allowance:
         self._begins, self.is_bounded = True, most is not None or ends is not None
 
     def fitting(self, answers: int = 1) -> int:
-        """How many solves the next part may take beside its answers; below one: it may not begin."""
+        """Number of solves that the next part may make in addition to its stiffnesses; below one: it may not begin.
+
+        Args:
+            answers: number of stiffnesses of the part, one solve each.
+        """
         fits = self._left - answers
         if self._ends is not None:
             left = self._ends - time.perf_counter() - (answers - 1) * self._clock.fixed
@@ -113,18 +152,18 @@ class Allowance:
         return fits
 
     def has_time(self, solves: int, answers: int) -> bool:
-        """Whether the time, without the bound on solves, is enough for these solves and answers."""
+        """Whether the time alone, without the bound on solves, allows these solves and stiffnesses (`answers`)."""
         if self._ends is None:
             return True
         left = self._ends - time.perf_counter() - (answers - 1) * self._clock.fixed
         return self._clock.fitting(left) >= solves
 
     def take(self, solves: int, answers: int = 1) -> None:
-        """Take note of a part."""
+        """Subtract a part with these solves and stiffnesses (`answers`)."""
         self._left -= solves + answers
         self._begins = self._begins and solves == 0
 
     def end(self) -> None:
-        """No part fits any more; where none was begun the clock may be wrong."""
+        """Call when no further part fits; if none was begun, the estimate of the clock is lowered."""
         if self._begins and self._left > 1:
-            self._clock.doubt()
+            self._clock.lower_estimate()

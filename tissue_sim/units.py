@@ -77,7 +77,7 @@ def to_si(unit: str, quantity: str | None = None) -> tuple[float, float]:
 
 
 def known_unit(text: str) -> str | None:
-    """The name in `UNITS` of a unit as somebody spells it, brackets or not: ``(sec)`` is ``s``; None: it is none."""
+    """Name in `UNITS` of a unit in another spelling or in brackets: ``(sec)`` gives ``s``; None if it is not known."""
     text = text.strip()
     if text[:1] in ("[", "(") and text[-1:] in ("]", ")"):
         text = text[1:-1].strip()
@@ -86,7 +86,7 @@ def known_unit(text: str) -> str | None:
 
 
 def quantity_of(unit: str | None) -> str | None:
-    """What is measured in a unit, such as ``force``; ``signal`` of volts and counts; None: no known unit."""
+    """Quantity of a unit, such as ``force``; ``signal`` for volts and counts; None if the unit is not known."""
     name = None if unit is None else known_unit(unit)
     return None if name is None else UNITS[name][0]
 
@@ -105,9 +105,9 @@ def split_header(header: str) -> tuple[str, str | None]:
 
 
 def loose_header(header: str) -> tuple[str, str | None]:
-    """As `split_header`, of headers of any machine: ``'Fz, gf'`` -> ``('Fz', 'gf')``; so ``'Force_N'``, ``'Weg / mm'``.
+    """Split a header in one of the forms that testing machines write: ``'Fz, gf'``, ``'Force_N'``, ``'Weg / mm'``.
 
-    The unit must be a known one, so that ``Run_2`` and ``Position (z)`` stay names.
+    Only a known unit is split off: ``Run_2`` and ``Position (z)`` are names without a unit.
     """
     name, unit = split_header(header)
     if unit is not None:

@@ -7,7 +7,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
-from tissue_sim.force_error import WORTH_A_WARNING, ForceError, force_error, other_steps
+from tissue_sim.force_error import WORTH_A_WARNING, ForceError, coarse_samples, force_error
 
 STUDY = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
 PLATES = {"tool": ts.Tool("plate"), "friction": "bonded", "friction_base": "bonded"}
@@ -53,7 +53,7 @@ def solver_says(recording):
     ("bonded_RP", 10e-3, PLATES),
     ("friction0.7_30mm_RP", 30e-3, PLATES | {"friction": 0.7, "friction_base": 0.7}),
     ("punch_bonded_face_side_wall_RP", 10e-3, NEEDLE)])
-def test_it_is_of_the_size_of_the_error_against_an_independent_solver(reference, name, depth, options):
+def test_estimate_has_the_size_of_the_error_against_an_independent_solver(reference, name, depth, options):
     """Taylor-Hood elements of another program, finer than `accurate`, which err by up to 0.1 % themselves."""
     d, force = np.loadtxt(reference / f"{name}.csv", delimiter=",")[:, :2].T
     recording = ts.simulate(study(depth, **options))
@@ -62,7 +62,7 @@ def test_it_is_of_the_size_of_the_error_against_an_independent_solver(reference,
 
 
 @pytest.mark.parametrize("points", [5, 6, 7, 9, 11, 16, 21])
-def test_the_first_step_after_a_turn_is_not_gone_past(points):
+def test_first_step_after_a_turn_is_compared(points):
     """Whether a leg has an odd or an even number of steps."""
     recording, shorter = (ts.simulate(presses_twice(each)) for each in (points, 4 * points - 3))
     error = abs(recording.force - shorter.force[::4]).max() / shorter.force.max()
@@ -70,7 +70,7 @@ def test_the_first_step_after_a_turn_is_not_gone_past(points):
     assert len(solver_says(recording)["warnings"]) == (error > WORTH_A_WARNING)
 
 
-def test_a_coarse_mesh_is_warned_of_by_how_much_the_accurate_one_differs():
+def test_coarse_mesh_gives_a_warning_with_its_difference_to_the_accurate_one():
     model = rolls_over_an_edge()
     recording, accurate = (ts.simulate(model, resolution=resolution) for resolution in ("fast", "accurate"))
     error = abs(recording.force - accurate.force).max() / accurate.force.max()
@@ -80,21 +80,21 @@ def test_a_coarse_mesh_is_warned_of_by_how_much_the_accurate_one_differs():
     assert "sample" in warning and "mm" in warning and '"accurate"' in warning
 
 
-def test_long_steps_are_warned_of_by_how_much_quarter_steps_differ():
+def test_long_steps_give_a_warning_with_their_difference_to_quarter_steps():
     recording, fine = ts.simulate(turns_back()), ts.simulate(turns_back(81), estimate_error=False)
     error = abs(recording.force - fine.force[::4]).max() / fine.force.max()
     assert error > WORTH_A_WARNING and error / 2 < solver_says(recording)["force_error"] < 2 * error
     assert len(solver_says(recording)["warnings"]) == 1
 
 
-def test_forces_are_the_same_with_and_without():
+def test_forces_do_not_depend_on_the_estimate():
     model = rolls_over_an_edge()
     plain = ts.simulate(model, estimate_error=False)
     assert (plain.force == ts.simulate(model).force).all()
     assert solver_says(plain)["force_error"] is None and solver_says(plain)["warnings"] == []
 
 
-def test_a_mesh_of_the_users_own_is_compared_with_none():
+def test_no_estimate_on_a_given_mesh():
     model = rolls_over_an_edge()
     assert solver_says(ts.simulate(model, mesh=build_mesh(model.experiment)))["force_error"] is None
 
@@ -105,15 +105,15 @@ def test_a_sensor_keeps_the_warning():
     assert len(solver_says(read)["warnings"]) == 1
 
 
-def test_every_second_sample_and_all_that_turn_with_what_comes_next():
+def test_coarse_samples_contain_turns_and_the_step_after_them():
     motion = np.array([0.0, 1, 2, 3, 4, 5, 5, 5, 5, 3, 1, 0])
-    assert other_steps(motion).tolist() == [0, 2, 4, 5, 7, 8, 8.5, 9, 11]
-    assert other_steps(np.array([0.0, 1, 2, 1, 0])).tolist() == [0, 2, 2.5, 3, 4]
-    assert other_steps(np.array([0.0, 1, 0])).tolist() == [0, 1, 1.5, 2]
-    assert other_steps(np.array([0.0])).tolist() == [0]
+    assert coarse_samples(motion).tolist() == [0, 2, 4, 5, 7, 8, 8.5, 9, 11]
+    assert coarse_samples(np.array([0.0, 1, 2, 1, 0])).tolist() == [0, 2, 2.5, 3, 4]
+    assert coarse_samples(np.array([0.0, 1, 0])).tolist() == [0, 1, 1.5, 2]
+    assert coarse_samples(np.array([0.0])).tolist() == [0]
 
 
-def test_the_error_is_said_where_it_is():
+def test_warning_names_where_the_error_is():
     samples, force = np.arange(0, 9, 2), np.linspace(0.0, 2.0, 9)
     other = force[samples] + [0.0, 0.01, 0.2, 0.12, 0.0]
     found = force_error(force, samples, other, 0.5)
@@ -123,7 +123,7 @@ def test_the_error_is_said_where_it_is():
     assert ended == ForceError(pytest.approx(0.005), 2, 2) and force_error(force, samples, other[:0], 1.0) is None
 
 
-def test_a_face_that_slips_in_part_carries_the_error_of_both_its_tests():
+def test_partly_slipping_face_has_the_error_of_both_its_tests():
     """The larger one, and the warnings of either; the time is that of the tests alone."""
     protocol = ts.Protocol.ramp(6e-3, 5)
     model = ts.Model(ts.Experiment(ts.Specimen(0.02, 0.03), protocol, slip=0.5), ts.Material(

@@ -20,7 +20,7 @@ def followed(fixed, solve, noise=0.0, steps=600, seed=1):
 
 
 @pytest.mark.parametrize(("fixed", "solve"), [(0.4e-3, 0.06e-3), (0.1e-3, 0.1e-3), (1e-3, 0.2e-3)])
-def test_what_is_fixed_and_what_a_solve_takes_are_told_apart(fixed, solve):
+def test_fixed_time_and_time_per_solve_are_separated(fixed, solve):
     clock = followed(fixed, solve, noise=0.1)
     assert clock.solve == pytest.approx(solve, rel=0.5)
     for solves in (0, 2, 4):
@@ -28,22 +28,22 @@ def test_what_is_fixed_and_what_a_solve_takes_are_told_apart(fixed, solve):
     assert clock.fitting(fixed + 3.5 * solve + 0.15 * fixed) in (2, 3, 4)
 
 
-def test_less_than_a_step_without_solves_is_no_time():
+def test_no_solve_fits_into_less_than_the_fixed_time():
     clock = followed(0.4e-3, 0.05e-3)
     assert clock.fitting(0.3e-3) == -1 and clock.fitting(0.0) == -1
     assert clock.fitting(0.43e-3) == 0 and clock.fitting(0.43e-3, first=True) == 1
-    clock.doubt()
+    clock.lower_estimate()
     assert clock.fitting(0.3e-3) > 0
 
 
-def test_a_bad_moment_is_forgotten_soon():
+def test_one_slow_step_changes_the_estimate_only_briefly():
     """A step that was interrupted for 20 ms must not stop the next ones from being tried."""
     clock = followed(0.3e-3, 0.05e-3)
     clock.follow(20e-3, 1)
     assert clock.fitting(0.8e-3) > 0
 
 
-def test_even_steps_leave_the_cost_of_a_solve_as_it_was():
+def test_equal_steps_do_not_change_the_time_per_solve():
     clock = StepClock()
     clock.begin(0.1e-3)
     for _ in range(1000):
@@ -52,7 +52,7 @@ def test_even_steps_leave_the_cost_of_a_solve_as_it_was():
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 10.0), st.integers(0, 50)), max_size=100))
-def test_whatever_it_sees_it_stays_a_clock(steps):
+def test_estimates_stay_positive_and_finite_for_any_steps(steps):
     clock = StepClock()
     clock.begin(1e-4)
     for time, solves in steps:
@@ -61,7 +61,7 @@ def test_whatever_it_sees_it_stays_a_clock(steps):
         assert clock.fitting(1e9) >= 0
 
 
-def test_a_number_of_solutions_counts_answers_too():
+def test_stiffnesses_count_against_the_number_of_solves():
     allowance = Allowance(StepClock(), 6, None)
     assert allowance.fitting() == 5 and allowance.fitting(answers=2) == 4
     allowance.take(2)
@@ -81,13 +81,13 @@ def test_the_shorter_of_number_and_time_counts():
 
 
 @pytest.mark.parametrize(("left", "fixed"), [(10, 0.5), (1, 1.0)], ids=["by time", "by number"])
-def test_only_where_the_time_was_too_short_the_clock_may_be_wrong(left, fixed):
+def test_estimate_is_lowered_only_if_time_was_the_limit(left, fixed):
     clock = StepClock()
     clock.begin(1.0)
     Allowance(clock, left, perf_counter() - 1.0).end()
     assert clock.fixed == fixed
 
 
-def test_what_a_budget_means():
+def test_number_of_solves_in_a_budget():
     assert solves_in(0.8e-3, 0.1001e-3) == 7 and solves_in(1e-9, 1.0) == 3
     assert solves_in(None, 1.0) is None and solves_in(1.0, None) is None

@@ -87,8 +87,8 @@ class ContactState(NamedTuple):
     def anchor_rates(self, motion: np.ndarray, anchors: np.ndarray) -> np.ndarray:
         """Derivatives of the anchors after this equilibrium; arguments as in `force_rates`."""
         n = self.normals[:, :, None]
-        beside = self.gap[:, None, None] * (self.curved @ motion)
-        surface = self.turn.swapaxes(1, 2) @ (motion - _along(n, motion) * n - beside)
+        curvature = self.gap[:, None, None] * (self.curved @ motion)
+        surface = self.turn.swapaxes(1, 2) @ (motion - _along(n, motion) * n - curvature)
         return np.where(_wide(self.held | self.keeps), anchors, np.where(_wide(self.met), surface, 0.0))
 
     @property

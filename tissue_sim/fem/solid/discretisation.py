@@ -217,8 +217,8 @@ def _standing(model: Model, mesh: SolidMesh, layers: np.ndarray) -> SolidSolver:
         base = mesh.sets["base"]
         place = mesh.nodes[base, :2] - mesh.nodes[base, :2].mean(axis=0)
         middle = int(np.argmin(np.hypot(*place.T)))
-        beside = int(np.argmax(place[:, 0] - np.abs(place[:, 1] - place[middle, 1])))
-        pins = [(int(base[middle]), "xy"), (int(base[beside]), "y")]
+        second = int(np.argmax(place[:, 0] - np.abs(place[:, 1] - place[middle, 1])))
+        pins = [(int(base[middle]), "xy"), (int(base[second]), "y")]
     return SolidSolver(mesh, model.material, _fixed(experiment), np.zeros(0, int),
                        bodies=_resting(experiment, mesh), start=experiment.tool_pose(0.0), pins=pins,
                        tolerance=_PLATE_TOLERANCE * experiment.specimen.margin(),
@@ -240,12 +240,12 @@ def _pins(experiment: Experiment, mesh: SolidMesh) -> list[tuple[int, str]]:
         return []
     base = mesh.sets["base"]
     x, y = mesh.nodes[base, 0], mesh.nodes[base, 1]
-    middle, beside = base[np.argmin(np.hypot(x, y))], base[np.argmax(x - np.abs(y))]
+    middle, second = base[np.argmin(np.hypot(x, y))], base[np.argmax(x - np.abs(y))]
     if np.hypot(*mesh.nodes[middle, :2]) > 1e-9 or experiment.approach is not None:
         remedy = "give one of them friction" if without and not experiment.tool.is_plate else "let it stick to one"
         raise InputError(f"neither base nor tool keeps the specimen from sliding; {remedy}",
                          field="friction_base")
-    return [(int(middle), "xy"), (int(beside), "y")]
+    return [(int(middle), "xy"), (int(second), "y")]
 
 
 def _is_frictionless(face: str | float) -> bool:
@@ -354,13 +354,13 @@ def _moving(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, start: 
         return [Body(tool.profile, free, (mu, wall))]
     upright = not any(start.orientation[1:3])
     under = np.intersect1d(mesh.sets["face"], free)
-    beside = np.setdiff1d(free, under)
+    outside = np.setdiff1d(free, under)
     if experiment.friction == "bonded":
-        return [Body(tool.profile, beside, (mu, wall), first_line=1, closed=upright)]
+        return [Body(tool.profile, outside, (mu, wall), first_line=1, closed=upright)]
     # Tissue next to a sharp edge cannot move under the face without slip.
     first = 0 if tool.edge_radius else 1
     return [Body(tool.profile, under, (mu, wall), tied=mu == STICK),
-            Body(tool.profile, beside, (mu, wall), first_line=first, closed=upright)]
+            Body(tool.profile, outside, (mu, wall), first_line=first, closed=upright)]
 
 
 def tool_contact(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, places: np.ndarray
