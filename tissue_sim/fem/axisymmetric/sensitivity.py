@@ -10,7 +10,7 @@ from tissue_sim.fem.axisymmetric.contact import RateColumn
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD
 from tissue_sim.fem.axisymmetric.equations import Equations
 from tissue_sim.fem.axisymmetric.sensitivity_kernel import respond_kernels
-from tissue_sim.fem.axisymmetric.sensitivity_points import KeptRecord, Switch
+from tissue_sim.fem.axisymmetric.sensitivity_tables import KeptRecord, Switch
 from tissue_sim.fem.history import PastColumn
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.fem.taichi.launch import BoundKernel

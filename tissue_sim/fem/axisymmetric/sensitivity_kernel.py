@@ -16,9 +16,10 @@ from functools import cache
 from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.contact import STICK_STIFFNESS_FACTOR, KnownRateColumn, RateColumn, SpanColumn
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD, TOUCHED
-from tissue_sim.fem.axisymmetric.newton import Count, Setting
-from tissue_sim.fem.axisymmetric.sensitivity_points import Switch, response_functions
+from tissue_sim.fem.axisymmetric.newton_tables import Count, Setting
+from tissue_sim.fem.axisymmetric.sensitivity_points import response_functions
 from tissue_sim.fem.axisymmetric.sensitivity_product import product_functions
+from tissue_sim.fem.axisymmetric.sensitivity_tables import Switch
 from tissue_sim.fem.linear import band as band_matrix
 from tissue_sim.fem.linear.cholesky import cholesky_functions
 from tissue_sim.fem.linear.lu import lu_functions

@@ -199,7 +199,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return NextForce(axial_wrench(force + more), axial_stiffness(max(stiffness + stiffer, 0.0)))
 
     def ask_for_stiffness(self) -> None:
-        """Let every step compute the stiffness, the derivative of the force with respect to the depth."""
+        """Enable the computation of the stiffness (derivative of the force with respect to the depth) in every step."""
         self.equations.counts[newton.Count.STIFFNESS_ASKED] = 1
 
     @classmethod

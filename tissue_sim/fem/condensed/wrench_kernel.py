@@ -3,8 +3,8 @@
 from enum import IntEnum
 from functools import cache
 
-from tissue_sim.fem.condensed.kernel import ListColumn, LocalColumn, NodeColumn, Setting, StateColumn
 from tissue_sim.fem.condensed.model import Bond
+from tissue_sim.fem.condensed.tables import ListColumn, LocalColumn, NodeColumn, Setting, StateColumn
 from tissue_sim.fem.taichi.runtime import initialise
 
 
