@@ -190,7 +190,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
                          resolution, topology, max(_SETTINGS.always_to_compare,
                                                    _SETTINGS.most_to_compare * report["newton_iterations"]))
         if found is not None:
-            report["force_error"] = found.share
+            report["force_error"] = found.fraction
             if found.fraction > WORTH_A_WARNING:
                 report["warnings"] = [found.in_words(protocol.displacement, _REMEDIES.get(resolution, _REMEDY)),
                                       *report["warnings"]]
@@ -245,7 +245,7 @@ def _compare(tissue: Solver, model: Model, force: np.ndarray, solver: str, resol
     # the step length, and the error of the mesh, are at most twice the difference to steps half as long.
     other = forces(0.5 * np.arange(2 * protocol.time.size - 1))[::2]
     again = force_error(force, np.arange(force.size), other, 2.0 * estimate.fraction, shorter=True)
-    return again if again is not None and other.size == force.size and again.share < found.share else found
+    return again if again is not None and other.size == force.size and again.fraction < found.fraction else found
 
 
 def _note_largest(report: dict, step: Step) -> None:
