@@ -19,7 +19,7 @@ from tissue_sim.mesh.elements import ELEMENTS
 
 
 class CondensationFunctions(NamedTuple):
-    """Taichi functions of one element."""
+    """Taichi functions of the static condensation for one element type."""
 
     interior: object
     scatter_force: object

@@ -44,7 +44,7 @@ CONE_TOLERANCE = 1e-3
 
 
 class ContactFunctions(NamedTuple):
-    """Taichi functions of contact."""
+    """Taichi functions of the contact forces at points of the surface."""
 
     add_contact: object
     add_missing: object
@@ -55,7 +55,7 @@ class ContactFunctions(NamedTuple):
 
 
 @cache
-def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
+def contact_functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
     """Return the contact functions; `laws` are additional tractions, as of adhesion."""
     ti = initialise()
     has_laws, law = bool(laws), law_functions(laws)

@@ -127,6 +127,7 @@ def _lines(model: Model) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _cylinder(experiment: Experiment) -> Cylinder:
+    """Return the specimen; raises InputError if the specimen is not a cylinder."""
     return require_cylinder(experiment.specimen, "the axisymmetric solver")
 
 
@@ -189,6 +190,7 @@ def element_layers(mesh: Mesh, layers: tuple[Layer, ...]) -> np.ndarray:
 
 
 def _supports(experiment: Experiment) -> dict[str, str]:
+    """Return the fixed components of the base, node set -> components."""
     interface = experiment.base_interface
     return {"base": _FIXED_COMPONENTS[interface]} if interface in _FIXED_COMPONENTS else {}
 

@@ -306,6 +306,7 @@ class Equations:
 
     @cached_property
     def _free_freedoms(self) -> np.ndarray:
+        """Degrees of freedom with a free equation, shape (free,)."""
         return np.flatnonzero((self.equation >= 0) & (self.equation < self.free))
 
     def begin_damping(self) -> tuple[np.ndarray, np.ndarray, float]:
@@ -342,6 +343,7 @@ class Equations:
                 **{name: batches[name] for name in of_elements}}
 
     def _kernel_arrays(self) -> dict[str, np.ndarray]:
+        """Return all arrays of the step kernel by their names."""
         surface, state = self.surface, self.state
         return {**self.shared_arrays(), **self.batches.arrays(), "start": self.start,
                 "target": self._target, "contact_places": surface.places,

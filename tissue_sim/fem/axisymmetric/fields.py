@@ -16,7 +16,7 @@ from tissue_sim.mesh import Mesh
 
 @dataclass(frozen=True, eq=False)
 class Fields:
-    """Fields at every sample of a simulated recording.
+    """Displacement, stress, pressure, energy and stretch at every sample of a simulated recording.
 
     Attributes:
         mesh: undeformed mesh.

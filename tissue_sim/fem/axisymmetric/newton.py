@@ -46,7 +46,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
     complete, mirror = band_matrix.complete_function(), band_matrix.mirror_function()
     cholesky, lu = cholesky_functions(), lu_functions()
-    contact, rates = contact_kernels.functions(laws), rate_functions(slips)
+    contact, rates = contact_kernels.contact_functions(laws), rate_functions(slips)
     # Contact laws act at a distance, so that the contact cannot iterate on the linearised elements.
     has_contact_rounds = not laws
     converged, inverted, indefinite, slow, diverged = (float(status) for status in (

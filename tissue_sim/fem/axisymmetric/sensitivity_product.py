@@ -17,7 +17,7 @@ from tissue_sim.mesh.elements import ELEMENTS
 
 
 class ProductFunctions(NamedTuple):
-    """Taichi functions of one element."""
+    """Taichi functions of the tangent product for one element type."""
 
     add_product: object
     update: object

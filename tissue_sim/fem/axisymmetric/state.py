@@ -142,5 +142,6 @@ class State:
 
     @property
     def _kept(self) -> tuple[np.ndarray, ...]:
+        """Arrays that `save` copies."""
         return (self.history, self.slots, self.surface.anchors, self.surface.slipped, self.effects.states,
                 *self.memory.kept, *(() if self.motion is None else self.motion.kept))
