@@ -23,7 +23,7 @@ import time
 import numpy as np
 
 import tissue_sim as ts
-from tissue_sim.fem.solid.contact import Body
+from tissue_sim.fem.solid.bodies import Body
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.axisymmetric import growing_line

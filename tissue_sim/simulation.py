@@ -55,9 +55,8 @@ class SimulationSettings:
 
 
 _SETTINGS = SimulationSettings()
-#: Remedy in the warning of a large error.
+#: Remedy in the warning of a large error; `_REMEDIES` for single resolutions.
 _REMEDY = 'more samples show it'
-#: Resolution -> remedy.
 _REMEDIES = {"fast": 'the resolution "accurate" or more samples show it'}
 #: Step of a tool in the air.
 _NOTHING = Step.axial(StepStatus.CONVERGED, 0, 0.0, 0.0)

@@ -5,7 +5,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.reduced.contact import LayerContact
-from tissue_sim.fem.solid.contact import Body
+from tissue_sim.fem.solid.bodies import Body
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.pose import turned
 

@@ -8,7 +8,7 @@ from solid_meshes import block
 
 import tissue_sim as ts
 from tissue_sim.errors import InputError
-from tissue_sim.fem.solid.contact import Body
+from tissue_sim.fem.solid.bodies import Body
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.touch import touch
 from tissue_sim.fem.solver import StepStatus

@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from tissue_sim.fem.reduced import contact_kernel as kernel
-from tissue_sim.fem.solid.contact import STICK, Body
+from tissue_sim.fem.solid.bodies import Body
+from tissue_sim.fem.solid.contact import STICK
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK

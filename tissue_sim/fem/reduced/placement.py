@@ -12,7 +12,7 @@ from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.lifting import Lifting
 from tissue_sim.fem.reduced.model import ReducedModel
 from tissue_sim.fem.reduced.prediction import Prediction
-from tissue_sim.fem.solid.contact import Body
+from tissue_sim.fem.solid.bodies import Body
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.placement import Placement
 from tissue_sim.fem.solid.touch import touch

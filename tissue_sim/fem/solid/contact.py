@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.experiment.tools.outline import Profile
+from tissue_sim.fem.solid.bodies import Body, nearest
 from tissue_sim.fem.solid.contact_laws import NodeLaws
 from tissue_sim.fem.solid.contact_state import ContactState
 from tissue_sim.fem.solid.frame import Frame
@@ -42,96 +42,6 @@ TOUCHED = 2
 ALL = 1_000_000
 #: With other values of `changeable` one node in this number may change, so that the active set does not cycle.
 _DRAWN = 4
-
-
-@dataclass(frozen=True, eq=False)
-class Body:
-    """A rigid body of revolution, and the nodes that may touch it.
-
-    Attributes:
-        profile: outline in the frame of the body.
-        nodes: indices of the nodes.
-        friction: of its face and of its shaft: a coefficient, 0 for frictionless, `STICK` for no slip.
-        moves: whether the body moves with the tool; else its frame is that of the mesh.
-        tied: whether an interface without slip holds the nodes from the start.
-        stays: whether the nodes cannot lift off.
-        first_line: index of the first segment of the profile that the nodes may touch.
-        closed: whether a sharp shaft is extended downwards while the tool is pressed in, because the tissue that is
-            held below an upright face occupies the space there.
-    """
-
-    profile: Profile
-    nodes: np.ndarray
-    friction: tuple[float, float]
-    moves: bool = True
-    tied: bool = False
-    stays: bool = False
-    first_line: int = 0
-    closed: bool = True
-
-
-@dataclass(frozen=True)
-class Nearest:
-    """Nearest points of a body's surface to given points, in the frame of the body.
-
-    Attributes:
-        gap: signed distance, m, shape (n,).
-        normal: outward normal, shape (n, 3).
-        curvature: derivative of the normal with respect to position, 1/m, shape (n, 3, 3).
-        on_shaft: whether the nearest point belongs to the shaft, shape (n,).
-        meridian: direction along the outline, shape (n, 3).
-    """
-
-    gap: np.ndarray
-    normal: np.ndarray
-    curvature: np.ndarray
-    on_shaft: np.ndarray
-    meridian: np.ndarray
-
-
-def nearest(body: Body, points: np.ndarray, pressed_in: bool) -> Nearest:
-    """Find the nearest points of a body's surface.
-
-    Args:
-        body: the body.
-        points: in the frame of the body, m, shape (n, 3).
-        pressed_in: whether the body is at its position of first touch, or deeper; see `Body.closed`.
-    """
-    profile, first = body.profile, body.first_line
-    closed = body.closed and pressed_in and first == profile.shaft and profile.rounding == 0.0
-    r = np.hypot(points[:, 0], points[:, 1])
-    start, way = profile.vertices[first:-1], np.diff(profile.vertices[first:], axis=0)
-    length = np.linalg.norm(way, axis=1)
-    t = way / length[:, None]
-    offset = np.stack([r, points[:, 2]], axis=-1)[:, None] - start  # (n, lines, 2)
-    along = np.einsum("nsi,si->ns", offset, t)
-    lower = np.where(closed & (np.arange(len(length)) == 0), -np.inf, 0.0)
-    share = np.maximum(np.minimum(along, length), lower)
-    arrow = offset - share[..., None] * t
-    distance = np.linalg.norm(arrow, axis=-1)
-    front = arrow[..., 0] * t[:, 1] - arrow[..., 1] * t[:, 0]
-    # At a vertex two segments are equally near; the one with the larger normal distance determines the sign.
-    best = np.lexsort((-np.abs(front), np.round(distance, 15)), axis=-1)[:, 0]
-    rows = np.arange(len(points))
-    distance, front, share, along, arrow = (each[rows, best] for each in (distance, front, share, along, arrow))
-    # Points before the start of the polyline are outside.
-    inside = (front < 0.0) & (closed | ~((best == 0) & (along < 0.0)))
-    sign = np.where(inside, -1.0, 1.0)
-    beyond = (share != along) & (distance > 0.0)
-    safe = np.where(distance > 0.0, distance, 1.0)
-    n2 = np.where(beyond[:, None], (sign / safe)[:, None] * arrow, np.stack([t[best, 1], -t[best, 0]], axis=-1))
-    bent = np.where(beyond, sign / safe, 0.0)
-    outwards = np.where(r[:, None] > 0.0, points[:, :2] / np.where(r > 0.0, r, 1.0)[:, None], [1.0, 0.0])
-    normal = np.concatenate([n2[:, :1] * outwards, n2[:, 1:]], axis=1)
-    meridian = np.concatenate([-n2[:, 1:] * outwards, n2[:, :1]], axis=1)
-    around = np.stack([-outwards[:, 1], outwards[:, 0], np.zeros(len(r))], axis=-1)
-    # On the axis both principal curvatures are equal.
-    hoop = np.where(r > 1e-9 * length.max(initial=1.0), n2[:, 0] / np.where(r > 0.0, r, 1.0), bent)
-    curvature = (bent[:, None, None] * meridian[:, :, None] * meridian[:, None]
-                 + hoop[:, None, None] * around[:, :, None] * around[:, None])
-    rounded = beyond & (profile.rounding > 0.0)
-    return Nearest(sign * distance - profile.rounding, normal, curvature,
-                   (best + first >= profile.shaft) & ~rounded, meridian)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from tissue_sim.errors import ConvergenceError, InputError, nearest
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.plate import PLATE_RADIUS
-from tissue_sim.fem.solid.contact import STICK, Body
+from tissue_sim.fem.solid.bodies import Body
+from tissue_sim.fem.solid.contact import STICK
 from tissue_sim.fem.solid.contact_laws import NodeLaws
 from tissue_sim.fem.solid.placement import FACE_WITHIN, SAME_PLACE, Placement
 from tissue_sim.fem.solid.sensitivity import StartRates

@@ -18,8 +18,9 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import CondensedContact, ContactState, ContactSurface, Executor, run_now
 from tissue_sim.fem.linear.sparse import library
+from tissue_sim.fem.solid.bodies import Body, nearest
 from tissue_sim.fem.solid.condensed_tangent import CondensedTangent
-from tissue_sim.fem.solid.contact import STIFFNESS, Body, nearest
+from tissue_sim.fem.solid.contact import STIFFNESS
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.solver import SolidSolver
@@ -80,9 +81,7 @@ class _Step:
 
 
 class SolidLinearisation:
-    """Implementation of `tissue_sim.fem.condensed.model.BulkLinearisation` for a solid.
-
-    The solver must not be stepped by other code.
+    """`tissue_sim.fem.condensed.model.BulkLinearisation` of a solid; no other code may step the solver.
 
     Args:
         solver: solver at the first touch.

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.fem.free_tool import AT_REST
-from tissue_sim.fem.solid.contact import FREE, Body, ContactNodes, nearest
+from tissue_sim.fem.solid.bodies import Body, nearest
+from tissue_sim.fem.solid.contact import FREE, ContactNodes
 from tissue_sim.fem.solid.faceting import faceting_error
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.mass import Mass

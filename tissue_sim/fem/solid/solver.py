@@ -9,7 +9,8 @@ from typing import Any, cast
 import numpy as np
 
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
-from tissue_sim.fem.solid.contact import ALL, Body, ContactEvaluation, ContactNodes
+from tissue_sim.fem.solid.bodies import Body
+from tissue_sim.fem.solid.contact import ALL, ContactEvaluation, ContactNodes
 from tissue_sim.fem.solid.contact_laws import NodeLaws
 from tissue_sim.fem.solid.faceting import faceting_warnings
 from tissue_sim.fem.solid.fields import SolidFields
@@ -58,11 +59,9 @@ class SolidSolver(PlacedSolver):
         pins: nodes and axes, ``"xy"``, along which they are fixed if nothing else prevents rigid motions.
         element_layers: see `Tissue`.
         specific_weight: density times gravity, N/m3, towards -z.
-        settled: solver on the same mesh without a tool, whose last state is that of the first touch; None: the
-            undeformed mesh.
+        settled: solver on this mesh without a tool, in the state of the first touch; None: the undeformed mesh.
         lift: height of nodes above the surface that the tool is assumed to touch, m, shape (nodes,); None: 0.
-        start_rates: returns the derivatives of `settled`, and of the touch, with respect to parameters; None: they are
-            zero.
+        start_rates: returns the derivatives of `settled`, and of the touch, with respect to parameters; None: zero.
 
     Raises:
         InputError: a part of the material is not supported, or a bulk ratio is outside of `BULK_RATIOS`.
@@ -104,10 +103,8 @@ class SolidSolver(PlacedSolver):
         self._derivatives: SolidSensitivity | None = None
         self._start_rates, self._mass = start_rates, None
         self._last: Step | None = None
-        # Derivative of all displacements with respect to the tool's pose at the last stiffness, shape (freedoms, 6).
-        self._along: np.ndarray | None = None
-        #: Frame of the tool to which the present iterate belongs.
-        self._here = Frame(start, datum)
+        self._along: np.ndarray | None = None  # d displacements / d pose at the last stiffness, shape (freedoms, 6)
+        self._here = Frame(start, datum)  # frame of the tool at the present iterate
         self.set_material(material)
         if settled is not None:
             for array, left in zip(self.tissue.kept, settled.tissue.kept, strict=True):

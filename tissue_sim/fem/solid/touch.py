@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.fem.solid.contact import Body, Nearest, nearest
+from tissue_sim.fem.solid.bodies import Body, Nearest, nearest
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.mesh.side_points import SidePoints
 from tissue_sim.mesh.solid import SolidMesh
