@@ -165,7 +165,7 @@ def test_a_state_of_another_model_waits_and_an_untouched_one_begins_again():
 
 
 def test_a_specimen_that_nothing_holds_is_refused():
-    with pytest.raises(ts.InputError, match="the bulk would hold on to nothing"):
+    with pytest.raises(ts.InputError, match="a base that slides or lifts off would not hold the bulk"):
         two_rates(friction_base=0.3)
 
 

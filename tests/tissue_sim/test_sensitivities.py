@@ -207,7 +207,7 @@ def test_the_absent_value_of_a_softening():
 
 @pytest.mark.parametrize(("name", "words"), [
     ("C11", "did you mean 'C10'"), ("experiment.tool.colour", "unknown parameter"),
-    ("softening.loss", "unknown parameter"), ("experiment.friction", "not a number")])
+    ("softening.loss", "unknown parameter"), ("experiment.friction", "must be a number to be changed")])
 def test_unknown_names(name, words):
     with pytest.raises(ts.InputError, match=words):
         ts.sensitivities(ts.Model(experiment(), elastic()), [name])
