@@ -231,7 +231,7 @@ class TestBadInput:
             ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(0.01), **change)
 
     @pytest.mark.parametrize(("arguments", "words"), [
-        (("ball", 8e-3), "unknown tool shape"), (("flat",), "needs a radius"), (("flat", -1.0), "must be a positive length"),
+        (("ball", 8e-3), "unknown tool shape"), (("flat",), "needs a radius"), (("flat", -1.0), "positive length"),
         (("flat", 8e-3, 8e-3), "less than the radius"), (("plate", 8e-3), "covers the whole top"),
     ])
     def test_tool(self, arguments, words):
