@@ -20,7 +20,6 @@ from haptics.loop.shared_slots import SlotReader, SlotWriter, remove_file, unuse
 from haptics.loop.slow_bulk import KIND_CORRECTION, KIND_MODEL, KIND_STATE, Started, first_state, make_linearisation
 from haptics.loop.snapshot_board import SnapshotReader
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.foresight import LEAD, ForesightedLinearisation
 from tissue_sim.fem.condensed.model import (
     BulkLinearisation,
     CondensedContact,
@@ -28,6 +27,7 @@ from tissue_sim.fem.condensed.model import (
     ContactSurface,
     packed_state_size,
 )
+from tissue_sim.fem.condensed.predictive_linearisation import LEAD_FACTOR, PredictiveLinearisation
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.packing import pack
@@ -104,10 +104,10 @@ class DelayedBulk:
 
     def __init__(self, linearisation: BulkLinearisation, delay: float, tangent: float | None = None):
         self._bulk, self.surface, self._delay, self._epoch = linearisation, linearisation.surface, delay, 0
-        self._foresighted, self._now = ForesightedLinearisation(linearisation), 0.0
+        self._predictive, self._now = PredictiveLinearisation(linearisation), 0.0
         self._tangent = tangent
         if tangent is not None:
-            linearisation.beside = self._finish_later
+            linearisation.executor = self._finish_later
         self.linearising = 0.0
         self._coming: tuple[float, CondensedContact | None] | None = None
 
@@ -122,7 +122,7 @@ class DelayedBulk:
         return lambda: self._epoch != epoch or self._now >= due - 1e-9
 
     def start(self) -> CondensedContact:
-        model = self._foresighted.linearise(first_state(self.surface), 0.0, 0.0)
+        model = self._predictive.linearise(first_state(self.surface), 0.0, 0.0)
         if model is None:
             raise RuntimeError("the untouched tissue has no linearisation")
         return model
@@ -134,7 +134,8 @@ class DelayedBulk:
         if self._coming is None:
             began, self._now = time.process_time(), state.time
             serves = 2.0 * (self._delay if self._tangent is None else self._tangent)
-            self._coming = state.time + self._delay, self._foresighted.linearise(state, LEAD * self._delay, serves)
+            model = self._predictive.linearise(state, LEAD_FACTOR * self._delay, serves)
+            self._coming = state.time + self._delay, model
             self.linearising += time.process_time() - began
 
     def receive(self, now: float) -> CondensedContact | None:
@@ -149,7 +150,7 @@ class DelayedBulk:
         return self.receive(math.inf)
 
     def set_material(self, material: Material, number: int) -> None:
-        self._foresighted.set_material(material, number)
+        self._predictive.set_material(material, number)
 
     def snapshot(self) -> Snapshot | None:
         return None
@@ -214,7 +215,7 @@ class BulkProcess:
         return self._process is not None and self._process.poll() is None
 
     def send(self, state: ContactState) -> None:
-        self._states.write(state.packed().tobytes())
+        self._states.write(state.pack().tobytes())
 
     def receive(self, now: float) -> CondensedContact | None:
         found = self._receive_whole() or self._receive_correction()
@@ -257,7 +258,7 @@ class BulkProcess:
         if self._check != checksum or models.head(number) != (length, checksum):
             return None  # the slot was overwritten during reading: start again
         self._received, self._buffers = number, self._buffers[::-1]
-        return CondensedContact.unpacked(np.frombuffer(self._buffers[1], count=length // 8))
+        return CondensedContact.unpack(np.frombuffer(self._buffers[1], count=length // 8))
 
     def _receive_correction(self) -> CondensedContact | None:
         """Return a model with a later state of the bulk and the tangent of the last complete model, or None."""
@@ -268,7 +269,7 @@ class BulkProcess:
         if newest is None:
             return None
         self._corrected, content = newest
-        return CondensedContact.unpacked(np.frombuffer(content), self._model)
+        return CondensedContact.unpack(np.frombuffer(content), self._model)
 
     def set_material(self, material: Material, number: int) -> None:
         self._write_orders(pickle.dumps((number, material)))

@@ -151,7 +151,7 @@ class MultiRateTissue(KernelOwner):
         self._first = self._link.start()
         surface = self._link.surface
         self._stepper = CondensedStepper(surface)
-        self._stepper.adopt(self._first)
+        self._stepper.set_model(self._first)
         self._transition = ModelTransition(self._stepper, self.model.material.mu0)
         x, y, z = surface.start.position
         # Touch the tissue once so that all functions of a tick are compiled, then return to the start.
@@ -162,7 +162,7 @@ class MultiRateTissue(KernelOwner):
     def _rest(self) -> None:
         """Place the tool in the air above the undeformed tissue."""
         assert self._stepper is not None
-        self._stepper.rise()
+        self._stepper.place_in_air()
         start = self._link.surface.start
         self._frame = TouchFrame(start, start)
         self._transition.reset(start)
@@ -220,7 +220,7 @@ class MultiRateTissue(KernelOwner):
                 self._frame = TouchFrame(start, touch)
                 touch = start
                 self._poses.clear()
-            self._stepper.bring_down(touch)
+            self._stepper.place_at_touch(touch)
             self._transition.free, self._step = touch, None
         self._last_pose = pose
         return inside
@@ -271,9 +271,9 @@ class MultiRateTissue(KernelOwner):
     def _adopt(self, model: CondensedContact) -> None:
         assert self._stepper is not None
         self.models, self._made = self.models + 1, model.time
-        if model.is_whole:
+        if model.has_own_tangent:
             self._tangent_made = model.time
-        self._stepper.adopt(model)
+        self._stepper.set_model(model)
 
     def _needs_exchange(self, step: ContactStep, pose: Pose) -> bool:
         """Return whether the model is too old or too far from a pose for a step that waits."""
@@ -327,7 +327,7 @@ class MultiRateTissue(KernelOwner):
         if model.material != self._material and self.has_touched:
             self.error = judged = math.inf
         good = (step.converged and self._settled and self._link.alive and age <= self.oldest
-                and not stepper.leaves(here) and is_known_well(wrench, judged))
+                and not stepper.may_leave_model(here) and is_known_well(wrench, judged))
         self._left = self._reduced.commit(pose.depth, dt)
         if self._left != 1.0:
             wrench, stiffness = scaled(self._left, wrench), scaled_matrix(self._left, stiffness)
@@ -347,7 +347,7 @@ class MultiRateTissue(KernelOwner):
         self._reduced.history = self._untouched
         if self._stepper is not None:
             self._rest()
-            self._stepper.adopt(self._first)
+            self._stepper.set_model(self._first)
             start = self._link.surface.start
             self._link.send(self._stepper.state(0.0, start, 0.0, start, self._epoch, touched=False))
 

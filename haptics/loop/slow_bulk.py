@@ -22,15 +22,15 @@ import numpy as np
 from haptics.loop.shared_slots import SlotReader, SlotWriter, remove_file
 from haptics.loop.snapshot_board import SnapshotBoard
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
-from tissue_sim.fem.condensed.foresight import LEAD, ForesightedLinearisation
 from tissue_sim.fem.condensed.model import (
     LINEARISATIONS,
     BulkLinearisation,
     CondensedContact,
     ContactState,
     ContactSurface,
-    packed_size,
+    max_packed_size,
 )
+from tissue_sim.fem.condensed.predictive_linearisation import LEAD_FACTOR, PredictiveLinearisation
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.packing import run_packed
@@ -103,9 +103,9 @@ def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
     paths = states_path, models_path, corrections_path, surface_path = pickle.load(orders)
     try:
         bulk = run_packed(task)
-        foresighted = ForesightedLinearisation(bulk)
-        first = foresighted.linearise(first_state(bulk.surface), 0.0, 0.0)
-        bulk.beside = run_in_thread
+        predictive = PredictiveLinearisation(bulk)
+        first = predictive.linearise(first_state(bulk.surface), 0.0, 0.0)
+        bulk.executor = run_in_thread
         if first is None:
             raise InputError("the untouched tissue has no linearisation", field="specimen")
     except (InputError, ConvergenceError, MissingBackendError) as error:
@@ -113,7 +113,7 @@ def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
         answers.flush()
         return
     pattern = _snapshot(bulk, first)
-    whole, part = (8 * packed_size(bulk.surface, is_whole) for is_whole in (True, False))
+    whole, part = (8 * max_packed_size(bulk.surface, is_whole) for is_whole in (True, False))
     with (SlotWriter(models_path, KIND_MODEL, _SLOTS, whole) as models,
           SlotWriter(corrections_path, KIND_CORRECTION, _SLOTS, part) as corrections,
           SnapshotBoard(surface_path, pattern) as board):
@@ -123,10 +123,10 @@ def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
         materials: deque[tuple[int, Material]] = deque()
         threading.Thread(target=_listen, args=(orders, materials, paths), daemon=True).start()
         with SlotReader(states_path, KIND_STATE) as states:
-            _run_linearisation(bulk, foresighted, states, (models, corrections), board, materials)
+            _run_linearisation(bulk, predictive, states, (models, corrections), board, materials)
 
 
-def _run_linearisation(bulk: BulkLinearisation, foresighted: ForesightedLinearisation, states: SlotReader,
+def _run_linearisation(bulk: BulkLinearisation, predictive: PredictiveLinearisation, states: SlotReader,
                        writers: tuple[SlotWriter, SlotWriter], board: SnapshotBoard,
                        materials: deque[tuple[int, Material]]) -> None:
     """Linearise the bulk at each new state and publish the models; never returns."""
@@ -136,7 +136,7 @@ def _run_linearisation(bulk: BulkLinearisation, foresighted: ForesightedLinearis
         while materials:
             number, material = materials.popleft()
             try:
-                foresighted.set_material(material, number)
+                predictive.set_material(material, number)
             except InputError as refused:
                 # No model will have this number, so the status in the parent is LATE until the next change.
                 print(f"the bulk keeps its material: {refused}", file=sys.stderr, flush=True)
@@ -146,14 +146,14 @@ def _run_linearisation(bulk: BulkLinearisation, foresighted: ForesightedLinearis
             continue
         began = time.monotonic()
         seen, content = newest
-        model = foresighted.linearise(ContactState.unpacked(np.frombuffer(content)), lead, serves)
+        model = predictive.linearise(ContactState.unpack(np.frombuffer(content)), lead, serves)
         if model is None:
             time.sleep(_NAP)  # no linearisation at this state: wait for the next state
             continue
-        (models if model.is_whole else corrections).write(model.packed().tobytes())
+        (models if model.has_own_tangent else corrections).write(model.pack().tobytes())
         now = time.monotonic()
-        lead = LEAD * (now - began)
-        if model.is_whole:
+        lead = LEAD_FACTOR * (now - began)
+        if model.has_own_tangent:
             # A tangent is used until the next one is finished, whose computation begins when this one is published.
             changed, serves = now, 2.0 * (now - changed)
         if now - shown > _SHOW_EVERY:

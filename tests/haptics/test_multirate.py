@@ -218,7 +218,7 @@ def test_solvers_with_a_bulk_take_two_rates():
 
 def test_what_the_bulk_refuses_is_said_where_it_is_made():
     tissue = MultiRateTissue(model(friction_base=0.3), mesh=MESH)
-    with pytest.raises(ts.InputError, match="would not hold the bulk"):
+    with pytest.raises(ts.InputError, match="a base that slides or lifts off would not hold the bulk"):
         tissue.warm_up()
     tissue.close()
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.fem.condensed.foresight import ForesightedLinearisation
-from tissue_sim.fem.condensed.model import CondensedContact, ContactState, packed_size, packed_state_size
+from tissue_sim.fem.condensed.model import CondensedContact, ContactState, max_packed_size, packed_state_size
+from tissue_sim.fem.condensed.predictive_linearisation import PredictiveLinearisation
 from tissue_sim.fem.condensed.stepper import CondensedStepper
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLinearisation
@@ -41,7 +41,7 @@ def turned(angle):
 def settle(bulk, stepper, pose, time, times=5):
     """Linearise where the tool is until nothing changes; the last step."""
     for _ in range(times):
-        stepper.adopt(bulk.linearise(stepper.state(time, pose, time, pose)))
+        stepper.set_model(bulk.linearise(stepper.state(time, pose, time, pose)))
         step = stepper.step(pose, exact=True)
         assert step.converged
     return step
@@ -74,7 +74,7 @@ def test_the_stiffness_is_the_derivative_of_the_wrench_on_one_model():
     for axis in range(3):
         wrenches = []
         for sign in (1.0, -1.0):
-            stepper.take(state)
+            stepper.load_state(state)
             moved = list(pose.position)
             moved[axis] += sign * h
             wrenches.append(np.array(stepper.step(Pose(tuple(moved)), exact=True).wrench))
@@ -93,15 +93,15 @@ def test_a_drag_with_lift_off_and_touch_is_that_of_the_whole_solid():
     poses = [pose for start, end in pairwise(way)
              for pose in drag(start, end, round(20 * np.linalg.norm(np.subtract(end, start))))]
     bulk, stepper = two_rates()
-    foresighted, solver = ForesightedLinearisation(bulk), make_solver(model(), mesh=MESH)
-    stepper.adopt(foresighted.linearise(stepper.state(0.0, poses[0], 0.0, poses[0]), 0.0, 0.0))
+    predictive, solver = PredictiveLinearisation(bulk), make_solver(model(), mesh=MESH)
+    stepper.set_model(predictive.linearise(stepper.state(0.0, poses[0], 0.0, poses[0]), 0.0, 0.0))
     coming, found, exact = None, [], []
     for tick, pose in enumerate(poses):
         if tick % 8 == 0:
             if coming is not None:
-                stepper.adopt(coming)
+                stepper.set_model(coming)
             before = max(0, tick - 8)
-            coming = foresighted.linearise(stepper.state(1e-3 * tick, pose, 1e-3 * before, poses[before]), 8e-3, 16e-3)
+            coming = predictive.linearise(stepper.state(1e-3 * tick, pose, 1e-3 * before, poses[before]), 8e-3, 16e-3)
         step = stepper.step(pose)
         assert step.converged
         if tick % 4 == 0:
@@ -123,7 +123,7 @@ def test_sliding_friction_is_on_the_cone():
     bulk, stepper = two_rates()
     for tick, pose in enumerate(drag((0, 0, 0), (0, 0, -1.5), 30) + drag((0, 0, -1.5), (4, 0, -1.5), 80)):
         if tick % 5 == 0:
-            stepper.adopt(bulk.linearise(stepper.state(1e-3 * tick, pose, 1e-3 * tick, pose)))
+            stepper.set_model(bulk.linearise(stepper.state(1e-3 * tick, pose, 1e-3 * tick, pose)))
         step = stepper.step(pose)
     nodes = np.abs(stepper.forces).sum(axis=1) > 0.0
     assert step.slipping == step.pressed == nodes.sum()
@@ -135,17 +135,17 @@ def test_models_and_states_travel_as_numbers():
     bulk, stepper = two_rates()
     pose = Pose((1e-3, 0.0, -1e-3))
     first = bulk.linearise(stepper.state(0.0, pose, 0.0, pose))
-    stepper.adopt(first)
+    stepper.set_model(first)
     stepper.step(pose)
     state = stepper.state(0.25, pose, 0.2, Pose((0.0, 0.0, 0.0)), epoch=0)
-    packed = state.packed()
-    again = ContactState.unpacked(packed)
+    packed = state.pack()
+    again = ContactState.unpack(packed)
     assert packed.size == packed_state_size(bulk.surface) and (again.model, again.time, again.before) == (
         1, 0.25, Pose((0.0, 0.0, 0.0)))
     model = bulk.linearise(again)
-    assert model.packed().size <= packed_size(bulk.surface)
-    copy = CondensedContact.unpacked(model.packed())
-    for name in ("nodes", "middle", "compliance", "drive", "wrench", "stiffness"):
+    assert model.pack().size <= max_packed_size(bulk.surface)
+    copy = CondensedContact.unpack(model.pack())
+    for name in ("nodes", "free_displacement", "compliance", "tool_coupling", "wrench", "stiffness"):
         np.testing.assert_array_equal(getattr(copy, name), getattr(model, name))
     assert (copy.number, copy.pose, copy.reach) == (2, pose, model.reach)
 
@@ -154,18 +154,18 @@ def test_a_state_of_another_model_waits_and_an_untouched_one_begins_again():
     bulk, stepper = two_rates()
     pose = Pose((0.0, 0.0, -1e-3))
     rest = bulk.linearise(stepper.state(0.0, pose, 0.0, pose))
-    stepper.adopt(rest)
+    stepper.set_model(rest)
     stepper.step(pose)
     state = stepper.state(0.0, pose, 0.0, pose)
     assert bulk.linearise(replace(state, model=7)) is None
     assert bulk.linearise(state).number == 2
     again = bulk.linearise(replace(state, model=0, epoch=1, forces=np.zeros_like(state.forces)))
-    np.testing.assert_allclose(again.middle, rest.middle, atol=1e-12)
+    np.testing.assert_allclose(again.free_displacement, rest.free_displacement, atol=1e-12)
     assert again.epoch == 1
 
 
 def test_a_specimen_that_nothing_holds_is_refused():
-    with pytest.raises(ts.InputError, match="would not hold the bulk"):
+    with pytest.raises(ts.InputError, match="a base that slides or lifts off would not hold the bulk"):
         two_rates(friction_base=0.3)
 
 
@@ -179,18 +179,18 @@ def test_no_node_is_left_in_the_tool_where_tissue_becomes_softer_at_once(frictio
         there, pose = Pose((2e-4, 0.0, -depth)), Pose((2e-4 + depth, 0.0, -depth))
         settle(bulk, stepper, there, 0.0)
         last, other = stepper.model, CondensedStepper(bulk.surface)
-        other.adopt(last)
-        other.take(stepper.state(0.0, there, 0.0, there))
+        other.set_model(last)
+        other.load_state(stepper.state(0.0, there, 0.0, there))
         assert other.step(pose).converged
-        other.adopt(replace(last, number=10**6, base=10**6, compliance=softer * last.compliance,
+        other.set_model(replace(last, number=10**6, base=10**6, compliance=softer * last.compliance,
                             modulus=last.modulus / softer))
         step = other.step(pose)
         assert step.converged and step.pressed > 0
         forces = other.forces[last.nodes]
-        u = last.middle - softer * (last.compliance @ forces.ravel()).reshape(-1, 3)
+        u = last.free_displacement - softer * (last.compliance @ forces.ravel()).reshape(-1, 3)
         x, y, z = pose.position
-        middle = x, y, z + bulk.surface.datum + TIP.radius
-        gaps = np.linalg.norm(bulk.surface.places[last.nodes] + u - middle, axis=1) - TIP.radius
+        centre = x, y, z + bulk.surface.datum + TIP.radius
+        gaps = np.linalg.norm(bulk.surface.places[last.nodes] + u - centre, axis=1) - TIP.radius
         assert gaps.min() > -2.0 * bulk.surface.tolerance
         np.testing.assert_allclose(gaps[forces.any(axis=1)], 0.0, atol=2.0 * bulk.surface.tolerance)
         np.testing.assert_allclose(step.wrench[:3], forces.sum(axis=0), rtol=1e-9, atol=1e-12)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.fem.condensed.model import CondensedContact, packed_size
+from tissue_sim.fem.condensed.model import CondensedContact, max_packed_size
 from tissue_sim.fem.condensed.stepper import CondensedStepper
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLinearisation
@@ -44,7 +44,7 @@ def go(bulk, stepper, pose):
     """One iterate; the step on it."""
     model = bulk.linearise(stepper.state(0.0, pose, 0.0, pose))
     assert model is not None
-    stepper.adopt(model)
+    stepper.set_model(model)
     return stepper.step(pose, exact=True), model
 
 
@@ -55,7 +55,7 @@ def test_iterates_with_a_tangent_of_millimetres_ago_end_at_the_equilibrium(tool,
     start, later = Pose((0.0, 0.0, -1e-3)), Later()
     for _ in range(5):
         go(bulk, stepper, start)
-    bulk.beside = later
+    bulk.executor = later
     _, first = go(bulk, stepper, start)      # its tangent is that of the start, and the next one never comes
     way = np.subtract(end.position, start.position)
     for share in np.linspace(0.1, 1.0, 10):
@@ -71,7 +71,7 @@ def test_iterates_with_a_tangent_of_millimetres_ago_end_at_the_equilibrium(tool,
     # A step with the tangent of now is quicker, and ends there, too.
     later.come = True
     step, model = go(bulk, stepper, end)
-    assert model.is_whole and model.base > first.base
+    assert model.has_own_tangent and model.base > first.base
     np.testing.assert_allclose(step.wrench, exact.wrench, atol=1e-6 * size)
 
 
@@ -79,18 +79,18 @@ def test_what_is_not_whole_travels_without_its_tangent():
     bulk, stepper, _ = two_rates(TIP, 0.3)
     pose = Pose((0.0, 0.0, -1e-3))
     _, whole = go(bulk, stepper, pose)
-    bulk.beside = Later()
+    bulk.executor = Later()
     go(bulk, stepper, pose)
     _, model = go(bulk, stepper, pose)
-    assert whole.is_whole and not model.is_whole
-    packed = model.packed()
-    assert packed.size <= packed_size(bulk.surface, whole=False) < 0.02 * packed_size(bulk.surface)
-    copy = CondensedContact.unpacked(packed, whole if whole.base == model.base else model)
-    np.testing.assert_array_equal(copy.middle, model.middle)
+    assert whole.has_own_tangent and not model.has_own_tangent
+    packed = model.pack()
+    assert packed.size <= max_packed_size(bulk.surface, whole=False) < 0.02 * max_packed_size(bulk.surface)
+    copy = CondensedContact.unpack(packed, whole if whole.base == model.base else model)
+    np.testing.assert_array_equal(copy.free_displacement, model.free_displacement)
     assert (copy.number, copy.pose, copy.reach) == (model.number, model.pose, model.reach)
     assert copy.compliance.shape == model.compliance.shape
-    assert CondensedContact.unpacked(packed, replace(model, base=model.base + 1)) is None
-    assert CondensedContact.unpacked(packed) is None
+    assert CondensedContact.unpack(packed, replace(model, base=model.base + 1)) is None
+    assert CondensedContact.unpack(packed) is None
 
 
 def five_times(answer):
@@ -104,7 +104,7 @@ def test_a_tangent_that_leads_away_is_not_followed_and_a_new_one_is_made(tool, f
     pose, further = Pose((0.0, 0.0, -1e-3)), Pose((0.0, 0.0, -1.5e-3))
     for _ in range(3):
         go(bulk, stepper, pose)
-    bulk.beside = later = Later()
+    bulk.executor = later = Later()
     go(bulk, stepper, pose)
     tangent = type(bulk._tangent)
     with monkeypatch.context() as patch:
@@ -116,7 +116,7 @@ def test_a_tangent_that_leads_away_is_not_followed_and_a_new_one_is_made(tool, f
         np.testing.assert_array_equal(array, kept)
     later.come = True
     step, model = go(bulk, stepper, further)
-    assert model.is_whole and step.wrench[2] > 0.0
+    assert model.has_own_tangent and step.wrench[2] > 0.0
 
 
 def test_tissue_that_no_tangent_is_found_for_begins_again_from_rest(monkeypatch):
@@ -135,8 +135,8 @@ def test_tissue_that_no_tangent_is_found_for_begins_again_from_rest(monkeypatch)
         patch.setattr(Tissue, "assemble", fails)
         assert bulk.linearise(stepper.state(0.0, pose, 0.0, pose)) is None
         model = bulk.linearise(stepper.state(0.0, pose, 0.0, pose))
-    assert model is not None and model.is_whole and asked[-1] == 0.0
-    stepper.adopt(model)
+    assert model is not None and model.has_own_tangent and asked[-1] == 0.0
+    stepper.set_model(model)
     for _ in range(6):
         step, _ = go(bulk, stepper, pose)
     exact = solver.step(pose, tolerance=1e-9, max_iterations=40)

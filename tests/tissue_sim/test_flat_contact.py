@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from tissue_sim.fem.condensed.flat_contact import FlatContact
-from tissue_sim.fem.condensed.kernel import (
+from tissue_sim.fem.condensed.model import Bond
+from tissue_sim.fem.condensed.tables import (
     LIST_COLUMNS,
     LOCAL_COLUMNS,
     NODE_COLUMNS,
@@ -16,7 +17,6 @@ from tissue_sim.fem.condensed.kernel import (
     Setting,
     StateColumn,
 )
-from tissue_sim.fem.condensed.model import Bond
 
 NODES = 40
 

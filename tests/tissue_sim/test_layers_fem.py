@@ -106,7 +106,7 @@ class TestLayers:
 
     @pytest.mark.parametrize("thickness", [(70e-3,), (40e-3, 40e-3)])
     def test_thicker_than_the_specimen(self, thickness):
-        with pytest.raises(ts.InputError, match="the specimen only 70 mm high"):
+        with pytest.raises(ts.InputError, match="must be thinner in total than the specimen, 70 mm; got"):
             force(tuple(ts.Layer(h, 2.0) for h in thickness))
 
     @pytest.mark.parametrize("layer", [ts.Layer(1e-3, 5.0), ts.Layer(0.5e-3, 20.0)])

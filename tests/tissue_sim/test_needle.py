@@ -222,7 +222,7 @@ class TestBadInput:
         ({"tool": ts.Tool("flat", 8e-3), "friction": "frictionless"}, "sharp edge"),
         ({"tool": ts.Tool("flat", 8e-3), "friction": "0.7"}, "not an interface"),
         ({"tool": ts.Tool("flat", 8e-3), "friction": 70.0}, "not a coefficient of friction"),
-        ({"tool": ts.Tool("flat", 8e-3), "friction_wall": "bonded"}, "use 'stick', 'frictionless' or a coefficient"),
+        ({"tool": ts.Tool("flat", 8e-3), "friction_wall": "bonded"}, "Use 'stick', 'frictionless' or a coefficient"),
         ({"tool": ts.Tool("round", 8e-3)}, "no flat face to be bonded to"),
         ({"adhesion": ts.Adhesion(0.1, 1e-3)}, "never lifts off"),
     ])
@@ -231,7 +231,7 @@ class TestBadInput:
             ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(0.01), **change)
 
     @pytest.mark.parametrize(("arguments", "words"), [
-        (("ball", 8e-3), "unknown tool shape"), (("flat",), "needs a radius"), (("flat", -1.0), "not positive"),
+        (("ball", 8e-3), "unknown tool shape"), (("flat",), "needs a radius"), (("flat", -1.0), "positive length"),
         (("flat", 8e-3, 8e-3), "less than the radius"), (("plate", 8e-3), "covers the whole top"),
     ])
     def test_tool(self, arguments, words):

@@ -94,11 +94,11 @@ def test_last_factor_or_exact_tangent(options, monkeypatch):
         refined.append(done(self))
         return refined[-1]
 
-    done = sensitivity.Sensitivity._refined
-    monkeypatch.setattr(sensitivity.Sensitivity, "_refined", solves)
+    done = sensitivity.Sensitivity._refine_iteratively
+    monkeypatch.setattr(sensitivity.Sensitivity, "_refine_iteratively", solves)
     for few in (4, 0):
-        monkeypatch.setattr(sensitivity, "FEW", few)
-        monkeypatch.setattr(sensitivity, "FEW_OF_SLIP", few)
+        monkeypatch.setattr(sensitivity, "MAX_REFINED", few)
+        monkeypatch.setattr(sensitivity, "MAX_REFINED_SLIP", few)
         answers.append(ts.sensitivities(model, ["C10", "C20"]).values)
     assert any(refined)
     np.testing.assert_allclose(*answers, rtol=0, atol=1e-8 * abs(answers[1]).max(axis=0).min())
@@ -207,7 +207,7 @@ def test_the_absent_value_of_a_softening():
 
 @pytest.mark.parametrize(("name", "words"), [
     ("C11", "did you mean 'C10'"), ("experiment.tool.colour", "unknown parameter"),
-    ("softening.loss", "unknown parameter"), ("experiment.friction", "not a number")])
+    ("softening.loss", "unknown parameter"), ("experiment.friction", "must be a number to be changed")])
 def test_unknown_names(name, words):
     with pytest.raises(ts.InputError, match=words):
         ts.sensitivities(ts.Model(experiment(), elastic()), [name])

@@ -255,7 +255,7 @@ def test_parameters_change_without_compiling(sim, monkeypatch):
 
 def test_thickness_of_a_layer_is_refused():
     sim = simulator(*CASES["heavy, layered, softening"])
-    with pytest.raises(ts.InputError, match="make another simulator"):
+    with pytest.raises(ts.InputError, match="must keep the thickness of the layers"):
         sim.set_parameters(**{"layers[0].thickness": 5.0})
 
 

@@ -1,13 +1,15 @@
-"""Elements as Taichi functions: stresses to forces and tangent, scatter of the stiffness into the band matrix.
+"""Mixed displacement-pressure elements as Taichi functions: nodal forces, stiffness, assembly of the band matrix.
 
-Eight elements at a time, one in each lane of the vectors: Taichi keeps the lanes of a vector next to each other, and
-the compiler makes one instruction of them. It can tell so only where the place of a vector is a plain variable
-(``array[i]``, not ``array[i + 1]``) or where the vector stands in a Taichi field; that is why there are so many arrays.
+The potential of an element is the integral of W(F J^(-1/3)) + p (J - 1) - p^2 / (2 K) with a discontinuous pressure
+p = sum of p_m phi_m. Its stationarity gives the nodal forces f = integral of P : grad N with P = dW/dF + p dJ/dF, and
+J - 1 = p / K in the mean over each mode (one mode: mean dilatation; Simo, Taylor and Pister, Comput. Methods Appl.
+Mech. Eng. 51 (1985) 177, for U(J) = K/2 (J - 1)^2). The pressure is an unknown of Newton's method that is eliminated
+element by element from the linearised equations (`condensation`); with p = K (v/V - 1) inserted before the
+linearisation, the tangent becomes indefinite at the first large step. The interior node is eliminated likewise.
 
-A discontinuous pressure per element enforces J - 1 = p / K in the mean (one mode: mean dilatation; Simo, Taylor and
-Pister, CMAME 51 (1985) 177, for U(J) = K/2 (J - 1)^2). The pressure is a Newton unknown of its own, eliminated element
-by element from the linearised equations (`condensation`): slaved to the volume, p = K (v/V - 1), it makes the tangent
-indefinite at the first large step. The interior node is eliminated likewise.
+A batch of `LANES` elements is evaluated at once, one element in each lane of SIMD vectors. The compiler generates
+vector instructions only if the index of a vector is a plain variable (``array[i]``, not ``array[i + 1]``) or if the
+vector is an entry of a Taichi field; therefore the functions have many array arguments.
 """
 
 from functools import cache
@@ -38,7 +40,7 @@ class ElementFunctions(NamedTuple):
 @cache
 def element_functions(element_name: str, energy: KernelEnergy,
                       effects: tuple[Formula, ...] = ()) -> ElementFunctions:
-    """See the functions themselves; they are to be called in this order for each batch b."""
+    """Return the element functions of an element type and a law, to be called in this order for each batch b."""
     ti = initialise()
     element = ELEMENTS[element_name]
     nodes, nb, modes = element.nodes, element.boundary_nodes, element.pressure_modes
@@ -56,10 +58,10 @@ def element_functions(element_name: str, energy: KernelEnergy,
     UR, UZ, FR, FZ, SR, SZ = (AT[name] for name in ("UR", "UZ", "FR", "FZ", "SR", "SZ"))
     PRESSURE, GAP, VR, VZ, STRESS = (AT[name] for name in ("PRESSURE", "GAP", "VR", "VZ", "STRESS"))
     TANGENT, COFACTOR, MODE, RATE, CENTRE = (AT[name] for name in ("TANGENT", "COFACTOR", "MODE", "RATE", "CENTRE"))
-    # The tangent's rows that meet an r freedom (rR, rZ, hoop) and a z freedom (zR, zZ).
+    # Displacements along r have the components rR, rZ and hoop, displacements along z the components zR and zZ.
     row = point.PLACE
 
-    # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi, four times slower here.
+    # Arrays are updated by `a = a + b`, because `a += b` is an atomic operation in Taichi, four times slower here.
 
     @ti.func
     def gather(values: ti.template(), places: ti.template(), i):
@@ -70,7 +72,7 @@ def element_functions(element_name: str, energy: KernelEnergy,
                  moduli: ti.template(), coefficients: ti.template(), past: ti.template(), inherited: ti.template(),
                  largest: ti.template(), stresses: ti.template(), energies: ti.template(),
                  effect_settings: ti.template(), states: ti.template(), states_found: ti.template()):
-        """Note stress, tangent and dJ/dF of a point, times its weight."""
+        """Store stress, tangent and dJ/dF of a quadrature point, times its weight."""
         root = inverse_root(ti.max(J, 1e-6))
         W, P, A = (with_tangent if ti.static(tangents) else without)(F, root, coefficients)
         if ti.static(tangents):
@@ -133,11 +135,11 @@ def element_functions(element_name: str, energy: KernelEnergy,
                   stresses: ti.template(), energies: ti.template(), effect_settings: ti.template(),
                   states: ti.template(), states_found: ti.template(), volume_r: ti.template(), volume_z: ti.template(),
                   gap: ti.template()):
-        """Forces of all nodes, with the pressure's share of what the volume still misses; returns the smallest J.
+        """Compute the forces of all nodes with the pressure increment of the volume residual; return the smallest J.
 
-        Where the tissue `remembers`, `past` holds how it does, `inherited` what is left of earlier stresses and
-        `largest` the largest energy of each point; its stress and energy now go to `stresses` and `energies`. The
-        memory of added effects is in `states`, and what becomes of it goes to `states_found`.
+        For tissue with memory (`remembers`), `past` contains the parameters of the memory, `inherited` the inherited
+        stresses and `largest` the largest energy of each point; the present stresses and energies are written to
+        `stresses` and `energies`. `states` is the memory of the effects, `states_found` its new value.
         """
         for a in range(nodes):
             i = b * nodes + a
@@ -158,7 +160,7 @@ def element_functions(element_name: str, energy: KernelEnergy,
                 h2 = h2 + uz * gr
                 h3 = h3 + uz * gz
                 h4 = h4 + ur * gh
-            # J - 1 from the displacement gradient: nothing is lost to the 1 when K/mu multiplies it.
+            # J - 1 is computed from the displacement gradient, without cancellation, because K/mu multiplies it.
             area = h0 + h3 + h0 * h3 - h1 * h2
             dilation = area + h4 + area * h4
             least = ti.min(least, ti.min(1.0 + dilation, 1.0 + h4))
@@ -169,7 +171,7 @@ def element_functions(element_name: str, energy: KernelEnergy,
                 p = p + phi * s[PRESSURE + m]
                 s[GAP + m] = s[GAP + m] + weights[b * points + q] * phi * dilation
             F = [1.0 + h0, h1, h2, 1.0 + h3, 1.0 + h4]
-            # Twice the code is twice the time to compile: what has a history always gets its tangent, too.
+            # Tissue with memory always gets a tangent: a variant without it would double the compile time.
             if tangent == 1 or remembers == 1:
                 at_point(b, q, F, 1.0 + dilation, p, remembers, True, elements, weights, moduli, coefficients, past,
                          inherited, largest, stresses, energies, effect_settings, states, states_found)
@@ -207,15 +209,14 @@ def element_functions(element_name: str, energy: KernelEnergy,
 
     @ti.func
     def add_weight(b, weight, volumes: ti.template()):
-        """Subtract the nodal forces of self-weight, which pulls towards -z."""
+        """Add the nodal forces of the weight, which acts towards -z, to the internal forces."""
         for a in range(nodes):
             i = b * nodes + a
             s[FZ + a] = s[FZ + a] + weight * volumes[i]
 
     @ti.func
     def add_inertia(b, inertia, density, volumes: ti.template(), dofs: ti.template(), rest: ti.template()):
-        """Inertial force of the interior node: its mass times `inertia` (1/s2) times its way from where it would have
-        gone by itself."""
+        """Add the inertial force of the interior node: mass times `inertia` (1/s2) times displacement from `rest`."""
         if ti.static(has_centre):
             i = b * nodes + centre
             mass = density * inertia * volumes[i]
@@ -225,7 +226,7 @@ def element_functions(element_name: str, energy: KernelEnergy,
 
     @ti.func
     def rate_of(c, b, gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template()):
-        """Note the stress rates of an r (0 to 4) and of a z motion (5 to 9) of one node at every point."""
+        """Store the stress increments at every point for a displacement of a node along r (0 to 4) and z (5 to 9)."""
         for q in range(points):
             g = (b * points + q) * nodes + c
             x, y, h = gradient_r[g], gradient_z[g], value_r[g]
@@ -240,7 +241,7 @@ def element_functions(element_name: str, energy: KernelEnergy,
     @ti.func
     def pair(c, a, b, kappa, moduli: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(),
              value_r: ti.template()):
-        """Forces on node a, rr, zr, rz, zz, for the motion of node c, whose rates are noted."""
+        """Return the stiffness rr, zr, rz, zz of node a for displacements of node c, from the stress increments."""
         k0, k1, k2, k3 = vec(0.0), vec(0.0), vec(0.0), vec(0.0)
         for q in range(points):
             g = (b * points + q) * nodes + a
@@ -265,10 +266,10 @@ def element_functions(element_name: str, energy: KernelEnergy,
                 k_zz: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
                 rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(),
                 inverse_zz: ti.template()):
-        """Stiffness of all pairs of shared nodes, the interior node eliminated; returns 0 where that one's own block
-        is not positive definite.
+        """Compute the stiffness of all pairs of shared nodes with the interior node eliminated.
 
-        Where a motion is still to come (`pending`; `step`) its forces are added.
+        If a motion `step` of the prescribed nodes is still to be made (`pending`), its forces are added. Returns 0 if
+        the block of an interior node is not positive definite, otherwise 1.
         """
         good = 1
         if pending == 1:
@@ -324,7 +325,7 @@ def element_functions(element_name: str, energy: KernelEnergy,
     @ti.func
     def scatter_stiffness(b, places: ti.template(), stiffness: ti.template(), flat: ti.template(),
                           starts: ti.template(), pulls: ti.template(), factors: ti.template(), pull: ti.template()):
-        """Add the stiffness of a batch to the band matrix, and to the forces of what moves with the tool."""
+        """Add the stiffness of a batch to the band matrix and to the forces of nodes that move with the tool."""
         for i in range(4 * pairs * LANES):
             at = places[b, i]
             flat[at] = flat[at] + stiffness[i]

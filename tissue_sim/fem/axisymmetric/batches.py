@@ -1,4 +1,4 @@
-"""The elements of a mesh a few at a time, as the arrays that the kernels work on."""
+"""Elements of a mesh in batches of SIMD lanes, as packed arrays for the kernels."""
 
 from __future__ import annotations
 
@@ -7,37 +7,55 @@ import numpy as np
 from tissue_sim.fem.linear import band
 from tissue_sim.mesh import Mesh
 
-#: Elements that a kernel works on at once, one in each lane of its vectors. Eight, the width of AVX-512, are no faster
-#: where a processor has it, slower on others, and take half as long again to compile (docs/performance.md).
+#: Number of elements in a batch, one in each lane of a SIMD vector. Eight lanes (AVX-512) are no faster on processors
+#: with AVX-512, slower on others, and take 1.5 times as long to compile (docs/performance.md).
 LANES = 4
 
 
 class ElementBatches:
-    """Lane l of batch b is element LANES b + l; lanes that are left over repeat the last element and write nowhere.
+    """Elements in batches: lane l of batch b is element LANES b + l.
 
-    Arrays of vectors have one row of `LANES` numbers for each batch times whatever stands in brackets; pairs are those
-    of shared nodes (c, a), a <= c, at place c (c + 1) / 2 + a.
+    Surplus lanes of the last batch repeat the last element and write to an unused entry. Arrays of vectors have one row
+    of `LANES` numbers for each batch and each combination of the axes in brackets. Pairs are pairs (c, a), a <= c, of
+    shared nodes, with index c (c + 1) / 2 + a.
 
     Attributes:
-        elements: their numbers; real: 1, or 0 in a lane that is left over; moduli, in units of the law's.
-        dofs: first freedom of each node [nodes]; equations: of r, then of z [shared nodes], into the residual, whose
-            last entry is nobody's.
-        gradients: of the shape functions along r and z, and value over r, three arrays [points, nodes].
-        weights: [points]; modes: of the pressure [points, modes]; volumes: of the nodes, m3 [nodes].
-        places: of the stiffness of each pair in the flattened band matrix, rr, zr, rz, zz, shape (batches, 4 pairs
-            LANES); its last entry is nobody's.
-        pulls: number of the first of each batch, and rows (target, place of the stiffness): the forces of what moves
-            with the tool. Targets are the equations, and the last one what meets itself; `pull_factors` multiply.
-        stiffness: of one batch's pairs, rr, zr, rz, zz, [pairs] each.
-        volume: dV/du of each pressure mode along r and along z [modes, nodes]; gap: what the volume differs from what
-            the pressure asks for [modes]; known_volume: dV/du that the matrix holds.
-        centre_rows: motion of the interior node for one of the shared nodes, sign turned, rr, rz, zr, zz [shared
-            nodes]; centre_inverse: of its own block, rr, rz, zz; centre_force: its motion for its forces, r, z.
+        elements: element numbers.
+        real: 1, or 0 in surplus lanes.
+        moduli: moduli in units of the material's modulus.
+        dofs: first degree of freedom of each node [nodes].
+        equations: indices into the residual for r and for z [shared nodes]; the last entry of the residual is unused.
+        gradients: derivatives of the shape functions along r and z, and shape functions over r [points, nodes].
+        weights: volumes of the quadrature points, m3 [points].
+        modes: pressure modes [points, modes].
+        volumes: integrals of the shape functions, m3 [nodes].
+        places: indices of the stiffness of each pair (rr, zr, rz, zz) in the flattened band matrix, shape (batches,
+            4 pairs LANES); the last entry of the band matrix is unused.
+        pull_starts: index of the first row of `pulls` of each batch.
+        pulls: rows (target, index of the stiffness) for the forces caused by nodes that move with the tool. The target
+            is an equation, or the last entry for the force on the moving nodes themselves.
+        pull_factors: factors of these stiffnesses.
+        stiffness: stiffness of the pairs of one batch, rr, zr, rz, zz [pairs] each, N/m.
+        volume: derivative of the volume of each pressure mode with respect to the displacements along r and z [modes,
+            nodes].
+        gap: residual of the volume constraint (volume change minus pressure over bulk modulus) [modes].
+        known_volume: `volume` as contained in the factorised matrix.
+        centre_rows: minus the displacement of the interior node per displacement of the shared nodes, rr, rz, zr, zz
+            [shared nodes].
+        centre_inverse: inverse of the stiffness block of the interior node, rr, rz, zz, m/N.
+        centre_force: this inverse times the force on the interior node, r, z, m.
     """
 
     def __init__(self, mesh: Mesh, gradients: np.ndarray, weights: np.ndarray, modes: np.ndarray, volumes: np.ndarray):
-        """Args: gradients (elements, q, nodes, 3), weights (elements, q), modes (elements, q, m), volumes (elements,
-        nodes)."""
+        """Pack the elements of a mesh.
+
+        Args:
+            mesh: undeformed mesh.
+            gradients: see `Reference.node_gradients`, shape (elements, q, nodes, 3).
+            weights: volumes of the quadrature points, m3, shape (elements, q).
+            modes: pressure modes, shape (elements, q, m).
+            volumes: integrals of the shape functions, m3, shape (elements, nodes).
+        """
         count, nodes = mesh.connectivity.shape
         shared = mesh.element.boundary_nodes
         pairs = shared * (shared + 1) // 2
@@ -59,19 +77,19 @@ class ElementBatches:
         self.centre_force = tuple(np.zeros((batches, LANES)) for _ in range(2))
 
     def _lanes(self, values: np.ndarray) -> np.ndarray:
-        """Values of the elements, shape (elements, ...), with the lanes last: (batches times the rest, LANES)."""
+        """Return values of the elements, shape (elements, ...), with lanes last, shape (batches times rest, LANES)."""
         taken = values[self.elements]
         return np.ascontiguousarray(np.moveaxis(taken, 1, -1).reshape(-1, LANES))
 
     def eliminated(self) -> dict[str, np.ndarray]:
-        """Arrays of what is eliminated from each element, by their names in the kernels."""
+        """Return the arrays of the statically condensed unknowns, by their names in the kernels."""
         named = dict(zip(("volume_r", "volume_z"), self.volume, strict=True))
         named |= zip(("known_volume_r", "known_volume_z"), self.known_volume, strict=True)
         named |= zip(("rows_rr", "rows_rz", "rows_zr", "rows_zz"), self.centre_rows, strict=True)
         return named | dict(zip(("inverse_rr", "inverse_rz", "inverse_zz"), self.centre_inverse, strict=True))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All other arrays, by their names in the kernel of a step."""
+        """Return all other arrays, by their names in the kernel of a step."""
         named = {"elements": self.elements, "dofs": self.dofs, "real": self.real, "point_weights": self.weights,
                  "mode_values": self.modes, "volumes": self.volumes, "moduli": self.moduli, "places": self.places,
                  "pull_starts": self.pull_starts, "pulls": self.pulls, "pull_factors": self.pull_factors,
@@ -81,52 +99,64 @@ class ElementBatches:
         named |= zip(("k_rr", "k_zr", "k_rz", "k_zz"), np.split(self.stiffness, 4), strict=True)
         return named | dict(zip(("force_r", "force_z"), self.centre_force, strict=True))
 
-    def follow_shared(self, way: np.ndarray) -> None:
-        """Fill in how the interior nodes move where the shared ones move so, shape (freedoms,)."""
+    def move_interior_nodes(self, displacement: np.ndarray) -> None:
+        """Set the displacements of the interior nodes that follow from those of the shared nodes.
+
+        Args:
+            displacement: displacements of the degrees of freedom, shape (freedoms,); changed at interior nodes.
+        """
         count, shared = self.count, self.centre_rows[0].shape[0] // self.batches
         dofs = self.dofs.reshape(self.batches, -1, LANES)
         if dofs.shape[1] == shared:
             return
         r = dofs[:, :shared].reshape(-1, LANES)
-        along_r, along_z = way[r], way[r + 1]
+        along_r, along_z = displacement[r], displacement[r + 1]
         rr, rz, zr, zz = self.centre_rows
         inside = dofs[:, shared].reshape(-1)[:count]
-        for place, on_r, on_z in ((inside, rr, rz), (inside + 1, zr, zz)):
+        for target, on_r, on_z in ((inside, rr, rz), (inside + 1, zr, zz)):
             moved = (on_r * along_r + on_z * along_z).reshape(self.batches, shared, LANES).sum(axis=1)
-            way[place] = -moved.reshape(-1)[:count]
+            displacement[target] = -moved.reshape(-1)[:count]
 
     def set_moduli(self, moduli: np.ndarray) -> None:
-        """Moduli of the elements, shape (elements,)."""
+        """Set the moduli of the elements, in units of the material's modulus, shape (elements,)."""
         self.moduli[:] = moduli[self.elements]
 
     def number(self, mesh: Mesh, equation: np.ndarray, free: int, direction: np.ndarray,
                shape: tuple[int, int]) -> None:
-        """Say where everything goes: equation and direction of each freedom, and block rows and width of the band."""
+        """Compute the indices with which kernels add forces and stiffnesses to the residual and the matrix.
+
+        Args:
+            mesh: undeformed mesh.
+            equation: equation of each degree of freedom, shape (freedoms,).
+            free: number of free equations.
+            direction: displacement of each degree of freedom per depth of the tool, shape (freedoms,).
+            shape: number of block rows, and block width, of the band matrix.
+        """
         shared = mesh.element.boundary_nodes
-        nobody = max(shape[0] * band.BLOCK, int(equation.max()) + 1)
+        unused = max(shape[0] * band.BLOCK, int(equation.max()) + 1)
         own = equation.reshape(-1, 2)[mesh.connectivity[:, :shared]]  # (elements, shared, 2)
-        lanes = np.where(self.real[:, :, None, None] > 0, own[self.elements], nobody)
+        lanes = np.where(self.real[:, :, None, None] > 0, own[self.elements], unused)
         self.equations = tuple(np.ascontiguousarray(np.moveaxis(lanes[..., i], 1, -1).reshape(-1, LANES),
                                                     dtype=np.int32) for i in range(2))
         c, a = np.array([(c, a) for c in range(shared) for a in range(c + 1)]).T
-        # Force on a along i for a motion of c along k: rr, zr, rz, zz.
+        # Force on node a along i per displacement of node c along k: rr, zr, rz, zz.
         i, k = np.array([0, 1, 0, 1]), np.array([0, 0, 1, 1])
         rows, columns = own[:, a][:, :, i].swapaxes(1, 2), own[:, c][:, :, k].swapaxes(1, 2)  # (elements, 4, pairs)
-        # Of the block of one node and itself rz is zr once more.
+        # In the diagonal block of a node rz equals zr and is omitted.
         twice = (c == a) & ((i == 0) & (k == 1))[:, None]
-        places = np.where(twice, -1, _band_places(rows, columns, free, shape))
+        places = np.where(twice, -1, _band_indices(rows, columns, free, shape))
         last = shape[0] * shape[1] * band.BLOCK**2
         places = np.where(places < 0, last, places)
         lanes = np.where(self.real[:, :, None, None] > 0, places[self.elements], last)
         self.places = np.ascontiguousarray(np.moveaxis(lanes, 1, -1).reshape(self.batches, -1), dtype=np.int32)
-        self._note_pulls(mesh, own, direction, rows, columns, twice, free)
+        self._number_pulls(mesh, own, direction, rows, columns, twice, free)
 
-    def _note_pulls(self, mesh, own, direction, rows, columns, twice, free) -> None:
-        """Where the stiffness between what moves with the tool and what is free goes, and that within what moves."""
+    def _number_pulls(self, mesh, own, direction, rows, columns, twice, free) -> None:
+        """Compute the rows of `pulls`: stiffness between moving and free nodes, and within the moving nodes."""
         shared = mesh.element.boundary_nodes
-        way = np.zeros(int(own.max()) + 1)
-        way[own] = direction.reshape(-1, 2)[mesh.connectivity[:, :shared]]
-        moved_row, moved_column = way[rows], way[columns]
+        moves = np.zeros(int(own.max()) + 1)
+        moves[own] = direction.reshape(-1, 2)[mesh.connectivity[:, :shared]]
+        moved_row, moved_column = moves[rows], moves[columns]
         found = []
         for row, factor in ((rows, moved_column), (columns, moved_row)):
             found.append(np.where((row < free) & (factor != 0), factor, 0.0))
@@ -147,8 +177,8 @@ class ElementBatches:
         self.pull_factors = np.ascontiguousarray(table[:, 3])
 
 
-def _band_places(rows: np.ndarray, columns: np.ndarray, free: int, shape: tuple[int, int]) -> np.ndarray:
-    """Place of each entry in the flattened lower band, -1 for what is not free."""
+def _band_indices(rows: np.ndarray, columns: np.ndarray, free: int, shape: tuple[int, int]) -> np.ndarray:
+    """Return the index of each entry in the flattened lower band; -1 for equations that are not free."""
     low, high = np.minimum(rows, columns), np.maximum(rows, columns)
     I, J, width = high // band.BLOCK, low // band.BLOCK, shape[1]
     places = ((I * width + J - I + width - 1) * band.BLOCK + low % band.BLOCK) * band.BLOCK + high % band.BLOCK

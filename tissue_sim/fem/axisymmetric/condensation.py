@@ -1,8 +1,12 @@
-"""Static condensation of what elements have to themselves, interior node and pressure, as Taichi functions.
+"""Static condensation of the interior node and the pressure of each element, as Taichi functions.
 
-Where a factor serves again the pressure is eliminated with the rates of the volume that the matrix holds: the iteration
-is then one for displacements and pressures with an earlier tangent, whose error shrinks by a share that does not depend
-on K/mu. With the rates of now what the volumes have become since would be multiplied by K, and balanced by nothing.
+With the volume residual g = v(u) - p / K (per pressure mode) and its derivative B = dv/du, the linearised equations of
+an element, A du + B^T dp = -R and B du - dp / K = -g, give dp = K (g + B du) and the condensed stiffness A + K B^T B
+(mixed displacement-pressure formulation). The interior node is eliminated by its Schur complement.
+
+If a factorisation is reused, the pressure is eliminated with the B of the factorised matrix. The iteration is then a
+modified Newton method for displacements and pressures, whose convergence does not depend on K/mu. With the present B,
+the change of B would be multiplied by K without being in the matrix.
 """
 
 from functools import cache
@@ -15,20 +19,20 @@ from tissue_sim.mesh.elements import ELEMENTS
 
 
 class CondensationFunctions(NamedTuple):
-    """Taichi functions of one element."""
+    """Taichi functions of the static condensation for one element type."""
 
     interior: object
     scatter_force: object
     keep_volume: object
     add_known_volume: object
-    follow: object
-    swell: object
+    move_nodes: object
+    volume_increment: object
     update: object
 
 
 @cache
 def condensation_functions(element_name: str) -> CondensationFunctions:
-    """See the functions themselves."""
+    """Return the condensation functions of an element type."""
     ti = initialise()
     element = ELEMENTS[element_name]
     nodes, nb, modes = element.nodes, element.boundary_nodes, element.pressure_modes
@@ -41,13 +45,13 @@ def condensation_functions(element_name: str) -> CondensationFunctions:
     def gather(values: ti.template(), places: ti.template(), i):
         return ti.Vector([values[places[i, l]] for l in ti.static(range(LANES))])
 
-    # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi, four times slower here.
+    # Arrays are updated by `a = a + b`, because `a += b` is an atomic operation in Taichi, four times slower here.
 
     @ti.func
     def interior(b, real: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
                  rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(),
                  inverse_zz: ti.template(), force_r: ti.template(), force_z: ti.template()):
-        """Eliminate the interior node's forces; returns the sum of their squares."""
+        """Eliminate the force on the interior node from the forces of the shared nodes; return its square, summed."""
         squares = 0.0
         if ti.static(has_centre):
             f0, f1 = s[FR + centre], s[FZ + centre]
@@ -61,7 +65,7 @@ def condensation_functions(element_name: str) -> CondensationFunctions:
 
     @ti.func
     def scatter_force(b, equations_r: ti.template(), equations_z: ti.template(), residual: ti.template()):
-        """Add the forces of the shared nodes to the residual."""
+        """Add the forces of the shared nodes to the global residual."""
         for a in range(nb):
             at = b * nb + a
             fr, fz = s[FR + a], s[FZ + a]
@@ -72,7 +76,7 @@ def condensation_functions(element_name: str) -> CondensationFunctions:
     @ti.func
     def keep_volume(b, volume_r: ti.template(), volume_z: ti.template(), known_r: ti.template(),
                     known_z: ti.template()):
-        """Note how the volume follows the nodes where the stiffness is that of now."""
+        """Store the volume derivatives of the tangent that is about to be factorised."""
         for i in range(modes * nodes):
             at = b * modes * nodes + i
             known_r[at], known_z[at] = volume_r[at], volume_z[at]
@@ -84,8 +88,7 @@ def condensation_functions(element_name: str) -> CondensationFunctions:
                          rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(),
                          inverse_zz: ti.template(), force_r: ti.template(), force_z: ti.template(),
                          equations_r: ti.template(), equations_z: ti.template(), residual: ti.template()):
-        """Eliminate the pressure with the rates of the volume that the matrix holds instead of those of now: what they
-        have become since would be multiplied by K."""
+        """Correct the residual: eliminate the pressure with the volume derivatives of the factorised matrix."""
         for a in range(nodes):
             s[FR + a], s[FZ + a] = vec(0.0), vec(0.0)
         for m in range(modes):
@@ -102,9 +105,9 @@ def condensation_functions(element_name: str) -> CondensationFunctions:
         scatter_force(b, equations_r, equations_z, residual)
 
     @ti.func
-    def follow(b, step: ti.template(), dofs: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
+    def move_nodes(b, step: ti.template(), dofs: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
                rows_zr: ti.template(), rows_zz: ti.template(), force_r: ti.template(), force_z: ti.template()):
-        """Note the motion of all nodes, that of the interior one after the `step` of the shared ones."""
+        """Store the displacement increments of all nodes; that of the interior node follows from the shared nodes."""
         for a in range(nb):
             i = b * nodes + a
             s[SR + a] = gather(step, dofs, i)
@@ -118,8 +121,8 @@ def condensation_functions(element_name: str) -> CondensationFunctions:
             s[SR + centre], s[SZ + centre] = cr, cz
 
     @ti.func
-    def swell(mode, known_r: ti.template(), known_z: ti.template()):
-        """What the motion noted does to the volume of a pressure mode, by the rates that the matrix holds."""
+    def volume_increment(mode, known_r: ti.template(), known_z: ti.template()):
+        """Return the volume increment of a pressure mode, with the volume derivatives of the factorised matrix."""
         swelling = vec(0.0)
         for a in range(nodes):
             v = mode * nodes + a
@@ -131,8 +134,8 @@ def condensation_functions(element_name: str) -> CondensationFunctions:
                dofs: ti.template(), real: ti.template(), moduli: ti.template(), known_r: ti.template(),
                known_z: ti.template(), gap: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
                rows_zr: ti.template(), rows_zz: ti.template(), force_r: ti.template(), force_z: ti.template()):
-        """Move what was eliminated, interior nodes and pressures, after the `step` of the shared nodes."""
-        follow(b, step, dofs, rows_rr, rows_rz, rows_zr, rows_zz, force_r, force_z)
+        """Update interior nodes and pressures (back substitution) after the `step` of the shared nodes."""
+        move_nodes(b, step, dofs, rows_rr, rows_rz, rows_zr, rows_zz, force_r, force_z)
         if ti.static(has_centre):
             i, cr, cz = b * nodes + centre, s[SR + centre], s[SZ + centre]
             for l in ti.static(range(LANES)):
@@ -141,10 +144,11 @@ def condensation_functions(element_name: str) -> CondensationFunctions:
                     x[dofs[i, l] + 1] = x[dofs[i, l] + 1] + cz[l]
         for m in range(modes):
             at = b * modes + m
-            change = kappa * moduli[b] * (gap[at] + swell(at, known_r, known_z))
+            change = kappa * moduli[b] * (gap[at] + volume_increment(at, known_r, known_z))
             for l in ti.static(range(LANES)):
                 if real[b][l] > 0.0:
                     i = pressures + modes * elements[b, l] + m
                     x[i] = x[i] + change[l]
 
-    return CondensationFunctions(interior, scatter_force, keep_volume, add_known_volume, follow, swell, update)
+    return CondensationFunctions(interior, scatter_force, keep_volume, add_known_volume, move_nodes, volume_increment,
+                                 update)

@@ -1,17 +1,19 @@
-"""Contact forces at points of the surface, as Taichi functions.
+"""Contact forces at points of the surface, as Taichi functions: semismooth Newton method with active sets.
 
-A semismooth Newton iteration, or primal-dual active set (Hintermüller, Ito and Kunisch, SIAM J. Optim. 13 (2002) 865;
-Hüeber and Wohlmuth, Comput. Methods Appl. Mech. Eng. 194 (2005) 3147): the force of a point is an unknown of its own
-beside the displacements, and follows the linear solution as they do. Which points press is decided at each state by
-the sign of their force plus a soft spring times their gap. Deciding by the force of a stiff spring instead goes round
-in circles: the gap that one linear solution leaves, of second order, times that spring exceeds any force.
+The contact forces lambda are unknowns besides the displacements; compression is negative. The active set of each state
+is the set of points with lambda_n + c g < 0, where g is the gap and c an augmentation parameter (primal-dual active
+set: Hintermüller, Ito and Kunisch, SIAM J. Optim. 13 (2002) 865; Hüeber and Wohlmuth, Comput. Methods Appl. Mech. Eng.
+194 (2005) 3147). c must be of the order of the tissue stiffness: with a large penalty stiffness, the gap that remains
+after a linear solve, of second order, times c exceeds any force, and the active set cycles.
 
-The bodies are rigid, so the forces are eliminated point by point, each by a stiff spring whose error the next iteration
-takes away (perturbed Lagrangian); at equilibrium the constraint holds whatever the spring is.
+The bodies are rigid. Each force is eliminated with a penalty stiffness k: lambda <- lambda + k g (augmented
+Lagrangian, perturbed Lagrangian). The next iteration corrects the remaining gap, so that the constraint holds at
+equilibrium for any k.
 
-A point on a face without slip is held where it touched. With friction the tangential force of a point that sticks is
-such an unknown too; one that slips is dragged with mu times the normal force as it is now, which makes the tangent
-unsymmetric.
+Friction is Coulomb's law with return mapping: the trial force is lambda_t + c s, with the slip s from the anchor; a
+point sticks if its norm is at most mu times the normal force, otherwise the tangential force is mu lambda_n in the
+direction of the slip, which makes the tangent unsymmetric. A point on an interface without slip is held where it
+touched.
 """
 
 from functools import cache
@@ -42,7 +44,7 @@ CONE_TOLERANCE = 1e-3
 
 
 class ContactFunctions(NamedTuple):
-    """Taichi functions of contact."""
+    """Taichi functions of the contact forces at points of the surface."""
 
     add_contact: object
     add_missing: object
@@ -53,8 +55,8 @@ class ContactFunctions(NamedTuple):
 
 
 @cache
-def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
-    """See the functions themselves; without `laws` there are contact and friction alone."""
+def contact_functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
+    """Return the contact functions; `laws` are additional tractions, as of adhesion."""
     ti = initialise()
     has_laws, law = bool(laws), law_functions(laws)
     nearest = nearest_function()
@@ -67,34 +69,36 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                     pressed: ti.template(), slip_signs: ti.template(), met: ti.template(), forces: ti.template(),
                     rates: ti.template(), x: ti.template(), target: ti.template(), equation: ti.template(),
                     residual: ti.template()):
-        """Add the contact forces to the residual, and note their rates with the motion of the points and what their
-        constraints still miss.
+        """Add the contact forces to the residual, and store their derivatives and constraint residuals in `rates`.
 
-        States change at the first look at a state only (`changeable`: 0 none, `ALL`, or a number that draws some).
-        What is nearer than `slack` counts as touching. The tool is at `depth`, `lift` takes z into its frame, `move`
-        is what it still has to go down in this step; friction below `negligible` (N) is none. Laws of contact act on
-        what has touched the tool up to their `reach`. Returns the axial force on the tool, the sum of the squares of
-        all forces, the largest violation of the contact conditions, how many points slip, how many changed their state
-        and how many should have but were not drawn.
+        Args (scalars): `changeable`: which points may change their contact state (0: none, `ALL_POINTS`, or a number
+        that selects some); `slack`: gap below which a point counts as touching, m; `pending`: 1 if the motion `move`
+        (m) of the tool is still to be made in this step; `bending`: factor of the surface curvature in the
+        derivatives; `depth`: depth of the tool, m; `lift`: difference between z in the frame of the tool and z, m;
+        `negligible`: friction below this force is neglected, N; `reach`: largest gap at which contact laws act, m.
+
+        Returns the axial force on the tool, the sum of the squares of all forces, the largest violation of a contact
+        condition (m), and the numbers of points that slip, that changed their state, and that should change their
+        state but were not selected.
         """
         axial, squares, violation, slipping, switched, wanting = 0.0, 0.0, 0.0, 0, 0, 0
         for i in range(count):
             moves = float(spans[i, SpanColumn.MOVES])
-            # Travel in the frame of the body: small differences of it are more exact than those of places.
+            # Displacement in the frame of the body; its differences have smaller rounding errors than positions.
             ur, uz = 0.0, moves * lift
             for a in range(shapes.shape[1]):
                 ur += shapes[i, a] * x[2 * nodes[i, a]]
                 uz += shapes[i, a] * x[2 * nodes[i, a] + 1]
             bound = held[i, 0]
-            # A point without slip that has touched but is not held yet stays at the face that it touched: at an edge
-            # another face may be nearer to where it is before the iteration converges.
+            # A point without slip that touched in this step stays at the face that it touched: before convergence
+            # another face may be closer to a point at an edge.
             clings = bound == TOUCHED and friction[i, 0] < 0.0
             gap, nr, nz, curved, line = nearest(places[i, 0] + (held[i, 1] if clings else ur),
                                                 places[i, 1] + (held[i, 2] if clings else uz), i, depth, spans,
                                                 vertices, rounding)
             if clings:
                 gap, curved = (ur - held[i, 1]) * nr + (uz - held[i, 2]) * nz, 0.0
-            # What is rounded belongs to the face.
+            # Rounded edges have the friction of the face.
             mu = friction[i, 0] if curved > 0.0 or line < spans[i, SpanColumn.SHAFT] else friction[i, 1]
             spring = springs[i]
             at = multipliers + 2 * i
@@ -110,7 +114,7 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                 presses = 1.0 if trial < 0.0 or gap < slack or spans[i, SpanColumn.STAYS] == 1 else 0.0
                 if ti.static(not has_laws):
                     if pending == 1 and bound == TOUCHED and mu != 0.0:
-                        # The tool is about to reach it.
+                        # The tool is about to reach the point.
                         presses = 1.0
                 if presses != pressed[i]:
                     if drawn:
@@ -120,7 +124,7 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                         wanting += 1
             met[i, 0] = FREE
             if mu > 0.0 and gap <= 1e-3 * tolerance:
-                # It touches, with or without force.
+                # The point touches, with or without force.
                 met[i, 0], met[i, 1], met[i, 2] = TOUCHED, ur - gap * nr, uz - gap * nz
                 if bound == TOUCHED:
                     met[i, 1], met[i, 2] = held[i, 1], held[i, 2]
@@ -134,14 +138,14 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                 tr, tz = -nz, nr
                 fr, fz = normal * nr, normal * nz
                 missed_r, missed_z = gap * nr, gap * nz
-                # Rates along the normal and the tangent: nn, nt, tn, tt.
+                # Derivatives in the normal-tangential frame: nn, nt, tn, tt.
                 nn, nt, tn, tt = spring, 0.0, 0.0, bending * normal * curved
                 violation = ti.max(violation, ti.abs(gap))
                 if mu != 0.0:
                     met[i, 0] = HELD if mu < 0.0 else TOUCHED
                     met[i, 1], met[i, 2] = ur - gap * nr, uz - gap * nz
-                # Friction too small to count would only chatter. A point without slip that has touched but is not held
-                # yet sticks from the beginning of the increment.
+                # Negligible friction would alternate between stick and slip. A point without slip that touched in this
+                # step sticks from the beginning of the increment.
                 weighty = mu < 0.0 or mu * ti.max(-trial, 0.0) > negligible or pending == 1
                 if mu != 0.0 and bound == TOUCHED and weighty:
                     acting = ti.max(mu, 0.0)
@@ -150,7 +154,7 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                     way = slip_signs[i]
                     if changeable > 0 and mu > 0.0:
                         tried = drag + AUGMENTATION_FACTOR * spring * slip
-                        # What slips one way has to stick before it slips the other way, else it would jump to and fro.
+                        # A slipping point must stick before it slips in the other direction; otherwise it alternates.
                         if way != 0.0:
                             way = way if way * slip > 0.0 else 0.0
                         elif ti.abs(tried) > mu * ti.max(-trial, 0.0):
@@ -219,7 +223,7 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
             axial += moves * fz
             squares += fr * fr + fz * fz
             if pending == 1:
-                # The way of the tool, and that of nodes which follow it.
+                # Motion of the tool, and of the nodes that move with the tool.
                 pr, pz = 0.0, moves * move
                 for a in range(shapes.shape[1]):
                     dof = 2 * nodes[i, a]
@@ -236,9 +240,11 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
         return axial, squares, violation, slipping, switched, wanting
 
     @ti.func
-    def follow(i, pr, pz, rates: ti.template(), known: ti.template()):
-        """How the force of a point follows its motion and what its constraint missed, by the rates that the matrix
-        holds: any others, of stiff springs, would leave forces that nothing balances."""
+    def force_change(i, pr, pz, rates: ti.template(), known: ti.template()):
+        """Return the change of a point's force for a displacement (pr, pz) and for its constraint residual.
+
+        The derivatives are those in the matrix, because others would leave large unbalanced penalty forces.
+        """
         krr = known[i, KnownRateColumn.RR] - known[i, KnownRateColumn.LAW_RR]
         krz = known[i, KnownRateColumn.RZ] - known[i, KnownRateColumn.LAW_RZ]
         kzr = known[i, KnownRateColumn.ZR] - known[i, KnownRateColumn.LAW_RZ]
@@ -249,9 +255,9 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
     @ti.func
     def add_missing(count, nodes: ti.template(), shapes: ti.template(), rates: ti.template(), known: ti.template(),
                     equation: ti.template(), residual: ti.template()):
-        """Add to the right-hand side of a linear solution what the constraints still miss."""
+        """Add the forces of the constraint residuals to the right-hand side of a linear solve."""
         for i in range(count):
-            fr, fz = follow(i, 0.0, 0.0, rates, known)
+            fr, fz = force_change(i, 0.0, 0.0, rates, known)
             for a in range(shapes.shape[1]):
                 ir, iz = equation[2 * nodes[i, a]], equation[2 * nodes[i, a] + 1]
                 residual[ir] = residual[ir] + shapes[i, a] * fr
@@ -260,13 +266,13 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
     @ti.func
     def update_forces(count, move, multipliers, nodes: ti.template(), shapes: ti.template(), spans: ti.template(),
                       rates: ti.template(), known: ti.template(), motion: ti.template(), x: ti.template()):
-        """Let the forces follow a linear solution, in which the tool went down by `move`."""
+        """Update the contact forces after a linear solve in which the tool moved down by `move`, m."""
         for i in range(count):
             pr, pz = 0.0, float(spans[i, SpanColumn.MOVES]) * move
             for a in range(shapes.shape[1]):
                 pr += shapes[i, a] * motion[2 * nodes[i, a]]
                 pz += shapes[i, a] * motion[2 * nodes[i, a] + 1]
-            fr, fz = follow(i, pr, pz, rates, known)
+            fr, fz = force_change(i, pr, pz, rates, known)
             at = multipliers + 2 * i
             x[at] = x[at] + fr
             x[at + 1] = x[at + 1] + fz
@@ -274,8 +280,10 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
     @ti.func
     def take_off_forces(count, multipliers, nodes: ti.template(), shapes: ti.template(), equation: ti.template(),
                         x: ti.template(), residual: ti.template()):
-        """Take the forces that a linear solution has led to off the residual: it balances them with the tissue, as far
-        as that is linear, so that those which `add_contact` finds leave what is still unbalanced."""
+        """Subtract the present contact forces from the residual.
+
+        The linearised tissue balances these forces, so that the forces of the next `add_contact` leave the residual.
+        """
         for i in range(count):
             at = multipliers + 2 * i
             for a in range(shapes.shape[1]):
@@ -286,8 +294,10 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
     @ti.func
     def release(count, negligible, strength, reach, places: ti.template(), areas: ti.template(), spans: ti.template(),
                 vertices: ti.template(), rounding: ti.template(), held: ti.template(), forces: ti.template()):
-        """Let go of points that are held and pull at an equilibrium, which decides and not the way to it; returns how
-        many there are. Where a tool stands at the first touch all forces are rounding, which is no pull."""
+        """Release held points under tension at an equilibrium; return their number.
+
+        Tension below `negligible` (N) is a rounding error, as at the first touch.
+        """
         released = 0
         for i in range(count):
             if held[i, 0] == HELD and spans[i, SpanColumn.STAYS] == 0:
@@ -300,7 +310,7 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
 
     @ti.func
     def hold(count, held: ti.template(), met: ti.template()):
-        """Bind the points to what they met in this step; returns how many are bound in another way than before."""
+        """Commit the bonds that the points got in this step; return the number of changed bonds."""
         bound = 0
         for i in range(count):
             if held[i, 0] != HELD:

@@ -65,7 +65,7 @@ def _sum(formulas: tuple[Formula[ContactLaw], ...], place: list, settings: list)
         with located(field=f"contact_laws.{formula.kind.name}"):
             found = formula.bind(parameters).traction(gap, pressure, (slip, 0.0), face)
             if not isinstance(found, Traction):
-                raise InputError(f"traction must return a tissue_sim.Traction; got {type(found).__name__}.")
+                raise InputError(f"traction() must return a tissue_sim.Traction; got {type(found).__name__}")
         values = [found.pull, found.drag[0], found.pull_rate, found.drag_rates[0][0]]
         if len(formulas) > 1:
             # Each law ends at its own reach; the contact uses the largest reach.

@@ -1,4 +1,8 @@
-"""Rates of the contact forces in the matrix of a step, as Taichi functions: what has changed of them, and where."""
+"""Assembly of the derivatives of the contact forces in the matrix of a step, as Taichi functions.
+
+Only the derivatives that have changed since the factorisation are added, so that the factorisation can be updated from
+the first changed block row on.
+"""
 
 from functools import cache
 from typing import NamedTuple
@@ -12,7 +16,7 @@ CHANGE_TOLERANCE = 0.01
 
 
 class RateFunctions(NamedTuple):
-    """Taichi functions of the rates of contact."""
+    """Taichi functions of the derivatives of the contact forces."""
 
     forget_rates: object
     first_rows: object
@@ -23,13 +27,13 @@ class RateFunctions(NamedTuple):
 
 @cache
 def rate_functions(slips: bool) -> RateFunctions:
-    """See the functions themselves; without `slips` nothing ever does."""
+    """Return the functions; without `slips` no point can slip and the matrix is symmetric."""
     ti = initialise()
     add_entry, add_any = add_entry_function(), add_any_function()
 
     @ti.func
     def forget_rates(count, known: ti.template()):
-        """The matrix holds none."""
+        """Set the derivatives that the matrix contains to zero."""
         for i in range(count):
             for k in ti.static(range(KNOWN_RATE_COLUMNS)):
                 known[i, k] = 0.0
@@ -44,7 +48,7 @@ def rate_functions(slips: bool) -> RateFunctions:
 
     @ti.func
     def have_changed(count, springs: ti.template(), rates: ti.template(), known: ti.template()):
-        """Whether a point has met or left a body, stuck or slipped, since the matrix was told its rates."""
+        """Return 1 if a derivative differs from that in the matrix: a point touched, separated, stuck or slipped."""
         changed = 0
         for i in range(count):
             changed = ti.max(changed, has_changed(i, springs, rates, known))
@@ -53,7 +57,7 @@ def rate_functions(slips: bool) -> RateFunctions:
     @ti.func
     def first_rows(count, fresh, free, rows, nodes: ti.template(), shapes: ti.template(), springs: ti.template(),
                    slip_signs: ti.template(), rates: ti.template(), known: ti.template(), equation: ti.template()):
-        """First block rows of the matrix that points have to do with which have changed, and which slip."""
+        """Return the first block row of the points that have changed, and of the points that slip."""
         changed, skewed = rows, rows
         for i in range(count):
             first = rows
@@ -72,8 +76,10 @@ def rate_functions(slips: bool) -> RateFunctions:
     def add_rates(count, fresh, unsymmetric, free, width, nodes: ti.template(), shapes: ti.template(),
                   springs: ti.template(), rates: ti.template(), known: ti.template(), equation: ti.template(),
                   entries: ti.template(), upper: ti.template()):
-        """Add to the matrix what has changed of the rates of the contact forces since it was told them, all of them
-        where it is `fresh`; only where points slip it needs its upper half."""
+        """Add the changes of the derivatives of the contact forces to the matrix; all derivatives if it is `fresh`.
+
+        The upper half of the matrix is needed only if points slip.
+        """
         for i in range(count):
             if fresh == 1 or has_changed(i, springs, rates, known) == 1:
                 for a in range(shapes.shape[1]):
@@ -97,12 +103,15 @@ def rate_functions(slips: bool) -> RateFunctions:
     def add_tool_rates(count, free, nodes: ti.template(), shapes: ti.template(), spans: ti.template(),
                        rates: ti.template(), direction: ti.template(), equation: ti.template(), pull: ti.template(),
                        reaction: ti.template()):
-        """Add the rates of the contact forces with the depth of the tool, the tissue held, to `pull`, and those of the
-        force on the tool with the tissue's motion to `reaction`; returns that of the force itself, N/m."""
+        """Add the derivatives of the contact forces with respect to the depth of the tool at fixed tissue to `pull`.
+
+        The derivatives of the force on the tool with respect to the displacements are added to `reaction`. Returns the
+        derivative of the force on the tool with respect to its depth at fixed tissue, N/m.
+        """
         stiff = 0.0
         for i in range(count):
             krz, kzr, kzz = rates[i, RateColumn.RZ], rates[i, RateColumn.ZR], rates[i, RateColumn.ZZ]
-            # How the point moves in the frame of its body when only the tool and what follows it does.
+            # Displacement of the point relative to its body per depth of the tool, with the free nodes fixed.
             apart = float(spans[i, SpanColumn.MOVES])
             for a in range(shapes.shape[1]):
                 if equation[2 * nodes[i, a] + 1] >= free:

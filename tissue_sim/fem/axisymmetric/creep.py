@@ -1,14 +1,16 @@
-"""From one equilibrium to the next where the tissue snaps, or where contact finds no state: it creeps there.
+"""Pseudo-transient continuation with artificial viscous damping, for snap-through and abrupt changes of contact.
 
-Against a drag on every node, as in a viscous fluid, each step is as close to the one before as the drag is large, so
-that there is a solution near by; the drag is let go from step to step, and the last one has none. Pseudo-transient
-continuation (Kelley and Keyes, SIAM J. Numer. Anal. 35 (1998) 508), with the friction of the way that is gone.
+Each step solves R(u) + c V (u - u_0) = 0, where R is the residual of the equilibrium, V the nodal volumes, u_0 the
+state of the last step and c the damping. A large c keeps u close to u_0, so that Newton's iteration converges. The
+damping is reduced from step to step, and the last step has none. Friction follows the path of the damped motion.
+
+Source: Kelley and Keyes, SIAM J. Numer. Anal. 35 (1998) 508.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -18,106 +20,145 @@ from tissue_sim.fem.axisymmetric.predictor import extrapolation
 from tissue_sim.fem.axisymmetric.state import SavedState, State
 from tissue_sim.fem.solver import Step, StepStatus
 
-#: Drag per volume at first, below which it is let go, and which it has again after that, in shear moduli over the
-#: squared height of the specimen.
-_FIRST, _LAST, _AGAIN = 1e4, 1.0, 0.01
-#: How much smaller each drag is than the one before, at most and at least.
-_LARGEST_RATIO, _SMALLEST_RATIO = 10.0, 1.5
-#: That ratio grows by this after a step of so few linear solves, and is halved after one that fails.
-_BOLDER, _FEW = 1.5, 12
-#: Where the first step fails its drag grows by this, and where one fails that has worked before by the other.
-_HARDER, _STIFFER = 100.0, 10.0
-#: After a failure it stays as it is for a step, and for twice as many each time that letting go fails again, up to so
-#: many: what snaps moves a long way, and as long as it does no smaller drag holds it.
-_LONGEST_STAY = 8
-#: A step whose unbalanced forces, over balanced ones, are down to this goes on to so many times its linear solves: what
-#: is left is points that stick or slip.
-_NEAR, _LONGER = 1e-2, 4
-#: Failures in a row, and linear solves in all, after which there is no way.
-_MOST_FAILURES, _MOST_SOLVES = 8, 1000
+
+@dataclass(frozen=True)
+class ContinuationSettings:
+    """Settings of the pseudo-transient continuation.
+
+    Damping is given in shear moduli over the squared height of the specimen.
+
+    Attributes:
+        first_damping: damping of the first step.
+        last_damping: damping below which the next step has none.
+        repeated_damping: smallest damping to which the continuation returns after a failure.
+        max_reduction: largest ratio of the dampings of two successive steps.
+        min_reduction: smallest ratio.
+        reduction_growth: factor of the ratio after a step that converges quickly; a failed step halves the ratio.
+        quick_solves: number of linear solves up to which a step counts as quick.
+        first_increase: factor of the damping after a failure of the first step.
+        increase: factor of the damping after a failure of a step whose damping has already converged once.
+        max_pause: maximum number of steps with constant damping after a failure. The pause doubles at each failure,
+            because tissue that snaps moves a long way during which no smaller damping converges.
+        near_residual: relative residual below which a step may use more linear solves; then only points that change
+            between stick and slip remain.
+        near_factor: factor of the maximum number of linear solves of such a step.
+        max_failures: number of successive failures after which the continuation stops.
+        max_solves: total number of linear solves after which the continuation stops.
+    """
+
+    first_damping: float = 1e4
+    last_damping: float = 1.0
+    repeated_damping: float = 0.01
+    max_reduction: float = 10.0
+    min_reduction: float = 1.5
+    reduction_growth: float = 1.5
+    quick_solves: int = 12
+    first_increase: float = 100.0
+    increase: float = 10.0
+    max_pause: int = 8
+    near_residual: float = 1e-2
+    near_factor: int = 4
+    max_failures: int = 8
+    max_solves: int = 1000
 
 
-class Dragged(Protocol):
-    """What `creep` needs of a solver."""
+#: Settings of every continuation.
+_SETTINGS = ContinuationSettings()
+
+
+class DampedSolver(Protocol):
+    """Part of a solver that `creep` uses."""
 
     equations: Equations
     committed: State
 
     def try_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
                  rate: float, *, resumes: bool = False) -> Step:
-        """A step in which `rate`, N/m4, times its volume draws each freedom to where it rests."""
+        """Solve a step with a damping force: `rate` (N/m4) times nodal volume times displacement from rest."""
 
     def save(self) -> SavedState:
-        """All that a committed step leaves behind."""
+        """Return the committed state."""
 
     def restore(self, saved: SavedState) -> None:
-        """Go back to where `save` was called."""
+        """Return to a saved state."""
 
 
-def creep(solver: Dragged, depth: float, dt: float, tolerance: float, max_iterations: int,
+def creep(solver: DampedSolver, depth: float, dt: float, tolerance: float, max_iterations: int,
           allowed: Callable[[], int] | None = None) -> Generator[Step]:
-    """Steps to a depth, m, in a time dt, s; the last one has converged without drag, or the state is as it was.
+    """Yield the steps of the continuation to a depth; the last one has converged without damping.
 
-    The first one is dragged along with the extrapolated motion of the tissue, the others are dragged from where the
-    one before ended. `Step.dissipated` is what the drag takes. Who closes this on the way is back where it began.
+    The first step is damped towards the extrapolated motion of the tissue, the others towards the last state. If the
+    continuation fails or is closed early, the solver returns to the state in which it began.
+
+    Args:
+        solver: solver with its last committed state.
+        depth: depth of the tool, m.
+        dt: duration of the first step, s; the others take no time.
+        tolerance: relative residual of a converged step.
+        max_iterations: maximum number of linear solves in a step.
+        allowed: function that returns the number of linear solves until the next yield; None: no limit.
+
+    Yields:
+        Steps; `Step.dissipated` is the energy that the damping dissipates, J.
     """
     equations, state = solver.equations, solver.committed
     saved, volumes = solver.save(), equations.all_masses()
-    masses, rest, density = equations.begin_drag()
-    # What the whole specimen feels.
+    masses, rest, density = equations.begin_damping()
+    # Unit of the damping: shear modulus over the squared height of the specimen.
     unit = equations.material.mu0 / float(np.ptp(equations.mesh.nodes[:, 1])) ** 2
-    works = drag = _FIRST * unit
-    ratio, failures, begun, arrived = _LARGEST_RATIO, 0, False, False
-    solved, stay, stays = 0, 0, 1
+    working_damping = damping = _SETTINGS.first_damping * unit
+    ratio, failures, has_begun, has_arrived = _SETTINGS.max_reduction, 0, False, False
+    total_solves, remaining_pause, pause = 0, 0, 1
     try:
-        while failures <= _MOST_FAILURES and solved < _MOST_SOLVES:
-            if begun:
+        while failures <= _SETTINGS.max_failures and total_solves < _SETTINGS.max_solves:
+            if has_begun:
                 rest[:] = state.latest[: rest.size]
             else:
                 weights = extrapolation(state.depths, depth, 1)
                 rest[:] = sum(weight * state.history[slot, : rest.size]
                               for weight, slot in zip(weights, state.slots, strict=True))
             origin = rest.copy()
-            spent, limit, resumes = 0, max_iterations, False
+            step_solves, limit, resumes = 0, max_iterations, False
             while True:
-                left = limit - spent
+                left = limit - step_solves
                 most = left if allowed is None else min(left, allowed())
-                step = solver.try_step(depth, 0.0 if begun else dt, tolerance, most, 0 if begun else 1, drag,
+                step = solver.try_step(depth, 0.0 if has_begun else dt, tolerance, most, 0 if has_begun else 1, damping,
                                        resumes=resumes)
-                spent += max(1, step.iterations)
+                step_solves += max(1, step.iterations)
                 if step.status is StepStatus.SLOW and most == left and limit == max_iterations and (
-                        step.residual <= _NEAR):
-                    limit = _LONGER * max_iterations
+                        step.residual <= _SETTINGS.near_residual):
+                    limit = _SETTINGS.near_factor * max_iterations
                 elif step.status is not StepStatus.SLOW or most == left:
                     break
                 resumes = True
                 yield step
-            solved += spent
+            total_solves += step_solves
             if step.status is StepStatus.CONVERGED:
-                way = state.latest[: rest.size] - origin
-                arrived, begun, works, failures = drag == 0.0, True, max(drag, _AGAIN * unit), 0
-                yield replace(step, dissipated=drag * float(volumes @ way**2))
-                if arrived:
+                displacement = state.latest[: rest.size] - origin
+                has_arrived, has_begun, failures = damping == 0.0, True, 0
+                working_damping = max(damping, _SETTINGS.repeated_damping * unit)
+                yield replace(step, dissipated=damping * float(volumes @ displacement**2))
+                if has_arrived:
                     break
-                if spent <= _FEW:
-                    ratio = min(_LARGEST_RATIO, _BOLDER * ratio)
-                if stay > 0:
-                    stay -= 1
+                if step_solves <= _SETTINGS.quick_solves:
+                    ratio = min(_SETTINGS.max_reduction, _SETTINGS.reduction_growth * ratio)
+                if remaining_pause > 0:
+                    remaining_pause -= 1
                 else:
-                    drag = drag / ratio if drag > _LAST * unit else 0.0
+                    damping = damping / ratio if damping > _SETTINGS.last_damping * unit else 0.0
             else:
                 yield step
                 failures += 1
-                # What has worked does so again from where the tissue is now, nearly always.
-                if not begun or drag >= works:
-                    works = drag * (_STIFFER if begun else _HARDER)
+                # A damping that has converged once nearly always converges again from the present state.
+                if not has_begun or damping >= working_damping:
+                    working_damping = damping * (_SETTINGS.increase if has_begun else _SETTINGS.first_increase)
                 else:
-                    stay, stays = stays, min(2 * stays, _LONGEST_STAY)
-                drag, ratio = works, max(_SMALLEST_RATIO, 0.5 * ratio)
+                    remaining_pause, pause = pause, min(2 * pause, _SETTINGS.max_pause)
+                damping, ratio = working_damping, max(_SETTINGS.min_reduction, 0.5 * ratio)
     finally:
-        equations.end_drag(masses, density)
-        if not arrived:
+        equations.end_damping(masses, density)
+        if not has_arrived:
             solver.restore(saved)
-    if not arrived:
+    if not has_arrived:
         yield replace(step, status=StepStatus.SLOW if step.status is StepStatus.CONVERGED else step.status,
                       iterations=0)

@@ -1,8 +1,8 @@
-"""From an experiment to its mesh and its boundary-value problem."""
+"""Mesh and axisymmetric boundary-value problem of an experiment."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,26 +18,47 @@ from tissue_sim.mesh.elements import Q9P1, Element
 from tissue_sim.model import Model
 from tissue_sim.specimen.cylinder import Cylinder, require_cylinder
 
-#: Elements need not be smaller than this share of a rounded edge, nor larger than this share of the specimen.
-_ROUNDING_SHARE, _SPECIMEN_SHARE = 0.25, 0.17
-#: Where the contact reaches the shoulder of a tip, from this share of its radius on, stresses are those of an edge:
-#: elements are smaller by the next share there, down to the last one of the contact.
-_AT_THE_SHOULDER, _SHOULDER_SHARE, _FINE_ENOUGH = 0.9, 0.4, 0.08
-_HELD = {"bonded": "rz", "frictionless": "z"}
+
+@dataclass(frozen=True)
+class MeshSettings:
+    """Limits of the element sizes.
+
+    Attributes:
+        edge_fraction: smallest useful element size, over the radius of a rounded edge.
+        specimen_fraction: largest element size, over the radius or height of the specimen, whichever is larger.
+        shoulder: contact radius, over the radius of a tip, from which the contact reaches the shoulder of the tip; the
+            stresses there are those of an edge.
+        shoulder_refinement: factor of the smallest element size at a shoulder.
+        shoulder_smallest: smallest element size at a shoulder, over the contact radius.
+    """
+
+    edge_fraction: float = 0.25
+    specimen_fraction: float = 0.17
+    shoulder: float = 0.9
+    shoulder_refinement: float = 0.4
+    shoulder_smallest: float = 0.08
+
+
+#: Settings of every mesh.
+_SETTINGS = MeshSettings()
+#: Interface of the base -> fixed components of its nodes.
+_FIXED_COMPONENTS = {"bonded": "rz", "frictionless": "z"}
 
 
 def build_mesh(experiment: Experiment, resolution: str = "fast", element: Element = Q9P1,
                layers: tuple[Layer, ...] = ()) -> Mesh:
-    """The mesh that a named resolution stands for; a placed specimen is meshed with the height that it says.
+    """Return the mesh of a named resolution.
+
+    A specimen whose height was measured as placed is meshed with that height.
 
     Args:
-        experiment: what is done.
-        resolution: a key of `RESOLUTIONS`, or "realtime".
+        experiment: specimen, tool, interfaces.
+        resolution: key of `RESOLUTIONS`, or "realtime".
         element: element type.
-        layers: of the material; element boundaries lie on their interfaces.
+        layers: layers of the material; element boundaries lie on their interfaces.
 
     Raises:
-        InputError: unknown resolution, or layers thicker than the specimen is high.
+        InputError: the resolution is unknown, or the layers are thicker than the specimen.
     """
     chosen = RESOLUTIONS.get(UNMEASURED.get(resolution, resolution))
     if chosen is None:
@@ -48,8 +69,8 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", element: Elemen
         return mesh
     interfaces = -np.cumsum([layer.thickness for layer in layers])
     if interfaces[-1] <= -experiment.specimen.height:
-        raise InputError(f"the layers are {-interfaces[-1] * 1e3:g} mm thick, the specimen only "
-                         f"{experiment.specimen.height * 1e3:g} mm high", field="layers")
+        raise InputError(f"must be thinner in total than the specimen, {experiment.specimen.height * 1e3:g} mm; got "
+                         f"{-interfaces[-1] * 1e3:g} mm.", field="layers")
     corners = mesh.nodes[mesh.connectivity[:, :4]].reshape(-1, 2)
     r, z = np.unique(corners[:, 0]), np.unique(corners[:, 1])
     layered = structured_mesh(r, with_lines(z, interfaces.tolist(), chosen.layer_elements), element)
@@ -59,18 +80,19 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", element: Elemen
 
 
 def _mesh_of_one_material(experiment: Experiment, resolution: Resolution, element: Element, *, small: bool) -> Mesh:
+    """Return the mesh without layers; `small`: four elements, for a homogeneous deformation."""
     specimen, tool = _cylinder(experiment), experiment.tool
     if small:
-        # Every mesh is exact.
+        # Every mesh is exact for a homogeneous deformation.
         return cylinder_mesh(specimen.radius, specimen.height, (2, 2), element)
-    least = _SPECIMEN_SHARE * max(specimen.radius, specimen.height)
+    upper_limit = _SETTINGS.specimen_fraction * max(specimen.radius, specimen.height)
     if tool.face_radius == 0:
         smallest, largest, growth = resolution.tip
         contact = experiment.contact_radius
-        if tool.profile.shaft and contact >= _AT_THE_SHOULDER * tool.require_radius():
-            smallest = max(_SHOULDER_SHARE * smallest, min(smallest, _FINE_ENOUGH))
+        if tool.profile.shaft and contact >= _SETTINGS.shoulder * tool.require_radius():
+            smallest = max(_SETTINGS.shoulder_refinement * smallest, min(smallest, _SETTINGS.shoulder_smallest))
         return tip_mesh(specimen.radius, specimen.height, contact, element, growth=growth,
-                        smallest=smallest * contact, largest=max(largest * contact, least))
+                        smallest=smallest * contact, largest=max(largest * contact, upper_limit))
     if tool.face_radius:
         radius = tool.require_radius()
         smallest, largest, growth = resolution.needle
@@ -79,23 +101,24 @@ def _mesh_of_one_material(experiment: Experiment, resolution: Resolution, elemen
             smallest, largest, growth = rubbed._replace(smallest=max(edge, rubbed.smallest))
         return needle_mesh(
             specimen.radius, specimen.height, tool.face_radius, element, growth=growth,
-            smallest=max(smallest * radius, _ROUNDING_SHARE * tool.edge_radius), largest=max(largest * radius, least))
+            smallest=max(smallest * radius, _SETTINGS.edge_fraction * tool.edge_radius),
+            largest=max(largest * radius, upper_limit))
     (along_r, along_z), grading = resolution.plates
-    # As many elements in other shapes, with no fewer than half and no more than four times as many along a side.
+    # Other shapes have about the same number of elements, and half to four times the number along each side.
     stretch = np.sqrt(specimen.height / specimen.radius / STUDY_SLENDERNESS)
-    columns, rows = (round(float(np.clip(count * share, count / 2, 4 * count)))
-                     for count, share in ((along_r, 1 / stretch), (along_z, stretch)))
+    columns, rows = (round(float(np.clip(count * factor, count / 2, 4 * count)))
+                     for count, factor in ((along_r, 1 / stretch), (along_z, stretch)))
     return cylinder_mesh(specimen.radius, specimen.height, (columns, rows), element, grading=grading)
 
 
 def moved_mesh(mesh: Mesh, before: Model, after: Model) -> Mesh:
-    """The mesh of a model for one of another geometry: same elements, with the nodes where the new one has them."""
+    """Return the mesh of one model with its nodes moved to the geometry of another; the elements stay the same."""
     lines = [_lines(model) for model in (before, after)]
     return mesh.moved(*zip(*lines, strict=True))
 
 
 def _lines(model: Model) -> tuple[np.ndarray, np.ndarray]:
-    """Radii and heights at which element boundaries lie in every mesh of a model, m, ascending."""
+    """Return the radii and heights of the element boundaries that every mesh of a model has, m, ascending."""
     experiment = model.experiment
     face = [experiment.tool.face_radius] if experiment.tool.face_radius else []
     interfaces = -np.cumsum([layer.thickness for layer in model.material.layers])
@@ -104,25 +127,29 @@ def _lines(model: Model) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _cylinder(experiment: Experiment) -> Cylinder:
+    """Return the specimen; raises InputError if the specimen is not a cylinder."""
     return require_cylinder(experiment.specimen, "the axisymmetric solver")
 
 
 def make_solver(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None,
                 topology: Model | None = None) -> AxisymmetricSolver:
-    """The axisymmetric solver of a model; see `tissue_sim.fem.solver.SolverMaker`.
+    """Return the axisymmetric solver of a model; see `tissue_sim.fem.solver.SolverMaker`.
 
     Args:
         model: experiment and material.
-        resolution: a key of `RESOLUTIONS`, or "realtime".
-        mesh: a mesh of your own instead.
-        topology: a model of another geometry, whose mesh is taken (or whose `mesh` is given) and moved to this one's.
+        resolution: key of `RESOLUTIONS`, or "realtime".
+        mesh: mesh to use instead of a resolution.
+        topology: model of another geometry whose mesh (or `mesh`) is moved to the geometry of `model`.
+
+    Raises:
+        InputError: the model has a pose of approach or regions, or the resolution is unknown.
     """
     if model.experiment.approach is not None:
-        raise InputError("an axisymmetric solid takes a tool on its axis only; take the solver \"solid\" (--solid)",
-                         field="approach")
+        raise InputError("must be None for an axisymmetric solid, whose tool is on the axis. Use the solver "
+                         "\"solid\" (--solid).", field="approach")
     if model.material.regions:
-        raise InputError("an axisymmetric solid has no regions; take the solver \"solid\" (--solid)",
-                         field="material.regions")
+        raise InputError("must be empty for an axisymmetric solid. Use the solver \"solid\" "
+                         "(--solid).", field="material.regions")
     meshed = model if topology is None else topology
     if mesh is None:
         mesh = build_mesh(meshed.experiment, resolution, layers=meshed.material.layers)
@@ -130,20 +157,20 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: Mesh | None = N
 
 
 def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
-    """The boundary-value problem of an experiment on a mesh, at the moment when the tool touches.
+    """Return the solver of an experiment on a mesh, in the state in which the tool first touches.
 
-    A specimen that weighs has settled by then; one whose height was measured as placed has got the moulded height that
-    settles to it, and `solver.mesh` with it.
+    A specimen with weight has settled under its weight. If its height was measured as placed, `solver.mesh` has the
+    height as moulded that settles to the measured height.
 
     Raises:
-        ConvergenceError: the specimen does not stand under its own weight.
+        ConvergenceError: the specimen has no equilibrium under its own weight.
     """
     experiment = model.experiment
     start, weight = None, experiment.specimen.specific_weight
     layers = element_layers(mesh, model.material.layers)
     uniform = experiment.homogeneous and not model.material.layers
     if weight:
-        start = _settled(model, mesh, layers)
+        start = _settle_as_moulded(model, mesh, layers)
         mesh = start.mesh
     held = {}
     if experiment.friction == "bonded":
@@ -154,17 +181,22 @@ def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
 
 
 def element_layers(mesh: Mesh, layers: tuple[Layer, ...]) -> np.ndarray:
-    """Number of the layer in which the centre of each element lies, that after the last for none, shape (elements,)."""
+    """Return the index of the layer with the centre of each element, shape (elements,).
+
+    Elements below all layers have the number of layers as index.
+    """
     depth = -mesh.nodes[mesh.connectivity[:, :4], 1].mean(axis=1)
     return np.searchsorted(np.cumsum([layer.thickness for layer in layers]), depth)
 
 
 def _supports(experiment: Experiment) -> dict[str, str]:
-    return {"base": _HELD[experiment.base_interface]} if experiment.base_interface in _HELD else {}
+    """Return the fixed components of the base, node set -> components."""
+    interface = experiment.base_interface
+    return {"base": _FIXED_COMPONENTS[interface]} if interface in _FIXED_COMPONENTS else {}
 
 
-def _settled(model: Model, mesh: Mesh, layers: np.ndarray) -> AxisymmetricSolver:
-    """The specimen as moulded, standing under its own weight without the tool."""
+def _settle_as_moulded(model: Model, mesh: Mesh, layers: np.ndarray) -> AxisymmetricSolver:
+    """Return the solver of the specimen as moulded, settled under its own weight without the tool."""
     specimen = model.experiment.specimen
     height = -float(mesh.nodes[:, 1].min())
     factor = 1.0
@@ -173,31 +205,32 @@ def _settled(model: Model, mesh: Mesh, layers: np.ndarray) -> AxisymmetricSolver
         solver = AxisymmetricSolver(moulded, model.material, _supports(model.experiment), {},
                                     contact=build_contact(model.experiment, moulded, tool=False), element_layers=layers,
                                     contact_radius=model.experiment.contact_radius)
-        _let_settle(solver, specimen.specific_weight)
+        _apply_weight(solver, specimen.specific_weight)
         stands = factor * height - solver.sag
         if specimen.height_is == "moulded" or abs(stands / height - 1) < 1e-10:
             return solver
         # The sag grows with the square of the height: one Newton step on factor - c factor^2 = 1.
         loss = (factor * height - stands) / (factor**2 * height)
         factor -= (factor - loss * factor**2 - 1) / (1 - 2 * loss * factor) if 2 * loss * factor < 1 else -0.1
-    raise ConvergenceError(f"no moulded height settles to {height * 1e3:g} mm under a specific weight of "
-                           f"{specimen.specific_weight:g} N/m3; check density and moduli")
+    raise ConvergenceError(f"no height as moulded settles to {height * 1e3:g} mm under a specific weight of "
+                           f"{specimen.specific_weight:g} N/m3. Check density and moduli.")
 
 
-def _let_settle(solver: AxisymmetricSolver, specific_weight: float) -> None:
-    """Put weight on in as many parts as it takes."""
-    carried, part = 0.0, 1.0
-    while carried < 1.0:
-        solver.equations.specific_weight = min(1.0, carried + part) * specific_weight
-        # It has stood for long.
+def _apply_weight(solver: AxisymmetricSolver, specific_weight: float) -> None:
+    """Apply the weight in increments, halved after a failure, and store the result as the start of the solver."""
+    applied, increment = 0.0, 1.0
+    while applied < 1.0:
+        solver.equations.specific_weight = min(1.0, applied + increment) * specific_weight
+        # An infinite time step: all relaxation has ended.
         step = solver.step(0.0, np.inf)
         if step.status is StepStatus.CONVERGED:
-            carried = min(1.0, carried + part)
-            part *= 2.0
+            applied = min(1.0, applied + increment)
+            increment *= 2.0
         else:
-            part /= 2.0
-            if part < 2.0**-10:
-                raise ConvergenceError("the specimen does not stand under its own weight: it stopped settling at "
-                                       f"{carried:.0%} of it ({step.status.message}); check density and moduli")
+            increment /= 2.0
+            if increment < 2.0**-10:
+                raise ConvergenceError("the specimen has no equilibrium under its own weight: the solver stopped at "
+                                       f"{applied:.0%} of the weight ({step.status.message}); check density and "
+                                       "moduli")
     start = solver.equations.start
     start[:] = solver.state[: start.size]

@@ -1,10 +1,10 @@
-"""Stress and tangent of a law in the axisymmetric solid, as Taichi functions.
+"""Stress and tangent of hyperelastic laws in the axisymmetric solid, as Taichi functions.
 
-Components of a deformation gradient, and of everything conjugate to it, stand in the order rR, rZ, zR, zZ, and hoop.
-The isochoric energy is W(F / J^(1/3)); the pressure adds p (J - 1). What happens to the tissue in time acts on the
-isochoric part: softening scales it, relaxation scales it and adds what is left of earlier stresses.
+The order of the components of the deformation gradient F and of the first Piola stress is rR, rZ, zR, zZ, hoop. The
+isochoric energy is W(F / J^(1/3)); the pressure adds p (J - 1). Memory acts on the isochoric part: softening multiplies
+the stress, relaxation multiplies the stress and adds the inherited stress (hereditary integral).
 
-Every function here works on lists of numbers, of one point, and on lists of vectors, of as many points at once.
+Every function works on lists of numbers (one point) and on lists of vectors (several points at once).
 """
 
 from functools import cache
@@ -20,28 +20,32 @@ if TYPE_CHECKING:
 else:
     sp = LazyModule("sympy")
 
-#: Packed symmetric 5 x 5: row and column of every entry of the tangent.
+#: Row and column of each entry of the packed symmetric 5 x 5 tangent.
 PACKED = packed(5)
-#: Second derivatives of the in-plane determinant: F_rR with F_zZ, F_rZ with F_zR.
+#: Second derivatives of the in-plane determinant: (F_zZ, F_rR) and (F_zR, F_rZ).
 COFACTOR_SIGNS = {(3, 0): 1.0, (2, 1): -1.0}
 
 
-#: Where entry (i, k) stands among them.
+#: Index of entry (i, k) in the packed tangent.
 PLACE = tuple(tuple(PACKED.index((max(i, k), min(i, k))) for k in range(5)) for i in range(5))
 
 
 @cache
 def _isochoric_chain(tangents: bool):
-    """Python function of (a, j, c, s, W1, W2, W11, W12, W22) -> gradient and Hessian of the isochoric energy.
+    """Return the function (a, j, c, s, W1, W2, W11, W12, W22) -> gradient and Hessian of the isochoric energy.
 
-    In axisymmetry every invariant is a function of three scalars: a, the sum of squares of the in-plane deformation
-    gradient; j, its determinant; c, the hoop stretch: I1 = a + c^2, I2 = j^2 + a c^2, J = j c. The derivatives are
-    those with respect to a, j and c; s = J^(-2/3) comes in ready, so that no other power is taken.
+    In axisymmetry the invariants are functions of three scalars: a, the sum of squares of the in-plane deformation
+    gradient; j, its determinant; c, the hoop stretch: I1 = a + c^2, I2 = j^2 + a c^2, J = j c. Derivatives are taken
+    with respect to a, j and c; s = J^(-2/3) is an argument, so that the function evaluates no power.
+
+    Args:
+        tangents: whether the function returns the Hessian besides the gradient.
     """
     return taichi_function(lambda: _isochoric_derivatives(tangents), ("chain", tangents), __file__)
 
 
 def _isochoric_derivatives(tangents: bool):
+    """Return arguments and symbolic expressions of `_isochoric_chain`."""
     a, j, c = v = sp.symbols("a j c", positive=True)
     s = sp.Symbol("s", positive=True)
     first = sp.symbols("W1 W2", real=True)
@@ -49,7 +53,7 @@ def _isochoric_derivatives(tangents: bool):
     hessian = sp.Matrix(2, 2, [second[0], second[1], second[1], second[2]])
 
     def total(expression, x):
-        """Derivative with respect to x, s included."""
+        """Return the total derivative with respect to x, including that of s."""
         inner = 0 if x is a else -sp.Rational(2, 3) * s / x
         return sp.diff(expression, x) + sp.diff(expression, s) * inner
 
@@ -64,7 +68,7 @@ def _isochoric_derivatives(tangents: bool):
 
 @cache
 def volume_function():
-    """Taichi function ``add_volume(F, p, P, A) -> (P, A)``: add p dJ/dF to P and p d2J/dF2 to A."""
+    """Return the Taichi function ``add_volume(F, p, P, A) -> (P, A)``, which adds p dJ/dF to P and p d2J/dF2 to A."""
     ti = initialise()
 
     @ti.func
@@ -86,14 +90,15 @@ def volume_function():
 
 @cache
 def relax_function():
-    """Taichi function ``relax(F, instant, h, P, A) -> (S, P, A)``."""
+    """Return the Taichi function ``relax(F, instant, h, P, A) -> (S, P, A)`` of the hereditary integral."""
     ti = initialise()
 
     @ti.func
     def relax(F, instant, h, P, A):
-        """Make the stress F S of this step that of the hereditary integral, F (instant S + h), and return S besides.
+        """Replace the instantaneous stress P = F S by F (instant S + h), and the tangent likewise; return S as well.
 
-        S and h are isochoric second Piola stresses (RR, RZ, ZZ, hoop); see `tissue_sim.material.viscoelasticity`.
+        S is the instantaneous and h the inherited isochoric second Piola stress (RR, RZ, ZZ, hoop); see
+        `tissue_sim.material.viscoelasticity`.
         """
         j = F[0] * F[3] - F[1] * F[2]
         S = [(F[3] * P[0] - F[1] * P[2]) / j, (F[3] * P[1] - F[1] * P[3]) / j, (F[0] * P[3] - F[2] * P[1]) / j,
@@ -113,22 +118,21 @@ def relax_function():
 
 @cache
 def function(energy: KernelEnergy, tangents: bool = True):
-    """Taichi function ``stress_and_tangent(F, root, coefficients) -> (W, P, A)`` for one kernel energy; A is zero
-    without `tangents`.
+    """Return the Taichi function ``stress_and_tangent(F, root, coefficients) -> (W, P, A)`` of an energy.
 
-    Args of the Taichi function:
-        F: deformation gradient, 5 components; its determinant must be positive.
-        root: J^(-1/3).
-        coefficients: array of the energy's coefficients.
+    The Taichi function takes the deformation gradient F (5 components, positive determinant), root = J^(-1/3), and the
+    array of the energy's coefficients. It returns the isochoric energy density W, the first Piola stress P = dW/dF (5
+    components) and its derivative A (15 components, packed as `PACKED`), in units of the coefficients.
 
-    Returns of the Taichi function:
-        W: isochoric energy density; P (5): its first Piola stress; A (15): the derivative of that, symmetric, packed
-        as `PACKED`.
+    Args:
+        energy: energy of a law.
+        tangents: whether A is computed; otherwise A is zero.
     """
-    return (_of_invariants if energy.family == "invariants" else _of_stretches)(energy, tangents)
+    return (_function_of_invariants if energy.family == "invariants" else _function_of_stretches)(energy, tangents)
 
 
-def _of_invariants(energy: KernelEnergy, tangents: bool):
+def _function_of_invariants(energy: KernelEnergy, tangents: bool):
+    """Return `stress_and_tangent` of an energy that depends on the isochoric invariants."""
     ti = initialise()
     count = energy.count
 
@@ -165,7 +169,8 @@ def _of_invariants(energy: KernelEnergy, tangents: bool):
     return stress_and_tangent
 
 
-def _of_stretches(energy: KernelEnergy, tangents: bool):
+def _function_of_stretches(energy: KernelEnergy, tangents: bool):
+    """Return `stress_and_tangent` of an energy that is a sum of functions of the isochoric principal stretches."""
     ti = initialise()
     count = energy.count
 
@@ -173,9 +178,9 @@ def _of_stretches(energy: KernelEnergy, tangents: bool):
 
     @ti.func
     def stress_and_tangent(F, root, coefficients: ti.template()):
-        # Singular values of the in-plane part; what follows is well defined in the limit of equal stretches. The
-        # singular vectors are turned by half the sum and half the difference of the angles of (e, h) and (f, g), and
-        # only products of them are needed, which take no trigonometry.
+        # Singular value decomposition of the in-plane part; all expressions have a limit for equal stretches. The
+        # singular vectors are rotated by half the sum and half the difference of the angles of (e, h) and (f, g); only
+        # their products are needed, without trigonometric functions.
         e, h = 0.5 * (F[0] + F[3]), 0.5 * (F[2] - F[1])
         f, g = 0.5 * (F[0] - F[3]), 0.5 * (F[2] + F[1])
         q, r = ti.sqrt(e * e + h * h), ti.sqrt(f * f + g * g)
@@ -208,7 +213,7 @@ def _of_stretches(energy: KernelEnergy, tangents: bool):
             apart = s[0] - s[1] > 1e-5 * s[0]
             flip = ti.select(apart, (w1[0] - w1[1]) / ti.select(apart, s[0] - s[1], s[0]),
                              0.5 * (w2[0][0] + w2[1][1]) - w2[0][1])
-            # Directions of the twist and of the flip.
+            # Directions of in-plane rotation and of in-plane shear of the principal axes.
             turn, shear = [ss, cs, -cs, ss], [-sd, cd, cd, sd]
             for i in ti.static(range(4)):
                 for k in ti.static(range(i + 1)):

@@ -1,4 +1,9 @@
-"""The equations of the axisymmetric solid: their arrays, and the kernel that brings them into equilibrium."""
+"""Equations of the axisymmetric solid: packed arrays, and the compiled Newton iteration that solves them.
+
+Unknowns are nodal displacements u, pressure amplitudes p of each element (mixed displacement-pressure elements), and
+contact forces. The equations are equilibrium, the mean volume constraint integral of phi (J - 1 - p / K) = 0, and the
+contact conditions; see `assembly` and `contact_kernels`.
+"""
 
 from __future__ import annotations
 
@@ -28,24 +33,32 @@ from tissue_sim.material.material import BULK_RATIOS, Material, incompressible_r
 from tissue_sim.material.viscoelasticity import Prony
 from tissue_sim.mesh import Mesh
 
-#: Unbalanced forces are measured against the reactions, but at least this share of the largest load so far: what is
-#: left of it when the tool has lifted off need not be resolved any closer.
-FLOOR_SHARE = 0.1
+#: The residual is divided by the norm of the reactions, but at least by this fraction of the largest force so far, so
+#: that small forces after lift-off are not solved more accurately.
+FLOOR_FRACTION = 0.1
 
 
 class Equations:
     """Equilibrium of a mesh of one material; see `AxisymmetricSolver` for the arguments.
 
     Attributes:
-        equation, direction: of each freedom, see `tissue_sim.fem.axisymmetric.numbering`; free, half_band: of them.
-        reference: integrals over the undeformed mesh.
-        specific_weight: N/m3.
-        surface: contact points; memory: of the tissue, effects: what was added
-            to it; state: what a step works on.
-        moduli: of the elements in units of the material's, shape (elements,); bulk_modulus: Pa.
-        counts, settings: what a step is told, places as in `tissue_sim.fem.axisymmetric.newton`; report: its answer.
-        entries, upper: blocks of the tangent, and of its transpose where contact slips; residual: unbalanced forces.
-        masses, rest: of inertia, see `tissue_sim.fem.inertia`.
+        equation, direction, free, half_band: see `tissue_sim.fem.axisymmetric.numbering.Numbering`.
+        reference: quantities of the undeformed mesh at its quadrature points.
+        specific_weight: density times gravity, N/m3.
+        surface: contact points.
+        memory: memory of the tissue (relaxation, softening).
+        effects: effects at the quadrature points.
+        state: state that a step changes, and committed states.
+        moduli: moduli of the elements in units of the material's modulus, shape (elements,).
+        bulk_modulus: K, Pa.
+        counts: integer inputs and outputs of a step, see `newton.Count`.
+        settings: inputs of a step, see `newton.Setting`.
+        report: results of a step, see `newton.Report`.
+        entries: lower blocks of the tangent.
+        upper: upper blocks of the tangent if contact points can slip.
+        residual: residual forces, N.
+        masses: nodal masses of the inertia, kg, see `tissue_sim.fem.inertia`.
+        rest: position that each degree of freedom would reach without forces, m.
     """
 
     def __init__(self, mesh: Mesh, material: Material, supports: dict[str, str], tool: dict[str, str],
@@ -58,7 +71,7 @@ class Equations:
                                       reference.volumes)
         self.surface, self.memory = ContactPoints(mesh, contact), Memory(reference.weights.shape, 4)
         self.effects = PointEffects(reference.weights.shape)
-        self._tangent_arrays()
+        self._allocate_tangent()
         elements, freedoms = len(mesh.connectivity), 2 * len(mesh.nodes)
         self._element_layers, self._contact_radius, self.moduli = element_layers, contact_radius, np.ones(elements)
         x = np.zeros(freedoms + mesh.element.pressure_modes * elements + 2 * self.surface.springs.size)
@@ -68,7 +81,7 @@ class Equations:
             self.surface.anchors[: bound.count], self.surface.slipped[: bound.count] = (
                 bound.anchors[: bound.count], bound.slipped[: bound.count])
         self._before, self._coefficients = np.zeros_like(x), np.zeros(0)
-        self._kernel: Callable[[], None] = _nothing
+        self._kernel: Callable[[], None] = _do_nothing
         self.state: State = State(x, self.surface, self.memory, self.effects)
         self.start = x[:freedoms].copy()
         self._target, self._motion, self.masses, self.rest = np.zeros((4, freedoms))
@@ -87,13 +100,14 @@ class Equations:
                 array[:] = settled
             self.effects.states[:] = start.effects.states
 
-    def _tangent_arrays(self) -> None:
+    def _allocate_tangent(self) -> None:
+        """Allocate the arrays of the matrix, its factorisation and the right-hand sides."""
         rows, width = band.block_shape(self.free, self.half_band)
         self.batches.number(self.mesh, self.equation, self.free, self.direction, (rows, width))
-        # What is scattered to nobody goes to the end.
+        # The last entry collects the values that belong to no equation.
         self._scattered = np.zeros(rows * width * band.BLOCK**2 + 1)
         self.entries = self._scattered[:-1].reshape(rows, width, band.BLOCK, band.BLOCK)
-        # The upper half, of a tangent of slipping contact.
+        # The tangent of slipping contact is unsymmetric and needs its upper half.
         self.upper = np.zeros_like(self.entries if self.surface.slips else self.entries[:1])
         self._factor, self._upper_factor = np.zeros_like(self.entries), np.zeros_like(self.upper)
         self._inverse = np.zeros(rows * band.BLOCK)
@@ -102,18 +116,18 @@ class Equations:
         self._pull, self._reaction = np.zeros(self.free + 1), np.zeros(self.free + 1)
 
     def set_material(self, material: Material) -> None:
-        """Change parameters, bulk response or law.
+        """Change parameters, bulk response or law of the material.
 
         Raises:
-            InputError: bulk ratio outside `BULK_RATIOS`.
+            InputError: the bulk ratio is outside `BULK_RATIOS`.
         """
         energy: KernelEnergy = material.energy_law.kernel_energy
         coefficients, bulk_modulus, factor, moduli = self.inputs(material)
         ratio = bulk_modulus / material.mu0
         low, high = BULK_RATIOS
         if not low <= ratio <= high:
-            raise InputError(f"K/mu0 is {ratio:g}; the finite elements are checked from {low:g} to {high:g}",
-                             field="bulk")
+            raise InputError(f"K/mu0 must be {low:g} to {high:g}, for which the finite elements are verified; got "
+                             f"{ratio:g}.", field="bulk")
         self.material, self.bulk_modulus = material, bulk_modulus
         self.moduli[:] = moduli
         self.batches.set_moduli(moduli)
@@ -131,20 +145,24 @@ class Equations:
             if not (isinstance(self._kernel, BoundKernel) and self._kernel.is_of(kernel, arrays)):
                 self._kernel = BoundKernel(kernel, arrays)
         self.surface.set_stiffness(contacts.PENALTY_STIFFNESS * material.mu0)
-        # Displacements are rounded, and so are the forces of what is stiff: per m of depth, and of the places.
+        # Forces of rounding errors, per m of depth and for the coordinates of the contact points.
         height = np.ptp(self.mesh.nodes[:, 1])
         stiff = self.bulk_modulus * float(np.linalg.norm(self.reference.rounding * self.moduli))
         self._rounding_rate = stiff + self.surface.rounding_rate * STICK_STIFFNESS_FACTOR
-        self._rounding_of_places = self.surface.rounding_rate * height
-        # How far the top sinks for a specific weight, m4/N.
-        self._sinks = height**2 / (6.0 * material.mu0)
+        self._coordinate_rounding = self.surface.rounding_rate * height
+        # Estimate of the sag of the top per specific weight, m4/N.
+        self._sag_per_weight = height**2 / (6.0 * material.mu0)
         top = self.mesh.nodes[self.mesh.sets["top"], 0].max()
-        # Below this force, N, nothing is loaded: the residual is measured against it instead of the reactions.
+        # Smallest force by which the residual is divided, N; smaller reactions are no load.
         self._floor = 1e-6 * material.mu0 * np.pi * top**2
 
     def inputs(self, material: Material) -> tuple[np.ndarray, float, float, np.ndarray]:
-        """What a material is to the kernels: coefficients of its law, bulk modulus (Pa), instantaneous factor, and
-        moduli of the elements in units of the law's, shape (elements,)."""
+        """Return the kernel inputs of a material.
+
+        Returns:
+            Coefficients of its law, bulk modulus (Pa), factor of the instantaneous modulus, and moduli of the elements
+            in units of the law's modulus, shape (elements,).
+        """
         radius, height = np.ptp(self.mesh.nodes, axis=0)
         K = material.bulk_modulus
         if np.isinf(K):
@@ -156,46 +174,48 @@ class Equations:
         return coefficients, K, material.instantaneous_factor, moduli
 
     def relaxation(self, material: Material) -> Prony | None:
-        """All that relaxes in this material here."""
+        """Return the relaxation of a material for the contact radius of this problem; None without relaxation."""
         return material.relaxation(self._contact_radius)
 
     @property
-    def settles(self) -> bool:
-        """Whether contact settles on linearised tissue; see `newton.PassMode.CONTACT`."""
+    def has_contact_rounds(self) -> bool:
+        """Whether contact iterates on the linearised tissue, see `newton.PassMode.CONTACT`."""
         return self.surface.count > 0 and not self._laws
 
     @property
     def remembers(self) -> bool:
-        """Whether the tissue has a memory, which the kernel then keeps with its stresses."""
+        """Whether the tissue has a memory or effects, so that the kernel stores stresses."""
         return self.memory.works or bool(self.effects.formulas)
 
     def prepare(self, dt: float) -> None:
-        """Before a step of dt, s."""
+        """Prepare the memory and the effects for a step of duration dt, s."""
         self.memory.prepare(dt)
         self.effects.prepare(dt)
 
     def predict(self, weights: list[float]) -> None:
-        """Begin the next step with this combination of the latest states."""
+        """Set the weights of the latest states in the initial state of the next step; see `extrapolation`."""
         self.weights[:] = weights
-        self._predicted = sum(weight * place for weight, place in zip(weights, self.state.depths, strict=False))
+        self._predicted = sum(weight * depth for weight, depth in zip(weights, self.state.depths, strict=False))
 
-    def solve(self, depth: float, tolerance: float, max_iterations: int, *, goes_on_from: float | None = None,
+    def solve(self, depth: float, tolerance: float, max_iterations: int, *, resumed_depth: float | None = None,
               iterated: int = 0) -> None:
-        """Look for the equilibrium at a depth, m, from what `predict` said; the answer is in `report` and `state.x`.
+        """Solve for the equilibrium at a depth from the state of `predict`; results in `report` and `state.x`.
 
         Args:
-            depth: m.
-            tolerance: unbalanced over balanced nodal forces.
-            max_iterations: linear solves.
-            goes_on_from: the depth, m, for which state.x was meant; None: begin with an extrapolation.
-            iterated: linear solves of this iteration before, where it goes on.
+            depth: depth of the tool, m.
+            tolerance: relative residual of a converged step.
+            max_iterations: maximum number of linear solves.
+            resumed_depth: depth to which state.x belongs if the iteration of the last call continues, m; None: begin
+                with an extrapolation.
+            iterated: number of linear solves before this call, if the iteration continues.
         """
-        resumes = goes_on_from is not None
-        rounding = self._rounding_rate * (abs(depth) + self._sinks * self.specific_weight) + self._rounding_of_places
+        resumes = resumed_depth is not None
+        rounding = (self._rounding_rate * (abs(depth) + self._sag_per_weight * self.specific_weight)
+                    + self._coordinate_rounding)
         self.settings[: newton.Setting.TOUCH] = (
-            depth, goes_on_from if resumes else self._predicted, self.bulk_modulus, self.specific_weight,
+            depth, resumed_depth if resumes else self._predicted, self.bulk_modulus, self.specific_weight,
             tolerance,
-            max(self._floor, FLOOR_SHARE * self.state.largest_force), rounding)
+            max(self._floor, FLOOR_FRACTION * self.state.largest_force), rounding)
         self.counts[newton.Count.MAX_ITERATIONS] = max_iterations
         self.counts[newton.Count.START_MODE] = newton.StartMode.RESUME if resumes else newton.StartMode.PREDICT
         self.counts[newton.Count.ITERATED] = iterated
@@ -232,69 +252,80 @@ class Equations:
             launch()
         self.counts[newton.Count.START_MODE] = newton.StartMode.PREDICT
         surface.held[:] = after
-        # With the tangent they come out rounded otherwise: whether somebody asks must not show in later steps.
+        # The evaluation with the tangent has other rounding errors, which must not influence later steps.
         for array, before in remembered:
             array[:] = before
 
     def stiffness_without_mass(self) -> float | None:
-        """How the force grows with depth where nothing resists acceleration, N/m, at the inertial equilibrium just
-        found, with the contact as it is there; None where the tissue would not stay without its mass."""
+        """Return the static stiffness at the last inertial equilibrium, with the contact state of that equilibrium.
+
+        Returns:
+            Derivative of the axial force with respect to the depth without inertia, N/m; None if the static tangent is
+            not positive definite, so that the tissue is unstable without its mass.
+        """
         report, right, inertia = self.report.copy(), self._right.copy(), float(self.settings[newton.Setting.INERTIA])
         self.settings[newton.Setting.INERTIA] = 0.0
-        self.respond(_nothing, mode=newton.StartMode.STIFFNESS_ONLY)
+        self.respond(_do_nothing, mode=newton.StartMode.STIFFNESS_ONLY)
         self.settings[newton.Setting.INERTIA] = inertia
         stiffness = float(self.report[newton.Report.STIFFNESS])
         self.report[:], self._right[:] = report, right
         return stiffness if self.counts[newton.Count.FACTORISED] else None
 
     def tangent(self) -> np.ndarray:
-        """Condensed tangent at the last committed state: lower band in LAPACK's storage, (half_band + 1, free), N/m."""
+        """Return the condensed tangent at the last committed state, N/m, in LAPACK's lower band storage.
+
+        Returns:
+            Array of shape (half_band + 1, free).
+        """
         self.predict([1.0, 0.0, 0.0])
         self.prepare(0.0)
-        # No residual is small enough and no iteration is allowed: the matrix stays as it was assembled.
+        # With a negative tolerance and no iteration the matrix stays as assembled.
         self.solve(self.state.depths[0], -1.0, 0)
         return band.unpack(self.entries, self.free, self.half_band)
 
     @cached_property
     def node_masses(self) -> np.ndarray:
-        """Volume that each freedom of a shared node stands for, m3, shape (freedoms,)."""
+        """Nodal volumes of the degrees of freedom of the shared nodes, m3, shape (freedoms,)."""
         shared, volumes = self.mesh.element.boundary_nodes, np.zeros(len(self.mesh.nodes))
         np.add.at(volumes, self.mesh.connectivity[:, :shared], self.reference.volumes[:, :shared])
         return np.repeat(volumes, 2)
 
     def all_masses(self) -> np.ndarray:
-        """The same with the interior nodes."""
+        """Return the nodal volumes of all degrees of freedom, with the interior nodes, m3, shape (freedoms,)."""
         volumes = np.zeros(len(self.mesh.nodes))
         np.add.at(volumes, self.mesh.connectivity, self.reference.volumes)
         return np.repeat(volumes, 2)
 
     def along_with_tool(self) -> np.ndarray:
-        """How each freedom moves for a metre of the tool, as it was found with the stiffness of the last step, shape
-        (freedoms,)."""
-        way = self.direction.astype(float)
+        """Return the displacement per depth of the tool from the stiffness of the last step, shape (freedoms,)."""
+        displacement = self.direction.astype(float)
         moved = self._free_freedoms
-        way[moved] = -self._right.reshape(-1)[self.equation[moved]]
-        self.batches.follow_shared(way)
-        return way
+        displacement[moved] = -self._right.reshape(-1)[self.equation[moved]]
+        self.batches.move_interior_nodes(displacement)
+        return displacement
 
     @cached_property
     def _free_freedoms(self) -> np.ndarray:
+        """Degrees of freedom with a free equation, shape (free,)."""
         return np.flatnonzero((self.equation >= 0) & (self.equation < self.free))
 
-    def begin_drag(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Let the places of inertia hold a drag: volumes instead of masses. Returns the masses and the density as they
-        were, for `end_drag`, and the array of where each freedom is dragged from, m."""
+    def begin_damping(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Use the arrays of the inertia for artificial viscous damping: volumes replace the masses.
+
+        Returns:
+            Masses, array of the positions towards which the damping acts (m), and density; `end_damping` needs the
+            first and the last.
+        """
         masses, density = self.masses.copy(), float(self.settings[newton.Setting.DENSITY])
         self.masses[:], self.settings[newton.Setting.DENSITY] = self.node_masses, 1.0
         return masses, self.rest, density
 
-    def end_drag(self, masses: np.ndarray, density: float) -> None:
-        """After `begin_drag`."""
+    def end_damping(self, masses: np.ndarray, density: float) -> None:
+        """Restore the masses and the density after `begin_damping`."""
         self.masses[:], self.settings[newton.Setting.DENSITY] = masses, density
 
     def shared_arrays(self) -> dict[str, np.ndarray]:
-        """Arrays of this solver that its kernel and that of `tissue_sim.fem.axisymmetric.sensitivity_kernel` both work
-        on, by the name that they have in both."""
+        """Return the arrays that the kernels of the step and of the sensitivities share, by their names in both."""
         surface, memory, state, batches = self.surface, self.memory, self.state, self.batches.arrays()
         of_elements = ("elements", "dofs", "real", "gradient_r", "gradient_z", "value_r", "point_weights",
                        "mode_values", "moduli", "equations_r", "equations_z")
@@ -312,6 +343,7 @@ class Equations:
                 **{name: batches[name] for name in of_elements}}
 
     def _kernel_arrays(self) -> dict[str, np.ndarray]:
+        """Return all arrays of the step kernel by their names."""
         surface, state = self.surface, self.state
         return {**self.shared_arrays(), **self.batches.arrays(), "start": self.start,
                 "target": self._target, "contact_places": surface.places,
@@ -326,5 +358,5 @@ class Equations:
                 "upper": self.upper, "reaction": self._reaction, "report": self.report}
 
 
-def _nothing() -> None:
-    """Nothing to launch: before a material is set, and after a tangent that is only answered from."""
+def _do_nothing() -> None:
+    """Do nothing: placeholder of a kernel before a material is set, and of a use of the tangent."""

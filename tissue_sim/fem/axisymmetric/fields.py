@@ -1,4 +1,4 @@
-"""Converged fields of a simulation, computed from the stored states when asked for."""
+"""Fields of a simulation (stress, strain, energy), computed on demand from the stored states."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from tissue_sim.mesh import Mesh
 
 @dataclass(frozen=True, eq=False)
 class Fields:
-    """Fields at every sample of a simulated recording.
+    """Displacement, stress, pressure, energy and stretch at every sample of a simulated recording.
 
     Attributes:
         mesh: undeformed mesh.
-        material: what it is made of.
-        bulk_modulus: K that the elements used, Pa.
-        states: solver states, shape (samples, unknowns).
-        gradients: shape gradients at the quadrature points, shape (elements, q, nodes, 3).
-        pressure_modes: orthonormal pressure modes there, shape (elements, q, modes).
+        material: material of the specimen.
+        bulk_modulus: K of the elements, Pa.
+        states: states of the solver, shape (samples, unknowns).
+        gradients: see `Reference.node_gradients`, 1/m, shape (elements, q, nodes, 3).
+        pressure_modes: orthonormal pressure modes at the quadrature points, shape (elements, q, modes).
         weights: volumes of the quadrature points, m3, shape (elements, q).
-        moduli: of the elements in units of the material's, shape (elements,).
-        stresses: isochoric second Piola stress in units of `moduli`, Pa, shape (samples, elements, q, 4: RR, RZ, ZZ,
-            hoop), where it depends on the past; else None.
+        moduli: moduli of the elements in units of the material's modulus, shape (elements,).
+        stresses: isochoric second Piola stress over `moduli`, Pa, shape (samples, elements, q, 4: RR, RZ, ZZ, hoop);
+            None for tissue without memory.
     """
 
     mesh: Mesh
@@ -43,19 +43,23 @@ class Fields:
 
     @property
     def names(self) -> Collection[str]:
-        """Of the fields, all of which are known."""
+        """Names of the available fields, all of `FIELD_UNITS`."""
         return FIELD_UNITS
 
     def arrays(self) -> tuple[np.ndarray, ...]:
+        """Return the arrays with one entry for each sample; see `with_arrays`."""
         return (self.states,) if self.stresses is None else (self.states, self.stresses)
 
     def with_arrays(self, arrays: Sequence[np.ndarray]) -> Fields:
+        """Return the fields with other `arrays`."""
         return replace(self, states=arrays[0], stresses=arrays[1] if len(arrays) > 1 else None)
 
     def of_the_material(self) -> dict[str, Any]:
+        """Return the attributes that depend on the material; see `with_material`."""
         return {"material": self.material, "bulk_modulus": self.bulk_modulus, "moduli": self.moduli}
 
     def with_material(self, changed: Mapping[str, Any]) -> Fields:
+        """Return the fields with other attributes of the material, from `of_the_material`."""
         return replace(self, **changed)
 
     def displacement(self, sample: int = -1) -> np.ndarray:
@@ -70,15 +74,19 @@ class Fields:
                          1 + rates[..., 0, 2]], axis=-1)
 
     def at_points(self, name: str, sample: int = -1) -> np.ndarray:
-        """A field of `FIELD_UNITS` at the quadrature points, shape (elements, q).
+        """Return a field at the quadrature points, shape (elements, q).
 
-        Cauchy stress is that of the mixed element: sigma = tau/J + p I, with p the element's pressure and tau the
-        isochoric Kirchhoff stress. Where that is left of earlier strains it need not be a deviator; `pressure` is the
-        mean stress, turned round, either way. The energy density is that of the law, W + p^2 / (2 K), per undeformed
-        volume. `stretch` is the largest principal stretch.
+        The Cauchy stress of the mixed element is sigma = tau / J + p I, with the pressure p of the element and the
+        isochoric Kirchhoff stress tau. With memory, tau need not be deviatoric; `pressure` is minus the mean stress in
+        any case. The energy density is W + p^2 / (2 K) per undeformed volume. `stretch` is the largest principal
+        stretch.
+
+        Args:
+            name: key of `FIELD_UNITS`.
+            sample: index of the sample.
 
         Raises:
-            InputError: no such field.
+            InputError: unknown field.
         """
         if name not in FIELD_UNITS:
             raise InputError(f"unknown field {name!r}{nearest(name, FIELD_UNITS)}", field="field")
@@ -123,26 +131,35 @@ class Fields:
                 "cauchy_hoop": hoop + p}[name]
 
     def stretch_range(self, sample: int = -1) -> tuple[float, float]:
-        """Smallest and largest principal stretch, without `TAIL` of the volume at either end."""
+        """Return the smallest and largest principal stretch, without the fraction `TAIL` of the volume at each end."""
         F = self.deformation_gradient(sample)
         stretches = np.stack([*_principal(F)[1], F[..., 4]], axis=-1)
         return (volume_quantile(stretches.min(axis=-1), self.weights, TAIL),
                 volume_quantile(stretches.max(axis=-1), self.weights, 1 - TAIL))
 
     def at_nodes(self, name: str, sample: int = -1) -> np.ndarray:
-        """A field carried to the nodes, shape (nodes,): each element's polynomial through its quadrature points,
-        averaged over the elements that share a node."""
+        """Return a field at the nodes, shape (nodes,).
+
+        The polynomial through the quadrature points of each element is evaluated at its nodes and averaged over the
+        elements that share a node.
+        """
         if name == "displacement":
             return np.linalg.norm(self.displacement(sample), axis=1)
         return extrapolate(self.mesh, self.at_points(name, sample))
 
 
 def _principal(F: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Singular values of the in-plane part of deformation gradients (..., 5), and the angle from r at which the larger
-    one stretches, in the deformed state.
+    """Return the angle of the larger in-plane principal stretch and both in-plane principal stretches.
 
-    A 2 x 2 matrix is a turn with a stretch, E and H, and a mirrored one, F and G (Blinn, IEEE Computer Graphics and
-    Applications 16 (1996) 82).
+    A 2 x 2 matrix is the sum of a scaled rotation and a scaled reflection; their magnitudes give the singular values.
+
+    Args:
+        F: deformation gradients, shape (..., 5).
+
+    Returns:
+        Angle from r in the deformed state, rad, and the larger and smaller stretch, each of shape (...).
+
+    Source: Blinn, IEEE Computer Graphics and Applications 16 (1996) 82.
     """
     rR, rZ, zR, zZ = (F[..., k] for k in range(4))
     turned = np.hypot(rR + zZ, zR - rZ)

@@ -1,7 +1,11 @@
-"""One converged step of the axisymmetric solid as one Taichi kernel."""
+"""Newton's method with line search and reused factorisations for a step of the axisymmetric solid (Taichi kernel).
 
-from dataclasses import dataclass
-from enum import IntEnum
+Each iteration solves K du = -R for the displacements of the shared nodes; pressures, interior nodes and contact forces
+follow by back substitution. The factorisation of K is reused while the residual decreases fast enough (modified Newton
+method) and is updated where only contact points change. A step that inverts an element is halved. After each linear
+solve the active set of the contact iterates on the linearised elements (`PassMode.CONTACT`).
+"""
+
 from functools import cache
 
 from tissue_sim.fem.axisymmetric import contact_kernels
@@ -9,6 +13,7 @@ from tissue_sim.fem.axisymmetric.assembly import element_functions
 from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.condensation import condensation_functions
 from tissue_sim.fem.axisymmetric.contact_rates import rate_functions
+from tissue_sim.fem.axisymmetric.newton_tables import NEWTON, Count, PassMode, Report, Setting, StartMode
 from tissue_sim.fem.linear import band as band_matrix
 from tissue_sim.fem.linear.cholesky import cholesky_functions
 from tissue_sim.fem.linear.lu import lu_functions
@@ -18,170 +23,17 @@ from tissue_sim.fem.taichi.trace import Formula
 from tissue_sim.laws import KernelEnergy
 
 
-class Count(IntEnum):
-    """Indices of `Equations.counts`, the integers that a step reads and writes.
-
-    Attributes:
-        PASSES: number of times that the kernel solves the step; 1 except in benchmarks.
-        FREE: number of free equations.
-        MAX_ITERATIONS: maximum number of linear solves.
-        CONTACTS: number of contact points; 0 removes the contact.
-        REMEMBERS: 1 if the tissue has a memory (relaxation, softening, effects at the points).
-        UNSYMMETRIC: output, 1 if the matrix is unsymmetric because points slip.
-        CHANGEABLE: which points may change their contact state, see `contact_kernels.ALL_POINTS`.
-        START_MODE: a `StartMode`.
-        STIFFNESS_ASKED: 1 if a converged step computes the stiffness of the tool.
-        FACTORISED: output, 1 if the matrix is factorised at the end of the step.
-        BENDING: output, 1 if the matrix contains the curvature of the contact surfaces.
-        ITERATED: number of linear solves before this start, in mode `StartMode.RESUME`.
-        SKEWED: output, the first block row in which the matrix is unsymmetric.
-    """
-
-    PASSES = 0
-    FREE = 1
-    MAX_ITERATIONS = 2
-    CONTACTS = 3
-    REMEMBERS = 4
-    UNSYMMETRIC = 5
-    CHANGEABLE = 6
-    START_MODE = 7
-    STIFFNESS_ASKED = 8
-    FACTORISED = 9
-    BENDING = 10
-    ITERATED = 11
-    SKEWED = 12
-
-
-class Setting(IntEnum):
-    """Indices of `Equations.settings`, the numbers that a step reads.
-
-    Attributes:
-        DEPTH: depth of the tool at the end of the step, m.
-        PREDICTED: depth of the tool to which the initial state belongs, m.
-        KAPPA: bulk modulus, Pa.
-        WEIGHT: specific weight, N/m3.
-        TOLERANCE: largest relative residual of a converged step.
-        FLOOR: smallest force against which the residual is measured, N.
-        ROUNDING: force of rounding errors, N.
-        TOUCH: z of the tool's deepest point at the first touch, m.
-        CONTACT_TOLERANCE: largest violation of a contact condition, m.
-        STRENGTH: largest traction of the contact laws, Pa.
-        REACH: largest gap at which a contact law acts, m.
-        INERTIA: factor between the mass and the dynamic stiffness, 1/s2; 0 in a quasi-static step.
-        DENSITY: mass density, kg/m3.
-    """
-
-    DEPTH = 0
-    PREDICTED = 1
-    KAPPA = 2
-    WEIGHT = 3
-    TOLERANCE = 4
-    FLOOR = 5
-    ROUNDING = 6
-    TOUCH = 7
-    CONTACT_TOLERANCE = 8
-    STRENGTH = 9
-    REACH = 10
-    INERTIA = 11
-    DENSITY = 12
-
-
-class Report(IntEnum):
-    """Indices of `Equations.report`, the results of a step.
-
-    Attributes:
-        STATUS: a `tissue_sim.fem.solver.StepStatus`.
-        ITERATIONS: number of linear solves.
-        RESIDUAL: norm of the unbalanced forces over the norm of the balanced forces.
-        FORCE: axial force on the tool, N.
-        VIOLATION: largest violation of a contact condition, m.
-        SLIPPING: number of slipping points.
-        STIFFNESS: derivative of the axial force with respect to the depth, N/m.
-    """
-
-    STATUS = 0
-    ITERATIONS = 1
-    RESIDUAL = 2
-    FORCE = 3
-    VIOLATION = 4
-    SLIPPING = 5
-    STIFFNESS = 6
-
-
-class PassMode(IntEnum):
-    """What a pass of Newton's iteration evaluates.
-
-    Attributes:
-        FULL: the elements and the contact.
-        CONTACT: the contact only, with the linearised elements, until the active set does not change.
-        STIFFNESS: the contact only, for the stiffness of the tool with the final bonds.
-    """
-
-    FULL = 0
-    CONTACT = 1
-    STIFFNESS = 2
-
-
-class StartMode(IntEnum):
-    """State from which a step begins.
-
-    Attributes:
-        PREDICT: an extrapolation of earlier states.
-        FIXED_CONTACT: the present state; no point may change its contact state.
-        RESUME: the state at which the last call ended.
-        STIFFNESS_ONLY: as `FIXED_CONTACT`; only the stiffness of the tool is computed.
-    """
-
-    PREDICT = 0
-    FIXED_CONTACT = 1
-    RESUME = 2
-    STIFFNESS_ONLY = 3
-
-
-@dataclass(frozen=True)
-class NewtonSettings:
-    """Settings of Newton's iteration with reused factorisations.
-
-    The kernel contains the values as constants.
-
-    Attributes:
-        friction_floor: friction below this fraction of `Setting.FLOOR` is neglected.
-        reuse_ratio: the factorisation is reused if a linear solve reduces the residual to this fraction or less.
-        reuse_solves: the factorisation is also reused if this number of additional solves, each with the last
-            reduction, reaches the tolerance.
-        reuse_ratio_realtime: `reuse_ratio` if the step computes a stiffness; small real-time meshes have cheap
-            factorisations.
-        reuse_solves_realtime: `reuse_solves` if the step computes a stiffness.
-        new_tangent_residual: relative residual above which the next iteration assembles a new tangent.
-        max_contact_rounds: maximum number of contact iterations on the linearised elements after each linear solve
-            (the factorisation is updated for the points that change).
-        all_points_iterations: number of iterations in which all points may change their contact state at once; after
-            that a part of the points may change, so that the active set does not cycle.
-        max_halvings: maximum number of halvings of a Newton step that inverts an element.
-    """
-
-    friction_floor: float = 1e-9
-    reuse_ratio: float = 1e-2
-    reuse_solves: int = 3
-    reuse_ratio_realtime: float = 1e-3
-    reuse_solves_realtime: int = 2
-    new_tangent_residual: float = 100.0
-    max_contact_rounds: int = 8
-    all_points_iterations: int = 8
-    max_halvings: int = 6
-
-
-#: Settings of the compiled kernels.
-NEWTON = NewtonSettings()
-
-
 @cache
 def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: tuple[Formula, ...] = (),
                 laws: tuple[Formula, ...] = ()):
-    """The compiled step of one element and one family of laws; see `AxisymmetricSolver.step` for its arguments.
+    """Return the kernel of a step for an element type and a law; see `AxisymmetricSolver.step`.
 
-    Nothing is compiled of `effects` at the points and `laws` of contact that are not there; only where something
-    `slips` against friction it contains the solution of unsymmetric equations.
+    Args:
+        element_name: key of `tissue_sim.mesh.elements.ELEMENTS`.
+        energy: energy of the law.
+        slips: whether points may slip against friction; only then the kernel contains an unsymmetric solver.
+        effects: additional stresses at the quadrature points.
+        laws: contact laws (adhesion).
     """
     ti = initialise()
     work, own = element_functions(element_name, energy, effects), condensation_functions(element_name)
@@ -194,17 +46,17 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
     complete, mirror = band_matrix.complete_function(), band_matrix.mirror_function()
     cholesky, lu = cholesky_functions(), lu_functions()
-    contact, rates = contact_kernels.functions(laws), rate_functions(slips)
-    # Laws of contact pull at points that do not touch, too.
-    settles = not laws
+    contact, rates = contact_kernels.contact_functions(laws), rate_functions(slips)
+    # Contact laws act at a distance, so that the contact cannot iterate on the linearised elements.
+    has_contact_rounds = not laws
     converged, inverted, indefinite, slow, diverged = (float(status) for status in (
         StepStatus.CONVERGED, StepStatus.INVERTED, StepStatus.INDEFINITE, StepStatus.SLOW, StepStatus.DIVERGED))
 
-    # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi, four times slower here.
+    # Arrays are updated by `a = a + b`, because `a += b` is an atomic operation in Taichi, four times slower here.
 
     @ti.func
     def predict(x: ti.template(), history: ti.template(), slots: ti.template(), weights: ti.template()):
-        """Extrapolate the state from up to three earlier ones."""
+        """Extrapolate the state from up to three earlier states."""
         for i in range(x.shape[0]):
             x[i] = (weights[0] * history[slots[0], i] + weights[1] * history[slots[1], i]
                     + weights[2] * history[slots[2], i])
@@ -227,8 +79,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
              motion: real1, history: real2, slots: int1, weights: real1, entries: real4, blocks: block3, flat: block1,
              scattered: real1, upper: real4, upper_blocks: block3, factor: block3, upper_factor: block3, inverse: real1,
              right: block1, residual: real1, pull: real1, reaction: real1, report: real1):
-        # One pass of one serial task, started without waking a thread pool; the count is an argument so that the loop
-        # is not unrolled into many tasks.
+        # One serial task, which starts without a thread pool; the number of passes is an argument, so that the compiler
+        # does not unroll the loop into many tasks.
         ti.loop_config(serialize=True)
         for _ in range(counts[Count.PASSES]):
             free, max_iterations = counts[Count.FREE], counts[Count.MAX_ITERATIONS]
@@ -241,7 +93,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
             multipliers = x.shape[0] - 2 * springs.shape[0]
             if counts[Count.START_MODE] == StartMode.PREDICT:
                 predict(x, history, slots, weights)
-            if counts[Count.START_MODE] != StartMode.RESUME:  # where it ended points have been looked at
+            if counts[Count.START_MODE] != StartMode.RESUME:  # a resumed iteration has already evaluated the contact
                 counts[Count.CHANGEABLE] = (contact_kernels.ALL_POINTS
                                             if counts[Count.START_MODE] == StartMode.PREDICT else 0)
             strength, reach = settings[Setting.STRENGTH], settings[Setting.REACH]
@@ -256,12 +108,12 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         pending = 1
                         motion[dof] = target[dof] - x[dof]
                     else:
-                        x[dof] = target[dof]  # the rounding of the extrapolation
+                        x[dof] = target[dof]  # removes the rounding error of the extrapolation
             report[Report.STATUS], report[Report.STIFFNESS] = 0.0, 0.0
             iterations, tangent, halvings = 0, 1, NEWTON.max_halvings
-            # What the pass looks at, and the block row from which on the factor has to be made.
-            part, settled, circles, waits, begin = PassMode.FULL, 0, 0, 0, 0
-            # Far from equilibrium the surface's curvature would make the tangent indefinite.
+            # Mode of the pass, and first block row that must be factorised again.
+            part, settled, cycles, waits, begin = PassMode.FULL, 0, 0, 0, 0
+            # Far from equilibrium the curvature of the contact surfaces would make the tangent indefinite.
             bending = 1.0 if max_iterations == 0 else 0.0
             if counts[Count.START_MODE] == StartMode.RESUME:
                 bending = float(counts[Count.BENDING])
@@ -269,9 +121,9 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
             gain, more = NEWTON.reuse_ratio, NEWTON.reuse_solves
             if counts[Count.STIFFNESS_ASKED] == 1:
                 gain, more = NEWTON.reuse_ratio_realtime, NEWTON.reuse_solves_realtime
-            # The status lives in the report: Taichi 1.7.4 loses a local variable that a branch of such a loop sets.
-            # Each solve may need more passes: for halves of it, for a tangent that was skipped, for points that have to
-            # change, for contact that settles.
+            # The status is stored in the report: Taichi 1.7.4 loses a local variable that a branch of such a loop sets.
+            # Each linear solve may need more passes: for halvings, a tangent that was skipped, points that change, and
+            # contact rounds.
             for _attempt in range((NEWTON.max_halvings + NEWTON.max_contact_rounds + 4) * max_iterations + 4):
                 if report[Report.STATUS] != 0.0:
                     break
@@ -323,7 +175,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                                 at = entries[i // B, width - 1, i % B, i % B]
                                 entries[i // B, width - 1, i % B, i % B] = at + inertia * masses[dof]
                 tool = settings[Setting.PREDICTED] if pending == 1 else depth
-                # At first what just touches counts as pressed: the tool is about to move, or a law pulls.
+                # Initially points that just touch are active: the tool is about to move, or a law attracts.
                 slack = 1e-9 if pending == 1 or (strength > 0.0 and iterations == 0) else 0.0
                 axial, balanced, violation, slipping, switched, wanting = contact.add_contact(
                     counts[Count.CONTACTS], counts[Count.CHANGEABLE], slack, pending, bending, depth - tool, tool,
@@ -333,11 +185,11 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     slip_signs, met, forces, contact_rates, x, target, equation, residual)
                 counts[Count.CHANGEABLE], counts[Count.BENDING] = 0, int(bending)
                 if part == PassMode.CONTACT and (switched == 0 or settled == NEWTON.max_contact_rounds):
-                    # The elements come next, their tangent too where the contact goes on changing, and does not settle
-                    # any more.
+                    # The elements are evaluated next; also their tangent if the active set still changes, and no more
+                    # contact rounds follow.
                     part, waits = PassMode.FULL, wanting
                     if switched > 0:
-                        tangent, circles = 1, 1
+                        tangent, cycles = 1, 1
                     continue
                 if part == PassMode.FULL:
                     wanting, waits = ti.max(wanting, waits), 0
@@ -353,7 +205,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     if ti.static(slips):
                         if slipping > 0:
                             if counts[Count.UNSYMMETRIC] == 0:
-                                # Cholesky's factor is none of these.
+                                # A Cholesky factorisation cannot be updated to an unsymmetric one.
                                 counts[Count.UNSYMMETRIC], begin = 1, 0
                                 complete(blocks, rows, width)
                             if skewed < counts[Count.SKEWED]:
@@ -374,7 +226,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         total += direction[dof] * residual[equation[dof]]
                 scale = ti.max(ti.sqrt(balanced), floor)
                 ratio = ti.sqrt(unbalanced) / scale
-                # Rounding is allowed for, within reason.
+                # The tolerance includes a bounded allowance for rounding errors.
                 goal = tolerance + ti.min(rounding / scale, 1e-5)
                 if part == PassMode.FULL:
                     report[Report.RESIDUAL], report[Report.FORCE] = ratio, total
@@ -396,7 +248,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                                                    reach, contact_places, areas, spans, vertices, contact_rounding,
                                                    held, forces)
                     if released > 0:
-                        # Another problem from here on.
+                        # The problem has changed: the iteration starts again.
                         tangent, first = 1, iterations + 1
                         counts[Count.CHANGEABLE] = contact_kernels.ALL_POINTS
                     elif wanting > 0 and iterations < max_iterations:
@@ -405,7 +257,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         bound = contact.hold(counts[Count.CONTACTS], held, met)
                         if counts[Count.STIFFNESS_ASKED] == 1 and (bound > 0 or rates.have_changed(
                                 counts[Count.CONTACTS], springs, contact_rates, known_rates) == 1):
-                            # The stiffness is that with the new bonds.
+                            # The stiffness is computed with the new bonds.
                             part = PassMode.STIFFNESS
                         else:
                             report[Report.STATUS] = converged
@@ -433,8 +285,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                 if solves + asked > 0:
                     stiff = 0.0
                     if asked == 1:
-                        # How the forces, and the force on the tool, change when the tool moves and the tissue does
-                        # not yet.
+                        # Derivatives of the nodal forces, and of the force on the tool, with respect to the depth at
+                        # fixed tissue.
                         for i in range(free):
                             residual[i], reaction[i] = pull[i], pull[i]
                         stiff = pull[free] + rates.add_tool_rates(
@@ -488,10 +340,10 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         if part == PassMode.FULL:
                             for i in range(x.shape[0]):
                                 before[i] = x[i]
-                            # The tool's way is not cut in here.
+                            # A step that contains the motion of the tool is not halved.
                             halvings = NEWTON.max_halvings if pending == 1 else 0
                         else:
-                            # What is eliminated has no unbalanced forces left.
+                            # The condensed unknowns have no residual on the linearised elements.
                             for b in range(batches):
                                 force_r[b], force_z[b] = vec(0.0), vec(0.0)
                             for i in range(gap.shape[0]):
@@ -510,14 +362,14 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         contact.update_forces(counts[Count.CONTACTS], depth - tool, multipliers, contact_nodes,
                                               contact_shapes, spans, contact_rates, known_rates, motion, x)
                         if part == PassMode.FULL:
-                            # Where the old factor is likely to serve again, only the residual is computed first.
+                            # If the factorisation is likely to be reused, the next pass computes the residual only.
                             tangent = 1 if pending == 1 or ratio > NEWTON.new_tangent_residual else 0
                             last_ratio = ratio
                             bending = 1.0 if ratio < 0.1 else 0.0
                             pending, settled = 0, 0
                             iterations += 1
-                            if ti.static(settles):
-                                if counts[Count.CONTACTS] > 0 and circles == 0:
+                            if ti.static(has_contact_rounds):
+                                if counts[Count.CONTACTS] > 0 and cycles == 0:
                                     part = PassMode.CONTACT
                         counts[Count.CHANGEABLE] = contact_kernels.ALL_POINTS
                         if iterations + counts[Count.ITERATED] > NEWTON.all_points_iterations:

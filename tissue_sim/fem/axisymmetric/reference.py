@@ -48,7 +48,7 @@ def integrate(mesh: Mesh) -> Reference:
     place = np.einsum("qa,eai->eqi", N, X)
     weights = 2.0 * np.pi * place[..., 0] * np.linalg.det(jacobian) * weights
     if not (weights > 0).all():
-        raise InputError("mesh must have elements of positive area; got an element of zero or negative area. "
+        raise InputError("must have elements of positive area; got an element of zero or negative area. "
                          "Number the nodes of each element counterclockwise.", field="mesh")
     node_gradients = np.ascontiguousarray(np.concatenate([gradient, (N / place[..., :1])[..., None]], axis=-1))
     modes = np.ones((*weights.shape, element.pressure_modes))

@@ -1,4 +1,4 @@
-"""What the names of resolutions stand for: how fine a mesh is, and by how much its force errs."""
+"""Named resolutions of the axisymmetric solid: element sizes, and largest errors of the force."""
 
 from __future__ import annotations
 
@@ -10,8 +10,13 @@ from tissue_sim.fem.solver import ErrorEstimate, ResolutionLevel
 
 
 class Grading(NamedTuple):
-    """Smallest and largest element in radii of the needle, or of the contact at the largest depth, and growth from one
-    to the next."""
+    """Grading of a mesh under a needle, in radii of the needle, or of the contact at the largest depth.
+
+    Attributes:
+        smallest: size of the smallest element.
+        largest: size of the largest element.
+        growth: ratio of the sizes of neighbouring elements.
+    """
 
     smallest: float
     largest: float
@@ -19,20 +24,24 @@ class Grading(NamedTuple):
 
 
 class Resolution(NamedTuple):
-    """Meshes of one fineness.
+    """Mesh sizes of one resolution.
 
     Attributes:
-        plates: elements and grading along r and z of a cylinder of `STUDY_SLENDERNESS` between plates.
-        needle: under a flat tool; tip: under one without a flat face.
-        rubbed_edge: under a flat tool with friction, or on which tissue sticks, where its edge radius is smaller than
-            the elements there otherwise: they are as large as it is, but not smaller than these. None: as others.
-        layer_elements: fewest in a layer of the material.
-        error_estimate: what tells how far its force errs. Coarser meshes tell nothing, since contact round an edge errs
-            otherwise on each; half of what a much finer mesh differs by is near its error where steps are too long.
-        force_errors: largest error of the force under a plate, a flat tool and a tip, over the force, of the study's
-            specimen from 2 to 10 mm (`benchmarks/realtime_ladder.py`), and under a flat tool without friction, over the
-            largest force, down to a rounded edge of a sixteenth of the radius and with C20 down to none; NaN: not for
-            such a tool. Empty of those that are not for real time.
+        plates: number of elements along r and z, and grading along r and z, of a cylinder of `STUDY_SLENDERNESS`
+            between plates.
+        needle: grading under a flat tool.
+        tip: grading under a tool without a flat face.
+        force_errors: largest relative error of the force under a plate, a flat tool and a tip for the specimen of the
+            study from 2 to 10 mm (`benchmarks/realtime_ladder.py`), and under a frictionless flat tool, over the
+            largest force, for edge radii down to a sixteenth of the radius (with C20 down to none). NaN: the
+            resolution is not valid for such a tool. Empty: the resolution is not for real time.
+        layer_elements: smallest number of elements across a layer of the material.
+        rubbed_edge: grading under a flat tool with friction or stick whose edge radius is smaller than the elements:
+            the smallest elements are as large as the edge radius but not smaller than `rubbed_edge.smallest`. None: as
+            under other tools.
+        error_estimate: reference resolution and factor of the estimated error. Coarser meshes give no estimate,
+            because the error of the contact around an edge differs from mesh to mesh. Half of the difference from a
+            much finer mesh is close to the error if the depth steps are too long.
     """
 
     plates: tuple[tuple[int, int], tuple[float, float]]
@@ -44,9 +53,9 @@ class Resolution(NamedTuple):
     error_estimate: ErrorEstimate | None = None
 
 
-#: Height over radius of the study's specimen (radius 40, height 70 mm).
+#: Height over radius of the specimen of the study (radius 40 mm, height 70 mm).
 STUDY_SLENDERNESS = 70.0 / 40.0
-#: Those for real time are called by their elements under the study's needle.
+#: Name -> mesh sizes. The names of real-time resolutions contain the number of elements under the needle of the study.
 RESOLUTIONS = {
     "realtime_120": Resolution(((8, 10), (15.0, 6.0)), Grading(0.05, 1.8, 2.0), Grading(0.15, 2.5, 1.6),
                                (0.006, 0.004, 0.005, 0.032)),
@@ -63,14 +72,17 @@ RESOLUTIONS = {
     "finest": Resolution(((22, 28), (150.0, 25.0)), Grading(0.005, 1.0, 1.4), Grading(0.05, 1.0, 1.25),
                          layer_elements=6),
 }
-#: What a name stands for where nobody measures what the computer can do.
+#: Name that requires a speed measurement -> resolution without the measurement.
 UNMEASURED = {"realtime": "realtime_63"}
 
 
 def realtime_levels(experiment: Experiment) -> tuple[ResolutionLevel, ...]:
-    """Resolutions of a test for real time, the finest first. Tissue that slides freely round an edge finds wrong
-    equilibria on the coarsest (15 to 45 % of the force, of nearly neo-Hookean tissue after 8 mm)."""
+    """Return the real-time resolutions of an experiment, the finest first.
+
+    The coarsest mesh is not valid for tissue that slides without friction around an edge: it finds wrong equilibria
+    (errors of 15 to 45 % of the force for nearly neo-Hookean tissue deeper than 8 mm).
+    """
     tool, free = experiment.tool, experiment.friction in ("frictionless", 0.0)
-    kind = 0 if tool.is_plate else 2 if not tool.face_radius else 3 if free else 1
-    return tuple(ResolutionLevel(name, one.force_errors[kind]) for name, one in RESOLUTIONS.items()
-                 if one.force_errors and not isnan(one.force_errors[kind]))
+    tool_kind = 0 if tool.is_plate else 2 if not tool.face_radius else 3 if free else 1
+    return tuple(ResolutionLevel(name, one.force_errors[tool_kind]) for name, one in RESOLUTIONS.items()
+                 if one.force_errors and not isnan(one.force_errors[tool_kind]))

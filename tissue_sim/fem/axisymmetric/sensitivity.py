@@ -1,4 +1,4 @@
-"""Exact sensitivities of a solver's force with respect to its material, carried from step to step."""
+"""Exact derivatives of the force with respect to material parameters (direct differentiation), step by step."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tissue_sim.fem.axisymmetric.contact import RateColumn
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD
 from tissue_sim.fem.axisymmetric.equations import Equations
 from tissue_sim.fem.axisymmetric.sensitivity_kernel import respond_kernels
-from tissue_sim.fem.axisymmetric.sensitivity_points import KeptRecord, Switch
+from tissue_sim.fem.axisymmetric.sensitivity_tables import KeptRecord, Switch
 from tissue_sim.fem.history import PastColumn
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.fem.taichi.launch import BoundKernel
@@ -24,15 +24,18 @@ _STORED_STEP_LENGTHS = 64
 
 
 class Sensitivity:
-    """Rates of a solver's state with a number of parameters, at its last committed step.
+    """Derivatives of a solver's state and force with respect to parameters of its material.
+
+    In each step, R_y dy = -(R_theta + R_h dh) is solved with the exact tangent R_y; see `sensitivity_kernel`.
 
     Args:
-        equations: of a solver before its first step.
-        neighbours: what each parameter does to coefficients, bulk modulus, relaxation, softening and layers is taken
-            from them by a central difference of formulas, which is exact to about ten digits.
+        equations: equations of a solver before its first step.
+        neighbours: pairs of materials around each parameter and their difference. The derivatives of coefficients,
+            bulk modulus, relaxation, softening and layers are central differences of these formulas, exact to about
+            ten digits.
 
     Attributes:
-        force: dF/dtheta at the last committed step, N per unit, shape (parameters,).
+        force: dF/dtheta at the last committed step, N per unit of the parameter, shape (parameters,).
     """
 
     def __init__(self, equations: Equations, neighbours: Neighbours):
@@ -42,8 +45,8 @@ class Sensitivity:
         self._relaxations = [(equations.relaxation(up), equations.relaxation(down), width)
                              for up, down, width in neighbours]
         self._past_rates = np.zeros((m, 5))
-        self._refusals = self._waits = 0
-        self._known: dict[float, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+        self._failures = self._pause = 0
+        self._stored: dict[float, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._decay, self._gain = np.zeros((2, terms))
         self._decay_rates, self._gain_rates = np.zeros((2, m, terms))
         shape = (m, *surface.springs.shape, 2)
@@ -62,13 +65,13 @@ class Sensitivity:
             "point_rates": self._point_rates, "force_rates": self.force,
             "motion": np.zeros(equations.equation.size + equations.residual.size),
             "forces": np.zeros((m, equations.residual.size)), "dx": np.zeros((m, equations.equation.size))}
-        self._push, self._respond = (BoundKernel.of(kernel, arrays) for kernel in kernels)
+        self._differentiate_forces, self._differentiate_state = (BoundKernel.of(kernel, arrays) for kernel in kernels)
 
     def _rates_of(self, neighbours: Neighbours) -> dict[str, np.ndarray]:
-        """What the parameters do to the law, to the bulk modulus, to layers and to how the tissue remembers."""
+        """Return the derivatives of law, bulk modulus, layers and memory with the parameters, by kernel names."""
         equations, m = self._equations, len(neighbours)
-        here = equations.inputs(equations.material)
-        rates = [np.zeros((m, *np.shape(array))) for array in here]
+        inputs = equations.inputs(equations.material)
+        rates = [np.zeros((m, *np.shape(array))) for array in inputs]
         for k, (up, down, width) in enumerate(neighbours):
             above, below = equations.inputs(up), equations.inputs(down)
             for rate, more, less in zip(rates, above, below, strict=True):
@@ -83,13 +86,16 @@ class Sensitivity:
         self._which[Switch.TERMS], self._which[[Switch.ONE, Switch.PASSES]] = self._decay.size, 1
         relaxes = [up is not None and down is not None and up != down for up, down, _ in self._relaxations]
         self._which[Switch.RELAXES] = any(relaxes)
-        return {"directions": np.concatenate([np.tile(here[0], (m, 1)), coefficient_rates], axis=1),
+        return {"directions": np.concatenate([np.tile(inputs[0], (m, 1)), coefficient_rates], axis=1),
                 "acts": np.array(coefficient_rates.any(axis=1), np.int32), "relaxes": np.array(relaxes, np.int32),
                 "kappa_rates": kappa_rates,
                 "moduli_rates": np.ascontiguousarray(moduli_rates[:, equations.batches.elements].reshape(-1, LANES))}
 
     def _rates_at_points(self, m: int, terms: int) -> dict[str, np.ndarray]:
-        """Of the memory: a row of lanes for each batch, point, parameter, term and component, the last ones fastest."""
+        """Allocate the derivatives at the quadrature points, by kernel names.
+
+        Rows of lanes are numbered by batch, point, parameter, term and component, the last fastest.
+        """
         batches, q = self._equations.batches.batches, self._equations.reference.weights.shape[1]
         modes = self._equations.mesh.element.pressure_modes
         rows = {"centre_r": m, "centre_z": m, "way_r": 1, "way_z": 1, "law": KeptRecord.SIZE * q,
@@ -102,37 +108,39 @@ class Sensitivity:
                 **{name: np.zeros((count * batches, LANES)) for name, count in rows.items()}}
 
     def pop_changed(self) -> bool:
-        """Whether since the last call points came into contact, left it, or changed between sticking and slipping: the
-        force has a kink in the parameters near there."""
+        """Whether a contact point touched, separated, stuck or slipped since the last call; resets the flag.
+
+        The force then has a kink as a function of the parameters nearby.
+        """
         changed, self._changed = self._changed, False
         return changed
 
     def advance(self) -> None:
-        """After a step that converged, before it is committed."""
+        """Differentiate a step that has converged and is not yet committed."""
         memory = self._equations.memory
         if self._decay.size:
             self._decay[:], self._gain[:] = memory.step
             (self._past_rates[:, PastColumn.INSTANT], self._decay_rates[:],
              self._gain_rates[:]) = self._relaxation_rates(memory.dt)
-        if self._waits or not self._may_refine():
-            self._waits = max(self._waits - 1, 0)
+        if self._pause or not self._may_refine():
+            self._pause = max(self._pause - 1, 0)
             self._equations.respond(self._launch)
-        elif not self._refined():
-            # Where the contact changed, or the last factor is far, the next ones are likely to be.
-            self._refusals += 1
-            self._waits = 4**self._refusals
+        elif not self._refine_iteratively():
+            # The contact has changed, or the factorisation is too far; the next steps are likely to fail, too.
+            self._failures += 1
+            self._pause = 4**self._failures
             self._equations.respond(self._launch)
-        self._follow_contact()
+        self._update_contact()
 
     def _may_refine(self) -> bool:
-        """Whether the step has left a factor, and rates of the contact, that so few parameters are solved with sooner
-        than the exact tangent is assembled and factorised."""
+        """Whether iterative refinement with the step's factorisation is possible and cheaper than a new one."""
         counts, settings = self._equations.counts, self._equations.settings
         few = MAX_REFINED_SLIP if counts[newton.Count.UNSYMMETRIC] else MAX_REFINED
         return (not self._equations.memory.works and self.force.size <= few and settings[newton.Setting.INERTIA] == 0
                 and counts[newton.Count.FACTORISED] == 1 and counts[newton.Count.BENDING] == 1)
 
-    def _refined(self) -> bool:
+    def _refine_iteratively(self) -> bool:
+        """Differentiate by iterative refinement with the step's factorisation; return whether it converged."""
         before = self._multiplier_rates.copy()
         self._which[[Switch.FACTORISES, Switch.REFINES]] = 1
         self._equations.respond(self._run, assembles=False)
@@ -142,39 +150,45 @@ class Sensitivity:
         return not self._which[Switch.FACTORISES]
 
     def _relaxation_rates(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of the instantaneous share, of decay and of gain of each term in a step of dt, s."""
-        if dt not in self._known:
-            if len(self._known) >= _STORED_STEP_LENGTHS:
-                self._known.clear()
+        """Return the derivatives of instantaneous factor, decay and gain of each term in a step of duration dt, s."""
+        if dt not in self._stored:
+            if len(self._stored) >= _STORED_STEP_LENGTHS:
+                self._stored.clear()
             rates = np.zeros(len(self._relaxations)), np.zeros_like(self._decay_rates), np.zeros_like(self._gain_rates)
             for k, (up, down, width) in enumerate(self._relaxations):
                 if up != down and up is not None and down is not None:
                     for rate, more, less in zip(rates, up.increment(dt), down.increment(dt), strict=True):
                         rate[k] = (np.asarray(more) - np.asarray(less)) / width
-            self._known[dt] = rates
-        return self._known[dt]
+            self._stored[dt] = rates
+        return self._stored[dt]
 
     def _run(self) -> None:
-        self._push()
-        self._respond()
+        """Start both kernels."""
+        self._differentiate_forces()
+        self._differentiate_state()
 
     def _launch(self) -> None:
+        """Differentiate with a factorisation of the assembled exact tangent; the force is NaN if it is singular."""
         self._which[Switch.FACTORISES] = 1
         self._run()
         if self._which[Switch.FACTORISES]:
             self.force[:] = np.nan
 
-    def _follow_contact(self) -> None:
-        """Where a point was bound anew its anchor moves with it along the surface; where it parted nothing presses."""
+    def _update_contact(self) -> None:
+        """Update the derivatives of anchors and contact forces after a step.
+
+        A new anchor moves with its point along the surface; a separated point has no force.
+        """
         surface = self._equations.surface
         touching, held, before = surface.forces.any(axis=-1), surface.held[:, 0], self._contact
         if not (touching.any() or held.any() or before.any()):
             return
-        anew = (held > 0) & (surface.held != surface.anchors).any(axis=-1)
-        if anew.any():
-            normals = surface.rates[anew][:, [RateColumn.NORMAL_R, RateColumn.NORMAL_Z]]
+        rebound = (held > 0) & (surface.held != surface.anchors).any(axis=-1)
+        if rebound.any():
+            normals = surface.rates[rebound][:, [RateColumn.NORMAL_R, RateColumn.NORMAL_Z]]
             along = np.stack([-normals[:, 1], normals[:, 0]], axis=-1)
-            self._anchor_rates[:, anew] = np.einsum("kni,ni->kn", self._point_rates[:, anew], along)[..., None] * along
+            slip = np.einsum("kni,ni->kn", self._point_rates[:, rebound], along)
+            self._anchor_rates[:, rebound] = slip[..., None] * along
         if not touching.all():
             self._multiplier_rates[:, ~touching] = 0.0
         contact = self._contact = np.empty_like(before)

@@ -1,8 +1,13 @@
-"""How an equilibrium moves with the parameters of the material, as one Taichi kernel.
+"""Derivatives of the equilibrium with respect to material parameters, by direct differentiation, as Taichi kernels.
 
-The equilibrium R(y; theta, past) = 0 of a step is differentiated as it stands: R_y dy = -(R_theta + R_past dpast), with
-the exact tangent at the converged state. What a parameter does to the elements with the deformation held comes from
-`sensitivity_points`; what it did to the past is carried along.
+The discrete equilibrium R(y, theta, h) = 0 of a step, with unknowns y, parameters theta and history h, is
+differentiated:
+
+    R_y dy/dtheta = -(R_theta + R_h dh/dtheta),
+
+with the exact tangent R_y at the converged state. `sensitivity_points` computes R_theta + R_h dh/dtheta at fixed
+displacements; dh/dtheta is updated in each step. Reference: Michaleris, Tortorelli and Vidal, Int. J. Numer. Methods
+Eng. 37 (1994) 2471.
 """
 
 from dataclasses import dataclass
@@ -11,9 +16,10 @@ from functools import cache
 from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.contact import STICK_STIFFNESS_FACTOR, KnownRateColumn, RateColumn, SpanColumn
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD, TOUCHED
-from tissue_sim.fem.axisymmetric.newton import Count, Setting
-from tissue_sim.fem.axisymmetric.sensitivity_points import Switch, response_functions
+from tissue_sim.fem.axisymmetric.newton_tables import Count, Setting
+from tissue_sim.fem.axisymmetric.sensitivity_points import response_functions
 from tissue_sim.fem.axisymmetric.sensitivity_product import product_functions
+from tissue_sim.fem.axisymmetric.sensitivity_tables import Switch
 from tissue_sim.fem.linear import band as band_matrix
 from tissue_sim.fem.linear.cholesky import cholesky_functions
 from tissue_sim.fem.linear.lu import lu_functions
@@ -48,9 +54,17 @@ DIFFERENTIATION = DifferentiationSettings()
 
 @cache
 def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, slips: bool):
-    """The compiled response of one element and one family of laws to all parameters; see
-    `tissue_sim.fem.axisymmetric.sensitivity`. Only where something `slips` against friction it contains the solution of
-    unsymmetric equations, and only where the tissue `remembers` what becomes of its memory."""
+    """Return the two kernels that differentiate a step; see `tissue_sim.fem.axisymmetric.sensitivity.Sensitivity`.
+
+    Args:
+        element_name: key of `tissue_sim.mesh.elements.ELEMENTS`.
+        energy: energy of the law.
+        remembers: whether the tissue has a memory; only then the kernels differentiate the memory.
+        slips: whether points may slip against friction; only then the kernels contain an unsymmetric solver.
+
+    Returns:
+        Kernel of the force derivatives at fixed displacements, and kernel of all other derivatives.
+    """
     ti = initialise()
     work, tangent = response_functions(element_name, energy, remembers), product_functions(element_name)
     vec = ti.types.vector(LANES, ti.f64)
@@ -66,8 +80,10 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
     def contact_rate(i, k, dr, dz, held: ti.template(), slip_signs: ti.template(), springs: ti.template(),
                      contact_rates: ti.template(), known: ti.template(), multiplier_rates: ti.template(),
                      anchor_rates: ti.template()):
-        """Rate of the force of point i with parameter k when it moves by (dr, dz). By how much that misses its
-        constraint counts with the rates that the matrix holds."""
+        """Return the derivative of the force of point i with respect to parameter k for given (dr, dz)/dtheta_k.
+
+        The residual of the constraint is multiplied by the derivatives that the matrix contains.
+        """
         fr = contact_rates[i, RateColumn.RR] * dr + contact_rates[i, RateColumn.RZ] * dz
         fz = contact_rates[i, RateColumn.ZR] * dr + contact_rates[i, RateColumn.ZZ] * dz
         lr, lz = multiplier_rates[k, i, 0], multiplier_rates[k, i, 1]
@@ -111,22 +127,28 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
         return good
 
     @ti.func
-    def settle(k, kappa, batches, which: ti.template(), counts: ti.template(), equation: ti.template(), contact_nodes:
-               ti.template(), contact_shapes: ti.template(), springs: ti.template(), held: ti.template(), slip_signs:
-               ti.template(), contact_rates: ti.template(), known_rates: ti.template(), factor: ti.template(),
-               upper_factor: ti.template(), inverse: ti.template(), right: ti.template(), residual: ti.template(),
-               forces: ti.template(), multiplier_rates: ti.template(), anchor_rates: ti.template(), point_rates:
-               ti.template(), law: ti.template(), dx: ti.template(), motion: ti.template(), dofs: ti.template(), real:
-               ti.template(), gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(), moduli:
-               ti.template(), equations_r: ti.template(), equations_z: ti.template(), volume_r: ti.template(), volume_z:
-               ti.template(), known_volume_r: ti.template(), known_volume_z: ti.template(), pressure_rates:
-               ti.template(), swelling: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(), rows_zr:
-               ti.template(), rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(), inverse_zz:
-               ti.template(), centre_r: ti.template(), centre_z: ti.template(), way_r: ti.template(), way_z:
-               ti.template()):
-        """Let the nodes, and the forces of contact, follow parameter k; `motion` holds the last part of that, and then
-        the forces before it. With the factor of a tangent nearby each round takes off what the exact one still misses,
-        and `which` says whether all of it."""
+    def solve_parameter(k, kappa, batches, which: ti.template(), counts: ti.template(), equation: ti.template(),
+                        contact_nodes: ti.template(), contact_shapes: ti.template(), springs: ti.template(),
+                        held: ti.template(), slip_signs: ti.template(), contact_rates: ti.template(),
+                        known_rates: ti.template(), factor: ti.template(), upper_factor: ti.template(),
+                        inverse: ti.template(), right: ti.template(), residual: ti.template(), forces: ti.template(),
+                        multiplier_rates: ti.template(), anchor_rates: ti.template(), point_rates: ti.template(),
+                        law: ti.template(), dx: ti.template(), motion: ti.template(), dofs: ti.template(),
+                        real: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(),
+                        value_r: ti.template(), moduli: ti.template(), equations_r: ti.template(),
+                        equations_z: ti.template(), volume_r: ti.template(), volume_z: ti.template(),
+                        known_volume_r: ti.template(), known_volume_z: ti.template(), pressure_rates: ti.template(),
+                        swelling: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
+                        rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(),
+                        inverse_zz: ti.template(), centre_r: ti.template(), centre_z: ti.template(),
+                        way_r: ti.template(), way_z: ti.template()):
+        """Solve for the derivatives of displacements and contact forces with respect to parameter k.
+
+        Each round solves with the factorisation and updates the derivatives of the contact forces. With the
+        factorisation of a nearby tangent (`Switch.REFINES`) the rounds are iterative refinement of the exact equations,
+        and `Switch.SETTLED` tells whether they converged. `motion` contains the last displacement increment, then the
+        residual before it.
+        """
         free, width, rows = counts[Count.FREE], factor.shape[1], factor.shape[0]
         last, before_last = 0.0, 0.0
         refines = which[Switch.REFINES]
@@ -196,7 +218,7 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
             if ti.static(not remembers):
                 if refines == 1:
                     for b in range(batches):
-                        tangent.follow(b, k, kappa, motion, dofs, real, moduli, known_volume_r, known_volume_z,
+                        tangent.update(b, k, kappa, motion, dofs, real, moduli, known_volume_r, known_volume_z,
                                        rows_rr, rows_rz, rows_zr, rows_zz, way_r, way_z, pressure_rates, swelling, dx)
             for c in range(counts[Count.CONTACTS]):
                 dr, dz = 0.0, 0.0
@@ -210,24 +232,26 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
                 multiplier_rates[k, c, 0], multiplier_rates[k, c, 1] = fr, fz
                 point_rates[k, c, 0], point_rates[k, c, 1] = dr, dz
             if refines == 0:
-                # What the next round would change, from what the last ones did.
+                # Estimate of the change in the next round, from the convergence rate of the last rounds.
                 if changed * ti.min(changed / ti.max(last, 1e-300),
                                     1.0) <= DIFFERENTIATION.contact_tolerance * largest_rate:
                     break
                 last = changed
 
     @ti.kernel
-    def push(which: int1, counts: int1, settings: real1, equation: int1, elements: int2, dofs: int2, gradient_r:
-             vector1, gradient_z: vector1, value_r: vector1, point_weights: vector1, mode_values: vector1, moduli:
-             vector1, equations_r: int2, equations_z: int2, coefficients: real1, past: real1, inherited: real3, largest:
-             real2, stresses: real3, before: real3, internal: real4, recent: vector1, x: real1, entries: real4, blocks:
-             block3, upper_blocks: block3, factor: block3, upper_factor: block3, inverse: real1, residual: real1,
-             volume_r: vector1, volume_z: vector1,
-             rows_rr: vector1, rows_rz: vector1, rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1, inverse_rz:
-             vector1, inverse_zz: vector1, acts: int1, relaxes: int1, directions: real2, kappa_rates: real1,
-             moduli_rates: vector1, past_rates: real2, decay: real1, gain: real1, decay_rates: real2, gain_rates: real2,
-             largest_rates: vector1, energy_rates: vector1, stress_rates: vector1, before_rates: vector1,
-             internal_rates: vector1, centre_r: vector1, centre_z: vector1, law: vector1, forces: real2):
+    def differentiate_forces(which: int1, counts: int1, settings: real1, equation: int1, elements: int2, dofs: int2,
+                             gradient_r: vector1, gradient_z: vector1, value_r: vector1, point_weights: vector1,
+                             mode_values: vector1, moduli: vector1, equations_r: int2, equations_z: int2,
+                             coefficients: real1, past: real1, inherited: real3, largest: real2, stresses: real3,
+                             before: real3, internal: real4, recent: vector1, x: real1, entries: real4, blocks: block3,
+                             upper_blocks: block3, factor: block3, upper_factor: block3, inverse: real1,
+                             residual: real1, volume_r: vector1, volume_z: vector1, rows_rr: vector1, rows_rz: vector1,
+                             rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1, inverse_rz: vector1,
+                             inverse_zz: vector1, acts: int1, relaxes: int1, directions: real2, kappa_rates: real1,
+                             moduli_rates: vector1, past_rates: real2, decay: real1, gain: real1, decay_rates: real2,
+                             gain_rates: real2, largest_rates: vector1, energy_rates: vector1, stress_rates: vector1,
+                             before_rates: vector1, internal_rates: vector1, centre_r: vector1, centre_z: vector1,
+                             law: vector1, forces: real2):
         ti.loop_config(serialize=True)
         for _ in range(which[Switch.PASSES]):
             batches, pressures, parameters = elements.shape[0], equation.shape[0], forces.shape[0]
@@ -256,36 +280,38 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
                               decay_rates, gain_rates, relaxes, centre_r, centre_z, forces)
 
     @ti.kernel
-    def respond(which: int1, counts: int1, settings: real1, equation: int1, direction: real1, elements: int2, dofs:
-                int2, real: vector1, gradient_r: vector1, gradient_z: vector1, value_r: vector1, moduli: vector1,
-                equations_r: int2, equations_z: int2, contact_nodes: int2, contact_shapes: real2, spans: int2, springs:
-                real1, held: real2, slip_signs: real1, contact_rates: real2, known_rates: real2, largest: real2,
-                stresses:
-                real3, energies: real2, before: real3, internal: real4, recent: vector1, factor: block3, upper_factor:
-                block3, inverse: real1, right: block1, residual: real1, pull: real1, volume_r: vector1, volume_z:
-                vector1, known_volume_r: vector1, known_volume_z: vector1, pressure_rates: vector1, swelling: vector1,
-                rows_rr: vector1, rows_rz: vector1, rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1, inverse_rz:
-                vector1, inverse_zz: vector1, relaxes: int1, decay: real1, gain: real1, decay_rates: real2, gain_rates:
-                real2, largest_rates: vector1, energy_rates: vector1, stress_rates: vector1, before_rates: vector1,
-                internal_rates: vector1, multiplier_rates: real3, anchor_rates: real3, point_rates: real3, centre_r:
-                vector1, centre_z: vector1, way_r: vector1, way_z: vector1, motion: real1, law: vector1, forces: real2,
-                dx: real2, force_rates: real1):
+    def differentiate_state(which: int1, counts: int1, settings: real1, equation: int1, direction: real1,
+                            elements: int2, dofs: int2, real: vector1, gradient_r: vector1, gradient_z: vector1,
+                            value_r: vector1, moduli: vector1, equations_r: int2, equations_z: int2,
+                            contact_nodes: int2, contact_shapes: real2, spans: int2, springs: real1, held: real2,
+                            slip_signs: real1, contact_rates: real2, known_rates: real2, largest: real2,
+                            stresses: real3, energies: real2, before: real3, internal: real4, recent: vector1,
+                            factor: block3, upper_factor: block3, inverse: real1, right: block1, residual: real1,
+                            pull: real1, volume_r: vector1, volume_z: vector1, known_volume_r: vector1,
+                            known_volume_z: vector1, pressure_rates: vector1, swelling: vector1, rows_rr: vector1,
+                            rows_rz: vector1, rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1,
+                            inverse_rz: vector1, inverse_zz: vector1, relaxes: int1, decay: real1, gain: real1,
+                            decay_rates: real2, gain_rates: real2, largest_rates: vector1, energy_rates: vector1,
+                            stress_rates: vector1, before_rates: vector1, internal_rates: vector1,
+                            multiplier_rates: real3, anchor_rates: real3, point_rates: real3, centre_r: vector1,
+                            centre_z: vector1, way_r: vector1, way_z: vector1, motion: real1, law: vector1,
+                            forces: real2, dx: real2, force_rates: real1):
         ti.loop_config(serialize=True)
         for _ in range(which[Switch.PASSES]):
             batches, pressures, parameters = elements.shape[0], equation.shape[0], force_rates.shape[0]
             free, kappa = counts[Count.FREE], settings[Setting.KAPPA]
             for k in range(parameters):
                 if which[Switch.FACTORISES] == 0 or which[Switch.REFINES] == 0:
-                    settle(k, kappa, batches, which, counts, equation, contact_nodes, contact_shapes, springs, held,
-                           slip_signs, contact_rates, known_rates, factor, upper_factor, inverse, right, residual,
-                           forces,
-                           multiplier_rates, anchor_rates, point_rates, law, dx, motion, dofs, real, gradient_r,
-                           gradient_z, value_r, moduli, equations_r, equations_z, volume_r, volume_z, known_volume_r,
-                           known_volume_z, pressure_rates, swelling, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr,
-                           inverse_rz, inverse_zz, centre_r, centre_z, way_r, way_z)
+                    solve_parameter(k, kappa, batches, which, counts, equation, contact_nodes, contact_shapes, springs,
+                                    held, slip_signs, contact_rates, known_rates, factor, upper_factor, inverse, right,
+                                    residual, forces, multiplier_rates, anchor_rates, point_rates, law, dx, motion,
+                                    dofs, real, gradient_r, gradient_z, value_r, moduli, equations_r, equations_z,
+                                    volume_r, volume_z, known_volume_r, known_volume_z, pressure_rates, swelling,
+                                    rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz, inverse_zz, centre_r,
+                                    centre_z, way_r, way_z)
                     if which[Switch.REFINES] == 1 and which[Switch.SETTLED] == 0:
                         which[Switch.FACTORISES] = 1
-                # The force on the tool: of the points that meet it, and of the tissue that moves with it.
+                # Force on the tool: of contact points, and of tissue that is bonded to the tool.
                 total = 0.0
                 for c in range(counts[Count.CONTACTS]):
                     total += float(spans[c, SpanColumn.MOVES]) * multiplier_rates[k, c, 1]
@@ -306,4 +332,4 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
                                       largest_rates, energy_rates, stress_rates, before_rates, recent, internal_rates,
                                       decay, gain, decay_rates, gain_rates, relaxes, centre_r, centre_z)
 
-    return push, respond
+    return differentiate_forces, differentiate_state

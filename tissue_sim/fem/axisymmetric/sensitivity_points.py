@@ -1,8 +1,9 @@
-"""What parameters of the material do to elements, as Taichi functions that work on as many elements as vectors have
-lanes: to the forces of nodes while nothing moves, and to the memory of the tissue once it is known how everything does.
+"""Derivatives of element forces and of the tissue's memory with respect to material parameters, as Taichi functions.
+
+First, the derivatives of the nodal forces at fixed displacements; then, with the displacement derivatives known, the
+derivatives of the memory (relaxation, softening). Each function works on a batch of `LANES` elements.
 """
 
-from enum import IntEnum
 from functools import cache
 from typing import NamedTuple
 
@@ -11,77 +12,12 @@ import sympy as sp
 from tissue_sim.fem.axisymmetric import energy as point
 from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.scratch import AT, scratch
+from tissue_sim.fem.axisymmetric.sensitivity_tables import KeptRecord, PointRecord, Switch
 from tissue_sim.fem.energy import inverse_root_function, soften_function
 from tissue_sim.fem.history import PastColumn
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.elements import ELEMENTS
-
-
-class PointRecord(IntEnum):
-    """Offsets of the record of one quadrature point in the scratch field, for the batch that is evaluated.
-
-    Attributes:
-        GRADIENT: deformation gradient, 5 numbers.
-        ROOT: J^(-1/3).
-        ENERGY: isochoric energy density, Pa.
-        STRESS: isochoric first Piola stress of the law, 5 numbers, Pa.
-        SOFT_STRESS: the same with softening.
-        RELAXED_STRESS: the same with softening and relaxation.
-        SIZE: numbers in a record.
-    """
-
-    GRADIENT = 0
-    ROOT = 5
-    ENERGY = 6
-    STRESS = 7
-    SOFT_STRESS = 12
-    RELAXED_STRESS = 17
-    SIZE = 22
-
-
-class KeptRecord(IntEnum):
-    """Offsets of the record of one quadrature point that is kept until the displacement derivatives are known.
-
-    Attributes:
-        GRADIENT: deformation gradient, 5 numbers.
-        STRESS: isochoric first Piola stress of the law, 5 numbers, Pa.
-        SECOND: second Piola stress with softening (RR, RZ, ZZ, hoop), 4 numbers, Pa.
-        SOFT_TANGENT: tangent with softening, 15 numbers, packed as `energy.PACKED`, Pa.
-        SIZE: numbers in a record.
-    """
-
-    GRADIENT = 0
-    STRESS = 5
-    SECOND = 10
-    SOFT_TANGENT = 14
-    SIZE = 29
-
-
-class Switch(IntEnum):
-    """Indices of `which`, the integers that control the kernels of the sensitivities.
-
-    Attributes:
-        FACTORISES: 1 if the matrix must be factorised; still 1 afterwards if the matrix is singular.
-        LAYERED: 1 if a parameter changes the moduli of elements.
-        SOFTENS: 1 if the material or a derivative of the material softens.
-        TERMS: number of relaxation terms.
-        RELAXES: 1 if a parameter changes the relaxation.
-        ONE: 1, unknown to the compiler, see `response_functions`.
-        REFINES: 1 if the iteration uses the factorisation of the step instead of one of the exact tangent.
-        SETTLED: output, 1 if that iteration converged.
-        PASSES: number of passes of the loop in a kernel, 1.
-    """
-
-    FACTORISES = 0
-    LAYERED = 1
-    SOFTENS = 2
-    TERMS = 3
-    RELAXES = 4
-    ONE = 5
-    REFINES = 6
-    SETTLED = 7
-    PASSES = 8
 
 
 class ResponseFunctions(NamedTuple):
@@ -94,20 +30,23 @@ class ResponseFunctions(NamedTuple):
 
 
 def directional(energy: KernelEnergy) -> KernelEnergy:
-    """The energy's derivative with respect to its coefficients along a direction; coefficients, then the direction."""
+    """Return the directional derivative of an energy with respect to its coefficients, as an energy.
+
+    The coefficients of the result are those of the energy, followed by the components of the direction.
+    """
     along = tuple(sp.Symbol(f"{symbol.name}_rate", real=True) for symbol in energy.coefficients)
-    rate = sum((way * sp.diff(energy.energy, symbol) for way, symbol in zip(along, energy.coefficients, strict=True)),
-               sp.Integer(0))
+    rate = sum((component * sp.diff(energy.energy, symbol)
+                for component, symbol in zip(along, energy.coefficients, strict=True)), sp.Integer(0))
     return KernelEnergy(f"{energy.key} rate", energy.family, energy.variables, energy.coefficients + along, rate)
 
 
 @cache
 def response_functions(element_name: str, energy: KernelEnergy, remembers: bool) -> ResponseFunctions:
-    """See the functions themselves; of tissue that does not remember `note` and `push` are all that is compiled.
+    """Return the functions of an element type and a law; tissue without memory uses `note` and `push` only.
 
-    Rows of arrays of vectors count batches, points, parameters, terms and components, the last ones fastest. Where a
-    component is added to a row it is multiplied by `one`, 1 that the compiler does not know: with a constant in its
-    place a vector would be loaded number by number.
+    Rows of arrays of vectors are numbered by batch, point, parameter, term and component, the last fastest. The
+    component in a row index is multiplied by `one`, a 1 that is unknown to the compiler: with constant indices the
+    compiler would load a vector number by number.
     """
     ti = initialise()
     element = ELEMENTS[element_name]
@@ -126,8 +65,8 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
     LAW, ENERGY_RATE, PAST, BEFORE, CHANGE = (AT[name] for name in ("LAW", "ENERGY_RATE", "PAST", "BEFORE", "CHANGE"))
     row = point.PLACE
 
-    # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi. What a branch decides is kept in the
-    # scratch field.
+    # Arrays are updated by `a = a + b`, because `a += b` is an atomic operation in Taichi. Results of branches are
+    # stored in the scratch field.
 
     @ti.func
     def at_lanes(values: ti.template(), elements: ti.template(), b, q):
@@ -139,20 +78,20 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
 
     @ti.func
     def pulled_back(F, P):
-        """F^-1 P of a stress whose pull-back is symmetric: RR, RZ, ZZ, hoop."""
+        """Return the pull-back F^-1 P of a first Piola stress: RR, RZ, ZZ, hoop."""
         over_j = 1.0 / (F[0] * F[3] - F[1] * F[2])
         return [(F[3] * P[0] - F[1] * P[2]) * over_j, (F[3] * P[1] - F[1] * P[3]) * over_j,
                 (F[0] * P[3] - F[2] * P[1]) * over_j, P[4] / F[4]]
 
     @ti.func
     def pushed(F, S):
-        """F S of a symmetric S (RR, RZ, ZZ, hoop)."""
+        """Return F S for a second Piola stress S (RR, RZ, ZZ, hoop)."""
         return [F[0] * S[0] + F[1] * S[1], F[0] * S[1] + F[1] * S[2], F[2] * S[0] + F[3] * S[1],
                 F[2] * S[1] + F[3] * S[2], F[4] * S[3]]
 
     @ti.func
     def gradient(b, q, gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template()):
-        """Displacement gradient of the motion of the nodes that is noted."""
+        """Return the displacement gradient of the stored nodal displacements."""
         h0, h1, h2, h3, h4 = vec(0.0), vec(0.0), vec(0.0), vec(0.0), vec(0.0)
         for a in range(nodes):
             g = (b * points + q) * nodes + a
@@ -169,7 +108,7 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
              gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(), coefficients: ti.template(),
              past: ti.template(), inherited: ti.template(), largest: ti.template(), pressures, modes_at: ti.template(),
              weights: ti.template(), moduli: ti.template(), law: ti.template()):
-        """Note of a batch what does not depend on the parameter."""
+        """Store the quantities of a batch that do not depend on the parameter."""
         one = which[Switch.ONE]
         for a in range(nodes):
             i = b * nodes + a
@@ -234,7 +173,7 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
     @ti.func
     def recall(b, which: ti.template(), elements: ti.template(), stresses: ti.template(), before: ti.template(),
                internal: ti.template(), recent: ti.template()):
-        """Note the internal stresses of a batch, and the stress of the step before and how it changed."""
+        """Store the internal stresses of a batch, the stress of the last step, and its change."""
         one, terms = which[Switch.ONE], which[Switch.TERMS]
         for q in range(points):
             for i in ti.static(range(4)):
@@ -245,14 +184,15 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
                     recent[at_term] = ti.Vector([internal[t, elements[b, l], q, i] for l in ti.static(range(LANES))])
 
     @ti.func
-    def remembered_rate(b, q, k, parameters, which: ti.template(), elements: ti.template(), past: ti.template(),
+    def add_memory_rate(b, q, k, parameters, which: ti.template(), elements: ti.template(), past: ti.template(),
                         past_rates: ti.template(), largest: ti.template(), largest_rates: ti.template(),
-                        energy_rates: ti.template(), stress_rates: ti.template(),
-                        before_rates: ti.template(), recent: ti.template(), internal_rates: ti.template(),
-                        decay: ti.template(), gain: ti.template(), decay_rates: ti.template(),
-                        gain_rates: ti.template(), relaxes: ti.template()):
-        """Go on from the rate of the law's stress that is noted to that of the stress in time, modulus 1; energy and
-        softened stress go to their rates."""
+                        energy_rates: ti.template(), stress_rates: ti.template(), before_rates: ti.template(),
+                        recent: ti.template(), internal_rates: ti.template(), decay: ti.template(), gain: ti.template(),
+                        decay_rates: ti.template(), gain_rates: ti.template(), relaxes: ti.template()):
+        """Convert the stored derivative of the law's stress to that of the stress with softening and relaxation.
+
+        The derivatives of energy and softened stress are stored for the memory. The modulus is 1.
+        """
         at, noted, terms, one = RATE + 5 * q, LAW + PointRecord.SIZE * q, which[Switch.TERMS], which[Switch.ONE]
         f, df = past[PastColumn.FACTOR], past_rates[k, PastColumn.FACTOR] / past[PastColumn.FACTOR]
         F = [s[noted + PointRecord.GRADIENT + i] for i in ti.static(range(5))]
@@ -303,7 +243,7 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
              before_rates: ti.template(), recent: ti.template(), internal_rates: ti.template(),
              decay: ti.template(), gain: ti.template(), decay_rates: ti.template(), gain_rates: ti.template(), relaxes:
              ti.template(), centre_r: ti.template(), centre_z: ti.template(), forces: ti.template()):
-        """Add the rates of the nodal forces of a batch with parameter k, nothing moving, to row k of `forces`."""
+        """Add the derivatives of a batch's nodal forces at fixed displacements to row k of `forces`."""
         direction = ti.Vector([directions[k, i] for i in ti.static(range(coefficients_of_both))])
         own = k * batches + b
         modulus, modulus_rate = moduli[b], moduli_rates[own]
@@ -320,7 +260,7 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
                 for i in ti.static(range(5)):
                     s[at + i] = vec(0.0)
             if ti.static(remembers):
-                remembered_rate(b, q, k, parameters, which, elements, past, past_rates, largest, largest_rates,
+                add_memory_rate(b, q, k, parameters, which, elements, past, past_rates, largest, largest_rates,
                                 energy_rates, stress_rates, before_rates, recent, internal_rates, decay, gain,
                                 decay_rates, gain_rates, relaxes)
             w = weights[b * points + q]
@@ -329,7 +269,7 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
             if which[Switch.LAYERED] == 1:
                 for i in ti.static(range(5)):
                     s[at + i] = s[at + i] + (w * modulus_rate) * s[noted + PointRecord.RELAXED_STRESS + i]
-        # The pressure at which the volume keeps to the bulk modulus, over that: what it asks for now is not enough.
+        # Relative derivative of the pressure p = K (v - V) at fixed volume.
         share = (kappa_rates[k] * modulus + kappa * modulus_rate) / (kappa * modulus)
         for a in range(nodes):
             fr, fz = vec(0.0), vec(0.0)
@@ -368,7 +308,7 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
                  ti.template(), recent: ti.template(), internal_rates: ti.template(),
                  decay: ti.template(), gain: ti.template(), decay_rates: ti.template(), gain_rates: ti.template(),
                  relaxes: ti.template(), centre_r: ti.template(), centre_z: ti.template()):
-        """Take over what the motion `dx` with parameter k does to the memory of a batch."""
+        """Update the derivatives of a batch's memory with the displacement derivatives `dx` of parameter k."""
         in_batch, terms, one = k * batches + b, which[Switch.TERMS], which[Switch.ONE]
         for a in range(nb):
             i = b * nodes + a
@@ -396,7 +336,7 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
             for i in ti.static(range(4)):
                 of2 = kept + (KeptRecord.SECOND + i) * one
                 second[i] = law[of2]
-            # The rate of F S is that of S, pushed, and what the motion makes of S as it is.
+            # d(F S) = F dS + dF S.
             lost = pushed(H, second)
             rate = [-1.0 * lost[i] for i in ti.static(range(5))]
             for i in ti.static(range(5)):

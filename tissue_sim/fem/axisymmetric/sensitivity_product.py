@@ -1,7 +1,8 @@
-"""The exact tangent of elastic tissue times a motion, element by element, as Taichi functions.
+"""Product of the exact tangent of elastic tissue with a displacement, element by element, as Taichi functions.
 
-With it the last factor of a step, which is that of a tangent nearby, solves the equations of the exact one: those of
-displacements and pressures, which that tangent is near whatever K/mu is (`condensation`).
+With this product, the factorisation of the last step, which belongs to a nearby tangent, solves the equations of the
+exact tangent iteratively (modified Newton method, iterative refinement). The equations are those of displacements and
+pressures, so that the convergence does not depend on K/mu (`condensation`).
 """
 
 from functools import cache
@@ -16,15 +17,15 @@ from tissue_sim.mesh.elements import ELEMENTS
 
 
 class ProductFunctions(NamedTuple):
-    """Taichi functions of one element."""
+    """Taichi functions of the tangent product for one element type."""
 
     add_product: object
-    follow: object
+    update: object
 
 
 @cache
 def product_functions(element_name: str) -> ProductFunctions:
-    """See the functions themselves."""
+    """Return the product functions of an element type."""
     ti = initialise()
     element = ELEMENTS[element_name]
     nodes, modes = element.nodes, element.pressure_modes
@@ -45,11 +46,14 @@ def product_functions(element_name: str) -> ProductFunctions:
                     ti.template(), rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(),
                     inverse_zz: ti.template(), centre_r: ti.template(), centre_z: ti.template(), way_r: ti.template(),
                     way_z: ti.template(), residual: ti.template()):
-        """Add the forces that row k of `dx` and `pressure_rates` make to the residual, and note in `way_r`, `way_z` how
-        the interior nodes go for theirs, those without motion (`centre_r`, `centre_z`) included, and in `swelling` by
-        how much the volume misses what the pressures ask for, which is eliminated with the rates that the matrix holds
-        (`known_r`, `known_z`); `tangents` are those of the points times their weight. Returns the sum of what other
-        forces these rates make of that than those of now."""
+        """Add the forces of the displacement derivatives (row k of `dx`) and pressure derivatives to the residual.
+
+        `way_r` and `way_z` get the displacement derivatives of the interior nodes, including those at fixed shared
+        nodes (`centre_r`, `centre_z`). `swelling` gets the residual of the volume constraint, which is eliminated with
+        the volume derivatives of the factorised matrix (`known_r`, `known_z`). `tangents` are the tangents of the
+        quadrature points times their weight. Returns the sum of the force differences caused by the difference between
+        these volume derivatives and the present ones.
+        """
         for a in range(nodes):
             i = b * nodes + a
             s[UR + a] = ti.Vector([dx[k, dofs[i, l]] for l in ti.static(range(LANES))])
@@ -105,13 +109,12 @@ def product_functions(element_name: str) -> ProductFunctions:
         return (real[b] * aside).sum()
 
     @ti.func
-    def follow(b, k, kappa, motion: ti.template(), dofs: ti.template(), real: ti.template(), moduli: ti.template(),
+    def update(b, k, kappa, motion: ti.template(), dofs: ti.template(), real: ti.template(), moduli: ti.template(),
                known_r: ti.template(), known_z: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
                rows_zr: ti.template(), rows_zz: ti.template(), way_r: ti.template(), way_z: ti.template(),
                pressure_rates: ti.template(), swelling: ti.template(), dx: ti.template()):
-        """Let the interior nodes of row k of `dx` and the pressures follow the `motion` of the shared nodes, and what
-        was missed before."""
-        own.follow(b, motion, dofs, rows_rr, rows_rz, rows_zr, rows_zz, way_r, way_z)
+        """Update the derivatives of interior nodes (row k of `dx`) and pressures after the `motion` of shared nodes."""
+        own.move_nodes(b, motion, dofs, rows_rr, rows_rz, rows_zr, rows_zz, way_r, way_z)
         if ti.static(has_centre):
             i, cr, cz = b * nodes + centre, s[SR + centre], s[SZ + centre]
             for l in ti.static(range(LANES)):
@@ -121,6 +124,6 @@ def product_functions(element_name: str) -> ProductFunctions:
         for m in range(modes):
             mode = b * modes + m
             pressure_rates[mode] = pressure_rates[mode] + kappa * moduli[b] * (
-                swelling[mode] + own.swell(mode, known_r, known_z))
+                swelling[mode] + own.volume_increment(mode, known_r, known_z))
 
-    return ProductFunctions(add_product, follow)
+    return ProductFunctions(add_product, update)

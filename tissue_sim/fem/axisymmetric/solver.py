@@ -1,4 +1,4 @@
-"""The axisymmetric solid: a mesh, a material and how its faces are held, stepped by tool displacement."""
+"""Solver of the axisymmetric solid: mesh, material, supports and contact, stepped by the depth of the tool."""
 
 from __future__ import annotations
 
@@ -31,41 +31,46 @@ from tissue_sim.tool_force import NextForce, axial_stiffness, axial_wrench, dept
 if TYPE_CHECKING:
     from tissue_sim.fem.axisymmetric.sensitivity import Sensitivity
 
-#: Largest depth of the tool over the height of the specimen. At a stretch of 0.444 a free surface of compressed
-#: incompressible neo-Hookean tissue folds; beyond it there are several equilibria, and a mesh finds any of them.
+#: Largest depth of the tool over the height of the specimen. At a stretch of 0.444 the free surface of compressed
+#: incompressible neo-Hookean tissue becomes unstable (surface instability); beyond it equilibria are not unique.
 #: Source: Biot, Appl. Sci. Res. A 12 (1963) 168.
-DEEPEST = 1.0 - 0.444
+MAX_RELATIVE_DEPTH = 1.0 - 0.444
 
 _STATUSES = {int(status): status for status in StepStatus}
 
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A committed state, and the isochoric stresses of its memory where it has one; see `Fields`."""
+    """Committed state for the computation of fields.
+
+    Attributes:
+        state: nodal displacements, pressure amplitudes, contact forces, shape (unknowns,).
+        stresses: isochoric second Piola stresses, see `Fields.stresses`; None for tissue without memory.
+    """
 
     state: np.ndarray
     stresses: np.ndarray | None
 
 
 class AxisymmetricSolver(KernelOwner, Solver):
-    """Stateful Newton solver of one axisymmetric boundary-value problem.
+    """Stateful Newton solver of one axisymmetric boundary-value problem with contact.
 
     Args:
         mesh: undeformed mesh.
         material: law, parameters, bulk response.
-        supports: node set -> components held, ``"r"``, ``"z"`` or ``"rz"``.
-        tool: node set -> components that follow the tool: ``"z"`` moves with it, ``"rz"`` also sticks to it.
-        contact: the surface that the tool may meet besides.
+        supports: node set -> fixed components, ``"r"``, ``"z"`` or ``"rz"``.
+        tool: node set -> components that are bonded to the tool: ``"z"`` moves with the tool, ``"rz"`` also sticks.
+        contact: contact pairs; None without contact.
         specific_weight: density times gravity, N/m3, towards -z.
-        element_layers: number of the material's layer of each element, shape (elements,); that after the last one
-            stands for none, as does None for all.
-        contact_radius: m; how fast the pores drain, see `Material.relaxation`.
-        start: a solver on the same mesh whose last state is the one in which the tool touches; its contact pairs are
-            the first of this one's. None: the undeformed mesh.
+        element_layers: index of the material's layer of each element, shape (elements,); the number of layers, or None
+            for all elements, stands for no layer.
+        contact_radius: radius that determines the drainage time of the pores, m, see `Material.relaxation`.
+        start: solver on the same mesh whose last state is the initial state, in which the tool touches; its contact
+            pairs are the first pairs of this solver. None: the undeformed mesh.
 
     Raises:
-        InputError: bulk ratio outside `BULK_RATIOS`.
-        MissingBackendError: Taichi is not there.
+        InputError: the bulk ratio is outside `BULK_RATIOS`.
+        MissingBackendError: Taichi is not installed.
     """
 
     def __init__(self, mesh: Mesh, material: Material, supports: dict[str, str], tool: dict[str, str], *,
@@ -76,42 +81,42 @@ class AxisymmetricSolver(KernelOwner, Solver):
                                               contact_radius, None if start is None else start.equations)
         equations = self.equations
         self.committed = equations.state
-        #: Rates with the parameters of the material, where somebody asked for them.
+        #: Derivatives with respect to the material; None unless `differentiate` was called.
         self._sensitivity: Sensitivity | None = None
-        # Where the last iteration was meant to end, and its linear solves.
-        self._tried, self._iterated, self._pose = 0.0, 0, Pose.at_depth(0.0)
+        # Target depth of the last iteration (m), and its number of linear solves.
+        self._target_depth, self._iterated, self._pose = 0.0, 0, Pose.at_depth(0.0)
         self.datum = equations.settings[newton.Setting.TOUCH] = 0.0 if contact is None else bring_down(
             mesh, contact, equations.surface, equations.start.reshape(-1, 2))
-        self.committed.note_bonds()
-        self._deepest = DEEPEST * float(np.ptp(mesh.nodes[:, 1]))
-        self._holds = any(mesh.sets[name].size for name in tool)
+        self.committed.store_initial_bonds()
+        self._max_depth = MAX_RELATIVE_DEPTH * float(np.ptp(mesh.nodes[:, 1]))
+        self._holds_tissue = any(mesh.sets[name].size for name in tool)
 
     def set_material(self, material: Material) -> None:
-        """Change parameters, bulk response or law; the state is kept.
+        """Change parameters, bulk response or law of the material; the displacements stay.
 
         Raises:
-            InputError: bulk ratio outside `BULK_RATIOS`; nothing is changed.
+            InputError: the bulk ratio is outside `BULK_RATIOS`; nothing is changed.
         """
         before = self.equations.material.mu0
         self.equations.set_material(material)
-        # Where all moduli change alike, the tissue stays where it is and its forces follow them.
+        # Pressures and contact forces scale with the modulus, exactly if all moduli change by the same factor.
         self.committed.history[:, self.equations.equation.size :] *= material.mu0 / before
 
     def project_pose(self, pose: Pose) -> Pose:
-        """On the axis and upright at the depth of the pose."""
+        """Return the pose on the axis, upright, at the depth of a pose."""
         x, y, z = pose.position
         if x == y == 0.0 and pose.orientation == NO_ROTATION:
             return pose
         return Pose((0.0, 0.0, z))
 
     def accepts_pose(self, pose: Pose) -> bool:
-        """Whether the tool is above the depth at which compressed tissue loses its one equilibrium; see `DEEPEST`."""
-        return pose.depth <= self._deepest
+        """Whether the depth is at most `MAX_RELATIVE_DEPTH`, up to which the equilibrium is unique."""
+        return pose.depth <= self._max_depth
 
     def step(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
              own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
-        """Move the tool to a depth, m, or that of a pose, and find equilibrium; see `Solver.step`."""
+        """Move the tool to a depth (m), or to the depth of a pose, and solve for equilibrium; see `Solver.step`."""
         state, rate = self.committed, 0.0
         if state.motion is not None and inertial:
             rate = state.motion.prepare(state.latest, dt)
@@ -121,18 +126,30 @@ class AxisymmetricSolver(KernelOwner, Solver):
     def try_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
                  rate: float, *, inertial: bool = False, resumes: bool = False,
                  own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
-        """A step in which `rate` (1/s2, or N/m4 of a drag) times mass draws each freedom to where it rests."""
+        """Solve a step with the force `rate` times mass times displacement from rest (`Equations.rest`).
+
+        Args:
+            depth: depth of the tool, m.
+            dt: duration, s.
+            tolerance: relative residual of a converged step.
+            max_iterations: maximum number of linear solves.
+            predictor_order: order of the extrapolation of earlier states.
+            rate: factor, 1/s2; of artificial damping, N/m4; 0: quasi-static.
+            inertial: whether the force is that of inertia.
+            resumes: whether the iteration of the last call continues.
+            own_stiffness: an `OwnStiffness`.
+        """
         equations, state = self.equations, self.committed
         if not resumes:
-            swings = inertial and len(state.times) > 1
-            equations.predict(extrapolation(state.times, dt, predictor_order) if swings
+            by_time = inertial and len(state.times) > 1
+            equations.predict(extrapolation(state.times, dt, predictor_order) if by_time
                               else extrapolation(state.depths, depth, predictor_order))
         equations.prepare(dt)
         equations.settings[newton.Setting.INERTIA] = rate
         self._iterated *= resumes
-        equations.solve(depth, tolerance, max_iterations, goes_on_from=self._tried if resumes else None,
+        equations.solve(depth, tolerance, max_iterations, resumed_depth=self._target_depth if resumes else None,
                         iterated=self._iterated)
-        self._tried = depth
+        self._target_depth = depth
         self._iterated += int(equations.report[newton.Report.ITERATIONS])
         status, iterations, residual, force, violation, slipping, stiffness = equations.report.tolist()
         asked = bool(equations.counts[newton.Count.STIFFNESS_ASKED])
@@ -144,7 +161,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
             result = replace(result, step_stiffness_matrix=result.stiffness_matrix,
                              stiffness_matrix=None if own is None else axial_stiffness(own))
         if result.status is StepStatus.CONVERGED:
-            if inertial or rate == 0.0:  # not that of a drag
+            if inertial or rate == 0.0:  # the force of artificial damping is no load
                 state.largest_force = max(state.largest_force, abs(force))
             if self._sensitivity is not None:
                 self._sensitivity.advance()
@@ -155,11 +172,11 @@ class AxisymmetricSolver(KernelOwner, Solver):
 
     def creep(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
               allowed: Callable[[], int] | None = None) -> Generator[Step]:
-        """Steps to a depth, m, or that of a pose, against a drag that is let go; see `Solver.creep`."""
+        """Step to a depth (m), or to that of a pose, with decreasing artificial damping; see `Solver.creep`."""
         return creep(self, depth_of(pose), dt, tolerance, max_iterations, allowed)
 
     def follow_motion(self, density: float) -> bool:
-        """Let the tissue have a mass (kg/m3) from now on, for steps that are inertial; it has one."""
+        """Enable inertial steps with a mass density, kg/m3; returns True, because the solver supports inertia."""
         equations = self.equations
         self.committed.motion = Motion(equations.masses, equations.rest, density * equations.node_masses)
         equations.settings[newton.Setting.DENSITY] = density
@@ -167,12 +184,12 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return True
 
     def ahead(self, dt: float) -> NextForce | None:
-        """See `Solver.ahead`. The tissue's equations, along the way that it goes with the tool within a step.
+        """Predict the force of the next inertial step without motion; see `Solver.ahead`.
 
-        With D = how everything moves for a metre of the tool, with which the stiffness D (K + rate M) D is found, the
-        force is D (f + M a) for the tissue's forces f and accelerations a. In a next step without motion f stays, as
-        far as nothing relaxes, and a is what the differences say of what stands still. Across a change of contact D is
-        another one.
+        Let D be the displacement of all degrees of freedom per depth of the tool, f the internal forces and a the
+        accelerations. The force is D.(f + M a), and its derivative with respect to the depth is D.(K + rate M) D. In a
+        next step without motion f stays constant unless the tissue relaxes, and a results from the finite differences
+        in time. A change of contact changes D.
         """
         motion, equations = self.committed.motion, self.equations
         _, _, _, force, _, _, stiffness = equations.report.tolist()
@@ -182,7 +199,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return NextForce(axial_wrench(force + more), axial_stiffness(max(stiffness + stiffer, 0.0)))
 
     def ask_for_stiffness(self) -> None:
-        """Let every step answer how the force grows with depth."""
+        """Enable the computation of the stiffness (derivative of the force with respect to the depth) in every step."""
         self.equations.counts[newton.Count.STIFFNESS_ASKED] = 1
 
     @classmethod
@@ -196,8 +213,13 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return RESOLUTIONS[resolution].error_estimate if resolution in RESOLUTIONS else None
 
     def differentiate(self, neighbours: Neighbours) -> Sensitivity | None:
-        """Carry exact derivatives along from now on, before the first step; there are none with effects at points, laws
-        of contact or weight."""
+        """Compute exact derivatives of the force with respect to the material in every step; see `Sensitivity`.
+
+        To be called before the first step.
+
+        Returns:
+            None with effects at the quadrature points, contact laws or weight, for which no derivatives exist.
+        """
         equations = self.equations
         if neighbours and (equations.effects.formulas or equations.specific_weight
                            or (equations.contact is not None and equations.contact.laws)):
@@ -213,15 +235,15 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return self.equations.remembers
 
     def clearance(self, pose: Pose) -> float | None:
-        """See `FreeTool.clearance`; None for a tool that holds tissue, and with laws of contact."""
+        """See `FreeTool.clearance`; None for a tool that is bonded to tissue, and with contact laws."""
         equations, surface = self.equations, self.equations.surface
         own, contact = surface.moves, equations.contact
-        if (contact is None or contact.laws or self._holds or not own.any() or surface.anchors[own, 0].any()
+        if (contact is None or contact.laws or self._holds_tissue or not own.any() or surface.anchors[own, 0].any()
                 or surface.spans[own, SpanColumn.STAYS].any()):
             return None
-        place = surface.positions(self.committed.latest[: 2 * len(self.mesh.nodes)].reshape(-1, 2))
-        place[own, 1] += pose.depth - self.datum
-        return float(surface.gaps(place)[own].min())
+        positions = surface.positions(self.committed.latest[: 2 * len(self.mesh.nodes)].reshape(-1, 2))
+        positions[own, 1] += pose.depth - self.datum
+        return float(surface.gaps(positions)[own].min())
 
     def move_in_air(self, pose: Pose) -> None:
         """See `FreeTool.move_in_air`."""
@@ -238,7 +260,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return begins
 
     def meet(self, pose: Pose) -> None:
-        """See `FreeTool.meet`; of the points that touch in the first half of the increment."""
+        """See `FreeTool.meet`; binds the points that touch in the first half of the increment."""
         committed = self.committed
         if committed.motion is not None:
             committed.motion.restart()
@@ -251,43 +273,46 @@ class AxisymmetricSolver(KernelOwner, Solver):
             self.committed.motion.stop()
 
     def lift_off(self) -> None:
-        """Take the tool away at once; see `Solver.lift_off`."""
+        """Remove the tool in one step; see `Solver.lift_off`."""
         self.committed.lift_off()
 
     def save(self) -> SavedState:
-        """All that a committed step leaves behind, for `restore`."""
+        """Return a copy of the committed state, for `restore`."""
         return self.committed.save()
 
     def restore(self, saved: SavedState) -> None:
-        """Go back to where `save` was called."""
+        """Return to a saved state."""
         self.committed.restore(saved)
 
     @property
     def pose(self) -> Pose:
-        """Of the tool at the last committed state."""
+        """Pose of the tool at the last committed state."""
         if self._pose.position[2] != -self.committed.depths[0]:
             self._pose = Pose.at_depth(self.committed.depths[0])
         return self._pose
 
     @property
     def depth(self) -> float:
-        """Tool displacement of the last committed state, m."""
+        """Depth of the tool at the last committed state, m."""
         return self.committed.depths[0]
 
     @property
     def unchanged(self) -> int:
-        """Equilibria since points last met the tool, left it, stuck or slipped, where stiffness is asked for; one more
-        where contact settles in a solution: a line through two states leads it to the change."""
-        return max(self.committed.unchanged, int(self.equations.settles))
+        """Number of equilibria since a contact point last touched, separated, stuck or slipped.
+
+        Counted if stiffness is requested. The number is at least 1 if contact iterates on the linearised tissue,
+        because linear extrapolation then reaches the change of contact.
+        """
+        return max(self.committed.unchanged, int(self.equations.has_contact_rounds))
 
     @property
     def state(self) -> np.ndarray:
-        """The last committed state: nodal displacements, then pressure amplitudes; a copy."""
+        """Copy of the last committed state: nodal displacements (m), pressure amplitudes, contact forces (N)."""
         return self.committed.latest.copy()
 
     @property
     def sag(self) -> float:
-        """How much lower the top stands, on the mean of its area, than it was moulded when the tool touches, m."""
+        """Sag at the first touch: area average of the downward displacement of the top under the weight, m."""
         from scipy.integrate import simpson
 
         top = self.mesh.sets["top"]
@@ -295,7 +320,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return -float(simpson(self.equations.start[2 * top + 1] * r, x=r) / simpson(r, x=r))
 
     def sample(self) -> Sample:
-        """What `fields` needs of the last committed state."""
+        """Return the data of the last committed state from which `fields` computes fields."""
         equations = self.equations
         if not equations.remembers:
             return Sample(self.state, None)
@@ -303,7 +328,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return Sample(self.state, stresses + equations.effects.stress if equations.effects.formulas else stresses)
 
     def fields(self, samples: Sequence[Sample]) -> Fields:
-        """Fields of states that `sample` gave."""
+        """Return the fields of states that `sample` returned."""
         equations = self.equations
         reference = equations.reference
         stresses = [sample.stresses for sample in samples if sample.stresses is not None]
@@ -313,11 +338,11 @@ class AxisymmetricSolver(KernelOwner, Solver):
                       np.array(stresses) if stresses else None)
 
     def surface(self) -> DeformedSurface:
-        """The surface at the last committed state; z counts from where the tool first touches."""
+        """Return the surface at the last committed state, with z relative to the height of the first touch."""
         return deformed_surface(self.mesh, self.state, self.datum)
 
     def report(self) -> dict[str, Any]:
-        """What a recording's metadata say of the solver; see `Solver.report`."""
+        """Return the metadata of recordings about the solver; see `Solver.report`."""
         contact = self.equations.contact
         report = {"element": self.mesh.element.name,
                   "mesh": {"elements": len(self.mesh.connectivity), "freedoms": self.equations.free}}

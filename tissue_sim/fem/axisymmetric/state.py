@@ -1,4 +1,4 @@
-"""What the axisymmetric solver knows of the past: committed states, memory of the tissue, contact and motion."""
+"""Committed states of the axisymmetric solver: displacements, memory of the tissue, contact bonds and velocities."""
 
 from __future__ import annotations
 
@@ -15,7 +15,13 @@ from tissue_sim.fem.point_effects import PointEffects
 
 @dataclass(frozen=True, eq=False)
 class SavedState:
-    """All that a committed step leaves behind: arrays of `State`, memory and contact, and see its attributes."""
+    """Copy of a `State`, for `State.restore`.
+
+    Attributes:
+        arrays: arrays of the state, contact, effects, memory and motion.
+        depths, times, largest_force, unchanged: see `State`.
+        touching: contact state at the last equilibrium.
+    """
 
     arrays: tuple[np.ndarray, ...]
     depths: tuple[float, ...]
@@ -26,20 +32,24 @@ class SavedState:
 
 
 class State:
-    """The state that a step works on, and those that were committed.
+    """State that a step changes, and the last committed states.
 
     Args:
-        x: where the first step begins, shape (unknowns,): nodal displacements, pressure amplitudes, contact forces.
-        surface: points of the contact; memory: of the tissue; effects: at its points.
+        x: initial state, shape (unknowns,): nodal displacements (m), pressure amplitudes, contact forces (N).
+        surface: contact points.
+        memory: memory of the tissue.
+        effects: effects at the quadrature points.
 
     Attributes:
-        x: the state that a step works on.
-        history: the latest committed states, shape (`KEPT`, unknowns), and `slots` their places, the latest first;
-            depths: of the tool there, m.
-        times: of those of them between which the tissue swung, the latest at 0, s.
-        largest_force: so far, N.
-        unchanged: equilibria since points last met the tool, left it, stuck or slipped, where contact is `watched`.
-        motion: velocities, where somebody asked for inertia.
+        x: state that a step changes, shape (unknowns,).
+        history: last committed states, shape (`KEPT`, unknowns).
+        slots: rows of `history`, the latest state first, shape (`KEPT`,).
+        depths: depths of the tool in these states, the latest first, m.
+        times: times of the latest states of an inertial motion relative to the last one, s.
+        largest_force: largest force so far, N.
+        unchanged: number of equilibria since a contact point last touched, separated, stuck or slipped; counted if
+            `commit` is `watched`.
+        motion: velocities and accelerations; None without inertia.
     """
 
     def __init__(self, x: np.ndarray, surface: ContactPoints, memory: Memory, effects: PointEffects):
@@ -52,25 +62,30 @@ class State:
         self.unchanged, self._touching = 0, (b"", b"")
         self.motion: Motion | None = None
         self._untouched = x.copy()
-        self.note_bonds()
+        self.store_initial_bonds()
 
-    def note_bonds(self) -> None:
-        """Take how the points of the contact are bound now as how they are before the first step."""
+    def store_initial_bonds(self) -> None:
+        """Store the present bonds of the contact points as those before the first step."""
         self._first_bonds = self.surface.anchors.copy(), self.surface.slipped.copy()
 
     @property
     def latest(self) -> np.ndarray:
-        """The last committed state; a view."""
+        """Last committed state, a view, shape (unknowns,)."""
         return self.history[self.slots[0]]
 
-    def commit(self, depth: float, swung: float, watched: bool) -> None:
-        """Take over x as the equilibrium at a depth, m, and what memory and contact became there; the tissue swung to
-        it for so long, s, or came to rest (0)."""
-        self.times = [0.0, *(time - swung for time in self.times)][:KEPT] if swung else [0.0]
-        if depth in self.depths and not swung:
-            # Coming back to a known depth: newest first, without a second sample at the same place.
-            place = self.depths.index(depth)
-            order = [place, *(i for i in range(KEPT) if i != place)]
+    def commit(self, depth: float, duration: float, watched: bool) -> None:
+        """Commit x as the state at a depth, with the memory and the contact bonds that the step found.
+
+        Args:
+            depth: depth of the tool, m.
+            duration: duration of an inertial step, s; 0 for a quasi-static step.
+            watched: whether changes of the contact state are counted in `unchanged`.
+        """
+        self.times = [0.0, *(time - duration for time in self.times)][:KEPT] if duration else [0.0]
+        if depth in self.depths and not duration:
+            # The new state replaces the one at the same depth, because the predictor needs different depths.
+            known = self.depths.index(depth)
+            order = [known, *(i for i in range(KEPT) if i != known)]
             slots = self.slots.tolist()
             self.slots[:] = [slots[i] for i in order]
             self.depths = [self.depths[i] for i in order if i < len(self.depths)]
@@ -88,17 +103,24 @@ class State:
             self._touching = touching
 
     def move_tool(self, depth: float) -> None:
-        """Let the latest state be one with the tool at another depth, m, where it does not touch either. Earlier states
-        belong to other motions and are forgotten."""
+        """Assign another depth of a tool without contact to the latest state, and forget the earlier states.
+
+        Args:
+            depth: depth of the tool, m.
+        """
         self.depths, self.times = [depth], [0.0]
 
     def is_at_rest(self, nodal: int, tolerance: float) -> bool:
-        """Whether the first `nodal` entries, displacements in m, differ by at most a tolerance from those before the
-        first touch."""
+        """Whether the displacements differ from those before the first touch by at most a tolerance.
+
+        Args:
+            nodal: number of displacement components, the first entries of the state.
+            tolerance: largest difference, m.
+        """
         return float(np.abs(self.latest[:nodal] - self._untouched[:nodal]).max()) <= tolerance
 
     def lift_off(self) -> None:
-        """Back to the displacements before the touch; memory stays."""
+        """Restore the displacements and bonds before the first touch; the memory of the tissue stays."""
         self.slots[:], self.depths, self.times, self.unchanged = np.arange(KEPT), [0.0], [0.0], 0
         self.history[0] = self._untouched
         self.surface.anchors[:], self.surface.slipped[:] = self._first_bonds
@@ -106,13 +128,13 @@ class State:
             self.motion.stop()
 
     def save(self) -> SavedState:
-        """All that a committed step leaves behind."""
+        """Return a copy of the committed state."""
         return SavedState(tuple(array.copy() for array in self._kept), tuple(self.depths), tuple(self.times),
                           self.largest_force, self.unchanged, self._touching)
 
     def restore(self, saved: SavedState) -> None:
-        """Go back to where `save` was called."""
-        # Those of the motion come last, and one of the two may have none.
+        """Return to a saved state."""
+        # The arrays of the motion come last; either of the two may lack them.
         for array, before in zip(self._kept, saved.arrays, strict=False):
             array[:] = before
         self.depths, self.times, self.largest_force = list(saved.depths), list(saved.times), saved.largest_force
@@ -120,5 +142,6 @@ class State:
 
     @property
     def _kept(self) -> tuple[np.ndarray, ...]:
+        """Arrays that `save` copies."""
         return (self.history, self.slots, self.surface.anchors, self.surface.slipped, self.effects.states,
                 *self.memory.kept, *(() if self.motion is None else self.motion.kept))

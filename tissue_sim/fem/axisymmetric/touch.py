@@ -1,4 +1,4 @@
-"""Where the tool and the tissue first touch."""
+"""Position of the tool at its first touch of the tissue, and the bonds of the contact points there."""
 
 from __future__ import annotations
 
@@ -10,85 +10,87 @@ from tissue_sim.mesh import Mesh
 
 
 def bring_down(mesh: Mesh, contact: Contact, surface: ContactPoints, displacement: np.ndarray) -> float:
-    """Bring the tool down on the surface as it stands, and bind what meets a body with friction or without slip.
+    """Place the tool at its first touch of the surface, and bind the points that touch a body.
 
     Args:
         mesh: undeformed mesh.
-        contact: bodies, and who may meet them.
-        surface: its points; `anchors`, and of a plate `places`, are changed.
-        displacement: of the nodes, m, shape (n, 2).
+        contact: contact pairs.
+        surface: contact points; `anchors` are changed, under a plate also `places`.
+        displacement: displacements of the nodes, m, shape (n, 2).
 
     Returns:
-        z of the tool's deepest point there, m.
+        z of the tool's deepest point at the first touch, m.
     """
-    place, datum = surface.positions(displacement), 0.0
+    positions, datum = surface.positions(displacement), 0.0
     if surface.moves.any():
-        datum = _touching_height(mesh, contact, displacement, place[surface.moves])
-    place[surface.moves, 1] -= datum
+        datum = _first_touch_height(mesh, contact, displacement, positions[surface.moves])
+    positions[surface.moves, 1] -= datum
     if contact.level:
-        _level(mesh, surface, displacement, place, datum)
-    touches = surface.gaps(place) <= 1e-9 * np.ptp(mesh.nodes[:, 1])
+        _level_top(mesh, surface, displacement, positions, datum)
+    touches = surface.gaps(positions) <= 1e-9 * np.ptp(mesh.nodes[:, 1])
     untouched = touches & (surface.anchors[:, 0] == contact_kernels.FREE)
     surface.anchors[untouched, 0] = np.where(surface.tied[untouched], contact_kernels.HELD, contact_kernels.TOUCHED)
-    surface.anchors[untouched, 1:] = (place - surface.places)[untouched]
+    surface.anchors[untouched, 1:] = (positions - surface.places)[untouched]
     return datum
 
 
 def bind_ahead(surface: ContactPoints, displacement: np.ndarray, lift: float, descent: float) -> None:
-    """Bind the points with friction or without slip that the tool meets in the first half of an increment.
+    """Bind the points with friction or without slip that the tool reaches in the first half of an increment.
 
-    A point is bound to the place of the tool that would reach it if the tissue stood still. Points that the tool
-    reaches later slide freely until the end of the increment, so that the errors of both halves have opposite signs.
+    A point is bound to the position on the tool that would reach the point if the tissue did not move. Points that the
+    tool reaches later slide freely until the end of the increment, so that the errors of both halves have opposite
+    signs.
 
     Args:
-        surface: its points; `anchors` are changed.
-        displacement: of the nodes at the beginning of the increment, m, shape (n, 2).
-        lift: what is added to z in the frame of the tool there, m.
-        descent: of the tool in the increment, m.
+        surface: contact points; `anchors` are changed.
+        displacement: displacements of the nodes at the beginning of the increment, m, shape (n, 2).
+        lift: difference between z in the frame of the tool and z, m.
+        descent: downward motion of the tool in the increment, m.
     """
     free = (surface.anchors[:, 0] == contact_kernels.FREE) & surface.moves & surface.friction.any(axis=1)
     if descent <= 0.0 or not free.any():
         return
-    place = surface.positions(displacement)
-    place[:, 1] += lift
-    gap = np.maximum(surface.gaps(place), 0.0)
-    # A point does not get past the nearest face within half of its gap, so that an edge does not matter.
-    ahead = place.copy()
+    positions = surface.positions(displacement)
+    positions[:, 1] += lift
+    gap = np.maximum(surface.gaps(positions), 0.0)
+    # Within half of its gap a point stays at the same face, so that edges have no influence.
+    ahead = positions.copy()
     ahead[:, 1] += 0.5 * gap
     closes = gap - surface.gaps(ahead)
     needed = np.where(gap > 0.0, 0.5 * gap**2 / np.maximum(closes, 1e-3 * gap + np.finfo(float).tiny), 0.0)
     meets = free & (needed <= 0.5 * descent)
-    place[meets, 1] += needed[meets]
+    positions[meets, 1] += needed[meets]
     surface.anchors[meets, 0] = contact_kernels.TOUCHED
-    surface.anchors[meets, 1:] = (place - surface.places)[meets]
+    surface.anchors[meets, 1:] = (positions - surface.places)[meets]
 
 
-def _level(mesh: Mesh, surface: ContactPoints, displacement: np.ndarray, place: np.ndarray, datum: float) -> None:
-    """Let a plate meet a top that has settled unevenly all at once, as if the top had been cut level as it stands.
+def _level_top(mesh: Mesh, surface: ContactPoints, displacement: np.ndarray, positions: np.ndarray,
+               datum: float) -> None:
+    """Shift the points so that a plate touches the whole unevenly settled top at once, as if the top were cut level.
 
-    Without it a plate would touch the highest ring first.
+    Without the shift a plate would touch the highest ring first.
     """
     top = mesh.sets["top"]
     lift = np.interp(surface.places[..., 0], mesh.nodes[top, 0], (mesh.nodes + displacement)[top, 1] - datum)
     lift[~surface.moves] = 0.0
     surface.places[..., 1] -= lift
-    place[..., 1] -= lift
+    positions[..., 1] -= lift
 
 
-def _touching_height(mesh: Mesh, contact: Contact, displacement: np.ndarray, points: np.ndarray) -> float:
-    """z of the tool's deepest point where it first touches the nodes of the top or these points (n, 2)."""
+def _first_touch_height(mesh: Mesh, contact: Contact, displacement: np.ndarray, points: np.ndarray) -> float:
+    """Return z of the tool's deepest point at the first touch of the top nodes or of further points (n, 2), m."""
     profiles = [pair.profile for pair in contact.pairs if pair.moves]
-    place = np.concatenate([(mesh.nodes + displacement)[mesh.sets["top"]], points])
+    positions = np.concatenate([(mesh.nodes + displacement)[mesh.sets["top"]], points])
 
     def clearance(datum):
-        return min(profile.gap(place - [0.0, datum]).min() for profile in profiles)
+        return min(profile.gap(positions - [0.0, datum]).min() for profile in profiles)
 
-    high = place[:, 1].max()
+    high = positions[:, 1].max()
     if clearance(high) <= 0.0:
         return high
     from scipy.optimize import brentq
 
-    # Lowered by more and more; far below the surface a ball would be in the tissue as a whole, and touch nothing.
+    # The bracket grows from a small step: far below the surface a ball is inside the tissue and touches nothing.
     step = 1e-6 * np.ptp(mesh.nodes[:, 1])
     while clearance(high - step) > 0.0:
         step *= 2.0

@@ -1,10 +1,11 @@
-"""Lift-off and friction of the nodes on a condensed bulk, the tool being as flat at each of them as it was last found.
+"""Frictional contact of nodes on a condensed bulk with the tangent planes of the tool, by semismooth Newton iteration.
 
-Forces f on the tool solve f = P(f + rho g), where g are the gaps and slips, linear in f, and P projects onto what a
-contact can carry: no pull, and no more friction than Coulomb's. Newton's method on that, which is piecewise smooth,
-finds states and forces together (Alart and Curnier, Comput. Methods Appl. Mech. Eng. 92 (1991) 353), with rho the
-stiffness of each node alone, and steps that are halved until what is left of the equation is less than before. Going
-round the nodes one after the other (Jean, ibid. 177 (1999) 235) takes a thousand rounds on a surface about to fold.
+The forces f on the tool solve f = P(f + rho g), where g are gaps and slips, linear in f, and P is the projection onto
+the admissible contact forces: no tension, and tangential forces within Coulomb's cone. Newton's method on this
+piecewise smooth equation finds contact states and forces together (Alart and Curnier, Comput. Methods Appl. Mech. Eng.
+92 (1991) 353). The augmentation parameter rho is the stiffness of each node alone; a line search halves the step until
+the residual decreases. Gauss-Seidel iteration over the nodes (Jean, ibid. 177 (1999) 235) needs a thousand iterations
+on a surface close to an instability.
 """
 
 import math
@@ -37,12 +38,12 @@ _SETTINGS = FlatContactSettings()
 
 
 class FlatContact:
-    """Solves the contact of the nodes that are near the tool.
+    """Solver of the contact of the nodes near the tool with its tangent planes.
 
     Args:
-        arrays: of the stepper, by the names in `flat_kernel`; forces and states are changed.
-        near: nodes farther from the tool take no part unless they carry a force, m.
-        floor: forces that are smaller than this are nothing, N.
+        arrays: arrays of the stepper, by the names in `flat_kernel`; forces and contact states are changed.
+        near: largest gap of a node that takes part without carrying a force, m.
+        floor: smallest force by which the residual is divided, N.
     """
 
     def __init__(self, arrays: dict[str, np.ndarray], near: float, floor: float):
@@ -56,37 +57,50 @@ class FlatContact:
             self._kernel = BoundKernel.of(flat_kernel(), arrays | own)
 
     def solve(self, tolerance: float) -> bool:
-        """Find the forces of the nodes; whether what is left of the equation is less than a share of them."""
+        """Solve for the forces of the nodes.
+
+        Args:
+            tolerance: largest residual over the norm of the forces.
+
+        Returns:
+            Whether the residual is within the tolerance.
+        """
         from scipy.linalg import lapack
 
         self._limits[Limit.TOLERANCE] = tolerance
-        left, k = self._look(0.0)
+        residual, k = self._evaluate(0.0)
         for _ in range(_SETTINGS.max_iterations):
-            if left <= tolerance:
+            if residual <= tolerance:
                 return True
             if k:
                 right = self._right[:k]
                 *_, found, failed = lapack.dgesv(self._matrix[:k * k].reshape(k, k).T, right.reshape(k, 1),
                                                  overwrite_a=1, overwrite_b=1)
-                right[:] = found[:, 0]  # where the kernel looks for it; mostly it is there already
+                right[:] = found[:, 0]  # the kernel reads the solution there; LAPACK mostly solves in place
                 if failed or not math.isfinite(right @ right):
                     return False
-            share = 1.0
+            step_length = 1.0
             for halving in range(_SETTINGS.max_halvings + 1):
-                now, k = self._look(share)
-                if now <= (1.0 - _SETTINGS.sufficient_decrease * share) * left:
+                now, k = self._evaluate(step_length)
+                if now <= (1.0 - _SETTINGS.sufficient_decrease * step_length) * residual:
                     break
-                share *= 0.5
+                step_length *= 0.5
                 if halving == _SETTINGS.max_halvings:
                     return False
-            left = now
-        return left <= tolerance
+            residual = now
+        return residual <= tolerance
 
-    def _look(self, share: float) -> tuple[float, int]:
-        """Go a share of the way to the linear solution; what is left of the equation there, over the size of the
-        forces, and how many unknowns the next one has."""
-        self._limits[Limit.STEP_LENGTH] = share
+    def _evaluate(self, step_length: float) -> tuple[float, int]:
+        """Evaluate the equation at a step length towards the linear solution.
+
+        Args:
+            step_length: step length of the line search; 0 evaluates at the present forces.
+
+        Returns:
+            Residual over the norm of the forces, and the number of unknowns of the next linear equations.
+        """
+        self._limits[Limit.STEP_LENGTH] = step_length
         with LOCK:
             self._kernel()
-        left, forces, _, unknowns = self._found.tolist()
-        return math.sqrt(left) / max(math.sqrt(forces), self._floor), int(unknowns)
+        residual, forces, _, unknowns = self._found.tolist()
+        return math.sqrt(residual) / max(math.sqrt(forces), self._floor), int(unknowns)

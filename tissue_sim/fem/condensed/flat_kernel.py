@@ -1,17 +1,11 @@
-"""What is left of the equation of a `FlatContact`, and its linear one, as a Taichi kernel."""
+"""Residual and linearisation of the equation of a `FlatContact`, as a Taichi kernel; see `flat_contact`."""
 
 from enum import IntEnum
 from functools import cache
 
-from tissue_sim.fem.condensed.kernel import (
-    ListColumn,
-    LocalColumn,
-    NodeColumn,
-    Setting,
-    StateColumn,
-    own_compliance_function,
-)
+from tissue_sim.fem.condensed.kernel import own_compliance_function
 from tissue_sim.fem.condensed.model import Bond
+from tissue_sim.fem.condensed.tables import ListColumn, LocalColumn, NodeColumn, Setting, StateColumn
 from tissue_sim.fem.taichi.runtime import initialise
 
 
@@ -76,11 +70,11 @@ FLAT_COLUMNS = 33
 
 @cache
 def flat_kernel():
-    """Kernel that goes some way to the solution of the linear equation of a `FlatContact`, and finds what is left of
-    the equation there, and the next linear one for the nodes that carry a force.
+    """Return the kernel that takes a step towards the linear solution and evaluates and linearises the equation there.
 
-    A node that sticks has three unknowns. One that slips has two, along the normal, where friction goes with it, and
-    aside of its way: how friction along the way changes is known then. One without friction has one.
+    A sticking node has three unknowns. A slipping node has two: the normal force, to which the friction is
+    proportional, and the tangential force perpendicular to the slip; the change of the friction along the slip is then
+    known. A node without friction has one unknown.
     """
     ti = initialise()
     real1, real2 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2))
@@ -88,11 +82,11 @@ def flat_kernel():
     own_compliance = own_compliance_function()
 
     @ti.func
-    def go(settings: ti.template(), found: ti.template(), share, lists: ti.template(), carried: ti.template(),
-           flat: ti.template(), right: ti.template()):
-        """Forces some way to the linear solution; nodes that are not in it lose theirs."""
+    def take_step(settings: ti.template(), found: ti.template(), step_length, lists: ti.template(),
+                  carried: ti.template(), flat: ti.template(), right: ti.template()):
+        """Move the forces by a step length towards the linear solution; nodes without unknowns move to zero force."""
         many = ti.cast(settings[Setting.COUNT], ti.i32)
-        if share == 1.0:
+        if step_length == 1.0:
             for i in range(many):
                 for a in ti.static(range(3)):
                     flat[i, FlatColumn.START + a] = carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a]
@@ -108,13 +102,13 @@ def flat_kernel():
         for i in range(many):
             for a in ti.static(range(3)):
                 begun = flat[i, FlatColumn.START + a]
-                force = begun + share * (flat[i, FlatColumn.GOAL + a] - begun)
+                force = begun + step_length * (flat[i, FlatColumn.GOAL + a] - begun)
                 carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a] = force
 
     @ti.func
     def displace(many, carried: ti.template(), lists: ti.template(), local: ti.template(), compliance: ti.template(),
                  flat: ti.template()):
-        """Displacements since the last look at the tool, which belong to the guesses."""
+        """Compute the displacements caused by the changes of the forces since the linearisation of the tool."""
         for p in range(many):
             for a in ti.static(range(3)):
                 flat[lists[p, ListColumn.NEAR], FlatColumn.DISPLACEMENT + a] = 0.0
@@ -133,18 +127,20 @@ def flat_kernel():
                             + compliance[3 * j + 2, 3 * i + a] * change[2])
 
     @ti.func
-    def write(p, row, rate, way, own, rest, lists: ti.template(), flat: ti.template(), right: ti.template()):
-        """One unknown of a node."""
+    def write_unknown(p, row, rate, way, own, rest, lists: ti.template(), flat: ti.template(), right: ti.template()):
+        """Write one unknown of a node: derivative and direction, diagonal part, and residual."""
         for a in ti.static(range(3)):
             flat[p, FlatColumn.RATES + 3 * row + a], flat[p, FlatColumn.DIRECTIONS + 3 * row + a] = rate[a], way[a]
         flat[p, FlatColumn.DIAGONAL + row], right[lists[p, ListColumn.FIRST_ROW] + row] = own, -rest
         lists[p, ListColumn.ROWS] = row + 1
 
     @ti.func
-    def meet(p, i, first, states: ti.template(), carried: ti.template(), lists: ti.template(), local: ti.template(),
-             compliance: ti.template(), flat: ti.template(), right: ti.template()):
-        """What is left of a node's equation, N, and its unknowns as those of the p-th node that has some, from a row
-        on; whether it has any."""
+    def evaluate_node(p, i, first, states: ti.template(), carried: ti.template(), lists: ti.template(),
+                      local: ti.template(), compliance: ti.template(), flat: ti.template(), right: ti.template()):
+        """Return the residual of a node's equation, N, and write its unknowns.
+
+        The unknowns are those of the p-th node with unknowns, from equation `first` on.
+        """
         s = lists[i, ListColumn.NODE]
         n = ti.Vector([local[i, LocalColumn.NORMAL + a] for a in ti.static(range(3))])
         F = ti.Vector([carried[s, NodeColumn.FORCE + a] for a in ti.static(range(3))])
@@ -176,11 +172,12 @@ def flat_kernel():
                     states[s, StateColumn.SLIPS] = 1
                     way = q / ti.max(length, 1e-300)
                     rest = N * n + most * way - F
-                    write(p, 0, n / along, n - mu * way, 0.0, rest.dot(n), lists, flat, right)
+                    write_unknown(p, 0, n / along, n - mu * way, 0.0, rest.dot(n), lists, flat, right)
                     known = rest - rest.dot(n) * n
                     if mu > 0.0:
                         part, other = most / length, n.cross(way)
-                        write(p, 1, part / aside * other, other, part - 1.0, rest.dot(other), lists, flat, right)
+                        write_unknown(p, 1, part / aside * other, other, part - 1.0, rest.dot(other), lists, flat,
+                                      right)
                         known = (rest.dot(way) + mu * rest.dot(n)) * way
                     for a in ti.static(range(3)):
                         flat[p, FlatColumn.KNOWN + a] = known[a]
@@ -188,13 +185,13 @@ def flat_kernel():
             for a in ti.static(range(3)):
                 row = ti.Vector([rates[a, b] for b in ti.static(range(3))])
                 unit = ti.Vector([1.0 if a == b else 0.0 for b in ti.static(range(3))])
-                write(p, a, row, unit, 0.0, rest[a], lists, flat, right)
+                write_unknown(p, a, row, unit, 0.0, rest[a], lists, flat, right)
         return rest
 
     @ti.func
     def couple(q, count, k, lists: ti.template(), compliance: ti.template(), flat: ti.template(),
                matrix: ti.template(), right: ti.template()):
-        """What the unknowns of the q-th node do in the equations of all, and what is known of its force."""
+        """Add the coupling of the q-th node's unknowns to all equations, and its known force to the right-hand side."""
         at, first, rows = 3 * lists[q, ListColumn.UNKNOWN], lists[q, ListColumn.FIRST_ROW], lists[q, ListColumn.ROWS]
         known = ti.Vector([flat[q, FlatColumn.KNOWN + b] for b in ti.static(range(3))])
         ways = ti.Matrix([[flat[q, FlatColumn.DIRECTIONS + 3 * row + b] for b in ti.static(range(3))]
@@ -215,7 +212,7 @@ def flat_kernel():
     @ti.func
     def release(j, count, carried: ti.template(), lists: ti.template(), compliance: ti.template(),
                 flat: ti.template(), right: ti.template()):
-        """What a node that is let go no longer pushes away."""
+        """Remove the displacement caused by the force of a node that separates from the right-hand side."""
         force = ti.Vector([carried[lists[j, ListColumn.NODE], NodeColumn.FORCE + b] for b in ti.static(range(3))])
         for p in range(count if force.norm() > 0.0 else 0):
             i, begin = lists[p, ListColumn.UNKNOWN], lists[p, ListColumn.FIRST_ROW]
@@ -226,12 +223,12 @@ def flat_kernel():
                 right[begin + other] = right[begin + other] - pushed.dot(force)
 
     @ti.kernel
-    def look(settings: real1, found: real1, limits: real1, states: int2, carried: real2, lists: int2, local: real2,
+    def evaluate(settings: real1, found: real1, limits: real1, states: int2, carried: real2, lists: int2, local: real2,
              compliance: real2, flat: real2, matrix: real1, right: real1):
         ti.loop_config(serialize=True)
         for _ in range(1):
             if limits[Limit.STEP_LENGTH] > 0.0:
-                go(settings, found, limits[Limit.STEP_LENGTH], lists, carried, flat, right)
+                take_step(settings, found, limits[Limit.STEP_LENGTH], lists, carried, flat, right)
             many, count, k, left, size = 0, 0, 0, 0.0, 0.0
             for i in range(ti.cast(settings[Setting.COUNT], ti.i32)):
                 s = lists[i, ListColumn.NODE]
@@ -245,7 +242,7 @@ def flat_kernel():
             displace(many, carried, lists, local, compliance, flat)
             for p in range(many):
                 i = lists[p, ListColumn.NEAR]
-                rest = meet(count, i, k, states, carried, lists, local, compliance, flat, right)
+                rest = evaluate_node(count, i, k, states, carried, lists, local, compliance, flat, right)
                 left = left + rest.dot(rest)
                 for a in ti.static(range(3)):
                     force = carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a]
@@ -264,4 +261,4 @@ def flat_kernel():
                 for q in range(count):
                     couple(q, count, k, lists, compliance, flat, matrix, right)
 
-    return look
+    return evaluate

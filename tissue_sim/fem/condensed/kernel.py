@@ -1,238 +1,54 @@
-"""The contact on a condensed bulk as a Taichi kernel: displacements, states, and the equations of the next iteration.
+"""Frictional contact on a condensed bulk as a Taichi kernel.
 
-The method is that of `tissue_sim.fem.solid.contact`, node by node, with the same springs and the same states; the
-equations hold the nodes that are pressed only.
+One iteration computes the displacements of the nodes, u = u_0 + G m - C f, the contact state, force and derivative of
+each node (augmented Lagrangian and Coulomb return mapping as in `tissue_sim.fem.solid.contact`, with the same penalty
+stiffness), and assembles the linear equations of Newton's method,
+
+    (I + A C - T) df = f_0 - f + A e,
+
+for the changes df of the forces f of the nodes in contact. A are the derivatives of the contact forces with respect to
+the positions of the nodes, T those with respect to the last forces, f_0 the augmented forces (last forces on the
+admissible cone plus penalty stiffness times gap and slip), and e the displacements caused by the forces of nodes that
+separate. Six more right-hand sides give the derivatives of the forces with respect to the motion of the tool.
 """
 
-from enum import IntEnum
 from functools import cache
 
 from tissue_sim.fem.condensed.model import Bond
+from tissue_sim.fem.condensed.tables import (
+    MAX_FREEDOMS,
+    RESULT_COUNT,
+    ContactStatus,
+    ListColumn,
+    LocalColumn,
+    NodeColumn,
+    Result,
+    Setting,
+    StateColumn,
+    SurfaceColumn,
+)
 from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.scratch import LANES, VECTORS, scratch
+from tissue_sim.fem.taichi.scratch import LANES, scratch
 
 #: Penalty stiffness of a held node over that of the contact; see `tissue_sim.fem.solid.contact`.
 STICK_STIFFNESS_FACTOR = 3.0
-
-
-class Setting(IntEnum):
-    """Indices of `settings`: inputs of the contact kernel, and the switches that the kernel resets.
-
-    Attributes:
-        COUNT: number of nodes of the model.
-        CHANGEABLE: positive if nodes may change their contact state.
-        NEGLIGIBLE: largest friction force that is neglected, N.
-        TOLERANCE: largest violation of a contact condition, m.
-        PRESSED_IN: 1 if the tool is at or below its height at the first touch, else 0.
-        RELEASE: positive if held nodes under tension are released.
-        REBUILDS: positive if the matrix of the linear equations must be assembled.
-        MODULUS: shear modulus of the material, Pa.
-        PREDICTED: number of nodes whose forces are first extrapolated with the motion of the tool.
-        NEAR_COUNT: number of leading nodes that are evaluated; 0 evaluates all and determines this number.
-        NEAR_GAP: gap below which a node belongs to the evaluated nodes, m.
-        ROTATION: rotation matrix of the tool, 9 numbers by rows.
-        ORIGIN: position of the tool in the frame of the mesh, 3 numbers, m.
-        MOTION: translation (m) and rotation vector of the tool from the pose of the model, 6 numbers.
-        STEP: the same from the last step.
-    """
-
-    COUNT = 0
-    CHANGEABLE = 1
-    NEGLIGIBLE = 2
-    TOLERANCE = 3
-    PRESSED_IN = 4
-    RELEASE = 5
-    REBUILDS = 6
-    MODULUS = 7
-    PREDICTED = 8
-    NEAR_COUNT = 9
-    NEAR_GAP = 10
-    ROTATION = 11
-    ORIGIN = 20
-    MOTION = 23
-    STEP = 29
-
-
-#: Size of `settings`.
-SETTING_COUNT = 35
-
-
-class Result(IntEnum):
-    """Indices of `results`: outputs of one iteration of the contact kernel.
-
-    Attributes:
-        VIOLATION: largest violation of a contact condition, m.
-        PULLING: number of held nodes under tension.
-        UNBALANCED: square of the norm of the change of the forces, N2.
-        SIZE: square of the norm of the forces, N2.
-        ACTIVE: number of nodes in the linear equations.
-        REBUILT: positive if the matrix was assembled.
-        SLIPPING: number of slipping nodes.
-        TRAVEL: largest displacement component of a node relative to the tool since all nodes were evaluated, m.
-    """
-
-    VIOLATION = 0
-    PULLING = 1
-    UNBALANCED = 2
-    SIZE = 3
-    ACTIVE = 4
-    REBUILT = 5
-    SLIPPING = 6
-    TRAVEL = 7
-
-
-#: Size of `results`.
-RESULT_COUNT = len(Result)
-
-
-# Taichi takes 0.3 us for each array argument when a kernel starts, so the data of the nodes are packed in few arrays.
-class SurfaceColumn(IntEnum):
-    """Columns of `surface`, constants of the nodes of the surface.
-
-    Attributes:
-        POSITION: undeformed position, 3 numbers, m.
-        PENALTY: penalty stiffness over the shear modulus, m.
-        FRICTION: coefficients of friction of the tool's face and of its shaft, 2 numbers.
-    """
-
-    POSITION = 0
-    PENALTY = 3
-    FRICTION = 4
-
-
-class NodeColumn(IntEnum):
-    """Columns of `carried`, the state of the nodes of the surface that continues from step to step.
-
-    Attributes:
-        FORCE: force on the tool, 3 numbers, N.
-        ANCHOR: position in the frame of the tool where the node is bound, 3 numbers, m.
-        NEW_ANCHOR: `ANCHOR` of the next step if this step converges, 3 numbers, m.
-    """
-
-    FORCE = 0
-    ANCHOR = 3
-    NEW_ANCHOR = 6
-
-
-#: Number of columns of `carried`.
-NODE_COLUMNS = 9
-
-
-class StateColumn(IntEnum):
-    """Columns of `states`, the contact states of the nodes of the surface.
-
-    Attributes:
-        BOND: bond to the tool, a `tissue_sim.fem.condensed.model.Bond`.
-        NEW_BOND: `BOND` of the next step if this step converges.
-        PRESSED: 1 if the node is in contact.
-        SLIPS: 1 if the node slips against friction.
-        OUTLINE: index of the outline that the node meets.
-    """
-
-    BOND = 0
-    NEW_BOND = 1
-    PRESSED = 2
-    SLIPS = 3
-    OUTLINE = 4
-
-
-#: Number of columns of `states`.
-STATE_COLUMNS = len(StateColumn)
-
-
-class ListColumn(IntEnum):
-    """Columns of `lists`: index lists with one row for each node of the model.
-
-    Attributes:
-        NODE: index of the node in the surface.
-        STATUS: the node's `ContactStatus` in the last linear equations; -1: none yet.
-        ACTIVE: list of the nodes in the linear equations.
-        LOADED: list of the nodes that carry a force.
-        NEAR: list of the nodes near the tool.
-        UNKNOWN: list of the nodes in the equations of a `FlatContact`.
-        FIRST_ROW: first equation of each node of `UNKNOWN`.
-        ROWS: number of equations of each node of `UNKNOWN`.
-    """
-
-    NODE = 0
-    STATUS = 1
-    ACTIVE = 2
-    LOADED = 3
-    NEAR = 4
-    UNKNOWN = 5
-    FIRST_ROW = 6
-    ROWS = 7
-
-
-#: Number of columns of `lists`.
-LIST_COLUMNS = len(ListColumn)
-
-
-class ContactStatus(IntEnum):
-    """Contact status of a node in the linear equations.
-
-    Attributes:
-        SEPARATED: no contact, no equation.
-        FRICTIONLESS: normal force only.
-        SLIPPING: normal force and Coulomb friction along the slip.
-        HELD: no motion relative to the tool.
-        STICKING: normal force and tangential force below the limit of friction.
-    """
-
-    SEPARATED = 0
-    FRICTIONLESS = 1
-    SLIPPING = 2
-    HELD = 3
-    STICKING = 4
-
-
-class LocalColumn(IntEnum):
-    """Columns of `local`, the linearised contact of the nodes of the model.
-
-    Attributes:
-        FORCE: force at the beginning of the evaluation, 3 numbers, N.
-        NORMAL: outward unit normal of the tool, 3 numbers.
-        SLIP: displacement from the anchor, 3 numbers, m.
-        GAP: signed distance from the tool, m.
-        FRICTION: coefficient of the active friction.
-        STIFFNESS: derivative of the force with respect to the position of the node, 3 x 3 by rows, N/m.
-        ROTATION: derivative of the force with respect to its previous value (rotation of the slip direction), 3 x 3.
-        INTERCEPT: force of the linearised contact at zero displacement increment, 3 numbers, N.
-        ARM: position of the node relative to the tool, 3 numbers, m.
-        REFERENCE: position in the frame of the tool when all nodes were evaluated, 3 numbers, m.
-    """
-
-    FORCE = 0
-    NORMAL = 3
-    SLIP = 6
-    GAP = 9
-    FRICTION = 10
-    STIFFNESS = 11
-    ROTATION = 20
-    INTERCEPT = 29
-    ARM = 32
-    REFERENCE = 35
-
-
-#: Number of columns of `local`.
-LOCAL_COLUMNS = 38
-#: Maximum number of displacement components, three for each node.
-MAX_FREEDOMS = LANES * VECTORS
-#: Number of right-hand sides: one of the iteration and six of the motions of the tool.
-RIGHT_HAND_SIDES = 7
 #: The extrapolation of the forces is discarded if a force changes by more than this fraction of the largest force.
 _MAX_PREDICTED_CHANGE = 0.5
 
 
 @cache
 def own_compliance_function():
-    """How far a node of a compliance gives way to a force of its own along a normal, and aside, on average, m/N."""
+    """Return the Taichi function ``own_compliance(i, n, compliance)``.
+
+    The function returns the displacement of node i per own force along the normal n, and the mean displacement per own
+    tangential force, m/N, both bounded below.
+    """
     ti = initialise()
 
     @ti.func
     def own_compliance(i, n, compliance: ti.template()):
         C = ti.Matrix([[compliance[3 * i + a, 3 * i + b] for b in ti.static(range(3))] for a in ti.static(range(3))])
-        # Of a tissue that would buckle without the tool they need not be positive.
+        # Tissue that would buckle without the tool may have negative compliances.
         least, along = 1e-2 * ti.abs(C.trace()), n.dot(C @ n)
         return ti.Vector([ti.max(along, least), ti.max(0.5 * (C.trace() - along), least)])
 
@@ -241,7 +57,7 @@ def own_compliance_function():
 
 @cache
 def contact_kernel():
-    """Kernel of one iteration of the contact."""
+    """Return the kernel of one contact iteration; see the enumerations of this module for its arrays."""
     ti = initialise()
     real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
     int2 = ti.types.ndarray(ti.i32, ndim=2)
@@ -250,9 +66,9 @@ def contact_kernel():
     move = scratch(LANES, MAX_FREEDOMS // LANES)
 
     @ti.func
-    def follow(settings: ti.template(), lists: ti.template(), carried: ti.template(), columns: ti.template(),
+    def predict_forces(settings: ti.template(), lists: ti.template(), carried: ti.template(), columns: ti.template(),
                local: ti.template()):
-        """Forces of the nodes that had equations, as they change linearly with the tool's motion."""
+        """Predict the forces of the nodes in contact by linear extrapolation with the motion of the tool."""
         most, largest, many = 0.0, 0.0, ti.cast(settings[Setting.PREDICTED], ti.i32)
         for p in range(many):
             i = lists[p, ListColumn.ACTIVE]
@@ -272,10 +88,13 @@ def contact_kernel():
         settings[Setting.PREDICTED] = 0.0
 
     @ti.func
-    def displace(n, many, settings: ti.template(), lists: ti.template(), carried: ti.template(), middle: ti.template(),
-                 drive: ti.template(), rows: ti.template(), u: ti.template()):
-        """Displacements of all nodes under the forces of the loaded ones, by whole rows of the compliance, which is
-        symmetric: what is stored as a vector in a loop is vectorised."""
+    def displace(n, many, settings: ti.template(), lists: ti.template(), carried: ti.template(),
+                 free_displacement: ti.template(),
+                 tool_coupling: ti.template(), rows: ti.template(), u: ti.template()):
+        """Compute the displacements of all nodes under the forces of the loaded nodes.
+
+        The sum uses rows of the symmetric compliance, so that the compiler vectorises the loops.
+        """
         width = u.shape[0] // LANES
         used = (3 * n + LANES - 1) // LANES
         for q in range(used):
@@ -293,22 +112,22 @@ def contact_kernel():
                 u[LANES * q + l] = move[q][l]
         for i in range(n):
             for k in range(3):
-                value = middle[i, k]
+                value = free_displacement[i, k]
                 for a in ti.static(range(6)):
-                    value = value + drive[3 * i + k, a] * settings[Setting.MOTION + a]
+                    value = value + tool_coupling[3 * i + k, a] * settings[Setting.MOTION + a]
                 u[3 * i + k] = u[3 * i + k] + value
 
     @ti.func
-    def meet(i, s, settings: ti.template(), results: ti.template(), chains: ti.template(), shapes: ti.template(),
-             surface: ti.template(), states: ti.template(), carried: ti.template(), lists: ti.template(),
-             u: ti.template(), local: ti.template(), compliance: ti.template()):
-        """Where a node is against the tool, what state it takes, and its force."""
+    def evaluate_node(i, s, settings: ti.template(), results: ti.template(), chains: ti.template(),
+                      shapes: ti.template(), surface: ti.template(), states: ti.template(), carried: ti.template(),
+                      lists: ti.template(), u: ti.template(), local: ti.template(), compliance: ti.template()):
+        """Evaluate a node: closest point on the tool, contact state, force and derivatives of the force."""
         R = ti.Matrix([[settings[Setting.ROTATION + 3 * a + b] for b in ti.static(range(3))]
                        for a in ti.static(range(3))])
         arm = ti.Vector([surface[s, SurfaceColumn.POSITION + a] + u[3 * i + a] - settings[Setting.ORIGIN + a]
                          for a in ti.static(range(3))])
         at = R.transpose() @ arm
-        # The nearest place of the outline.
+        # Closest-point projection on the outline.
         body = states[s, StateColumn.OUTLINE]
         rounding, shaft, lines = shapes[body, 0], shapes[body, 1], ti.cast(shapes[body, 3], ti.i32)
         closed = shapes[body, 2] * settings[Setting.PRESSED_IN]
@@ -346,12 +165,12 @@ def contact_kernel():
         mu = surface[s, SurfaceColumn.FRICTION]
         if best >= shaft and not (beyond and rounding > 0.0):
             mu = surface[s, SurfaceColumn.FRICTION + 1]
-        # How far the nodes near the tool have gone against it since all were looked at: others may have come near.
+        # Displacement relative to the tool since all nodes were evaluated: other nodes may have come near.
         for a in ti.static(range(3)):
             if settings[Setting.NEAR_COUNT] == 0.0:
                 local[i, LocalColumn.REFERENCE + a] = at[a]
             results[Result.TRAVEL] = ti.max(results[Result.TRAVEL], ti.abs(at[a] - local[i, LocalColumn.REFERENCE + a]))
-        # States and forces.
+        # Contact state (active set) and force.
         k = surface[s, SurfaceColumn.PENALTY] * settings[Setting.MODULUS]
         F = ti.Vector([carried[s, NodeColumn.FORCE + a] for a in ti.static(range(3))])
         normal = ti.min(F.dot(n), 0.0)
@@ -426,19 +245,20 @@ def contact_kernel():
                 local[i, LocalColumn.ROTATION + 3 * a + b] = T[a, b]
         local[i, LocalColumn.GAP] = gap
         local[i, LocalColumn.FRICTION] = ti.max(mu, 0.0) if states[s, StateColumn.BOND] == Bond.TOUCHED else 0.0
-        # Equations of other states of the same nodes do for a while.
+        # The matrix is reused while the set of nodes in contact does not change.
         if (lists[i, ListColumn.STATUS] > 0) != (state > 0) or lists[i, ListColumn.STATUS] < 0:
             settings[Setting.REBUILDS] = 1.0
         lists[i, ListColumn.STATUS] = state
 
     @ti.kernel
     def iterate(settings: real1, results: real1, chains: real3, shapes: real2, surface: real2, states: int2,
-                carried: real2, lists: int2, middle: real2, drive: real2, compliance: real2, rows: vector1, u: real1,
+                carried: real2, lists: int2, free_displacement: real2, tool_coupling: real2, compliance: real2,
+                rows: vector1, u: real1,
                 local: real2, columns: real2, matrix: real1, right: real1):
         ti.loop_config(serialize=True)
         for _ in range(1):
             if settings[Setting.PREDICTED] > 0.0:
-                follow(settings, lists, carried, columns, local)
+                predict_forces(settings, lists, carried, columns, local)
             n, many = ti.cast(settings[Setting.COUNT], ti.i32), 0
             for i in range(n):
                 s = lists[i, ListColumn.NODE]
@@ -451,15 +271,14 @@ def contact_kernel():
                     many = many + 1
             for k in range(RESULT_COUNT):
                 results[k] = 0.0
-            # Nodes that are apart carry nothing, and are not displaced.
+            # Nodes far from the tool carry no force; their displacements are not computed.
             all_nodes = settings[Setting.NEAR_COUNT] == 0.0
             if not all_nodes:
                 n = ti.cast(settings[Setting.NEAR_COUNT], ti.i32)
-            displace(n, many, settings, lists, carried, middle, drive, rows, u)
+            displace(n, many, settings, lists, carried, free_displacement, tool_coupling, rows, u)
             for i in range(n):
-                meet(i, lists[i, ListColumn.NODE], settings, results, chains, shapes, surface, states, carried, lists,
-                     u, local,
-                     compliance)
+                evaluate_node(i, lists[i, ListColumn.NODE], settings, results, chains, shapes, surface, states, carried,
+                              lists, u, local, compliance)
             count, near = 0, 1
             for i in range(n):
                 if lists[i, ListColumn.STATUS] > 0:
@@ -468,7 +287,7 @@ def contact_kernel():
                 if lists[i, ListColumn.STATUS] > 0 or local[i, LocalColumn.GAP] < settings[Setting.NEAR_GAP]:
                     near = i + 1
             if all_nodes:
-                # What carried a force may be pressed again once others have let go.
+                # Loaded nodes may come into contact again when other nodes separate.
                 if many > 0:
                     near = ti.max(near, lists[many - 1, ListColumn.LOADED] + 1)
                 settings[Setting.NEAR_COUNT] = ti.min(near, n)
@@ -479,7 +298,7 @@ def contact_kernel():
             settings[Setting.REBUILDS] = 0.0
             for p in range(count):
                 i = lists[p, ListColumn.ACTIVE]
-                # What the nodes that were let go no longer push away.
+                # Displacement caused by the last forces of nodes that have separated.
                 e = ti.Vector.zero(ti.f64, 3)
                 for l in range(many):
                     j = lists[l, ListColumn.LOADED]
@@ -503,14 +322,14 @@ def contact_kernel():
                         if ti.static(c >= 3):
                             value = value + turned[a, ti.static(c - 3)]
                         for b in ti.static(range(3)):
-                            way = drive[3 * i + b, c]
+                            way = tool_coupling[3 * i + b, c]
                             if ti.static(c >= 3):
                                 way = way - turning[b, ti.static(c - 3)]
                             elif ti.static(c == b):
                                 way = way - 1.0
                             value = value + local[i, LocalColumn.STIFFNESS + 3 * a + b] * way
                         right[(c + 1) * k + row] = value
-            # Column by column, as it lies in memory; the compliance is symmetric.
+            # Column by column, the order of LAPACK; the compliance is symmetric.
             for q in range(count if rebuilt else 0):
                 j = lists[q, ListColumn.ACTIVE]
                 start = 3 * q * k

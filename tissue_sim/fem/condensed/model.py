@@ -1,4 +1,8 @@
-"""What a slow solver of the bulk publishes, and what a fast solver of the contact tells it: arrays that travel."""
+"""Messages between a slow solver of the bulk and a fast solver of the contact (multirate simulation).
+
+The bulk publishes its linearisation, condensed to the contact nodes (`CondensedContact`); the contact publishes its
+state (`ContactState`). Both can be packed in one array of numbers.
+"""
 
 from __future__ import annotations
 
@@ -30,32 +34,33 @@ class Bond(IntEnum):
     TOUCHED = 2
 
 
-#: Numbers before the arrays of a packed model.
+#: Number of scalars before the arrays of a packed `CondensedContact`.
 _MODEL_HEAD = 17
-#: Numbers before the arrays of a packed state.
+#: Number of scalars before the arrays of a packed `ContactState`.
 _STATE_HEAD = 19
 
 
 @dataclass(frozen=True, eq=False)
 class ContactSurface:
-    """The nodes of a tissue that a tool may meet, and the tool; what does not change.
+    """Constants of the contact: nodes of the tissue surface that the tool may touch, and the shape of the tool.
 
     Attributes:
-        places: undeformed, m, shape (s, 3), in the frame of the mesh.
-        springs: that eliminate contact forces, over the shear modulus, m, shape (s,).
-        friction: of the tool's face and of its shaft, a coefficient or -1 for no slip, shape (s, 2).
-        outlines: which of the outlines each node meets, shape (s,).
-        chains: lines of the outlines, shape (outlines, lines, 5): start and direction (r, z), and length, m.
-        shapes: of each outline, shape (outlines, 5): rounding, m; first line of the shaft; whether a sharp shaft goes
-            on downwards; how many lines there are; radius below which a point is on the axis, m.
-        bound, anchors: `FREE`, `HELD` or `TOUCHED` at the first touch, shape (s,), and where, in the frame of the tool,
-            m, shape (s, 3).
-        start: of the tool, where it first touches.
+        places: undeformed positions of the nodes in the frame of the mesh, m, shape (s, 3).
+        springs: penalty stiffness over the shear modulus, m, shape (s,).
+        friction: coefficients of friction of the tool's face and of its shaft, -1 for no slip, shape (s, 2).
+        outlines: index of the outline that each node may touch, shape (s,).
+        chains: line segments of the outlines: start (r, z), direction (r, z) and length, m, shape (outlines, lines, 5).
+        shapes: constants of the outlines, shape (outlines, 5): edge radius, m; index of the first segment of the
+            shaft; 1 if a sharp shaft is extended downwards; number of segments; radius below which a point counts as
+            on the axis, m.
+        bound: bonds of the nodes at the first touch, each a `Bond`, shape (s,).
+        anchors: positions in the frame of the tool where these nodes are bound, m, shape (s, 3).
+        start: pose of the tool at the first touch.
         datum: height of the scene's origin in the frame of the mesh, m.
-        tolerance: how far a condition of the contact may be violated, m.
-        radius: of the contact, m: a turn counts as the way of a point so far from the axis.
-        floor: force that is as good as none for a whole test, N.
-        candidates: the most nodes that a model has.
+        tolerance: largest violation of a contact condition, m.
+        radius: radius of the contact, m; a rotation is measured by the path of a point at this radius.
+        floor: negligible force, N.
+        candidates: largest number of nodes of a `CondensedContact`.
     """
 
     places: np.ndarray
@@ -76,27 +81,36 @@ class ContactSurface:
 
 @dataclass(frozen=True, eq=False)
 class CondensedContact:
-    """The bulk of a tissue as the nodes near a tool feel it: u = middle + drive m - compliance f.
+    """Linearised bulk, condensed to the contact nodes near the tool (Schur complement).
 
-    f are the forces of the nodes on the tool, and m is the tool's motion from `pose`: translation and rotation vector.
-    What the tool holds goes with it, and answers wrench - stiffness m - drive^T f.
+    With the linearised equations K du = -R - B^T f of the bulk, the displacements of the contact nodes are
+
+        u = u_0 + G m - C f,    C = B K^-1 B^T,
+
+    where u_0 = `free_displacement`, G = `tool_coupling`, C = `compliance`, B selects the contact nodes, f are the
+    forces of the nodes on the tool, and m is the motion of the tool from `pose` (translation and rotation vector).
+    Tissue that is bonded to the tool exerts the wrench `wrench` - `stiffness` m - G^T f on the tool.
 
     Attributes:
-        number: of the linearisation, from 1.
-        base: number of the one with whose tangent it was made, whose nodes, compliance, drive and stiffness it has.
-        time: when the tool was there, s. pose: of the tool then.
-        nodes: numbers in the `ContactSurface`, shape (n,). A step is quick where those stand first that are loaded, and
-            then those that the tool meets first.
-        middle: displacements without forces, m, shape (n, 3).
-        compliance: m/N, symmetric, shape (3 n, 3 n). drive: shape (3 n, 6).
-        wrench: of what the tool holds, N, N m, shape (6,). stiffness: of it, shape (6, 6).
-        reach: how far the tool may go from the pose before it can meet a node that is not here, m.
+        number: number of the linearisation, from 1.
+        base: number of the linearisation with the same tangent, and so the same `nodes`, `compliance`,
+            `tool_coupling` and `stiffness`.
+        epoch: epoch of the `ContactState` for which the linearisation was made.
+        time: time of that contact state, s.
+        pose: pose of the tool in that contact state.
+        nodes: indices into the `ContactSurface`, shape (n,). Loaded nodes first, then the nodes that the tool touches
+            next: then a step evaluates few nodes.
+        free_displacement: displacements without contact forces, m, shape (n, 3).
+        compliance: C, symmetric, m/N, shape (3 n, 3 n).
+        tool_coupling: G, derivative of the displacements with respect to the motion of the tool, shape (3 n, 6).
+        wrench: wrench of the tissue that is bonded to the tool, N and N m, shape (6,).
+        stiffness: minus its derivative with respect to the motion of the tool, shape (6, 6).
+        reach: distance from `pose` within which the tool cannot touch other nodes, m.
         modulus: shear modulus of the material, Pa.
-        residual: unbalanced over balanced forces of the state that it was linearised at.
-        epoch: of the `ContactState` that it follows.
-        material: number of the change of material that it contains, 0: the material at the start.
-        has_contact: whether the bulk was loaded by forces of the contact, or by a tool that holds it. The models of
-            an undeformed tissue are equal, wherever the tool is in the air.
+        residual: relative residual of the state at which the bulk was linearised.
+        material: number of the change of material that the linearisation contains; 0: the initial material.
+        has_contact: whether contact forces or a bonded tool loaded the bulk. The linearisations of undeformed tissue
+            are equal for all poses of the tool in the air.
     """
 
     number: int
@@ -105,9 +119,9 @@ class CondensedContact:
     time: float
     pose: Pose
     nodes: np.ndarray
-    middle: np.ndarray
+    free_displacement: np.ndarray
     compliance: np.ndarray
-    drive: np.ndarray
+    tool_coupling: np.ndarray
     wrench: np.ndarray
     stiffness: np.ndarray
     reach: float
@@ -117,46 +131,58 @@ class CondensedContact:
     has_contact: bool = False
 
     @property
-    def is_whole(self) -> bool:
-        """Whether it has a tangent of its own."""
+    def has_own_tangent(self) -> bool:
+        """Whether the linearisation has a new tangent; otherwise it shares the tangent of `base`."""
         return self.base == self.number
 
     @property
-    def is_held(self) -> bool:
-        """Whether the tool holds a part of the tissue, which moves with it."""
+    def holds_tissue(self) -> bool:
+        """Whether tissue is bonded to the tool."""
         return bool(self.stiffness.any())
 
-    def packed(self) -> np.ndarray:
-        """As one array of numbers: all of a whole one, of others what they do not have from their base."""
+    def pack(self) -> np.ndarray:
+        """Return one array of numbers, without the arrays that a linearisation shares with its base."""
         n = len(self.nodes)
         head = (self.number, self.base, self.epoch, self.time, n, self.reach, self.modulus, self.residual,
                 self.material, self.has_contact, *self.pose.position, *self.pose.orientation)
-        own = [np.array(head), self.wrench, self.middle.ravel()]
-        if self.is_whole:
-            own += [self.nodes, self.stiffness.ravel(), self.drive.ravel(), self.compliance.ravel()]
+        own = [np.array(head), self.wrench, self.free_displacement.ravel()]
+        if self.has_own_tangent:
+            own += [self.nodes, self.stiffness.ravel(), self.tool_coupling.ravel(), self.compliance.ravel()]
         return np.concatenate(own)
 
     @classmethod
-    def unpacked(cls, numbers: np.ndarray, base: CondensedContact | None = None) -> CondensedContact | None:
-        """What `packed` gave, beside its base where it is not whole; None where that is another one.
+    def unpack(cls, numbers: np.ndarray, base: CondensedContact | None = None) -> CondensedContact | None:
+        """Return the linearisation from an array of `pack`.
 
-        Its arrays are parts of the one given.
+        Args:
+            numbers: array of `pack`; the arrays of the result are views of this array.
+            base: a linearisation with the same tangent, needed if the packed one has no own tangent.
+
+        Returns:
+            None if `base` is needed and missing, or has another tangent.
         """
         head = numbers[:_MODEL_HEAD].tolist()
-        number, of, epoch, time, count, reach, modulus, residual, material, has_contact, *where = head
+        number, base_number, epoch, time, count, reach, modulus, residual, material, has_contact, *pose = head
         n, rest = int(count), numbers[_MODEL_HEAD:]
-        own = {"number": int(number), "base": int(of), "epoch": int(epoch), "time": time, "pose": _pose(where),
-               "wrench": rest[:6], "middle": rest[6 : 6 + 3 * n].reshape(n, 3), "reach": reach, "modulus": modulus,
+        own = {"number": int(number), "base": int(base_number), "epoch": int(epoch), "time": time, "pose": _pose(pose),
+               "wrench": rest[:6], "free_displacement": rest[6 : 6 + 3 * n].reshape(n, 3), "reach": reach,
+               "modulus": modulus,
                "residual": residual, "material": int(material), "has_contact": bool(has_contact)}
-        if number != of:
-            return None if base is None or base.base != of else replace(base, **own)
-        nodes, stiffness, drive, compliance = np.split(rest[6 + 3 * n :], np.cumsum([n, 36, 18 * n]))
-        return cls(nodes=nodes.astype(np.intp), stiffness=stiffness.reshape(6, 6), drive=drive.reshape(3 * n, 6),
+        if number != base_number:
+            return None if base is None or base.base != base_number else replace(base, **own)
+        nodes, stiffness, tool_coupling, compliance = np.split(rest[6 + 3 * n :], np.cumsum([n, 36, 18 * n]))
+        return cls(nodes=nodes.astype(np.intp), stiffness=stiffness.reshape(6, 6),
+                   tool_coupling=tool_coupling.reshape(3 * n, 6),
                    compliance=compliance.reshape(3 * n, 3 * n), **own)
 
 
-def packed_size(surface: ContactSurface, whole: bool = True) -> int:
-    """The most numbers that a packed model of a surface has."""
+def max_packed_size(surface: ContactSurface, whole: bool = True) -> int:
+    """Return the largest size of a packed `CondensedContact`.
+
+    Args:
+        surface: constants of the contact.
+        whole: whether the linearisation has its own tangent.
+    """
     n = 3 * surface.candidates
     own = _MODEL_HEAD + 6 + n
     return own + n // 3 + 36 + 6 * n + n * n if whole else own
@@ -164,17 +190,19 @@ def packed_size(surface: ContactSurface, whole: bool = True) -> int:
 
 @dataclass(frozen=True, eq=False)
 class ContactState:
-    """Where a fast solver of the contact is.
+    """State of the fast solver of the contact.
 
     Attributes:
-        model: number of the model that it solved on; 0: none yet.
-        epoch: how often it was set back to the untouched specimen.
-        touched: whether the tool has touched the specimen since then.
-        time: s. pose: of the tool.
-        earlier, before: a time a little ago, s, and the pose then.
-        forces: on the tool, N, shape (s, 3), of the surface's nodes.
-        anchors: where nodes were bound to the tool, in its frame, m, shape (s, 3).
-        states: how each is bound, whether it is pressed, and whether it slips, shape (3, s).
+        model: number of the `CondensedContact` on which the contact was solved; 0: none yet.
+        epoch: number of resets to the untouched specimen.
+        time: time, s.
+        pose: pose of the tool.
+        earlier: an earlier time, s.
+        before: pose of the tool at the earlier time.
+        forces: forces of the surface's nodes on the tool, N, shape (s, 3).
+        anchors: positions in the frame of the tool where nodes are bound, m, shape (s, 3).
+        states: bond (`Bond`), whether pressed, and whether slipping, shape (3, s).
+        touched: whether the tool has touched the specimen since the last reset.
     """
 
     model: int
@@ -188,58 +216,59 @@ class ContactState:
     states: np.ndarray
     touched: bool = True
 
-    def packed(self) -> np.ndarray:
-        """All of it as one array of numbers."""
+    def pack(self) -> np.ndarray:
+        """Return one array of numbers."""
         head = (self.model, self.epoch, self.touched, self.time, *self.pose.position, *self.pose.orientation,
                 self.earlier, *self.before.position, *self.before.orientation)
         return np.concatenate([head, self.forces.ravel(), self.anchors.ravel(), self.states.ravel()])
 
     @classmethod
-    def unpacked(cls, numbers: np.ndarray) -> ContactState:
-        """What `packed` gave."""
-        model, epoch, touched, time, *where = numbers[:_STATE_HEAD].tolist()
+    def unpack(cls, numbers: np.ndarray) -> ContactState:
+        """Return the state from an array of `pack`."""
+        model, epoch, touched, time, *poses = numbers[:_STATE_HEAD].tolist()
         forces, anchors, states = np.split(numbers[_STATE_HEAD:], 3)
-        return cls(int(model), int(epoch), time, _pose(where[:7]), where[7], _pose(where[8:]), forces.reshape(-1, 3),
+        return cls(int(model), int(epoch), time, _pose(poses[:7]), poses[7], _pose(poses[8:]), forces.reshape(-1, 3),
                    anchors.reshape(-1, 3), states.reshape(3, -1), bool(touched))
 
 
 def packed_state_size(surface: ContactSurface) -> int:
-    """Numbers of a packed state of a surface."""
+    """Return the size of a packed `ContactState` of a surface."""
     return _STATE_HEAD + 9 * len(surface.places)
 
 
-#: Computes something, here and now or beside other things; what it answers says whether that is done.
-Beside = Callable[[Callable[[], None]], Callable[[], bool]]
+#: Runs a computation at once or in a background thread, and returns a function that tells whether it is complete.
+Executor = Callable[[Callable[[], None]], Callable[[], bool]]
 
 
-def at_once(compute: Callable[[], None]) -> Callable[[], bool]:
-    """The `Beside` of who waits."""
+def run_now(compute: Callable[[], None]) -> Callable[[], bool]:
+    """Run a computation before the return: the synchronous `Executor`."""
     compute()
     return lambda: True
 
 
 class BulkLinearisation(Protocol):
-    """Newton's iteration of a tissue's bulk, to whose linearisation another solver adds the contact.
+    """Newton iteration of the bulk of a tissue; another solver adds the contact to its linearisation.
 
     Attributes:
-        beside: where tangents are condensed. While one is, iterates go on with the tangent of before.
+        executor: runs the condensation of tangents. Meanwhile iterations use the previous tangent.
     """
 
-    beside: Beside
+    executor: Executor
 
     @property
     def surface(self) -> ContactSurface:
-        """What may be touched, and by what."""
+        """Constants of the contact between tissue and tool."""
 
     def linearise(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedContact | None:
-        """The next iterate, where the contact has come to on the last model, and the bulk's linearisation there.
+        """Advance Newton's iteration of the bulk with the contact forces, and return its linearisation.
 
         Args:
-            state: of the contact.
-            ahead: poses to which the tool may go while the next tangent serves.
+            state: state of the contact on the last linearisation.
+            ahead: poses that the tool may reach while the next tangent is in use.
 
         Returns:
-            None where the state is not of the last model, or no linearisation was found; the next call tries again.
+            None if the state belongs to another linearisation, or if no linearisation was found; the next call tries
+            again.
         """
 
     def set_material(self, material: Material) -> None:
@@ -247,17 +276,20 @@ class BulkLinearisation(Protocol):
 
     @property
     def solver(self) -> Solver:
-        """Whose last committed state is the last iterate, to be looked at."""
+        """Solver whose last committed state is the last iterate, for visualisation."""
 
 
 class LinearisationMaker(Protocol):
-    """What stands in `LINEARISATIONS`."""
+    """Factory of a `BulkLinearisation`, the entries of `LINEARISATIONS`."""
 
     def __call__(self, model: Model, *, resolution: str, mesh: Any = None) -> BulkLinearisation:
-        """Of a model, its tool where it first touches the specimen; arguments and errors as of a `SolverMaker`."""
+        """Return the linearisation of a model with the tool at its first touch.
+
+        Arguments and errors are those of a `tissue_sim.fem.solver.SolverMaker`.
+        """
 
 
-#: By the names of the solvers whose bulk it is.
+#: Name of a solver -> factory of the linearisation of its bulk.
 LINEARISATIONS: Registry[LinearisationMaker] = Registry(
     "linearisation", "tissue_sim.linearisations", {"solid": "tissue_sim.fem.solid.linearisation:make_linearisation"})
 

@@ -1,4 +1,9 @@
-"""Contact on a condensed bulk, stepped with the tool: lift-off, touch and friction within a fraction of a tick."""
+"""Frictional contact of a tool with a bulk condensed to the contact nodes (Schur complement), step by step.
+
+Each increment alternates between `FlatContact`, which decides the contact states on the tangent planes of the tool, and
+Newton's method for the curved contact with these states. The contact forces are unknowns; gap and stick conditions are
+enforced by an augmented Lagrangian with a penalty stiffness for each node.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +14,11 @@ from typing import cast
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.answer_kernel import ANSWER_SIZE, Answer, answer_kernel
 from tissue_sim.fem.condensed.flat_contact import FlatContact
-from tissue_sim.fem.condensed.kernel import (
+from tissue_sim.fem.condensed.kernel import contact_kernel
+from tissue_sim.fem.condensed.model import Bond, CondensedContact, ContactState, ContactSurface
+from tissue_sim.fem.condensed.settings import StepperSettings
+from tissue_sim.fem.condensed.tables import (
     LIST_COLUMNS,
     LOCAL_COLUMNS,
     MAX_FREEDOMS,
@@ -24,59 +31,13 @@ from tissue_sim.fem.condensed.kernel import (
     LocalColumn,
     NodeColumn,
     Setting,
-    contact_kernel,
 )
-from tissue_sim.fem.condensed.model import Bond, CondensedContact, ContactState, ContactSurface
+from tissue_sim.fem.condensed.wrench_kernel import ANSWER_SIZE, Answer, wrench_kernel
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.tool_force import Matrix
-
-
-@dataclass(frozen=True)
-class StepperSettings:
-    """Settings of `CondensedStepper`.
-
-    Attributes:
-        max_iterations: maximum number of contact iterations of an increment.
-        max_exact_iterations: the same if the stiffness must belong to the pose (`exact`).
-        max_flat_iterations: number of iterations in which the linear equations keep the contact states that
-            `FlatContact` found.
-        flat_gap: nodes with a gap below this fraction of the contact radius take part in the flat contact.
-        flat_tolerance: relative residual of the flat contact.
-        near_gap: nodes with a gap above this fraction of the contact radius are not evaluated until the tool or the
-            tissue has moved by a third of this gap.
-        force_tolerance: relative change of the forces at which an iteration has converged.
-        exact_factor: factor of `force_tolerance` in an exact step.
-        exact_violation: factor of the tolerance of the contact conditions in an exact step.
-        negligible_friction: friction below this fraction of the surface's smallest force is neglected.
-        max_stiffness_factor: derivatives of forces above this multiple of the largest stiffness of a single node are
-            discarded.
-        reassembly_interval: number of increments that use the same derivatives if the same nodes are in contact.
-        max_increment: largest increment of the tool, as a fraction of the contact radius.
-        min_increment: smallest increment after failures, as a fraction of `max_increment`.
-        rounding: an increment that ends closer to the end of the step than this fraction of the step ends at the step.
-        violation_factor: tolerance of the contact conditions over that of the surface.
-    """
-
-    max_iterations: int = 10
-    max_exact_iterations: int = 24
-    max_flat_iterations: int = 5
-    flat_gap: float = 0.06
-    flat_tolerance: float = 1e-6
-    near_gap: float = 0.2
-    force_tolerance: float = 1e-4
-    exact_factor: float = 1e-6
-    exact_violation: float = 1e-4
-    negligible_friction: float = 1e-6
-    max_stiffness_factor: float = 10.0
-    reassembly_interval: int = 8
-    max_increment: float = 0.03
-    min_increment: float = 0.5
-    rounding: float = 1e-9
-    violation_factor: float = 0.5
-
 
 #: Settings of every `CondensedStepper`.
 _SETTINGS = StepperSettings()
@@ -84,47 +45,48 @@ _SETTINGS = StepperSettings()
 
 @dataclass(frozen=True, slots=True)
 class ContactStep:
-    """What a step of the contact answers.
+    """Result of a step of the contact.
 
     Attributes:
-        converged: whether all conditions of the contact hold.
-        iterations: that it took.
-        wrench: on the tool, about its deepest point, N and N m.
-        stiffness_matrix: minus its derivative with place and rotation, 6 x 6.
-        way: how far the tool is from the pose of the model, m.
-        residual: change of the forces in the last iteration, over their size.
-        pressed, slipping: nodes.
+        converged: whether all contact conditions hold.
+        iterations: number of contact iterations of the last increment.
+        wrench: wrench on the tool about its deepest point, N and N m.
+        stiffness_matrix: minus the derivative of the wrench with respect to position and rotation vector, 6 x 6.
+        distance: distance of the tool from the pose of the model, m, see `CondensedStepper.distance`.
+        residual: norm of the change of the forces in the last iteration, N.
+        pressed: number of nodes in contact.
+        slipping: number of slipping nodes.
     """
 
     converged: bool
     iterations: int
     wrench: Screw
     stiffness_matrix: Matrix
-    way: float
+    distance: float
     residual: float
     pressed: int
     slipping: int
 
 
-_NOTHING_YET: Screw = (0.0,) * 6
-_REST = ContactStep(True, 0, _NOTHING_YET, (_NOTHING_YET,) * 6, 0.0, 0.0, 0, 0)
+_ZERO_WRENCH: Screw = (0.0,) * 6
+_INITIAL_STEP = ContactStep(True, 0, _ZERO_WRENCH, (_ZERO_WRENCH,) * 6, 0.0, 0.0, 0, 0)
 
 
 class CondensedStepper:
-    """Steps the contact of a tool with a tissue whose bulk is known as a `CondensedContact`.
+    """Solver of the contact of a tool with a tissue whose bulk is a `CondensedContact`.
 
-    What nodes remember of friction, and their forces, go on from model to model.
+    Forces and bonds of the nodes continue from model to model.
 
     Args:
-        surface: of the tissue, and the tool.
-        largest: part of a step, over the contact's radius.
+        surface: constants of the contact: surface nodes and shape of the tool.
+        largest: largest increment of the tool, over the radius of the contact.
 
     Raises:
-        InputError: more nodes than it takes.
+        InputError: the surface has too many nodes.
 
     Attributes:
-        model: the newest; None before the first.
-        forces: of the nodes on the tool, N, shape (s, 3).
+        model: newest linearisation of the bulk; None before the first.
+        forces: forces of the nodes on the tool, N, shape (s, 3).
     """
 
     def __init__(self, surface: ContactSurface, largest: float = _SETTINGS.max_increment):
@@ -136,13 +98,13 @@ class CondensedStepper:
         outlines[:] = surface.outlines
         self._settings, self._results = np.zeros(SETTING_COUNT), np.zeros(RESULT_COUNT)
         self._matrix, self._right = np.zeros(9 * n * n), np.zeros(3 * n * RIGHT_HAND_SIDES)
-        self._drive, self._columns = np.zeros((2, 3 * n, 6))
-        # Rows of whole vectors.
+        self._tool_coupling, self._columns = np.zeros((2, 3 * n, 6))
+        # The rows of the compliance are padded to whole vectors.
         width = -(-3 * n // LANES) * LANES
         if width > MAX_FREEDOMS:
-            raise InputError(f"a tool that may touch {n} nodes at a time is more than two rates take "
-                             f"({MAX_FREEDOMS // 3}); use a coarser mesh", field="resolution")
-        self._compliance, self._middle = np.zeros((3 * n, width)), np.zeros((n, 3))
+            raise InputError(f"the number of nodes that the tool may touch must be at most {MAX_FREEDOMS // 3} in a "
+                             f"multirate simulation; got {n}. Use a coarser mesh.", field="resolution")
+        self._compliance, self._free_displacement = np.zeros((3 * n, width)), np.zeros((n, 3))
         lists, local = np.zeros((n, LIST_COLUMNS), dtype=np.int32), np.zeros((n, LOCAL_COLUMNS))
         self._nodes, self._active, self._signature = (lists[:, at]
                                                       for at in (ListColumn.NODE, ListColumn.ACTIVE, ListColumn.STATUS))
@@ -150,42 +112,43 @@ class CondensedStepper:
         arrays = {
             "settings": self._settings, "results": self._results, "chains": surface.chains, "shapes": surface.shapes,
             "surface": np.column_stack([surface.places, surface.springs, surface.friction]), "states": self._states,
-            "carried": self._carried, "lists": lists, "middle": self._middle, "drive": self._drive,
+            "carried": self._carried, "lists": lists, "free_displacement": self._free_displacement,
+                  "tool_coupling": self._tool_coupling,
             "compliance": self._compliance, "rows": self._compliance.reshape(-1, LANES), "u": np.zeros(width),
             "local": local, "columns": self._columns, "matrix": self._matrix, "right": self._right}
         self._sum = np.zeros(ANSWER_SIZE)
         with LOCK:
             self._kernel = BoundKernel(contact_kernel(), arrays)
-            self._sum_up = BoundKernel.of(answer_kernel(), arrays | {"answer": self._sum})
+            self._wrench_kernel = BoundKernel.of(wrench_kernel(), arrays | {"answer": self._sum})
         self._flat = FlatContact(arrays, _SETTINGS.flat_gap * surface.radius, surface.floor)
         self._tolerance, self._stiffest = _SETTINGS.violation_factor * surface.tolerance, math.inf
         self._settings[[Setting.TOLERANCE, Setting.NEGLIGIBLE, Setting.NEAR_GAP]] = (
             self._tolerance, _SETTINGS.negligible_friction * surface.floor, _SETTINGS.near_gap * surface.radius)
-        self._widest = float((surface.chains[:, :, 0] + surface.shapes[:, :1]).max())
+        self._tool_radius = float((surface.chains[:, :, 0] + surface.shapes[:, :1]).max())
         self._others = surface.places[:0]
         self._largest = largest * surface.radius
         self._first_height = surface.start.position[2]
         self.model: CondensedContact | None = None
-        self._last = _REST
+        self._last = _INITIAL_STEP
         self.reset()
 
     def reset(self) -> None:
-        """Back to the first touch; the model stays."""
+        """Reset forces and bonds to the first touch; the model stays."""
         for array in (self.forces, self._pressed, self._slips, self._met):
             array[:] = 0
         self._bound[:], self._anchors[:] = self.surface.bound, self.surface.anchors
         self._pose: Pose | None = None
-        self._last = _REST
+        self._last = _INITIAL_STEP
         self._factor: tuple[np.ndarray, np.ndarray] | None = None
-        self._forget()
+        self._discard_equations()
         self._steps = 0
 
-    def rise(self) -> None:
+    def place_in_air(self) -> None:
         """Place the tool in the air above an undeformed tissue: no node is bound to it."""
         self.reset()
         self._bound[:] = Bond.FREE
 
-    def bring_down(self, pose: Pose) -> None:
+    def place_at_touch(self, pose: Pose) -> None:
         """Place the tool at a pose of first touch; the next step continues from there.
 
         At the pose for which the surface was described, nodes are bound as there. At another one, nodes are bound
@@ -196,109 +159,113 @@ class CondensedStepper:
             self._bound[:] = Bond.FREE
         self._pose = pose
 
-    def _forget(self) -> None:
-        """The equations of the last step are none of the next one."""
-        #: Nodes whose forces' derivatives with the tool's motion are known, the first of `_active`.
-        self._followed = 0
+    def _discard_equations(self) -> None:
+        """Discard the linear equations and force derivatives of the last step."""
+        #: Number of nodes, the first of `_active`, whose force derivatives with respect to the pose are known.
+        self._predicted_count = 0
         self._settings[Setting.REBUILDS] = 1.0
-        #: Where the tool was when all nodes were looked at; None: they are next.
-        self._looked_at: Pose | None = None
+        #: Pose of the tool when all nodes were evaluated; None: the next iteration evaluates all nodes.
+        self._evaluation_pose: Pose | None = None
 
     def state(self, time: float, pose: Pose, earlier: float, before: Pose, epoch: int = 0,
               touched: bool = True) -> ContactState:
-        """Where the contact is, for the solver of the bulk; see `ContactState`."""
+        """Return the state of the contact for the solver of the bulk; arguments are attributes of `ContactState`."""
         return ContactState(0 if self.model is None else self.model.number, epoch, time, pose, earlier, before,
                             self.forces.copy(), self._anchors.copy(),
                             np.stack([self._bound, self._pressed, self._slips]).astype(float), touched)
 
-    def take(self, state: ContactState) -> None:
-        """Go where another stepper of the same surface and model was."""
+    def load_state(self, state: ContactState) -> None:
+        """Continue from the state of another stepper with the same surface and model."""
         self.forces[:], self._anchors[:] = state.forces, state.anchors
         self._bound[:], self._pressed[:], self._slips[:] = state.states
         self._pose = state.pose
-        self._forget()
+        self._discard_equations()
 
-    def adopt(self, model: CondensedContact) -> None:
-        """Go on with another model of the same surface."""
+    def set_model(self, model: CondensedContact) -> None:
+        """Continue on another linearisation of the same surface.
+
+        Nodes that the new model does not contain lose their forces and frictional bonds.
+        """
         n, known = len(model.nodes), self.model
         if known is None or (model.base, model.epoch) != (known.base, known.epoch):
-            followed, places = self._nodes[self._active[:self._followed]], np.full(len(self.forces), -1)
-            places[model.nodes] = np.arange(n)
-            dropped = places < 0
+            predicted, rows = self._nodes[self._active[:self._predicted_count]], np.full(len(self.forces), -1)
+            rows[model.nodes] = np.arange(n)
+            dropped = rows < 0
             self.forces[dropped], self._pressed[dropped], self._met[dropped], self._slips[dropped] = 0.0, 0, 0, 0
             self._others = self.surface.places[dropped]
             self._bound[dropped & (self._bound != Bond.HELD)] = 0
-            self._nodes[:n], self._drive[:3 * n], self._compliance[:3 * n, :3 * n] = (
-                model.nodes, model.drive, model.compliance)
+            self._nodes[:n], self._tool_coupling[:3 * n], self._compliance[:3 * n, :3 * n] = (
+                model.nodes, model.tool_coupling, model.compliance)
             self._signature[:] = -1
             self._settings[Setting.COUNT] = n
             smallest_compliance = float(np.abs(np.diag(model.compliance)).min(initial=math.inf))
             self._stiffest = _SETTINGS.max_stiffness_factor / smallest_compliance
             self._sum[Answer.HELD_STIFFNESS:Answer.HELD_STIFFNESS + 36] = model.stiffness.ravel()
-            self._forget()
-            if not dropped[followed].any():
-                # Their forces go with the tool once more as on the model before, which is nearer than not at all.
-                self._followed = len(followed)
-                self._active[:self._followed] = places[followed]
+            self._discard_equations()
+            if not dropped[predicted].any():
+                # The force derivatives of the last model are a better predictor than constant forces.
+                self._predicted_count = len(predicted)
+                self._active[:self._predicted_count] = rows[predicted]
         self._sum[Answer.HELD_WRENCH:Answer.HELD_WRENCH + 6] = model.wrench
-        self._middle[:n], self._looked_at = model.middle, None
+        self._free_displacement[:n], self._evaluation_pose = model.free_displacement, None
         self._settings[Setting.MODULUS] = model.modulus
         self.model = model
 
     def step(self, pose: Pose, exact: bool = False) -> ContactStep:
-        """Go where the tool is now.
+        """Move the tool to a pose and solve the contact.
 
         Args:
-            pose: of the tool.
-            exact: find the equations anew, so that the stiffness is that of this very pose.
+            pose: pose of the tool.
+            exact: whether the linear equations are assembled again, so that the stiffness belongs to this pose.
 
         Returns:
-            The wrench there. Of a step that has not converged it is that of the step before, from which the next one
-            goes on.
+            Result at the pose. If a step does not converge, wrench and stiffness are those of the last converged
+            increment, from which the next step continues.
 
         Raises:
-            ValueError: there is no model yet.
+            ValueError: the stepper has no model.
         """
         model = self.model
         if model is None:
-            raise ValueError("there is no model to step on; adopt one")
+            raise ValueError("the stepper has no model. Call set_model first.")
         start = self._pose
         if start is None:
-            return self._part(pose, exact)
-        length, done, share = self.distance(motion(start, pose)), 0.0, 1.0
+            return self._solve_increment(pose, exact)
+        length, done, increment = self.distance(motion(start, pose)), 0.0, 1.0
         if length > 0.0:
-            share = min(1.0, self._largest / length)
+            increment = min(1.0, self._largest / length)
         while True:
-            # The last part ends where the tool is, without rounding.
-            end = 1.0 if done + share > 1.0 - _SETTINGS.rounding else done + share
-            step = self._part(between(start, pose, end), exact)
+            # The last increment ends exactly at the pose.
+            end = 1.0 if done + increment > 1.0 - _SETTINGS.rounding else done + increment
+            step = self._solve_increment(between(start, pose, end), exact)
             if step.converged:
-                done, share = end, 1.0 if length == 0.0 else min(2.0 * share, self._largest / length)
+                done = end
+                increment = 1.0 if length == 0.0 else min(2.0 * increment, self._largest / length)
                 if done == 1.0:
                     return step
             else:
-                share *= 0.5
-                if share * length < _SETTINGS.min_increment * self._largest or length == 0.0:
+                increment *= 0.5
+                if increment * length < _SETTINGS.min_increment * self._largest or length == 0.0:
                     return step
 
-    def _part(self, pose: Pose, exact: bool) -> ContactStep:
-        """One part of a step; nothing is changed by one that does not converge."""
+    def _solve_increment(self, pose: Pose, exact: bool) -> ContactStep:
+        """Solve the contact at the end of one increment; the state is unchanged if the solution does not converge."""
         from scipy.linalg import lapack
 
         assert self.model is not None
         settings, results = self._settings, self._results
-        way = motion(self.model.pose, pose)
-        self._place(pose, way)
+        displacement = motion(self.model.pose, pose)
+        self._write_pose(pose, displacement)
         carried, states = self._carried.copy(), self._states.copy()
-        if self._followed and self._pose is not None:
-            settings[Setting.PREDICTED] = self._followed
+        if self._predicted_count and self._pose is not None:
+            settings[Setting.PREDICTED] = self._predicted_count
             settings[Setting.STEP:Setting.STEP + 6] = motion(self._pose, pose)
         self._steps += 1
         if exact or self._steps % _SETTINGS.reassembly_interval == 0:
             settings[Setting.REBUILDS] = 1.0
-        if self._looked_at is None or self.distance(motion(self._looked_at,
+        if self._evaluation_pose is None or self.distance(motion(self._evaluation_pose,
                                                            pose)) > _SETTINGS.near_gap / 3.0 * self.surface.radius:
-            self._looked_at, settings[Setting.NEAR_COUNT] = pose, 0.0
+            self._evaluation_pose, settings[Setting.NEAR_COUNT] = pose, 0.0
         settings[Setting.RELEASE], settings[Setting.CHANGEABLE] = 0.0, 1.0
         max_iterations = _SETTINGS.max_exact_iterations if exact else _SETTINGS.max_iterations
         converged, fresh, decided, iterations, solution = False, False, False, 0, None
@@ -323,14 +290,14 @@ class CondensedStepper:
                               and violation <= _SETTINGS.exact_violation * self._tolerance))
             if done and pulling:
                 settings[Setting.RELEASE] = 1.0
-            elif done and k and not usable and 3 * self._followed != k:
+            elif done and k and not usable and 3 * self._predicted_count != k:
                 settings[Setting.REBUILDS] = 1.0
             elif done:
-                solution = self._solved(k) if k and usable else None
+                solution = self._solve_equations(k) if k and usable else None
                 converged = True
                 break
             elif usable and (decided or (exact and settles)):
-                chosen, step = self._active[:k // 3], self._solved(k)[:, 0]
+                chosen, step = self._active[:k // 3], self._solve_equations(k)[:, 0]
                 self.forces[self._nodes[chosen]] = self._guess[chosen] + step.reshape(-1, 3)
                 decided = False
                 settings[Setting.CHANGEABLE], settings[Setting.REBUILDS] = 0.0 if settles else 1.0, 1.0
@@ -340,42 +307,45 @@ class CondensedStepper:
         if converged:
             if solution is not None:
                 self._columns[:k] = solution[:, 1:]
-            self._pose, self._followed = pose, k // 3
-            self._last = self._answer(way, iterations, change, int(slipping))
+            self._pose, self._predicted_count = pose, k // 3
+            self._last = self._commit(displacement, iterations, change, int(slipping))
             return self._last
         self._carried[:], self._states[:] = carried, states
-        self._forget()
-        return replace(self._last, converged=False, iterations=iterations, way=self.distance(way), residual=change)
+        self._discard_equations()
+        return replace(self._last, converged=False, iterations=iterations, distance=self.distance(displacement),
+                       residual=change)
 
-    def _solved(self, k: int) -> np.ndarray:
-        """Of the linear equations as they were last built, shape (k, 7)."""
+    def _solve_equations(self, k: int) -> np.ndarray:
+        """Return the solution of the last linear equations, shape (k, `RIGHT_HAND_SIDES`).
+
+        The solution is zero if the equations are close to singular, which happens when all nodes are about to slip.
+        """
         from scipy.linalg import lapack
 
         assert self._factor is not None
         solution, _ = lapack.dgetrs(*self._factor, self._right[:RIGHT_HAND_SIDES * k].reshape(RIGHT_HAND_SIDES, k).T,
                                     overwrite_b=1)
-        # Where all nodes are about to slip or to stick, there may be none.
         if not (math.isfinite(solution.sum()) and np.abs(solution[:, 1:4]).max() < self._stiffest):
             solution[:] = 0.0
         return solution
 
-    def leaves(self, pose: Pose) -> bool:
-        """Whether the tool may meet nodes there that are not in the model."""
+    def may_leave_model(self, pose: Pose) -> bool:
+        """Whether the tool at a pose may touch nodes that the model does not contain."""
         model = self.model
         if model is None or not len(self._others) or self.distance(motion(model.pose, pose)) <= model.reach:
             return False
-        # Within the largest radius of the tool, at most; nodes that far off are hardly displaced.
-        self._place(pose, motion(model.pose, pose))
+        # Only nodes within the largest radius of the tool can be touched; distant nodes have small displacements.
+        self._write_pose(pose, motion(model.pose, pose))
         at = (self._others - self._settings[Setting.ORIGIN:Setting.ORIGIN
                                             + 3]) @ self._settings[Setting.ROTATION:Setting.ROTATION + 9].reshape(3, 3)
-        return bool(np.hypot(at[:, 0], at[:, 1]).min() < self._widest)
+        return bool(np.hypot(at[:, 0], at[:, 1]).min() < self._tool_radius)
 
-    def distance(self, way: Screw) -> float:
-        """How far the points of the contact go in a motion, at most, m."""
-        return math.hypot(*way[:3]) + self.surface.radius * math.hypot(*way[3:])
+    def distance(self, displacement: Screw) -> float:
+        """Return an upper bound of the path of a contact point in a motion (translation, rotation vector), m."""
+        return math.hypot(*displacement[:3]) + self.surface.radius * math.hypot(*displacement[3:])
 
-    def _place(self, pose: Pose, way: Screw) -> None:
-        """Tell the kernel where the tool is."""
+    def _write_pose(self, pose: Pose, displacement: Screw) -> None:
+        """Write the pose of the tool, and its motion from the pose of the model, to the settings of the kernel."""
         settings, (w, x, y, z) = self._settings, pose.orientation
         settings[Setting.ROTATION:Setting.ROTATION + 9] = (
             1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -383,20 +353,21 @@ class CondensedStepper:
             2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
         x, y, z = pose.position
         settings[Setting.ORIGIN:Setting.ORIGIN + 3] = x, y, z + self.surface.datum
-        settings[Setting.MOTION:Setting.MOTION + 6] = way
+        settings[Setting.MOTION:Setting.MOTION + 6] = displacement
         settings[Setting.PRESSED_IN] = float(z <= self._first_height)
 
-    def _answer(self, way: Screw, iterations: int, change: float, slipping: int) -> ContactStep:
-        """What the step came to, which the nodes remember from now on."""
-        count = self._followed
+    def _commit(self, displacement: Screw, iterations: int, change: float, slipping: int) -> ContactStep:
+        """Bind the nodes for the next step, and return the result of a converged increment."""
+        count = self._predicted_count
         self._sum[Answer.COUNT] = count
         with LOCK:
-            self._sum_up()
+            self._wrench_kernel()
         answer = self._sum.tolist()
         x, y, z, u, v, w = answer[Answer.WRENCH:Answer.WRENCH + 6]
         if count and not self._columns[:3 * count].any():
-            stiffness = self._last.stiffness_matrix  # the equations had no sane solution
+            stiffness = self._last.stiffness_matrix  # the linear equations were close to singular
         else:
             stiffness = cast("Matrix", tuple(tuple(-rate for rate in answer[row:row + 6])
                                              for row in range(Answer.RATES, ANSWER_SIZE, 6)))
-        return ContactStep(True, iterations, (x, y, z, u, v, w), stiffness, self.distance(way), change, count, slipping)
+        return ContactStep(True, iterations, (x, y, z, u, v, w), stiffness, self.distance(displacement), change, count,
+                           slipping)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tissue_sim.fem.condensed.model import Beside
+from tissue_sim.fem.condensed.model import Executor
 from tissue_sim.fem.linear.sparse import CondensedFactor, SparseSolver
 from tissue_sim.fem.solid.free_dofs import FreeDofSystem
 
@@ -46,7 +46,7 @@ class CondensedTangent:
         self.factor: CondensedFactor | None = None
 
     def assign(self, free: FreeDofSystem, interface: np.ndarray, equations: np.ndarray, volume_rates: np.ndarray,
-               executor: Beside) -> None:
+               executor: Executor) -> None:
         """Copy the present tangent and start its factorisation.
 
         Args:

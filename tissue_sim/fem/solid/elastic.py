@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from tissue_sim.errors import ConvergenceError
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.pose import Pose
@@ -67,6 +68,9 @@ def node_compliance(solver: SolidSolver, nodes: np.ndarray, axis: np.ndarray) ->
         solver: is at rest afterwards.
         nodes: numbers, shape (n,).
         axis: of unit length, shape (3,).
+
+    Raises:
+        ConvergenceError: the tangent at rest is singular or indefinite.
     """
     solver.lift_off()
     solver._assemble()
@@ -75,5 +79,7 @@ def node_compliance(solver: SolidSolver, nodes: np.ndarray, axis: np.ndarray) ->
     loads = np.zeros((solver.x.size, nodes.size))
     loads[(3 * nodes[:, None] + np.arange(3)).ravel(), np.repeat(np.arange(nodes.size), 3)] = np.tile(axis, nodes.size)
     loads = loads[solver._free]
+    if factor is None:
+        raise ConvergenceError("The tangent at rest is singular or indefinite. Hold the specimen, or use a finer mesh.")
     moved = loads.T @ factor.solve(loads)
     return 0.5 * (moved + moved.T)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.model import Beside, CondensedContact, ContactState, ContactSurface, at_once
+from tissue_sim.fem.condensed.model import CondensedContact, ContactState, ContactSurface, Executor, run_now
 from tissue_sim.fem.linear.sparse import library
 from tissue_sim.fem.solid.bodies import Body, nearest
 from tissue_sim.fem.solid.condensed_tangent import CondensedTangent
@@ -125,7 +125,7 @@ class SolidLinearisation:
         # Whether the tangent in use belongs to an earlier iterate.
         self._stale = False
         self._settles = np.zeros(solver._free.size)  # first half of a solution, see `CondensedTangent.begin`
-        self.beside: Beside = at_once
+        self.executor: Executor = run_now
         self.residual = 0.0
 
     def _describe(self, candidates: int) -> ContactSurface:
@@ -186,7 +186,7 @@ class SolidLinearisation:
                 self._settle()
                 if not step.leads_on(self._measured(self._settles), share, _SETTINGS.rounding * self._size):
                     continue
-            begun = self._begin(state, pose, ahead, self.beside) if due else None
+            begun = self._begin(state, pose, ahead, self.executor) if due else None
             if begun is not None and begun.is_done:
                 if not self._change(state, pose, ahead):
                     continue  # without parallel factorisation an iterate with a singular tangent is not accepted
@@ -221,7 +221,7 @@ class SolidLinearisation:
             pose = solver.pose if self._holds else state.pose
             if not self._assembled(True):
                 continue
-            self._begin(state, pose, ahead, at_once)
+            self._begin(state, pose, ahead, run_now)
             if self._change(state, pose, ahead):
                 self._stale = False
                 self._settle()
@@ -296,7 +296,7 @@ class SolidLinearisation:
         self.residual = float(np.linalg.norm(unbalanced[solver._free])) / max(held, solver._floor)
 
     def _begin(self, state: ContactState, pose: Pose, ahead: Sequence[Pose],
-               executor: Beside) -> CondensedTangent | None:
+               executor: Executor) -> CondensedTangent | None:
         """Start the condensation of the tangent that was assembled last; None while another one is in progress."""
         # A finished tangent that is not in use may be overwritten.
         spare = next((each for each in self._tangents if each is not self._tangent and each.is_done), None)

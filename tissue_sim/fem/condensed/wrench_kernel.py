@@ -1,10 +1,10 @@
-"""What a step of the contact on a condensed bulk answers once it is in balance, as a Taichi kernel."""
+"""Wrench on the tool and its derivative after a converged step on a condensed bulk, as a Taichi kernel."""
 
 from enum import IntEnum
 from functools import cache
 
-from tissue_sim.fem.condensed.kernel import ListColumn, LocalColumn, NodeColumn, Setting, StateColumn
 from tissue_sim.fem.condensed.model import Bond
+from tissue_sim.fem.condensed.tables import ListColumn, LocalColumn, NodeColumn, Setting, StateColumn
 from tissue_sim.fem.taichi.runtime import initialise
 
 
@@ -31,8 +31,8 @@ ANSWER_SIZE = 85
 
 
 @cache
-def answer_kernel():
-    """Kernel that binds the nodes to what they met, and sums up what they hand on to the tool."""
+def wrench_kernel():
+    """Return the kernel that commits the bonds of the nodes and sums the wrench and its derivative."""
     ti = initialise()
     real1, real2 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2))
     int2 = ti.types.ndarray(ti.i32, ndim=2)
@@ -47,7 +47,8 @@ def answer_kernel():
             states[s, StateColumn.SLIPS] = states[s, StateColumn.SLIPS] & states[s, StateColumn.PRESSED]
 
     @ti.kernel
-    def answer(settings: real1, answer: real1, states: int2, carried: real2, lists: int2, local: real2, drive: real2,
+    def answer(settings: real1, answer: real1, states: int2, carried: real2, lists: int2, local: real2,
+               tool_coupling: real2,
                compliance: real2, columns: real2):
         ti.loop_config(serialize=True)
         for _ in range(1):
@@ -72,9 +73,9 @@ def answer_kernel():
                     answer[Answer.WRENCH + a] = answer[Answer.WRENCH + a] + f[a]
                     answer[Answer.WRENCH + 3 + a] = answer[Answer.WRENCH + 3 + a] + torque[a]
                 for c in range(6):
-                    way = ti.Vector([drive[3 * i + a, c] for a in ti.static(range(3))])
+                    way = ti.Vector([tool_coupling[3 * i + a, c] for a in ti.static(range(3))])
                     change = ti.Vector([columns[3 * p + a, c] for a in ti.static(range(3))])
-                    # Nodes hand their forces on to the tool, but for what the tissue is driven by itself.
+                    # Part of the force loads the tissue that is bonded to the tool: - G^T f.
                     answer[Answer.WRENCH + c] = answer[Answer.WRENCH + c] - f.dot(way)
                     turned = arm.cross(change) + way.cross(f)
                     for a in ti.static(range(3)):
@@ -83,9 +84,9 @@ def answer_kernel():
                     for b in range(6):
                         value = 0.0
                         for a in ti.static(range(3)):
-                            value = value + drive[3 * i + a, b] * columns[3 * p + a, c]
+                            value = value + tool_coupling[3 * i + a, b] * columns[3 * p + a, c]
                         answer[Answer.RATES + 6 * b + c] = answer[Answer.RATES + 6 * b + c] - value
-            # The levers of the torque change, too: a node goes its way, and the tool's deepest point the tool's.
+            # The arms of the torque change with the displacements of the nodes and with the motion of the tool.
             for q in range(3 * count):
                 turned, at = ti.Vector.zero(ti.f64, 3), 3 * lists[q // 3, ListColumn.ACTIVE] + q % 3
                 for p in range(count):
