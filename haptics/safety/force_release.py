@@ -40,8 +40,8 @@ class ForceRelease:
     force and stiffness fade to zero together within `ramp` (status FADING): a client that extrapolates with the
     stiffness then stays below the force of the answer. With the next equilibrium they return within the same time
     (status RETURNING). If the first force exceeds `ReleaseSettings.largest_first_force`, the hand starts inside the
-    tissue, and the force returns from zero in the same way. The answer to a refused pose keeps the status REFUSED and is scaled
-    by the same gain.
+    tissue, and the force returns from zero in the same way. The answer to a refused pose keeps the status REFUSED and
+    is scaled by the same gain.
 
     Args:
         patience: longest time without equilibrium at full force, s; infinite for local models of a slow solver, which
