@@ -68,8 +68,9 @@ class VirtualCoupling:
     isotropic: the larger of the largest diagonal entry of all earlier stiffnesses that were not too old, and the
     largest secant |change of the force| / |motion of the proxy| between two ticks since then. If S exceeds the
     stiffness k of the tissue, the distance of the proxy to its equilibrium changes in each tick by the factor
-    1 - (K + k)/(K + S), which is between 0 and 1: the step is stable, and the proxy lags behind by about (K + S)/(K + k) ticks.
-    The stiffness within the step of a tissue with mass belongs to that step and is never too old.
+    1 - (K + k)/(K + S), which is between 0 and 1: the step is stable, and the proxy lags behind by about
+    (K + S)/(K + k) ticks. The stiffness within the step of a tissue with mass belongs to that step and is never too
+    old.
 
     Passivity. With a zero-order hold of length T, a sampled wall K + B (z - 1)/(T z) on a device of physical damping b
     is passive if and only if b > K T/2 + |B| (Colgate and Schenkel 1997). The same condition holds for a coupling to a
