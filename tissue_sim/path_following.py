@@ -33,22 +33,27 @@ class PathSettings:
     Attributes:
         largest_part: largest motion of the tool in one part, as a fraction of the contact radius, 1; a larger motion is
             divided. Smaller parts converge more reliably and take more solves.
-        rounding: parts shorter than this fraction of a part are rounding errors, 1.
-        smallest_cut: fraction of the largest part to which a part is cut at most, 1.
+        rounding: parts shorter than this fraction of a part are rounding errors and are not computed, 1.
+        smallest_cut: fraction of the largest part below which a failed part is not cut again, 1. A smaller value tries
+            shorter parts before the tool is stopped.
         straightness: late ticks are merged if their poses are on one line up to this fraction of the largest part, 1. A
             larger value merges more ticks and shortens curved paths.
-        most_solves: largest number of linear solves of a part without extrapolation.
-        most_extrapolated_solves: largest number of linear solves of a part with extrapolation.
+        most_solves: largest number of linear solves of a part without extrapolation. More solves let difficult parts
+            converge; fewer cut them sooner.
+        most_extrapolated_solves: largest number of linear solves of a part with extrapolation; a bad extrapolation is
+            abandoned sooner than an ordinary start.
         near_residual: relative residual at or below which an extrapolation is near the equilibrium, 1.
         most_near_solves: largest number of linear solves of a part whose extrapolation is near the equilibrium.
         damped_fraction: fraction of the largest part below which a failed part is repeated with artificial damping
-            (`Solver.creep`), 1.
+            (`Solver.creep`), 1. A larger value starts the damping after fewer cuts.
         most_damped_solves: largest number of linear solves of a damped step.
         free_force: force over the largest force so far at or below which the tool may have lifted off, 1.
-        reserved_after: number of times that a static stiffness is postponed before a linear solve is reserved for it.
-        inertial_speed: tool speed from which on the mass of the tissue acts, m/s.
+        reserved_after: number of times that a static stiffness is postponed before a linear solve is reserved for it. A
+            larger number leaves more solves to the equilibrium and makes stiffnesses older.
+        inertial_speed: tool speed from which on the mass of the tissue acts, m/s. A lower speed computes the waves of
+            slower motions and costs more.
         inertial_time: time after the last fast motion for which the mass of the tissue acts, s. A longer time computes
-            slower waves and costs more.
+            waves for longer and costs more.
     """
 
     largest_part: float = 0.0625

@@ -32,7 +32,8 @@ class HandSimulationSettings:
         release_time: Time without a message after which the emulator removes the force, s; the real service's time is
             not documented.
         step: Largest time step of the hand, s. A smaller step is more accurate and takes more computing time.
-        wait: Longest wait for a message, s; the hand is simulated after each wait.
+        wait: Longest wait for a message, s; the hand is simulated after each wait, and a shorter wait simulates it more
+            often.
     """
 
     release_time: float = 0.1

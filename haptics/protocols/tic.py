@@ -26,7 +26,7 @@ class BlockLength(IntEnum):
 
 @dataclass(frozen=True)
 class MotionRange:
-    """Units and limits of speeds and accelerations (section 6 of the guide).
+    """Units and limits of speeds and accelerations in commands, variables and settings.
 
     Attributes:
         speed_unit: Unit of speeds, microsteps/s.

@@ -18,8 +18,9 @@ class PollSettings:
     """Intervals of the polls of sensor and stage.
 
     Attributes:
-        period: time between two polls, s.
-        timeout: longest time without a poll while the tool moves, s; after this time another thread halts the stage.
+        period: time between two polls, s. A shorter period detects faults earlier and takes more computing time.
+        timeout: longest time without a poll while the tool moves, s; after this time another thread halts the stage. A
+            longer time tolerates longer delays of the program, in which the tool moves unsupervised.
     """
 
     period: float = 5e-3

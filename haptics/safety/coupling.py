@@ -233,3 +233,12 @@ class VirtualCoupling:
             self._largest_stiffness, self._secant = max(self._largest_stiffness, largest), 0.0
         elif before is not None and motion > COUPLING.smallest_motion:
             self._secant = max(self._secant, math.dist(load, before) / motion)
+
+
+def __getattr__(name: str) -> float:
+    """Return `CouplingSettings.longest_stiffness_age` for its old name, with a warning, for one release."""
+    if name == "LONGEST_STIFFNESS_AGE":
+        warnings.warn("haptics.safety.coupling.LONGEST_STIFFNESS_AGE is renamed to COUPLING.longest_stiffness_age",
+                      DeprecationWarning, stacklevel=2)
+        return COUPLING.longest_stiffness_age
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

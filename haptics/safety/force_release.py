@@ -15,7 +15,8 @@ class ReleaseSettings:
     """Times and forces of `ForceRelease`.
 
     Attributes:
-        patience: longest time without equilibrium at full force, s.
+        patience: longest time without equilibrium at full force, s. A longer time bridges longer failures with an
+            extrapolated force.
         ramp: duration of the fade to zero, and of the return to full force, s. A longer ramp changes the force more
             slowly.
         largest_first_force: largest magnitude of a first force that is given in full, N. A larger first force means

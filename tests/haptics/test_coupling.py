@@ -393,3 +393,9 @@ def test_a_recent_stiffness_is_used():
         step(coupling, 1e-3, replace(answer, stiffness_age=age))
     assert young.pose.depth == pytest.approx(1e-3 * 500.0 / 2000.0) and is_stale(replace(answer, stiffness_age=1.0))
     assert old.pose.depth == pytest.approx(1e-3)  # nothing is known of the stiffness yet
+
+
+def test_the_old_name_of_the_age_limit_warns():
+    with pytest.warns(DeprecationWarning, match="renamed to COUPLING.longest_stiffness_age"):
+        from haptics.safety.coupling import LONGEST_STIFFNESS_AGE
+    assert COUPLING.longest_stiffness_age == LONGEST_STIFFNESS_AGE

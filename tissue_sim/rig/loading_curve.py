@@ -15,7 +15,7 @@ class LoadingCurveSettings:
 
     Attributes:
         resolution: depths whose difference is below this fraction of the travel are equal, 1; small oscillations in a
-            hold are ignored.
+            hold are ignored. A larger value ignores larger oscillations.
         no_force: force over the largest force at or below which the tool is out of contact, 1.
         bisections: number of bisections of the depth of a tool on a compliant rig; each halves the error of the depth.
     """
