@@ -3,43 +3,22 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from numbers import Integral
 
 from tissue_sim.errors import InputError
 
-
-@dataclass(frozen=True)
-class ClockSettings:
-    """Weights with which a `StepClock` follows measured times.
-
-    Attributes:
-        learning_rate: part of an excess over the expected time of a step that is added to the fixed time, 1. A larger
-            value adapts faster to a slower computer and is more sensitive to single delays.
-        forgetting_rate: part of the difference to the expected time that is subtracted after a shorter step, 1; smaller
-            than `learning_rate`, so that the fixed time is rather too large than too small.
-        largest_ratio: largest ratio of a measured time to the expected time, 1; a longer time counts as this one,
-            because other programs interrupted the step.
-        regression_weight: weight of a new step in the running means of the regression, 1; a smaller value averages more
-            steps and follows changes later.
-        least_variance: least variance of the number of solves with which the time of a solve is identified, 1.
-        least_solve_fraction: least time of a solve over the time that it would have if the fixed part took as long as
-            one solve, 1.
-    """
-
-    learning_rate: float = 0.5
-    forgetting_rate: float = 0.1
-    largest_ratio: float = 2.0
-    regression_weight: float = 0.02
-    least_variance: float = 0.1
-    least_solve_fraction: float = 0.25
-
-
-#: Settings of every clock.
-_SETTINGS = ClockSettings()
-#: Smallest number of linear solves of a bounded step: one iteration, the answer, and the stiffness of tissue with mass.
+#: How fast the guess of what a step costs beside its solves follows one that took longer, or shorter.
+_LEARNS, _FORGETS = 0.5, 0.1
+#: A step that took this many times as long as it was thought to counts no more than that: it met the computer in a bad
+#: moment.
+_SPIKE = 2.0
+#: Weight of a step in the means, and variance of the number of solves from which on their own cost is seen.
+_WEIGHT, _SEEN = 0.02, 0.1
+#: Least cost of a solve, as a share of that of a step with none.
+_LEAST = 0.25
+#: A step that is bounded may make one linear solution, answer, and find the stiffness of tissue that has a mass.
 LEAST_SOLVES = 3
-#: Number of linear solves of a step without a limit.
+#: Without any bound.
 _UNBOUNDED = 1 << 30
 
 
@@ -69,18 +48,17 @@ class StepClock:
     def follow(self, time: float, solves: int) -> None:
         """Take note of a step: its time, s, and its solves."""
         expected = self.fixed + solves * self.solve
-        time = min(time, _SETTINGS.largest_ratio * expected)
+        time = min(time, _SPIKE * expected)
         more = time - expected
-        rate, weight = _SETTINGS.learning_rate if more > 0.0 else _SETTINGS.forgetting_rate, _SETTINGS.regression_weight
-        self.fixed = max(self.fixed + rate * more, 1e-9)
+        self.fixed = max(self.fixed + (_LEARNS if more > 0.0 else _FORGETS) * more, 1e-9)
         a, b = solves - self._solves, time - self._time
-        self._solves += weight * a
-        self._time += weight * b
-        self._variance += weight * ((1.0 - weight) * a * a - self._variance)
-        self._covariance += weight * ((1.0 - weight) * a * b - self._covariance)
-        if self._variance > _SETTINGS.least_variance:
+        self._solves += _WEIGHT * a
+        self._time += _WEIGHT * b
+        self._variance += _WEIGHT * ((1.0 - _WEIGHT) * a * a - self._variance)
+        self._covariance += _WEIGHT * ((1.0 - _WEIGHT) * a * b - self._covariance)
+        if self._variance > _SEEN:
             even = self._time / (1.0 + self._solves)
-            self.solve = min(max(self._covariance / self._variance, _SETTINGS.least_solve_fraction * even), even)
+            self.solve = min(max(self._covariance / self._variance, _LEAST * even), even)
 
     def doubt(self) -> None:
         """Where nothing was tried because of the guess: it may be from a bad moment."""
