@@ -21,10 +21,10 @@ from soak_scenes import HIGHEST, LAW, draw, model_of
 from soak_tissue import LoggedSimulator, calls_in
 
 import scenes.viewer.live_simulation
-from scenes.viewer.frame import Frame, Phase
+from scenes.viewer.frame import FRAMES, Frame, Phase
 from scenes.viewer.page import Page
 from scenes.viewer.scene import Scene
-from scenes.viewer.session import FRAMES, Session
+from scenes.viewer.session import Session
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 
 #: Mean time between two of each, s.

@@ -21,7 +21,8 @@ from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.motion_limits import LimitError, MotionLimits, checked_pose
 from tissue_sim.parameters import with_values
-from tissue_sim.path_following import PATH, PathFollower
+from tissue_sim.path_following import PathFollower
+from tissue_sim.path_settings import PATH
 from tissue_sim.pending_path import PendingPath
 from tissue_sim.pose import Pose
 from tissue_sim.realtime_ladder import choose_level, measure_tick
@@ -58,7 +59,7 @@ class Simulator(PathFollower, KernelOwner):
         budget: wall time of a step, s, after which the step returns an extrapolated force (`ForceStatus.LATE`); None: no
             limit, and the same motion gives the same forces bit for bit.
         inertia: ``"auto"``: the mass of the tissue acts if the tool is faster than
-            `tissue_sim.path_following.PathSettings.inertial_speed`, if the solver has a mass, and if the steps resolve
+            `tissue_sim.path_settings.PathSettings.inertial_speed`, if the solver has a mass, and if the steps resolve
             the motion (`tissue_sim.explicit_coupling.MotionCheck`); ``"on"``, ``"off"``.
         tolerance: relative residual of the nodal forces, 1.
         solver: name in `tissue_sim.fem.solver.SOLVERS`.

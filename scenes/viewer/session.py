@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from haptics.devices.motions import HandMotion
 from haptics.loop.loop import LoopSettings
 from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS, take_result
 from scenes.viewer.calibration_run import CalibrationRun
-from scenes.viewer.frame import Curves, Frame, Phase, Viewer
+from scenes.viewer.frame import FRAMES, Curves, Frame, Phase, Viewer
 from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from scenes.viewer.material_files import save_edited
 from scenes.viewer.measurement import motion, residual_or_none
@@ -29,22 +29,6 @@ from tissue_sim.errors import InputError
 from tissue_sim.live_material import require_tissue
 from tissue_sim.parameters import parameter_values, with_values
 
-
-@dataclass(frozen=True)
-class FrameSettings:
-    """Rates of the frames of a session.
-
-    Attributes:
-        rate: Frames per second, Hz.
-        frames_per_plot: Number of frames between two updates of the plots.
-    """
-
-    rate: float = 30.0
-    frames_per_plot: int = 3
-
-
-#: Rates of every session.
-FRAMES = FrameSettings()
 #: Duration of a single step of a paused motion, s.
 STEP_TIME = 1.0 / FRAMES.rate
 

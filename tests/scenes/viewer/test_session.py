@@ -18,10 +18,10 @@ from haptics.devices.virtual.hand import VirtualHand
 from haptics.loop.loop import LoopSettings
 from haptics.loop.ring import PAUSED, RingReader
 from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS
-from scenes.viewer.frame import NullViewer, Phase
+from scenes.viewer.frame import FRAMES, NullViewer, Phase
 from scenes.viewer.measurement import build_measurement, motion, residual
 from scenes.viewer.scene import CLEARANCE
-from scenes.viewer.session import COMMANDS, FRAMES, STEP_TIME, Session
+from scenes.viewer.session import COMMANDS, STEP_TIME, Session
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.parameters import with_values
 
