@@ -21,10 +21,10 @@ from soak_scenes import HIGHEST, LAW, draw, model_of
 from soak_tissue import LoggedSimulator, calls_in
 
 import scenes.viewer.live_simulation
-from scenes.viewer.frame import Frame, Phase
+from scenes.viewer.frame import FRAMES, Frame, Phase
 from scenes.viewer.page import Page
 from scenes.viewer.scene import Scene
-from scenes.viewer.session import FRAME_RATE, Session
+from scenes.viewer.session import Session
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 
 #: Mean time between two of each, s.
@@ -110,7 +110,7 @@ class _Player:
                     self._next[what] = now + float(self._rng.exponential(BETWEEN[what]))
                     getattr(self, f"_{what}")()
             self._see(self._session.frame())
-            due = max(due + 1.0 / FRAME_RATE, time.monotonic())
+            due = max(due + 1.0 / FRAMES.rate, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
         self._session.frame()  # obeys what was asked last
         self._played.unanswered = len(self._waiting)

@@ -17,6 +17,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,20 +30,33 @@ try:
 except ImportError:  # Windows: only the wall time is limited
     resource = None  # type: ignore[assignment]
 
-#: CPU time for a small file, s.
-SECONDS = 2.0
-#: Additional CPU time for each byte of a file, s.
-SECONDS_PER_BYTE = 2e-6
-#: Memory for a small file, bytes.
-MEMORY = 250_000_000
-#: Additional memory for each byte of a file, bytes.
-MEMORY_PER_BYTE = 40
-#: Constant part of the limit of wall time, s; other programs may use the processor.
-_WALL = 60.0
-#: Additional wall time for each second of CPU time, s.
-_WALL_PER_SECOND = 10.0
-#: Growth of its memory after which the process is replaced, bytes; numpy, scipy and the readers take up to 150 MB.
-_GROWN = 300_000_000
+
+@dataclass(frozen=True)
+class SandboxLimits:
+    """Limits of the sandbox; larger values admit larger files and let a harmful file occupy the computer for longer.
+
+    Attributes:
+        seconds: CPU time for a small file, s.
+        seconds_per_byte: additional CPU time for each byte of a file, s.
+        memory: memory for a small file, bytes.
+        memory_per_byte: additional memory for each byte of a file, bytes.
+        wall_time: constant part of the limit of wall time, s; other programs may use the processor.
+        wall_time_per_second: additional wall time for each second of CPU time, s/s.
+        memory_growth: growth of its memory after which the process is replaced, bytes; numpy, scipy and the readers
+            take up to 150 MB.
+    """
+
+    seconds: float = 2.0
+    seconds_per_byte: float = 2e-6
+    memory: int = 250_000_000
+    memory_per_byte: int = 40
+    wall_time: float = 60.0
+    wall_time_per_second: float = 10.0
+    memory_growth: int = 300_000_000
+
+
+#: Limits of every sandbox.
+LIMITS = SandboxLimits()
 _CODE = "from tissue_sim.bounded import serve; serve()"
 #: Length prefix of a message.
 _LENGTH = struct.Struct("<Q")
@@ -72,8 +86,8 @@ def bounded(function: Callable[..., Any], *arguments: Any, file: str | Path, siz
     except Exception as error:
             raise InputError(f"the reader cannot be sent to the process in which files are read ({error}); define it "
                              "in a module, and pass plain options", file=file) from error
-    seconds = SECONDS + SECONDS_PER_BYTE * (size if size is not None else _size(file))
-    return _PROCESS.answer(task, _WALL + _WALL_PER_SECOND * seconds, file)
+    seconds = LIMITS.seconds + LIMITS.seconds_per_byte * (size if size is not None else _size(file))
+    return _PROCESS.answer(task, LIMITS.wall_time + LIMITS.wall_time_per_second * seconds, file)
 
 
 def _size(file: str | Path) -> int:
@@ -202,7 +216,7 @@ def _execute(task: bytes, first: int) -> bytes:
         done, value = False, error
     except Exception as error:
         done, value = False, InputError(f"the reader cannot be used in the process in which files are read ({error})")
-    return pickle.dumps((done, value, _memory() > first + _GROWN))
+    return pickle.dumps((done, value, _memory() > first + LIMITS.memory_growth))
 
 
 def _run(function: Callable[..., Any], arguments: tuple, folder: str, file: str, size: int | None) -> Any:
@@ -236,9 +250,9 @@ def _bounds(size: int) -> Iterator[None]:
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     if used := _memory():
-        resource.setrlimit(resource.RLIMIT_DATA, (used + MEMORY + MEMORY_PER_BYTE * size, hard))
+        resource.setrlimit(resource.RLIMIT_DATA, (used + LIMITS.memory + LIMITS.memory_per_byte * size, hard))
     # The timer's signal ends the process also within a library.
-    signal.setitimer(signal.ITIMER_PROF, SECONDS + SECONDS_PER_BYTE * size)
+    signal.setitimer(signal.ITIMER_PROF, LIMITS.seconds + LIMITS.seconds_per_byte * size)
     try:
         yield
     finally:

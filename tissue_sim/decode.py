@@ -16,7 +16,7 @@ from msgspec.inspect import DictType, LiteralType, NoneType, StructType, UnionTy
 
 from tissue_sim.bounded import bounded
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.files import LARGEST_JSON, LARGEST_TOML, read_text
+from tissue_sim.files import LIMITS, read_text
 
 #: Type in msgspec's messages -> words for users.
 _WORDS = {"float": "a number", "int": "a whole number", "str": "text", "bool": "true or false", "null": "null",
@@ -34,7 +34,7 @@ def read_json(path: str | Path, expected: str) -> Any:
         InputError: no such file, not text, damaged JSON (line and column), or a key that appears twice.
     """
     path = Path(path)
-    text = read_text(path, expected, LARGEST_JSON)
+    text = read_text(path, expected, LIMITS.json)
     try:
         return parse_json(text)
     except InputError as error:
@@ -69,7 +69,7 @@ def read_toml(path: str | Path, expected: str) -> dict[str, Any]:
         InputError: see `tissue_sim.files.read_text`; or not TOML (line).
     """
     path = Path(path)
-    text = read_text(path, expected, LARGEST_TOML)
+    text = read_text(path, expected, LIMITS.toml)
     # In a bounded process, because Python's parser takes hours for keys with thousands of parts.
     return bounded(_parse_toml, text, file=path, size=len(text))
 

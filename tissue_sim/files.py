@@ -10,6 +10,7 @@ import os
 import stat
 import zipfile
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
 
 from tissue_sim.errors import InputError
@@ -23,19 +24,30 @@ _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF32_LE, "utf-32"), (code
 _CONTROL = [chr(code) for code in range(32) if code not in (9, 10, 11, 12, 13, 26)]
 
 
-#: Largest file of a recording, bytes.
-LARGEST = 300_000_000
-#: Largest JSON file, bytes.
-LARGEST_JSON = 8_000_000
-#: Largest TOML file, bytes.
-LARGEST_TOML = 1_000_000
-#: Largest number of files that a pattern may match.
-_MOST_FILES = 10_000
-#: Largest unpacked size of an archive, bytes.
-_LARGEST_UNPACKED = 200_000_000
+@dataclass(frozen=True)
+class FileLimits:
+    """Largest sizes of input files, which bound memory and time of their readers.
+
+    Attributes:
+        recording: largest file of a recording, bytes.
+        json: largest JSON file, bytes.
+        toml: largest TOML file, bytes.
+        matches: largest number of files that a pattern may match.
+        unpacked: largest unpacked size of an archive, bytes.
+    """
+
+    recording: int = 300_000_000
+    json: int = 8_000_000
+    toml: int = 1_000_000
+    matches: int = 10_000
+    unpacked: int = 200_000_000
 
 
-def open_file(path: str | Path, expected: str, largest: int = LARGEST) -> io.BufferedReader:
+#: Limits of every reader.
+LIMITS = FileLimits()
+
+
+def open_file(path: str | Path, expected: str, largest: int = LIMITS.recording) -> io.BufferedReader:
     """Open an input file for reading. All input files are opened here.
 
     Args:
@@ -81,7 +93,7 @@ def _folder(path: Path, expected: str) -> InputError:
     return InputError(f"is a folder, expected {expected}; name a file in it", file=path)
 
 
-def read_bytes(path: str | Path, expected: str, largest: int = LARGEST) -> bytes:
+def read_bytes(path: str | Path, expected: str, largest: int = LIMITS.recording) -> bytes:
     """Read the bytes of a file; arguments and errors as in `open_file`."""
     with open_file(path, expected, largest) as file:
         try:
@@ -115,14 +127,14 @@ def find_files(folder: Path, pattern: str) -> list[Path]:
     """Return the files of a folder that match a pattern such as ``run_*.csv``, sorted.
 
     Raises:
-        InputError: an invalid pattern, or one that matches more than `_MOST_FILES`.
+        InputError: an invalid pattern, or one that matches more than `FileLimits.matches`.
     """
     try:
-        found = list(itertools.islice((each for each in folder.glob(pattern) if not each.is_dir()), _MOST_FILES + 1))
+        found = list(itertools.islice((each for each in folder.glob(pattern) if not each.is_dir()), LIMITS.matches + 1))
     except (OSError, ValueError, NotImplementedError, IndexError) as error:
         raise InputError(f"{pattern!r} is not a valid pattern ({error}); use one such as 'run_*.csv'") from None
-    if len(found) > _MOST_FILES:
-        raise InputError(f"{pattern!r} matches more than {_MOST_FILES} files; use a narrower pattern")
+    if len(found) > LIMITS.matches:
+        raise InputError(f"{pattern!r} matches more than {LIMITS.matches} files; use a narrower pattern")
     return sorted(found)
 
 
@@ -147,15 +159,15 @@ def require_small_archive(path: str | Path) -> None:
                                              RuntimeError), archive.open(member) as content:
                         while piece := content.read(1 << 20):
                             size += len(piece)
-                            if size > _LARGEST_UNPACKED:
-                                raise InputError(f"unpacks to more than {_LARGEST_UNPACKED / 1e6:g} MB, expected "
+                            if size > LIMITS.unpacked:
+                                raise InputError(f"unpacks to more than {LIMITS.unpacked / 1e6:g} MB, expected "
                                                  "recordings; use a part of it", file=path)
         except (zipfile.BadZipFile, OSError, NotImplementedError, ValueError) as error:
             if isinstance(error, InputError):
                 raise
 
 
-def read_text(path: str | Path, expected: str, largest: int = LARGEST) -> str:
+def read_text(path: str | Path, expected: str, largest: int = LIMITS.recording) -> str:
     """Read the UTF-8 text of a file, without its byte order mark; arguments as in `open_file`.
 
     Raises:

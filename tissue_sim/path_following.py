@@ -9,6 +9,7 @@ from dataclasses import replace
 from tissue_sim.explicit_coupling import MotionCheck, least_tool_mass, warn_of_light_tool
 from tissue_sim.fem.solver import OwnStiffness, Solver, Step, StepStatus
 from tissue_sim.material.effect import ReducedForce
+from tissue_sim.path_settings import PATH
 from tissue_sim.pending_path import PendingPath
 from tissue_sim.pose import Pose, Screw, between, motion, raised
 from tissue_sim.simulator_state import AT_REST, Attempt, Creep, Equilibrium
@@ -24,33 +25,6 @@ from tissue_sim.tool_force import (
 )
 from tissue_sim.tool_track import ToolTrack, fraction_in_air
 from tissue_sim.wave_error import WaveScale
-
-#: Largest number of linear solves of a part of a step, with an extrapolation (True) or without one.
-_MOST_SOLVES = {True: 6, False: 30}
-#: The same after an extrapolation whose relative residual is at most `_NEAR`.
-_MOST_IF_NEAR = 12
-#: Relative residual below which an extrapolation is near.
-_NEAR = 1e-2
-#: A tool that moves farther in one step than this fraction of the contact radius is followed in parts.
-LARGEST_PART = 0.0625
-#: Parts shorter than this fraction of a part are rounding errors.
-_ROUNDING = 1e-9
-#: Fraction of the largest part to which a part is cut at most.
-_SMALLEST_CUT = 2.0**-8
-#: Late ticks are merged if their poses are on one line up to this fraction of the largest part.
-_STRAIGHT = 2.0**-8
-#: Fraction of the largest part below which a failed part is repeated with artificial damping (`Solver.creep`).
-_CREEPS = 0.5
-#: Largest number of linear solves of a damped step.
-_MOST_OF_CREEP = 12
-#: Force over the largest force so far below which the tool may have lifted off.
-_FREE = 1e-6
-#: Number of times that a static stiffness is postponed before a linear solve is reserved for it.
-RESERVED_AFTER = 2
-#: Tool speed from which on the mass of the tissue acts, m/s.
-INERTIAL_SPEED = 0.005
-#: Time after the last fast motion for which the mass of the tissue acts, s.
-LINGERS = 0.1
 
 
 class PathFollower:
@@ -112,7 +86,7 @@ class PathFollower:
         length = math.hypot(x, y, z)
         if a or b or c:
             length += self._radius * math.hypot(a, b, c)
-        is_fast = length >= INERTIAL_SPEED * dt > 0.0
+        is_fast = length >= PATH.inertial_speed * dt > 0.0
         self._lingers = 0.0 if is_fast else self._lingers + dt
         self._motion_check.advance(x, y, z, dt, is_fast)
         if self._motion_check.quiet == 0.0 and self._equilibrium.inertial and not self._has_warned:
@@ -128,7 +102,7 @@ class PathFollower:
     def _is_unloaded(self) -> bool:
         """Whether the tool may have lifted off at the last equilibrium."""
         x, y, z, *_ = self._equilibrium.wrench
-        return not self._pulls and abs(x) + abs(y) + abs(z) <= _FREE * self._largest_force
+        return not self._pulls and abs(x) + abs(y) + abs(z) <= PATH.free_force * self._largest_force
 
     def _step_in_air(self, pose: Pose, target: Pose, dt: float, began: float) -> ToolForce | float:
         """Make a step of a tool that has lifted off.
@@ -212,7 +186,7 @@ class PathFollower:
             started, creep, here, inertial = time.perf_counter(), self._creep, solver.pose, self._counts_mass
             if creep is None and self._attempt is None:
                 if len(pending.ticks) > 1 and allowance.fitting() < LEAST_SOLVES * len(pending.ticks):
-                    pending.merge(here, self._radius, self._straightness(inertial), LINGERS,
+                    pending.merge(here, self._radius, self._straightness(inertial), PATH.inertial_time,
                                   timed=inertial or solver.relaxes)
                 if is_behind and not pending.meets:
                     self._touch_late(inertial)
@@ -221,7 +195,7 @@ class PathFollower:
             first = pending.ticks[0]
             way, part = self._distance(here, first.pose), self._share * self._largest_part
             # Parts of equal length, because the mass of the tissue resists a short part like an impact.
-            share = 1.0 / max(1, math.ceil(way / part - _ROUNDING)) if way else 1.0
+            share = 1.0 / max(1, math.ceil(way / part - PATH.rounding)) if way else 1.0
             # Without rounding the last part ends where the tool is.
             target, dt = between(here, first.pose, share), 0.0 if self._leaps else share * first.dt
             if (attempt := self._attempt) is not None:
@@ -236,7 +210,8 @@ class PathFollower:
             if attempt is None:
                 # Extrapolation is inaccurate across a change of contact, but less with mass.
                 order = min(solver.highest_order, max(solver.unchanged, weighs)) if self._extrapolates else 0
-                attempt = Attempt(target, dt, order, _MOST_SOLVES[order > 0])
+                limit = PATH.most_extrapolated_solves if order > 0 else PATH.most_solves
+                attempt = Attempt(target, dt, order, limit)
             most = attempt.limit - attempt.spent
             fitting = allowance.fitting()
             if fitting < 1:
@@ -265,7 +240,7 @@ class PathFollower:
                 self._estimate_waves(motion(here, target), dt, weighs=weighs)
                 self._share, self._extrapolates = min(1.0, 2.0 * self._share), True
                 is_timed = inertial or solver.relaxes
-                is_over = self._leaps or not is_timed or first.dt - dt <= _ROUNDING * first.dt
+                is_over = self._leaps or not is_timed or first.dt - dt <= PATH.rounding * first.dt
                 arrives = is_over and target == first.pose
                 pending.advance(dt, arrives=arrives, timed=is_timed)
                 if arrives and self._begins:
@@ -274,7 +249,7 @@ class PathFollower:
                     self._begins = False
                 elif inertial and (creep is not None or self._leaps):
                     # The tissue was brought to rest without its mass: its waves are lost.
-                    pending.lost = LINGERS
+                    pending.lost = PATH.inertial_time
                 if not pending.ticks:
                     self._leaps, self._anew, status = False, not self._bonded, ForceStatus.CONVERGED
             elif creep is None and step.status is StepStatus.SLOW and allowed < most:
@@ -284,26 +259,27 @@ class PathFollower:
                 # No shorter part reaches this pose; the tissue keeps its state.
                 status, outside = ForceStatus.STOPPED, True
             elif creep is None and attempt.order:
-                if step.status is StepStatus.SLOW and step.residual <= _NEAR and attempt.limit < _MOST_IF_NEAR:
-                    self._attempt = replace(attempt, limit=_MOST_IF_NEAR)
+                is_near = step.status is StepStatus.SLOW and step.residual <= PATH.near_residual
+                if is_near and attempt.limit < PATH.most_near_solves:
+                    self._attempt = replace(attempt, limit=PATH.most_near_solves)
                 else:
                     self._extrapolates = False
-            elif creep is None and min(self._share, way / self._largest_part) < _CREEPS:
+            elif creep is None and min(self._share, way / self._largest_part) < PATH.damped_fraction:
                 # After a hold parts are as short as they may be, and no shorter.
-                self._share = max(_SMALLEST_CUT, min(self._share, way / self._largest_part))
+                self._share = max(PATH.smallest_cut, min(self._share, way / self._largest_part))
                 self._creep = Creep(target, dt, step)
-                self._creep.steps = solver.creep(target, dt, tolerance=self.tolerance, max_iterations=_MOST_OF_CREEP,
-                                                 allowed=self._creep.may_take)
+                self._creep.steps = solver.creep(target, dt, tolerance=self.tolerance,
+                                                 max_iterations=PATH.most_damped_solves, allowed=self._creep.may_take)
             else:
                 self._share, self._extrapolates = 0.5 * self._share, True
-                if self._share < _SMALLEST_CUT and self._anew:
+                if self._share < PATH.smallest_cut and self._anew:
                     # Press on again from above this pose; stick anchors are new there.
                     solver.lift_off()
                     solver.move_in_air(raised(pose, -solver.height_above(pose)))
                     pending.restart(pose)
                     self._share, self._leaps, self._anew = 1.0, True, False
-                elif self._share < _SMALLEST_CUT:
-                    self._share, self._anew, status = _SMALLEST_CUT, not self._bonded, ForceStatus.STOPPED
+                elif self._share < PATH.smallest_cut:
+                    self._share, self._anew, status = PATH.smallest_cut, not self._bonded, ForceStatus.STOPPED
         if status is ForceStatus.LATE and not solver.accepts_pose(pose):
             # Extrapolate to the last pose that the tool may have; no force is estimated beyond it.
             status, outside = ForceStatus.STOPPED, True
@@ -331,7 +307,7 @@ class PathFollower:
     def _straightness(self, inertial: bool) -> float:
         """Largest distance of late poses from a straight line that replaces them, m."""
         if inertial or self._solver.relaxes or self._keeps_path:
-            return _STRAIGHT * self._largest_part
+            return PATH.straightness * self._largest_part
         return math.inf
 
     def _stiffness_request(self, allowance: Allowance, allowed: int) -> OwnStiffness:
@@ -339,7 +315,7 @@ class PathFollower:
         age = self._equilibrium.stiffness_age + 1
         if age < self._stiffness_lasts:
             return OwnStiffness.OMITTED
-        if age >= RESERVED_AFTER * self._stiffness_lasts and allowance.has_time(allowed, answers=2):
+        if age >= PATH.reserved_after * self._stiffness_lasts and allowance.has_time(allowed, answers=2):
             return OwnStiffness.RESERVED
         return OwnStiffness.IF_LEFT if allowance.fitting(answers=2) > 0 else OwnStiffness.OMITTED
 
@@ -348,7 +324,8 @@ class PathFollower:
         """Whether the mass of the tissue acts in this step."""
         if not self._weighs or self._begins:
             return False
-        return self.inertia == "on" or (self._lingers < LINGERS and self._motion_check.quiet >= LINGERS)
+        least = PATH.inertial_time
+        return self.inertia == "on" or (self._lingers < least and self._motion_check.quiet >= least)
 
     def _answered(self, pose: Pose, tick: float, status: ForceStatus, outside: bool, solves: int, residual: float,
                   began: float) -> ToolForce:

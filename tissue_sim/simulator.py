@@ -21,7 +21,8 @@ from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.motion_limits import LimitError, MotionLimits, checked_pose
 from tissue_sim.parameters import with_values
-from tissue_sim.path_following import LARGEST_PART, PathFollower
+from tissue_sim.path_following import PathFollower
+from tissue_sim.path_settings import PATH
 from tissue_sim.pending_path import PendingPath
 from tissue_sim.pose import Pose
 from tissue_sim.realtime_ladder import choose_level, measure_tick
@@ -58,8 +59,8 @@ class Simulator(PathFollower, KernelOwner):
         budget: wall time of a step, s, after which the step returns an extrapolated force (`ForceStatus.LATE`); None:
             no limit, and the same motion gives the same forces bit for bit.
         inertia: ``"auto"``: the mass of the tissue acts if the tool is faster than
-            `tissue_sim.path_following.INERTIAL_SPEED`, if the solver has a mass, and if the steps resolve the motion
-            (`tissue_sim.explicit_coupling.MotionCheck`); ``"on"``, ``"off"``.
+            `tissue_sim.path_settings.PathSettings.inertial_speed`, if the solver has a mass, and if the steps resolve
+            the motion (`tissue_sim.explicit_coupling.MotionCheck`); ``"on"``, ``"off"``.
         tolerance: relative residual of the nodal forces, 1.
         solver: name in `tissue_sim.fem.solver.SOLVERS`.
         looks_ahead: whether inertial steps predict the force of the next step (`ToolForce.ahead`), for a virtual
@@ -125,7 +126,7 @@ class Simulator(PathFollower, KernelOwner):
         self._keeps_path = model.experiment.is_path_dependent or model.material.remembers
         # A rotation counts as the displacement of a point at the edge of the contact.
         self._radius = model.experiment.contact_radius
-        self._largest_part = LARGEST_PART * self._radius
+        self._largest_part = PATH.largest_part * self._radius
         self._wave_scale = WaveScale.of(model, self.density)
         self._error_floor = error_floor(model.material.mu0, self._radius)
         self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))

@@ -16,11 +16,9 @@ from haptics.devices.contracts import DeviceError, ForceSample, ForceSensor, Sam
 from haptics.devices.serial_line import SerialLine
 from haptics.devices.settings import read_choices, read_settings, split_target
 from haptics.protocols.ati_serial import (
-    BINARY_LENGTH,
     CARRIAGE_RETURN,
     CHANNELS,
-    HIGHEST_COUNT,
-    PADDED_LENGTH,
+    FORMAT,
     PROMPT,
     Record,
     is_at_end_of_range,
@@ -108,7 +106,8 @@ class AtiSerialSensor(ForceSensor):
         self._port, self._baud, self._mode, self._average = port, baud, mode, average
         self._scale = (counts_per_N,) * 3 + (counts_per_Nm,) * 3
         self._given_rate = rate
-        self.rate = rate or 1.0 / transmission_time(PADDED_LENGTH if mode == "ascii" else BINARY_LENGTH + 1, baud)
+        length = FORMAT.padded_length if mode == "ascii" else FORMAT.binary_length + 1
+        self.rate = rate or 1.0 / transmission_time(length, baud)
         self._zero = (0.0,) * 6
         self._receiver: _Receiver | None = None
 
@@ -157,7 +156,7 @@ class AtiSerialSensor(ForceSensor):
         return {"sensor": "ATI stand-alone controller", "port": self._port, "baud": self._baud, "mode": self._mode,
                 "channels": list(self.channels), "rate_Hz": self.rate, "averaged_samples": self._average,
                 "resolution_N": 1.0 / force, "resolution_Nm": 1.0 / torque,
-                "range_N": HIGHEST_COUNT / force, "range_Nm": HIGHEST_COUNT / torque,
+                "range_N": FORMAT.highest_count / force, "range_Nm": FORMAT.highest_count / torque,
                 "garbled_records": self._receiver.garbled if self._receiver else 0,
                 "verified": "against an emulator only"}
 
@@ -168,7 +167,7 @@ class AtiSerialSensor(ForceSensor):
 
     def _configure(self, line: SerialLine) -> None:
         """Stop a stream, and set the mode: forces and torques, no checksum, no biases."""
-        quiet = 0.05 + transmission_time(PADDED_LENGTH + 8, self._baud)
+        quiet = 0.05 + transmission_time(FORMAT.padded_length + 8, self._baud)
         answer = b""
         for _ in range(3):
             line.write(CARRIAGE_RETURN)

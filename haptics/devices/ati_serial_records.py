@@ -6,10 +6,9 @@ import time
 
 from haptics.devices.serial_line import SerialLine
 from haptics.protocols.ati_serial import (
-    BINARY_LENGTH,
     CARRIAGE_RETURN,
+    FORMAT,
     ONE_RECORD,
-    PADDED_LENGTH,
     Record,
     decode_ascii,
     decode_binary,
@@ -34,7 +33,7 @@ class AsciiStream:
         self._forms: set[bool] = set()
         #: True if fields are padded; None: both forms are accepted.
         self._padded: bool | None = None
-        self.length, self.wrong = PADDED_LENGTH, b""
+        self.length, self.wrong = FORMAT.padded_length, b""
 
     def begin(self) -> None:
         """Start the stream."""
@@ -43,7 +42,7 @@ class AsciiStream:
     def take(self, timeout: float) -> list[Record | None]:
         """Return the records that arrive within `timeout` seconds, with None for each garbled one."""
         *lines, self._rest = (self._rest + self._line.read_within(timeout)).split(CARRIAGE_RETURN)
-        if len(self._rest) > 4 * PADDED_LENGTH:
+        if len(self._rest) > 4 * FORMAT.padded_length:
             # Longer than any record: the line ending was lost.
             lines, self._rest = [*lines, self._rest], b""
         records = []
@@ -76,7 +75,7 @@ class BinaryRequests:
         wrong: Last answer that was no record.
     """
 
-    length = BINARY_LENGTH + 1
+    length = FORMAT.binary_length + 1
 
     def __init__(self, line: SerialLine, baud: int, timeout: float):
         self._line = line
@@ -95,7 +94,7 @@ class BinaryRequests:
         self._line.read()  # discards late bytes of an earlier answer
         self._line.write(ONE_RECORD)
         answer = self._line.read_within(self._timeout)
-        while 0 < len(answer) < BINARY_LENGTH and (more := self._line.read_within(self._pause)):
+        while 0 < len(answer) < FORMAT.binary_length and (more := self._line.read_within(self._pause)):
             answer += more
         answer += self._line.read()
         if not answer:
@@ -103,7 +102,7 @@ class BinaryRequests:
         record = decode_binary(answer)
         if record is None:
             self.wrong = answer
-            if len(answer) > BINARY_LENGTH:
+            if len(answer) > FORMAT.binary_length:
                 read_until_quiet(self._line, self._pause)
         return [record]
 

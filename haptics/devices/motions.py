@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 from bisect import bisect_right
+from dataclasses import dataclass
 
 from haptics.devices.contracts import AxialMotion, Motion
 from haptics.devices.settings import read_settings
@@ -13,12 +14,26 @@ from tissue_sim.errors import InputError, require_length
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.pose import Pose, turned
 
-#: Height of lift-off of a random or sine motion, as a fraction of its depth; default of the setting ``lift``.
-_LIFT = 0.2
-#: Sideways ranges, m, and rotation ranges, rad, below this value count as 0: half of the smallest float is 0.
-_NEGLIGIBLE_RANGE = 1e-12
-#: Smallest cosine of the tool's tilt; avoids division by 0 in the conversion of depth to distance along the axis.
-_LEAST_COSINE = 0.1
+
+@dataclass(frozen=True)
+class MotionDefaults:
+    """Defaults and limits of random, sine and protocol motions.
+
+    Attributes:
+        lift: height of lift-off of a random or sine motion as a fraction of its depth, 1; default of the setting
+            ``lift``.
+        negligible_range: sideways ranges, m, and rotation ranges, rad, below this value count as 0, because half of the
+            smallest float is 0.
+        least_cosine: smallest cosine of the tool's tilt in the conversion of depth to distance along the axis, 1;
+            avoids a division by 0.
+    """
+
+    lift: float = 0.2
+    negligible_range: float = 1e-12
+    least_cosine: float = 0.1
+
+
+_DEFAULTS = MotionDefaults()
 
 
 class ProtocolMotion(AxialMotion):
@@ -126,7 +141,7 @@ class HandMotion(Motion):
         """Store a pose's orientation and the tool's axis, scaled: x, y and height per unit of depth along the axis."""
         self._orientation = pose.orientation
         (_, _, a), (_, _, b), (_, _, c) = pose.rotation
-        self._axis = -a, -b, max(c, _LEAST_COSINE)
+        self._axis = -a, -b, max(c, _DEFAULTS.least_cosine)
 
     def take_over(self, pose: Pose) -> None:
         if not self._starts_at_tool:
@@ -278,10 +293,10 @@ class SpatialWalk(Motion):
         fraction = 1.0 / math.sqrt(3.0)
         self._depth = RandomWalk(f"{seed} depth", deepest, highest, fraction * speed)
         self._across = [RandomWalk(f"{seed} {axis}", sideways, -sideways, fraction * speed, 0.0) for axis in "xy"
-                        ] if sideways > _NEGLIGIBLE_RANGE else []
+                        ] if sideways > _DEFAULTS.negligible_range else []
         self._rotations = [RandomWalk(f"{seed} about {axis}", fraction * turn, -fraction * turn,
                                       fraction * turn_speed, 0.0)
-                           for axis in "xyz"] if turn > _NEGLIGIBLE_RANGE else []
+                           for axis in "xyz"] if turn > _DEFAULTS.negligible_range else []
 
     def pose(self, time: float) -> Pose:
         depth = self._depth.depth(time)
@@ -306,8 +321,8 @@ def open_random(text: str) -> RandomWalk | SpatialWalk:
 
     Defaults: ``random:depth_mm=10,lift=0.2,top_speed_mm_s=200,seed=0,sideways_mm=0,turn_deg=0,turn_deg_s=60``.
     """
-    given = read_settings(text, depth_mm=10.0, lift=_LIFT, top_speed_mm_s=200.0, seed=0, sideways_mm=0.0, turn_deg=0.0,
-                          turn_deg_s=60.0)
+    given = read_settings(text, depth_mm=10.0, lift=_DEFAULTS.lift, top_speed_mm_s=200.0, seed=0, sideways_mm=0.0,
+                          turn_deg=0.0, turn_deg_s=60.0)
     depth, speed, seed = given["depth_mm"] * 1e-3, given["top_speed_mm_s"] * 1e-3, int(given["seed"])
     if not (given["sideways_mm"] or given["turn_deg"]):
         return RandomWalk(seed, depth, -given["lift"] * depth, speed)
@@ -317,7 +332,7 @@ def open_random(text: str) -> RandomWalk | SpatialWalk:
 
 def open_sine(text: str) -> SineMotion:
     """Make a sine motion from ``sine:depth_mm=10,lift=0.2,frequency_hz=1``; `lift` is a fraction of the depth."""
-    given = read_settings(text, depth_mm=10.0, lift=_LIFT, frequency_hz=1.0)
+    given = read_settings(text, depth_mm=10.0, lift=_DEFAULTS.lift, frequency_hz=1.0)
     depth = given["depth_mm"] * 1e-3
     return SineMotion(depth, -given["lift"] * depth, given["frequency_hz"])
 

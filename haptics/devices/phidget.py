@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
@@ -16,10 +17,22 @@ from haptics.devices.contracts import DeviceError, SampleStatus, Stage, StageLim
 from haptics.devices.settings import read_settings, split_target
 from tissue_sim.errors import InputError
 
-#: Longest wait for the controller at the start, ms; the library's documentation advises at least 1000.
-_ATTACH_MS = 2000
-#: Time without communication after which the controller switches the motor's current off, ms.
-_FAILSAFE_MS = 500
+
+@dataclass(frozen=True)
+class ControllerTimes:
+    """Times that the controller is given, in the unit of its library.
+
+    Attributes:
+        attach_ms: longest wait for the controller at the start, ms; the library's documentation advises at least 1000.
+        failsafe_ms: time without communication after which the controller switches the motor's current off, ms. A
+            longer time tolerates longer pauses of the program and stops a motor later after a crash.
+    """
+
+    attach_ms: int = 2000
+    failsafe_ms: int = 500
+
+
+_TIMES = ControllerTimes()
 #: A complete name, for messages.
 _EXAMPLE = "phidget:123456,steps_per_mm=25"
 
@@ -54,7 +67,7 @@ class PhidgetStage(Stage):
     """
 
     measures_position = False
-    runs_on = 1e-3 * _FAILSAFE_MS
+    runs_on = 1e-3 * _TIMES.failsafe_ms
 
     def __init__(self, serial: int | None, steps_per_mm: float, limits: StageLimits, acceleration: float = 0.05,
                  microsteps: int = 16, current: float | None = None):
@@ -109,15 +122,15 @@ class PhidgetStage(Stage):
         try:
             if self._serial is not None:
                 motor.setDeviceSerialNumber(self._serial)
-            motor.openWaitForAttachment(_ATTACH_MS)
+            motor.openWaitForAttachment(_TIMES.attach_ms)
         except Exception as error:
             with contextlib.suppress(Exception):
                 motor.close()
             if getattr(error, "code", None) == _ErrorCode.TIMEOUT:
                 which = "no Phidget stepper" if self._serial is None else f"no Phidget stepper {self._serial}"
-                raise DeviceError(f"{which} answers within {_ATTACH_MS / 1000:g} s; check its power, the cable and the "
-                                  "serial number, close the Phidget Control Panel, and on Linux let your user open it "
-                                  "(udev rule 99-libphidget22.rules)") from None
+                raise DeviceError(f"{which} answers within {_TIMES.attach_ms / 1000:g} s; check its power, the cable "
+                                  "and the serial number, close the Phidget Control Panel, and on Linux let your user "
+                                  "open it (udev rule 99-libphidget22.rules)") from None
             raise self._to_device_error(error) from None
         return motor
 
@@ -140,13 +153,13 @@ class PhidgetStage(Stage):
     def _enable_failsafe(self, motor: Any) -> None:
         """Enable the failsafe and set `runs_on`; without a failsafe it is infinite."""
         try:
-            motor.enableFailsafe(_FAILSAFE_MS)
+            motor.enableFailsafe(_TIMES.failsafe_ms)
         except Exception as error:
             if getattr(error, "code", None) != _ErrorCode.UNSUPPORTED:
                 raise
             self.runs_on = math.inf
         else:
-            self.runs_on = 1e-3 * _FAILSAFE_MS
+            self.runs_on = 1e-3 * _TIMES.failsafe_ms
 
     def _require_speed(self, motor: Any) -> None:
         """Raise an error if the controller cannot reach the top speed."""

@@ -61,7 +61,7 @@ class RdtSensor(ForceSensor):
 
     channels = rdt.CHANNELS
 
-    def __init__(self, host: str, port: int = rdt.PORT, http_port: int = rdt.HTTP_PORT):
+    def __init__(self, host: str, port: int = rdt.PORTS.records, http_port: int = rdt.PORTS.settings):
         if not host:
             raise InputError("must be given, as in rdt://192.168.1.1; got none", field="host")
         for number, field in ((port, "port"), (http_port, "http_port")):
@@ -210,7 +210,7 @@ class _Stream:
 
     def _receive(self) -> None:
         """Receive datagrams until the end; the body of the thread."""
-        buffer = bytearray(rdt.RECORD_SIZE * rdt.MAX_RECORDS + 1)
+        buffer = bytearray(rdt.RECORD_SIZE * rdt.DATAGRAM.max_records + 1)
         view, waiting, counter = memoryview(buffer), self._waiting, self._counter
         while not self._ending.is_set():
             try:
@@ -371,14 +371,14 @@ def open_rdt(text: str) -> RdtSensor:
     name, _, given = rest.partition("=")
     if name.strip() not in ("", "http_port"):
         raise InputError(f"must be http_port; got {name.strip()!r}", field="settings")
-    host, port = address, str(rdt.PORT)
+    host, port = address, str(rdt.PORTS.records)
     if address.startswith("["):
         host, _, rest = address[1:].partition("]")
         port = rest.removeprefix(":") or port
     elif address.count(":") == 1:
         host, _, port = address.partition(":")
     try:
-        numbers = int(port.rstrip("/")), int(given) if given else rdt.HTTP_PORT
+        numbers = int(port.rstrip("/")), int(given) if given else rdt.PORTS.settings
     except ValueError:
         raise InputError(f"must be a whole number, as in rdt://ADDRESS:PORT,http_port=PORT; got {text!r}",
                          field="port") from None

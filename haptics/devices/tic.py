@@ -89,7 +89,7 @@ class TicStage(Stage):
             raise InputError(f"must be 10 to 1000 ms; got {ramp * 1e3:g} ms", field="ramp_ms")
         if device is not None and not 0 <= device <= 127:
             raise InputError(f"must be 0 to 127; got {device}", field="device")
-        if limits.speed * steps_per_m > tic.TOP_SPEED * tic.SPEED_UNIT:
+        if limits.speed * steps_per_m > tic.MOTION.top_speed * tic.MOTION.speed_unit:
             raise InputError("must be at most 50000 microsteps/s; got "
                              f"{limits.speed * 1e3:g} mm/s = {limits.speed * steps_per_m:.0f} microsteps/s. Lower the "
                              "speed, or use larger steps", field="top_speed_mm_s")
@@ -141,14 +141,14 @@ class TicStage(Stage):
             other = identify_controller(line)
             raise DeviceError(f"{error}; baud, device, crc and response_crc must be as the Tic Control Center shows "
                               f"them{other}") from None
-        if answers & tic.ANSWERS_OF_7_BITS or bool(answers & tic.ANSWERS_CHECKED) != self._response_crc:
+        if answers & tic.AnswerFormat.SEVEN_BIT or bool(answers & tic.AnswerFormat.CHECKED) != self._response_crc:
             raise DeviceError(f"the Tic at {self._port} is set to another form of answers; switch 7-bit responses off "
                               "in the Tic Control Center, and give response_crc="
-                              f"{bool(answers & tic.ANSWERS_CHECKED):d}")
+                              f"{bool(answers & tic.AnswerFormat.CHECKED):d}")
         # Ends a motion that another program has left.
         self._send(Command.SET_TARGET_VELOCITY, 0)
         mode = self._setting(Setting.CONTROL_MODE, 1)
-        if mode != tic.SERIAL_CONTROL:
+        if mode != tic.ControlMode.SERIAL:
             raise DeviceError(f"the Tic at {self._port} is in control mode {mode}, which ignores serial commands; set "
                               "it to Serial / I2C / USB in the Tic Control Center")
         timeout = 1e-3 * self._setting(Setting.COMMAND_TIMEOUT, 2)
@@ -157,12 +157,12 @@ class TicStage(Stage):
             raise DeviceError(f"the command timeout of the Tic at {self._port} is {state}, so the motor would not stop "
                               f"if this program died; set it to {LONGEST_TIMEOUT:g} s or less in the Tic Control "
                               "Center")
-        if self._setting(Setting.SOFT_ERROR_RESPONSE, 1) == tic.GO_TO_POSITION:
+        if self._setting(Setting.SOFT_ERROR_RESPONSE, 1) == tic.SoftErrorResponse.GO_TO_POSITION:
             raise DeviceError(f"the Tic at {self._port} would move to a position if this program died; set its soft "
                               "error response to Decelerate to hold in the Tic Control Center")
         self.runs_on = timeout + self._ramp
-        acceleration = round(self.limits.speed * self._steps / self._ramp / tic.ACCELERATION_UNIT)
-        acceleration = min(max(acceleration, tic.LEAST_ACCELERATION), tic.TOP_ACCELERATION)
+        acceleration = round(self.limits.speed * self._steps / self._ramp / tic.MOTION.acceleration_unit)
+        acceleration = min(max(acceleration, tic.MOTION.least_acceleration), tic.MOTION.top_acceleration)
         for command, variable in ((Command.SET_MAX_ACCELERATION, Variable.MAX_ACCELERATION),
                                   (Command.SET_MAX_DECELERATION, Variable.MAX_DECELERATION)):
             self._set(command, acceleration, variable)
@@ -171,7 +171,7 @@ class TicStage(Stage):
         halts = self._halts
         self._wake()
         steps = (self.limits.highest - self.limits.lowest) * self._steps
-        speeds = [max(self._setting(setting, 4) * tic.SPEED_UNIT, 1.0)
+        speeds = [max(self._setting(setting, 4) * tic.MOTION.speed_unit, 1.0)
                   for setting in (Setting.HOMING_SPEED_TOWARDS, Setting.HOMING_SPEED_AWAY)]
         self._homing_until = time.monotonic() + TIMING.homing_margin + sum(2.0 * steps / speed for speed in speeds)
         self._send_unless_halted(Command.GO_HOME, 0, halts)
@@ -193,7 +193,7 @@ class TicStage(Stage):
             raise DeviceError(f"the Tic at {self._port} does not know its zero; home it first, and wait until it is "
                               "homed")
         self._wake()
-        self._set(Command.SET_MAX_SPEED, max(round(speed * self._steps / tic.SPEED_UNIT), 1), Variable.MAX_SPEED)
+        self._set(Command.SET_MAX_SPEED, max(round(speed * self._steps / tic.MOTION.speed_unit), 1), Variable.MAX_SPEED)
         target = round(position * self._steps)
         self._send_unless_halted(Command.SET_TARGET_POSITION, target, halts)
         status = self._status()
@@ -205,7 +205,7 @@ class TicStage(Stage):
         status = self._status()
         requested = time.monotonic()
         motion = tic.parse_motion_state(self._read(Command.GET_VARIABLE, Variable.CURRENT_POSITION,
-                                                   tic.MOTION_STATE_SIZE))
+                                                   tic.BlockLength.MOTION_STATE))
         now = time.monotonic()
         if motion is None:
             raise self._invalid_answer()
@@ -294,7 +294,7 @@ class TicStage(Stage):
 
     def _status(self) -> tic.Status:
         """Read the status of the Tic."""
-        status = tic.parse_status(self._read(Command.GET_VARIABLE, Variable.STATUS, tic.STATUS_SIZE))
+        status = tic.parse_status(self._read(Command.GET_VARIABLE, Variable.STATUS, tic.BlockLength.STATUS))
         if status is None:
             raise self._invalid_answer()
         return status

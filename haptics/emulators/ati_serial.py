@@ -19,8 +19,7 @@ from haptics.emulators.terminal import TerminalEmulator
 from haptics.protocols.ati_serial import (
     CARRIAGE_RETURN,
     CHANNELS,
-    HIGHEST_COUNT,
-    LOWEST_COUNT,
+    FORMAT,
     ONE_RECORD,
     PROMPT,
     RESET,
@@ -182,7 +181,7 @@ class AtiSerialEmulator(TerminalEmulator):
         counts = self._counts()
         bias = self._biases[-1] if self._biases else (0,) * 6
         biased = [count - zero for count, zero in zip(counts, bias, strict=True)]
-        clipped = tuple(min(max(count, LOWEST_COUNT), HIGHEST_COUNT) for count in biased)
+        clipped = tuple(min(max(count, FORMAT.lowest_count), FORMAT.highest_count) for count in biased)
         record = Record(int(self._faulty or list(clipped) != biased), clipped)
         return encode_binary(record) if self._mode == "binary" else encode_ascii(record, self._padded) + _END
 

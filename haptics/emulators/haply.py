@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from haptics.devices.contracts import Bench, DeviceError, Motion
@@ -21,12 +22,27 @@ if TYPE_CHECKING:
 
 #: Initial position of the cursor in the frame of the device, m; similar to the maker's examples.
 START: Vector = (0.0, -0.15, 0.15)
-#: Time without a message after which the emulator removes the force, s; the real service's time is not documented.
-RELEASE_TIME = 0.1
-#: Largest time step of the hand, s.
-_STEP = 1e-3
-#: Longest wait for a message, s.
-_WAIT = 5e-3
+
+
+@dataclass(frozen=True)
+class HandSimulationSettings:
+    """Times of the simulated hand and of its connection.
+
+    Attributes:
+        release_time: Time without a message after which the emulator removes the force, s; the real service's time is
+            not documented.
+        step: Largest time step of the hand, s. A smaller step is more accurate and takes more computing time.
+        wait: Longest wait for a message, s; the hand is simulated after each wait, and a shorter wait simulates it more
+            often.
+    """
+
+    release_time: float = 0.1
+    step: float = 1e-3
+    wait: float = 5e-3
+
+
+#: Times of every emulated hand.
+TIMES = HandSimulationSettings()
 _CONFIG = {"type": "inverse3", "handedness": "right", "gravity_compensation": {"enabled": True, "scaling_factor": 1.0},
            "device_info": {"major_version": 7, "minor_version": 4, "id": "049D"}}
 _STATUS = {"calibrated": True, "in_use": False, "power_supply": True, "ready": True, "started": True}
@@ -35,7 +51,8 @@ _STATUS = {"calibrated": True, "in_use": False, "power_supply": True, "ready": T
 class HaplyEmulator(Emulator):
     """Emulate the service: it sends the state at once to a new client, and then one state for each message.
 
-    The hand restarts with each client. Without a client, or without a message for `RELEASE_TIME`, the force is zero.
+    The hand restarts with each client. The force is zero without a client, and after a time
+    `HandSimulationSettings.release_time` without a message.
 
     Args:
         hand: Hand that moves the cursor; its position at time 0 corresponds to `START`.
@@ -97,7 +114,7 @@ class HaplyEmulator(Emulator):
     def describe(self) -> dict[str, Any]:
         return {"emulator": "Haply Inverse service", "address": self.address, "messages": self.messages,
                 "refused": self.refused, "force_N": list(self.force), "largest_force_N": self.largest_force,
-                "unverified": f"that the real service removes the force after {RELEASE_TIME:g} s of silence",
+                "unverified": f"that the real service removes the force after {TIMES.release_time:g} s of silence",
                 **self._hand.describe()}
 
     def cursor_position(self) -> Vector:
@@ -122,7 +139,7 @@ class HaplyEmulator(Emulator):
             while not self._ending.is_set():
                 message = None
                 with contextlib.suppress(TimeoutError):
-                    message = connection.recv(timeout=0.1 * _WAIT if self._faults.delay else _WAIT)
+                    message = connection.recv(timeout=0.1 * TIMES.wait if self._faults.delay else TIMES.wait)
                 now = time.monotonic()
                 if message is not None and not line.is_silent(now):
                     line.put(self._answer(message).encode(), now)
@@ -152,10 +169,10 @@ class HaplyEmulator(Emulator):
         """Simulate the hand until now and return its state."""
         with self._lock:
             now = time.monotonic()
-            goal, release = now - self._began, self._last_message + RELEASE_TIME - self._began
+            goal, release = now - self._began, self._last_message + TIMES.release_time - self._began
             pose = None
             while self._simulated < goal:
-                self._simulated = min(self._simulated + _STEP, goal)
+                self._simulated = min(self._simulated + TIMES.step, goal)
                 pose = self._hand.pose(self._simulated)
                 if self._simulated >= release and any(self.force):
                     self._set_force((0.0, 0.0, 0.0))

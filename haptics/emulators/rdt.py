@@ -8,6 +8,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterable, Sequence
+from enum import IntEnum
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
 
@@ -18,10 +19,16 @@ from haptics.emulators.emulator import Emulator
 from haptics.protocols import rdt
 from haptics.protocols.rdt import Record, Settings
 
-#: Status word of an Axia with a gage out of range.
-_SATURATED = 0x88000000
-#: Status word of an Axia with another error.
-_FAULTY = 0x80000020
+
+class StatusWord(IntEnum):
+    """Status words of an Axia with an error."""
+
+    #: A gage is out of range.
+    SATURATED = 0x88000000
+    #: Another error.
+    FAULTY = 0x80000020
+
+
 #: Largest count in 32 bits.
 _LARGEST_COUNT = 2**31 - 1
 
@@ -95,7 +102,7 @@ class RdtEmulator(Emulator):
             for request, sender in self._receive_requests(line):
                 if request.command in (rdt.Command.REAL_TIME, rdt.Command.BUFFERED):
                     client, number, remaining = sender, 0, request.count or -1
-                    size = rdt.MAX_RECORDS if request.command == rdt.Command.BUFFERED else 1
+                    size = rdt.DATAGRAM.max_records if request.command == rdt.Command.BUFFERED else 1
                     pending.clear()
                 elif request.command == rdt.Command.STOP:
                     client = None
@@ -184,7 +191,8 @@ def _clip(counts: Iterable[int]) -> rdt.Wrench:
 
 def _status_word(status: int) -> int:
     """Return the status word of an Axia for bits of `SampleStatus`."""
-    return (_SATURATED if status & SampleStatus.SATURATED else 0) | (_FAULTY if status & SampleStatus.FAULT else 0)
+    return ((StatusWord.SATURATED if status & SampleStatus.SATURATED else 0)
+            | (StatusWord.FAULTY if status & SampleStatus.FAULT else 0))
 
 
 def _listen_failure(host: str, ports: tuple[int, int], error: OSError) -> str:

@@ -91,13 +91,13 @@ class TicEmulator(TerminalEmulator):
         self._safe_start_off_until = 0.0
         self._state, self._errors, self._occurred = State.SOFT_ERROR, Errors(0), 0
         self._uncertain, self._homing, self._deenergized = True, False, False
-        #: Requested motion: off, a position, microsteps, or a velocity, in `tic.SPEED_UNIT`.
+        #: Requested motion: off, a position, microsteps, or a velocity, in `tic.MOTION.speed_unit`.
         self._input, self._target = Planning.OFF, 0
         #: Motion in progress: kind, target and top speed; None: none.
         self._motion: tuple[Planning, int, int] | None = None
         #: Count of the Tic minus count of the stage, microsteps; set by "halt and set position".
         self._offset = 0
-        #: Speed in `tic.SPEED_UNIT`, accelerations in `tic.ACCELERATION_UNIT`.
+        #: Speed in `tic.MOTION.speed_unit`, accelerations in `tic.MOTION.acceleration_unit`.
         self._max_speed, self._max_acceleration, self._max_deceleration = 2_000_000, 40_000, 0
         self.answered = 0
     @property
@@ -162,7 +162,7 @@ class TicEmulator(TerminalEmulator):
         elif command == Command.ENTER_SAFE_START:
             self._safe_start_off_until, self._errors = 0.0, self._errors | Errors.SAFE_START
             self._leave_normal_operation(State.SOFT_ERROR)
-        elif self._settings[Setting.CONTROL_MODE] == tic.SERIAL_CONTROL:
+        elif self._settings[Setting.CONTROL_MODE] == tic.ControlMode.SERIAL:
             self._execute_motion(received)
         return None
 
@@ -205,7 +205,7 @@ class TicEmulator(TerminalEmulator):
         """Update errors, state and motion."""
         now = time.monotonic()
         errors = self.imposed | (Errors.DEENERGIZED if self._deenergized else Errors(0))
-        accepts_serial = self._settings[Setting.CONTROL_MODE] == tic.SERIAL_CONTROL
+        accepts_serial = self._settings[Setting.CONTROL_MODE] == tic.ControlMode.SERIAL
         if accepts_serial and self._timeout and now - self._alive > self._timeout:
             errors |= Errors.COMMAND_TIMEOUT
         stopped = errors or self._state != State.NORMAL
@@ -231,15 +231,15 @@ class TicEmulator(TerminalEmulator):
         stage = self._stage
         if not stage.position().homed:
             return  # the stage still homes after power-on
-        limits, least = stage.limits, tic.SPEED_UNIT / self._steps
+        limits, least = stage.limits, tic.MOTION.speed_unit / self._steps
         if self._input == Planning.VELOCITY and self._target == 0:
             stage.halt()
         elif self._input == Planning.VELOCITY:
-            speed = min(abs(self._target), self._max_speed) * tic.SPEED_UNIT / self._steps
+            speed = min(abs(self._target), self._max_speed) * tic.MOTION.speed_unit / self._steps
             stage.move(limits.highest if self._target > 0 else limits.lowest, min(max(speed, least), limits.speed))
         else:
             goal = (self._target - self._offset) / self._steps
-            speed = min(max(self._max_speed * tic.SPEED_UNIT / self._steps, least), limits.speed)
+            speed = min(max(self._max_speed * tic.MOTION.speed_unit / self._steps, least), limits.speed)
             stage.move(min(max(goal, limits.lowest), limits.highest), speed)
         self._motion = request
 

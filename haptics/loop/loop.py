@@ -16,7 +16,7 @@ from haptics.loop.real_time import RealTimeFeature, real_time
 from haptics.loop.ring import CAPACITY, PAUSED, RingWriter
 from haptics.loop.snapshot_board import SnapshotBoard
 from haptics.loop.ticker import Quantiles, Ticker, TimeHistogram
-from haptics.safety.force_release import PATIENCE, ForceRelease
+from haptics.safety.force_release import RELEASE, ForceRelease
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
@@ -53,7 +53,7 @@ class LoopSettings:
     real_time: bool = True
     snapshot_rate: float = 0.0
     capacity: int = CAPACITY
-    patience: float = PATIENCE
+    patience: float = RELEASE.patience
 
     def __post_init__(self):
         Ticker(self.period, spin=self.spin)  # checks its arguments

@@ -17,10 +17,31 @@ from dataclasses import dataclass
 
 #: Names of the six counts of a record.
 CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
-#: Smallest count; the true value may be smaller.
-LOWEST_COUNT = -32768
-#: Largest count; the true value may be larger.
-HIGHEST_COUNT = 32767
+
+
+@dataclass(frozen=True)
+class RecordFormat:
+    """Range and lengths of the records on the line.
+
+    Attributes:
+        lowest_count: smallest count of a channel, a signed 16-bit number; the true value may be smaller.
+        highest_count: largest count of a channel, a signed 16-bit number; the true value may be larger.
+        binary_length: length of a binary record, bytes: the flag and six 16-bit counts.
+        padded_width: width of a padded field, characters.
+        padded_length: length of a line of padded fields, bytes: the flag, six fields with a comma each, CR and LF.
+        bits_per_byte: bits per byte on the line with 8N1: start bit, eight data bits, stop bit.
+    """
+
+    lowest_count: int = -32768
+    highest_count: int = 32767
+    binary_length: int = 13
+    padded_width: int = 6
+    padded_length: int = 1 + 6 * 7 + 2
+    bits_per_byte: int = 10
+
+
+#: Format of every sensor of this kind.
+FORMAT = RecordFormat()
 #: End of an answer.
 PROMPT = b">"
 #: End of a command.
@@ -29,20 +50,12 @@ CARRIAGE_RETURN = b"\r"
 ONE_RECORD = b"\x14"
 #: Restart of the controller.
 RESET = b"\x17"
-#: Length of a binary record, bytes.
-BINARY_LENGTH = 13
-#: Width of a padded field, characters.
-PADDED_WIDTH = 6
-#: Length of a line of padded fields, bytes: the flag, six fields with a comma each, CR and LF.
-PADDED_LENGTH = 1 + 6 * 7 + 2
-#: Bits per byte on the line with 8N1: start bit, eight data bits, stop bit.
-_BITS = 10
 #: Binary record: flag and six counts.
 _BINARY = struct.Struct(">B6h")
 #: A count without leading zeros.
 _COUNT = r"(?:0|-?[1-9][0-9]{0,4})"
 _PLAIN = re.compile(rf"[0-9](?:,{_COUNT}){{6}}", re.ASCII)
-_PADDED = re.compile(rf"[0-9](?:,(?=.{{{PADDED_WIDTH}}}(?:,|\Z)) *{_COUNT}){{6}}", re.ASCII)
+_PADDED = re.compile(rf"[0-9](?:,(?=.{{{FORMAT.padded_width}}}(?:,|\Z)) *{_COUNT}){{6}}", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +64,7 @@ class Record:
 
     Attributes:
         flag: 0, or an error: saturation, or a disconnected sensor.
-        counts: Counts of `CHANNELS`, `LOWEST_COUNT` to `HIGHEST_COUNT`.
+        counts: Counts of `CHANNELS`, `RecordFormat.lowest_count` to `RecordFormat.highest_count`.
     """
 
     flag: int
@@ -60,7 +73,7 @@ class Record:
 
 def encode_ascii(record: Record, padded: bool = True) -> bytes:
     """Return a record as a line without its ending."""
-    width = PADDED_WIDTH if padded else 0
+    width = FORMAT.padded_width if padded else 0
     return ",".join([str(record.flag), *(f"{count:{width}d}" for count in record.counts)]).encode("ascii")
 
 
@@ -84,7 +97,7 @@ def decode_ascii(line: bytes, padded: bool | None = None) -> Record | None:
     if not any(form.fullmatch(text) for form in forms):
         return None
     flag, *counts = (int(field) for field in text.split(","))
-    is_in_range = all(LOWEST_COUNT <= count <= HIGHEST_COUNT for count in counts)
+    is_in_range = all(FORMAT.lowest_count <= count <= FORMAT.highest_count for count in counts)
     return Record(flag, tuple(counts)) if is_in_range else None
 
 
@@ -100,7 +113,7 @@ def encode_binary(record: Record) -> bytes:
 
 def decode_binary(data: bytes) -> Record | None:
     """Return the record in 13 bytes; None: the length is wrong. Transmission errors are undetectable."""
-    if len(data) != BINARY_LENGTH:
+    if len(data) != FORMAT.binary_length:
         return None
     flag, *counts = _BINARY.unpack(data)
     return Record(flag, tuple(counts))
@@ -108,10 +121,10 @@ def decode_binary(data: bytes) -> Record | None:
 
 def is_at_end_of_range(record: Record) -> bool:
     """Return True if a count is the largest or the smallest one: the true value may be beyond it."""
-    return any(count in (LOWEST_COUNT, HIGHEST_COUNT) for count in record.counts)
+    return any(count in (FORMAT.lowest_count, FORMAT.highest_count) for count in record.counts)
 
 
 def transmission_time(bytes_sent: int, baud: float) -> float:
     """Return the time that bytes need on the line, s."""
 
-    return _BITS * bytes_sent / baud
+    return FORMAT.bits_per_byte * bytes_sent / baud

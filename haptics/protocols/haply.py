@@ -25,12 +25,26 @@ ADDRESS = "ws://127.0.0.1:10001"
 DEVICES = "inverse3"
 #: Keys of the grips, which supply the orientation.
 GRIPS = ("verse_grip", "wireless_verse_grip", "custom_verse_grip")
-#: Largest plausible distance of the cursor from the base, m; the arm reaches 0.5 m.
-_LARGEST_DISTANCE = 2.0
-#: Largest plausible speed of the cursor, m/s.
-_LARGEST_SPEED = 100.0
-#: Largest deviation of a quaternion's length from 1; an inactive grip sends zeros.
-_QUATERNION_TOLERANCE = 0.05
+
+
+@dataclass(frozen=True)
+class PlausibilityLimits:
+    """Largest values that a message of the service can contain; larger values are errors of the message.
+
+    Attributes:
+        distance: Largest distance of the cursor from the base, m; the arm reaches 0.5 m.
+        speed: Largest speed of the cursor, m/s.
+        quaternion_deviation: Largest deviation of a quaternion's length from 1; an inactive grip sends zeros. A larger
+            value accepts quaternions with larger rounding errors.
+    """
+
+    distance: float = 2.0
+    speed: float = 100.0
+    quaternion_deviation: float = 0.05
+
+
+#: Limits of every message.
+_LIMITS = PlausibilityLimits()
 _AXES = ("x", "y", "z")
 
 
@@ -81,8 +95,8 @@ def read_state(message: str | bytes, device_id: str | None = None) -> HapticStat
     state = _part(device, "state")
     velocity = None
     if "cursor_velocity" in state:
-        velocity = _vector(state["cursor_velocity"], "cursor_velocity", _LARGEST_SPEED)
-    return HapticState(name, _vector(state.get("cursor_position"), "cursor_position", _LARGEST_DISTANCE), velocity,
+        velocity = _vector(state["cursor_velocity"], "cursor_velocity", _LIMITS.speed)
+    return HapticState(name, _vector(state.get("cursor_position"), "cursor_position", _LIMITS.distance), velocity,
                        _orientation(content), _part(device, "config", {}), _part(device, "status", {}))
 
 
@@ -147,7 +161,7 @@ def _orientation(content: Mapping[str, Any]) -> Quaternion | None:
                 continue
             w, x, y, z = (_number(quaternion.get(axis), f"orientation.{axis}") for axis in ("w", *_AXES))
             length = math.sqrt(w * w + x * x + y * y + z * z)
-            if abs(length - 1.0) <= _QUATERNION_TOLERANCE:
+            if abs(length - 1.0) <= _LIMITS.quaternion_deviation:
                 return w / length, x / length, y / length, z / length
     return None
 

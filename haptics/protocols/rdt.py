@@ -11,24 +11,49 @@ import struct
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 from xml.sax.saxutils import escape
 
 from haptics.protocols.ati_units import FORCE_UNITS, TORQUE_UNITS
 from tissue_sim.errors import InputError
 
-#: Default UDP port of the records.
-PORT = 49152
-#: Default port of the settings page.
-HTTP_PORT = 80
+
+@dataclass(frozen=True)
+class Ports:
+    """Default ports of a box.
+
+    Attributes:
+        records: UDP port of the requests and records.
+        settings: TCP port of the settings page.
+    """
+
+    records: int = 49152
+    settings: int = 80
+
+
+#: Ports of a box in its factory settings.
+PORTS = Ports()
 #: Path of the settings page.
 SETTINGS_PATH = "/netftapi2.xml"
 #: Names of the six counts of a record.
 CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
-#: Largest number of records in one datagram of the buffered mode.
-MAX_RECORDS = 40
-#: First two bytes of a request.
-_MAGIC = 0x1234
+
+
+@dataclass(frozen=True)
+class DatagramFormat:
+    """Numbers of the format of datagrams.
+
+    Attributes:
+        max_records: Largest number of records in one datagram of the buffered mode.
+        magic: First two bytes of a request.
+    """
+
+    max_records: int = 40
+    magic: int = 0x1234
+
+
+#: Format of every box.
+DATAGRAM = DatagramFormat()
 #: Request: magic number, command, number of samples.
 _REQUEST = struct.Struct(">HHI")
 #: Record: sequence number, sample number, status, six counts.
@@ -36,10 +61,24 @@ _RECORD = struct.Struct(">III6i")
 #: Length of a record, bytes.
 RECORD_SIZE = _RECORD.size
 
-#: Status bits for gages or wrench out of range: Axia 27 and 30, Net F/T 17.
-_OUT_OF_RANGE = 1 << 27 | 1 << 30 | 1 << 17
-#: Status bit for a threshold that was passed; the sample is valid.
-_THRESHOLD = 1 << 16
+
+class StatusBit(IntFlag):
+    """Bits of the status word of a record; the other bits are in `describe_status`."""
+
+    #: A threshold was passed; the sample is valid.
+    THRESHOLD = 1 << 16
+    #: Net F/T: a gage is saturated.
+    SATURATED = 1 << 17
+    #: Axia: a gage is out of range.
+    GAGE_RANGE = 1 << 27
+    #: Axia: force or torque is out of range.
+    WRENCH_RANGE = 1 << 30
+
+
+#: Status bits for gages or wrench out of range.
+_OUT_OF_RANGE = int(StatusBit.SATURATED | StatusBit.GAGE_RANGE | StatusBit.WRENCH_RANGE)
+#: Mask of the status bits that mark an unreliable sample.
+_FAULTS = ~int(StatusBit.THRESHOLD)
 #: Units that the configurations page of a box offers.
 _OFFERED = {"force": ("N", "kN", "lbf", "klbf", "kg"),
             "torque": ("N-m", "N-mm", "kN-m", "lbf-in", "lbf-ft", "kg-cm")}
@@ -96,7 +135,7 @@ class Record:
 
 def pack_request(request: Request) -> bytes:
     """Return the 8 bytes of a request."""
-    return _REQUEST.pack(_MAGIC, request.command, request.count)
+    return _REQUEST.pack(DATAGRAM.magic, request.command, request.count)
 
 
 def unpack_request(data: bytes) -> Request | None:
@@ -104,7 +143,7 @@ def unpack_request(data: bytes) -> Request | None:
     if len(data) != _REQUEST.size:
         return None
     magic, command, count = _REQUEST.unpack(data)
-    return Request(command, count) if magic == _MAGIC else None
+    return Request(command, count) if magic == DATAGRAM.magic else None
 
 
 def pack_records(records: Iterable[Record]) -> bytes:
@@ -115,7 +154,7 @@ def pack_records(records: Iterable[Record]) -> bytes:
 def unpack_records(data: bytes) -> list[Record] | None:
     """Return the records in a datagram; None: the bytes are no whole number of records, or too many."""
     count, rest = divmod(len(data), RECORD_SIZE)
-    if rest or not 0 < count <= MAX_RECORDS:
+    if rest or not 0 < count <= DATAGRAM.max_records:
         return None
     return [Record(sequence, sample, status, (x, y, z, u, v, w))
             for sequence, sample, status, x, y, z, u, v, w in _RECORD.iter_unpack(data)]
@@ -128,7 +167,7 @@ def is_out_of_range(status: int) -> bool:
 
 def is_fault(status: int) -> bool:
     """Return True if the status word reports anything except a passed threshold: the sample is unreliable."""
-    return bool(status & ~_THRESHOLD)
+    return bool(status & _FAULTS)
 
 
 def describe_status(status: int) -> str:
@@ -221,6 +260,6 @@ def write_settings_page(settings: Settings) -> bytes:
                "scfgfu": settings.force_unit, "scfgtu": settings.torque_unit,
                "cfgcpf": f"{settings.counts_per_force:.10g}", "cfgcpt": f"{settings.counts_per_torque:.10g}",
                **({} if settings.rate is None else {"comrdtrate": f"{settings.rate:.10g}"}),
-               "comrdtbsiz": str(MAX_RECORDS)}
+               "comrdtbsiz": str(DATAGRAM.max_records)}
     lines = "".join(f"<{name}>{escape(text)}</{name}>\n" for name, text in entries.items())
     return f'<?xml version="1.0" encoding="UTF-8"?>\n<netft>\n{lines}</netft>\n'.encode()

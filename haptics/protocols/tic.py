@@ -11,18 +11,40 @@ from enum import IntEnum, IntFlag
 
 #: First byte of a command of the Pololu protocol; the device number and the lower 7 bits of the command follow.
 POLOLU_PREFIX = 0xAA
-#: Largest number of bytes that one command can read.
-LONGEST_BLOCK = 15
-#: Unit of speeds, microsteps/s.
-SPEED_UNIT = 1e-4
-#: Unit of accelerations, microsteps/s^2.
-ACCELERATION_UNIT = 1e-2
-#: Largest speed, in `SPEED_UNIT`.
-TOP_SPEED = 500_000_000
-#: Largest acceleration, in `ACCELERATION_UNIT`.
-TOP_ACCELERATION = 0x7FFFFFFF
-#: Smallest acceleration, in `ACCELERATION_UNIT`.
-LEAST_ACCELERATION = 100
+
+
+class BlockLength(IntEnum):
+    """Lengths of blocks of variables or settings, bytes."""
+
+    #: Block that `parse_status` reads.
+    STATUS = 14
+    #: Block that `parse_motion_state` reads.
+    MOTION_STATE = 8
+    #: Largest block that one command can read.
+    LONGEST = 15
+
+
+@dataclass(frozen=True)
+class MotionRange:
+    """Units and limits of speeds and accelerations in commands, variables and settings.
+
+    Attributes:
+        speed_unit: Unit of speeds, microsteps/s.
+        acceleration_unit: Unit of accelerations, microsteps/s^2.
+        top_speed: Largest speed, in units of `speed_unit`.
+        top_acceleration: Largest acceleration, in units of `acceleration_unit`.
+        least_acceleration: Smallest acceleration, in units of `acceleration_unit`.
+    """
+
+    speed_unit: float = 1e-4
+    acceleration_unit: float = 1e-2
+    top_speed: int = 500_000_000
+    top_acceleration: int = 0x7FFFFFFF
+    least_acceleration: int = 100
+
+
+#: Units and limits of every Tic.
+MOTION = MotionRange()
 
 
 class Command(IntEnum):
@@ -149,18 +171,27 @@ class Setting(IntEnum):
     HOMING_SPEED_AWAY = 0x65
 
 
-#: Value "Serial / I2C / USB" of `Setting.CONTROL_MODE`.
-SERIAL_CONTROL = 0
-#: Value "Go to position" of `Setting.SOFT_ERROR_RESPONSE`.
-GO_TO_POSITION = 3
-#: Bit of `Setting.CRC`: answers carry a checksum.
-ANSWERS_CHECKED = 2
-#: Bit of `Setting.CRC`: answers consist of 7-bit bytes.
-ANSWERS_OF_7_BITS = 4
-#: Length of the block that `parse_status` reads, bytes.
-STATUS_SIZE = 14
-#: Length of the block that `parse_motion_state` reads, bytes.
-MOTION_STATE_SIZE = 8
+class ControlMode(IntEnum):
+    """Values of `Setting.CONTROL_MODE`."""
+
+    #: Value "Serial / I2C / USB": the motor follows commands.
+    SERIAL = 0
+
+
+class SoftErrorResponse(IntEnum):
+    """Values of `Setting.SOFT_ERROR_RESPONSE`."""
+
+    #: Value "Go to position": the motor moves after an error.
+    GO_TO_POSITION = 3
+
+
+class AnswerFormat(IntFlag):
+    """Bits of `Setting.CRC` about the answers of the Tic."""
+
+    #: Answers carry a checksum.
+    CHECKED = 2
+    #: Answers consist of 7-bit bytes.
+    SEVEN_BIT = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +221,7 @@ class MotionState:
 
     Attributes:
         position: Commanded position, microsteps.
-        velocity: Velocity, in `SPEED_UNIT`.
+        velocity: Velocity, in `MotionRange.speed_unit`.
     """
 
     position: int
@@ -228,8 +259,8 @@ def encode(command: Command, value: int = 0, length: int = 0, device: int | None
         # The first byte holds the top bits of the other four.
         body = bytes([sum((byte >> 7) << bit for bit, byte in enumerate(four)), *(byte & 0x7F for byte in four)])
     elif command in _READS:
-        if not 1 <= length <= LONGEST_BLOCK:
-            raise ValueError(f"length of the block must be 1 to {LONGEST_BLOCK} bytes; got {length}.")
+        if not 1 <= length <= BlockLength.LONGEST:
+            raise ValueError(f"length of the block must be 1 to {BlockLength.LONGEST} bytes; got {length}.")
         # Bit 6 of the length is bit 7 of the offset.
         body = bytes([value & 0x7F, length + (64 if value >= 128 else 0)])
     elif command in _WITH_7_BITS:
@@ -332,7 +363,7 @@ class CommandParser:
             return ReceivedCommand(command, int.from_bytes(four, "little"))
         if command in _READS:
             length, has_high_offset = body[1] & 0x3F, bool(body[1] & 0x40)
-            if not 1 <= length <= LONGEST_BLOCK:
+            if not 1 <= length <= BlockLength.LONGEST:
                 self.bad_bytes += len(message)
                 return None
             return ReceivedCommand(command, body[0] + 128 * has_high_offset, length)
@@ -345,11 +376,11 @@ def to_signed(value: int) -> int:
 
 
 def parse_status(block: bytes) -> Status | None:
-    """Return the status in a block of `STATUS_SIZE` bytes; None: the block is impossible for a Tic.
+    """Return the status in a block of `BlockLength.STATUS` bytes; None: the block is impossible for a Tic.
 
     Impossible blocks have another length, an unknown state or planning mode, or reserved bits set.
     """
-    if len(block) != STATUS_SIZE:
+    if len(block) != BlockLength.STATUS:
         return None
     errors, occurred = int.from_bytes(block[2:4], "little"), int.from_bytes(block[4:8], "little")
     if block[1] >> 5 or errors >> 9 or occurred >> 21:
@@ -363,10 +394,13 @@ def parse_status(block: bytes) -> Status | None:
 
 
 def parse_motion_state(block: bytes) -> MotionState | None:
-    """Return position and velocity in a block of `MOTION_STATE_SIZE` bytes; None: another length or speed too high."""
-    if len(block) != MOTION_STATE_SIZE:
+    """Return position and velocity in a block of `BlockLength.MOTION_STATE` bytes.
+
+    None: the block has another length, or its speed is impossible.
+    """
+    if len(block) != BlockLength.MOTION_STATE:
         return None
     velocity = to_signed(int.from_bytes(block[4:8], "little"))
-    if abs(velocity) > TOP_SPEED:
+    if abs(velocity) > MOTION.top_speed:
         return None
     return MotionState(to_signed(int.from_bytes(block[:4], "little")), velocity)

@@ -15,7 +15,7 @@ import numpy as np
 
 from haptics.devices.contracts import Bench, DeviceError, ForceSample, StageSample
 from haptics.recorder.motion_settings import GuardedMotionSettings
-from haptics.recorder.plan import POLL_PERIOD, POLL_TIMEOUT
+from haptics.recorder.plan import POLLING
 from haptics.recorder.stopped import StoppedError, get_stop_reason
 from haptics.safety.motion_guard import CommandedMotion, MotionGuard, MotionLimits, StopReason
 from tissue_sim.errors import InputError
@@ -112,9 +112,9 @@ class GuardedMotion:
         ending = threading.Event()
 
         def watch() -> None:
-            while not ending.wait(0.2 * POLL_TIMEOUT):
+            while not ending.wait(0.2 * POLLING.timeout):
                 delay = self.now() - self._polled
-                if self._is_moving and delay > max(POLL_TIMEOUT, self.limits.sensor_silence):
+                if self._is_moving and delay > max(POLLING.timeout, self.limits.sensor_silence):
                     with contextlib.suppress(Exception):
                         self.stage.halt()
                     self._late_by = delay
@@ -166,7 +166,7 @@ class GuardedMotion:
                     return None
                 if self.now() > until:
                     return f"it still reports a motion, at {self.stage_sample.position * 1e3:.4g} mm"
-                self._sleep(POLL_PERIOD)
+                self._sleep(POLLING.period)
         except BaseException as error:
             return str(error) or type(error).__name__
 
@@ -189,7 +189,7 @@ class GuardedMotion:
                    + _SETTINGS.force_growth * self.limits.force)
         self.stage.move(goal, speed)
         while self.now() < until:
-            self._sleep(POLL_PERIOD)
+            self._sleep(POLLING.period)
             with contextlib.suppress(DeviceError):
                 forces = [self._sign * sample.values[self._axis] - self.zero for sample in self.sensor.read()]
                 if any(abs(force) > allowed for force in forces):
@@ -206,7 +206,7 @@ class GuardedMotion:
         Raises:
             StoppedError: the guard or the user ended the motion; the stage was halted.
         """
-        self._sleep(max(0.0, self._polled + POLL_PERIOD - self.now()))
+        self._sleep(max(0.0, self._polled + POLLING.period - self.now()))
         self._require_on_time()
         if (message := self._stop_request()) is not None:
             with contextlib.suppress(Exception):
@@ -304,7 +304,7 @@ class GuardedMotion:
         with ThreadPoolExecutor(1) as pool:
             future = pool.submit(task)
             # The real wait gives the processor to the task, also if the clock of the polls is simulated.
-            while not wait([future], timeout=0.5 * POLL_PERIOD).done:
+            while not wait([future], timeout=0.5 * POLLING.period).done:
                 self.poll()
             return future.result()
 

@@ -12,10 +12,23 @@ from haptics.safety.motion_guard import MotionLimits, require_stoppable
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.segments import Leg
 
-#: Time between two polls of sensor and stage, s.
-POLL_PERIOD = 5e-3
-#: Longest time without a poll while the tool moves, s; after this time another thread halts the stage.
-POLL_TIMEOUT = 0.25
+
+@dataclass(frozen=True)
+class PollSettings:
+    """Intervals of the polls of sensor and stage.
+
+    Attributes:
+        period: time between two polls, s. A shorter period detects faults earlier and takes more computing time.
+        timeout: longest time without a poll while the tool moves, s; after this time another thread halts the stage. A
+            longer time tolerates longer delays of the program, in which the tool moves unsupervised.
+    """
+
+    period: float = 5e-3
+    timeout: float = 0.25
+
+
+#: Intervals of every recording.
+POLLING = PollSettings()
 
 
 @dataclass(frozen=True)
@@ -119,7 +132,7 @@ def check_plans(plans: Sequence[Plan], limits: MotionLimits, stage: Stage, perio
         InputError: a motion exceeds the limits of the run or of the stage, or cannot be stopped in time.
     """
     # Time from a fault until the stage is halted. The watching thread detects a late program within 1.2 timeouts.
-    reaction = max(limits.sensor_silence, 3 * period, 1.2 * POLL_TIMEOUT) + 2 * POLL_PERIOD + stage.runs_on
+    reaction = max(limits.sensor_silence, 3 * period, 1.2 * POLLING.timeout) + 2 * POLLING.period + stage.runs_on
     total = 0.0
     if limits.lowest < stage.limits.lowest or limits.highest > stage.limits.highest:
         raise InputError(f"must lie within the range of the stage, {stage.limits.lowest * 1e3:g} to "

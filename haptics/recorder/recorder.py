@@ -13,16 +13,28 @@ import numpy as np
 from haptics.devices.contracts import Bench, DeviceError, ForceSample, StageSample
 from haptics.recorder.guarded_motion import GuardedMotion
 from haptics.recorder.motion_record import MotionRecord, build_recording, estimate_contact_point
-from haptics.recorder.plan import POLL_PERIOD, Plan, check_plans
+from haptics.recorder.plan import POLLING, Plan, check_plans
 from haptics.recorder.run_folder import PartialRecording, RunFolder
 from haptics.recorder.stopped import StoppedError
 from haptics.safety.motion_guard import MotionLimits, StopReason
 from tissue_sim.errors import InputError
 
-#: Time over which the force is averaged for the detection of contact, s.
-_CONTACT_WINDOW = 0.02
-#: Speed of the second approach as a fraction of the approach speed of the plan, 1.
-_SLOW_APPROACH = 0.2
+
+@dataclass(frozen=True)
+class ContactSearchSettings:
+    """Averaging and speed of the search for contact.
+
+    Attributes:
+        window: time over which the force is averaged, s. A longer window averages more noise and detects contact later.
+        slow_fraction: speed of the second approach as a fraction of the approach speed of the plan, 1. A slower
+            approach indents less before contact is detected.
+    """
+
+    window: float = 0.02
+    slow_fraction: float = 0.2
+
+
+_CONTACT_SEARCH = ContactSearchSettings()
 
 
 @dataclass(frozen=True)
@@ -202,7 +214,7 @@ class Recorder:
         self._move_above_contact(2.0)
         record = self._record = MotionRecord()
         try:
-            halted = self._approach(_SLOW_APPROACH * plan.approach_speed)
+            halted = self._approach(_CONTACT_SEARCH.slow_fraction * plan.approach_speed)
         finally:
             self._record = None
         self._contact_point, self._contact_metadata = motion.run_while_polling(
@@ -221,7 +233,7 @@ class Recorder:
         plan, motion = self._plan, self._motion
         self._phase = "approach"
         if not motion.move_to(self._limits.highest, speed,
-                              lambda: motion.mean_force(_CONTACT_WINDOW) >= plan.contact_force):
+                              lambda: motion.mean_force(_CONTACT_SEARCH.window) >= plan.contact_force):
             raise StoppedError(StopReason(
                 "no contact", f"the force did not reach {plan.contact_force:g} N within the limits of the motion; put "
                               "the specimen nearer, or check the sign and the axis of the sensor"))
@@ -284,7 +296,7 @@ class Recorder:
         record = self._record = MotionRecord()
         try:
             self._move_along_legs(f"recording {number} of {plan.replicates}")
-            motion.poll_for(2 * POLL_PERIOD)
+            motion.poll_for(2 * POLLING.period)
         finally:
             self._record = None
         # Lost steps of the motor and a sensor without signal show here; the samples are then not saved as a recording.

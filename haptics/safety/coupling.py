@@ -4,21 +4,37 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import dataclass
 
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Vector
 from tissue_sim.tool_force import ToolForce
 
 _NO_VECTOR: Vector = (0.0, 0.0, 0.0)
-#: Largest age of a stiffness that the coupling uses, s. The tangents of a multirate bulk are 20 to 100 ms old.
-LONGEST_STIFFNESS_AGE = 0.1
-#: Smallest motion of the proxy in a tick for which a secant stiffness is computed, m.
-_SMALLEST_MOTION = 1e-7
+
+
+@dataclass(frozen=True)
+class CouplingSettings:
+    """Limits of the stiffness that a virtual coupling uses.
+
+    Attributes:
+        longest_stiffness_age: largest age of a stiffness that the coupling uses, s. The tangents of a multirate bulk
+            are 20 to 100 ms old.
+        smallest_motion: smallest motion of the proxy in a tick for which a secant stiffness is computed, m. A smaller
+            value admits secants that consist of rounding errors.
+    """
+
+    longest_stiffness_age: float = 0.1
+    smallest_motion: float = 1e-7
+
+
+#: Limits of every coupling.
+COUPLING = CouplingSettings()
 
 
 def is_stale(answer: ToolForce) -> bool:
-    """Return whether the stiffness of an answer is older than `LONGEST_STIFFNESS_AGE`."""
-    return answer.stiffness_age > LONGEST_STIFFNESS_AGE
+    """Return whether the stiffness of an answer is older than `CouplingSettings.longest_stiffness_age`."""
+    return answer.stiffness_age > COUPLING.longest_stiffness_age
 
 
 class VirtualCoupling:
@@ -48,12 +64,13 @@ class VirtualCoupling:
     growing amplitude. An inertial answer without `ahead` is used unchanged; the proxy is then stable only if the mass
     of tissue that it moves is below 2 mass + B tick + (K + k) tick^2/2 (first order).
 
-    Old stiffness. A stiffness that is older than `LONGEST_STIFFNESS_AGE` is not used. S is then isotropic: the larger
-    of the largest diagonal entry of all earlier stiffnesses that were not too old, and the largest secant
-    |change of the force| / |motion of the proxy| between two ticks since then. If S exceeds the stiffness k of the
-    tissue, the distance of the proxy to its equilibrium changes in each tick by the factor 1 - (K + k)/(K + S), which
-    is between 0 and 1: the step is stable, and the proxy lags behind by about (K + S)/(K + k) ticks. The stiffness
-    within the step of a tissue with mass belongs to that step and is never too old.
+    Old stiffness. A stiffness that is older than `CouplingSettings.longest_stiffness_age` is not used. S is then
+    isotropic: the larger of the largest diagonal entry of all earlier stiffnesses that were not too old, and the
+    largest secant |change of the force| / |motion of the proxy| between two ticks since then. If S exceeds the
+    stiffness k of the tissue, the distance of the proxy to its equilibrium changes in each tick by the factor
+    1 - (K + k)/(K + S), which is between 0 and 1: the step is stable, and the proxy lags behind by about
+    (K + S)/(K + k) ticks. The stiffness within the step of a tissue with mass belongs to that step and is never too
+    old.
 
     Passivity. With a zero-order hold of length T, a sampled wall K + B (z - 1)/(T z) on a device of physical damping b
     is passive if and only if b > K T/2 + |B| (Colgate and Schenkel 1997). The same condition holds for a coupling to a
@@ -214,5 +231,14 @@ class VirtualCoupling:
         self._load = load
         if not is_stale(answer):
             self._largest_stiffness, self._secant = max(self._largest_stiffness, largest), 0.0
-        elif before is not None and motion > _SMALLEST_MOTION:
+        elif before is not None and motion > COUPLING.smallest_motion:
             self._secant = max(self._secant, math.dist(load, before) / motion)
+
+
+def __getattr__(name: str) -> float:
+    """Return `CouplingSettings.longest_stiffness_age` for its old name, with a warning, for one release."""
+    if name == "LONGEST_STIFFNESS_AGE":
+        warnings.warn("haptics.safety.coupling.LONGEST_STIFFNESS_AGE is renamed to COUPLING.longest_stiffness_age",
+                      DeprecationWarning, stacklevel=2)
+        return COUPLING.longest_stiffness_age
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

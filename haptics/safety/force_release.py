@@ -3,20 +3,35 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from haptics.safety.watchdog import Watchdog, WatchdogState
 from tissue_sim.errors import InputError
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
-#: Longest time without equilibrium at full force, s.
-PATIENCE = 0.050
-#: Duration of the fade to zero, and of the return to full force, s.
-RAMP = 0.050
-#: Largest magnitude of a first force that is given in full, N. A larger first force means that the tool starts inside
-#: the tissue; it is faded in.
-LARGEST_FIRST_FORCE = 0.1
-#: Finite replacement of an infinite patience, longer than any run, s.
-_LONGEST_PATIENCE = 1e300
+
+@dataclass(frozen=True)
+class ReleaseSettings:
+    """Times and forces of `ForceRelease`.
+
+    Attributes:
+        patience: longest time without equilibrium at full force, s. A longer time bridges longer failures with an
+            extrapolated force.
+        ramp: duration of the fade to zero, and of the return to full force, s. A longer ramp changes the force more
+            slowly.
+        largest_first_force: largest magnitude of a first force that is given in full, N. A larger first force means
+            that the tool starts inside the tissue; this force is faded in.
+        longest_patience: finite replacement of an infinite patience, longer than any run, s.
+    """
+
+    patience: float = 0.050
+    ramp: float = 0.050
+    largest_first_force: float = 0.1
+    longest_patience: float = 1e300
+
+
+#: Defaults of every release.
+RELEASE = ReleaseSettings()
 
 
 class ForceRelease:
@@ -25,9 +40,9 @@ class ForceRelease:
     An answer whose status is not CONVERGED extrapolates the last equilibrium. After `patience` without equilibrium,
     force and stiffness fade to zero together within `ramp` (status FADING): a client that extrapolates with the
     stiffness then stays below the force of the answer. With the next equilibrium they return within the same time
-    (status RETURNING). If the first force exceeds `LARGEST_FIRST_FORCE`, the hand starts inside the tissue, and the
-    force returns from zero in the same way. The answer to a refused pose keeps the status REFUSED and is scaled by the
-    same gain.
+    (status RETURNING). If the first force exceeds `ReleaseSettings.largest_first_force`, the hand starts inside the
+    tissue, and the force returns from zero in the same way. The answer to a refused pose keeps the status REFUSED and
+    is scaled by the same gain.
 
     Args:
         patience: longest time without equilibrium at full force, s; infinite for local models of a slow solver, which
@@ -38,10 +53,10 @@ class ForceRelease:
         InputError: a time is not positive, or the ramp is infinite.
     """
 
-    def __init__(self, patience: float = PATIENCE, ramp: float = RAMP):
+    def __init__(self, patience: float = RELEASE.patience, ramp: float = RELEASE.ramp):
         if not patience > 0.0:
             raise InputError(f"must be positive; got {patience:g} s", field="patience")
-        self._watchdog = Watchdog(min(patience, _LONGEST_PATIENCE), ramp)
+        self._watchdog = Watchdog(min(patience, RELEASE.longest_patience), ramp)
         self.reset()
 
     @property
@@ -62,7 +77,7 @@ class ForceRelease:
             now: time, s, on a clock of this computer that always advances; the clock of a client is not used.
         """
         watchdog, last, self._last_step = self._watchdog, self._last_step, now
-        if last is None and math.hypot(*answer.wrench[:3]) > LARGEST_FIRST_FORCE:
+        if last is None and math.hypot(*answer.wrench[:3]) > RELEASE.largest_first_force:
             watchdog.withdraw()
         converged = answer.status is ForceStatus.CONVERGED
         gain = watchdog.step(converged, 0.0 if last is None else max(0.0, now - last))

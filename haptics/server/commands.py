@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import msgspec
@@ -14,12 +15,25 @@ from haptics.server.wire import FRAME, REPLY_SIZE, REQUEST_SIZE, VERSION
 from tissue_sim.decode import as_json_types, decode
 from tissue_sim.errors import ConvergenceError, InputError, nearest
 
-#: Largest number of saved states.
-MAX_STATES = 16
-#: Largest number of circumferential segments of a surface.
-MAX_SEGMENTS = 256
-#: Rows of an array that are encoded in one piece; the server answers poses between two pieces.
-_ROWS_PER_PIECE = 128
+
+@dataclass(frozen=True)
+class CommandLimits:
+    """Limits of commands that keep or return large data.
+
+    Attributes:
+        max_states: largest number of saved states.
+        max_segments: largest number of circumferential segments of a surface.
+        rows_per_piece: rows of an array that are encoded in one piece; the server answers poses between two pieces.
+            Smaller pieces delay these answers less.
+    """
+
+    max_states: int = 16
+    max_segments: int = 256
+    rows_per_piece: int = 128
+
+
+#: Limits of every server.
+LIMITS = CommandLimits()
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 
 
@@ -38,7 +52,7 @@ class _SetParameters(_Command, frozen=True):
 class _Surface(_Command, frozen=True):
     """Arguments of ``surface``: circumferential segments of the triangles; None: no triangles."""
 
-    segments: Annotated[int, msgspec.Meta(ge=3, le=MAX_SEGMENTS)] | None = None
+    segments: Annotated[int, msgspec.Meta(ge=3, le=LIMITS.max_segments)] | None = None
 
 
 class _State(_Command, frozen=True):
@@ -166,8 +180,8 @@ class Commands:
 
     def _save(self, request: _State) -> dict[str, Any]:
         """Save state and parameters of the tissue under a name."""
-        if request.name not in self._states and len(self._states) == MAX_STATES:
-            raise InputError(f"at most {MAX_STATES} states can be saved; save under an existing name: "
+        if request.name not in self._states and len(self._states) == LIMITS.max_states:
+            raise InputError(f"at most {LIMITS.max_states} states can be saved; save under an existing name: "
                              f"{', '.join(self._states)}", field="name")
         self._states[request.name] = (self._require_method("save")(), dict(self._parameters))
         return {"states": list(self._states)}
@@ -201,7 +215,7 @@ class Commands:
 
 
 def _encode_arrays(command: str, arrays: Mapping[str, np.ndarray]) -> Iterator[bytes]:
-    """Yield a JSON object of arrays in pieces of at most `_ROWS_PER_PIECE` rows.
+    """Yield a JSON object of arrays in pieces of at most `CommandLimits.rows_per_piece` rows.
 
     Args:
         command: value of the key ``command``.
@@ -210,8 +224,8 @@ def _encode_arrays(command: str, arrays: Mapping[str, np.ndarray]) -> Iterator[b
     yield b'{"command":' + msgspec.json.encode(command)
     for name, rows in arrays.items():
         yield b"," + msgspec.json.encode(name) + b":["
-        for start in range(0, len(rows), _ROWS_PER_PIECE):
-            piece = msgspec.json.encode(rows[start:start + _ROWS_PER_PIECE].tolist())[1:-1]
+        for start in range(0, len(rows), LIMITS.rows_per_piece):
+            piece = msgspec.json.encode(rows[start:start + LIMITS.rows_per_piece].tolist())[1:-1]
             yield b"," + piece if start else piece
         yield b"]"
     yield b"}\n"

@@ -75,7 +75,7 @@ class ReplyFlags(IntFlag):
     INERTIAL = 1
     #: The force was limited to the largest force of the server; the stiffness is then zero.
     LIMITED = 2
-    #: The stiffness is older than `haptics.safety.coupling.LONGEST_STIFFNESS_AGE`.
+    #: The stiffness is older than `haptics.safety.coupling.CouplingSettings.longest_stiffness_age`.
     STALE_STIFFNESS = 4
     #: The tool is off the axis of an axisymmetric scene, or tilted; the force neglects this (version 3).
     OFF_AXIS = 8

@@ -30,10 +30,6 @@ if TYPE_CHECKING:
 
 SUMMARY = "run a force server for other programs: poses in and forces out over UDP, configuration as JSON over TCP"
 EXAMPLE = "tissue-sim serve --scene needle_indentation --material m.material.json --port 47700"
-#: Largest number of a UDP or TCP port.
-_MAX_PORT = 65535
-#: Largest session number: it has 64 bits in the wire protocol.
-_MAX_SESSION = 2**64 - 1
 
 
 @dataclass(frozen=True)
@@ -47,6 +43,8 @@ class ServerSettings:
         silence_s: time without packets after which another client may take over, s, as in `haptics.server`.
         max_force: largest force of a reply, N, as in `haptics.server`.
         max_depth: largest depth of the tool, as a fraction of the height of the specimen; deeper poses are refused.
+        max_port: largest number of a UDP or TCP port.
+        max_session: largest session number, which has 64 bits in the wire protocol.
     """
 
     port: int = 47700
@@ -55,6 +53,8 @@ class ServerSettings:
     silence_s: float = 5.0
     max_force: float = 100.0
     max_depth: float = 0.9
+    max_port: int = 65535
+    max_session: int = 2**64 - 1
 
 
 SETTINGS = ServerSettings()
@@ -69,15 +69,15 @@ def add_arguments(parser: Parser) -> None:
     add_solver_flags(parser)
     add_reduced_flag(parser)
     network = parser.add_argument_group("network")
-    network.add_argument("--port", type=at_least(0, _MAX_PORT), metavar="N", default=SETTINGS.port,
+    network.add_argument("--port", type=at_least(0, SETTINGS.max_port), metavar="N", default=SETTINGS.port,
                          help=f"UDP port of the poses; 0 selects a free port (default: {SETTINGS.port})")
-    network.add_argument("--configuration-port", type=at_least(0, _MAX_PORT), metavar="N",
+    network.add_argument("--configuration-port", type=at_least(0, SETTINGS.max_port), metavar="N",
                          help="TCP port of the configuration; 0 selects a free port (default: value of --port)")
     network.add_argument("--host", metavar="ADDRESS", default="127.0.0.1",
                          help="address of the network interface (default: 127.0.0.1, this computer only)")
     network.add_argument("--expose", action="store_true",
                          help="allow a --host that other computers can reach; they need no password")
-    network.add_argument("--session", type=at_least(1, _MAX_SESSION), metavar="N",
+    network.add_argument("--session", type=at_least(1, SETTINGS.max_session), metavar="N",
                          help="serve only clients whose packets carry this session number (default: the first client)")
     network.add_argument("--silence-s", type=positive, metavar="T", default=SETTINGS.silence_s,
                          help="time without packets after which another client may take over (default: %(default)g)")

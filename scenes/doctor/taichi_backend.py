@@ -4,12 +4,26 @@
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 
 from scenes.doctor.check import Check, format_size, get_folder_size
 from tissue_sim.errors import MissingBackendError
 
-#: Number of terms of the sum that the test kernel computes.
-_TERMS = 1000
+
+@dataclass(frozen=True)
+class ProbeSettings:
+    """Size and time limit of the checks of Taichi.
+
+    Attributes:
+        terms: number of terms of the sum that the test kernel computes.
+        timeout: longest duration of the probe in a process, s. A slow computer needs a longer time.
+    """
+
+    terms: int = 1000
+    timeout: float = 60.0
+
+
+_SETTINGS = ProbeSettings()
 #: Back-ends of Taichi except the CPU; the OpenGL ones last, see `find_other_backends`.
 _OTHER_BACKENDS = ("cuda", "amdgpu", "metal", "vulkan", "dx11", "opengl", "gles")
 #: Program that prints each of its arguments that names an available back-end.
@@ -21,8 +35,6 @@ for name in sys.argv[1:]:
     if ti.lang.misc.is_arch_supported(getattr(ti, name)):
         print(name, flush=True)
 """
-#: Longest duration of the probe, s.
-_PROBE_SECONDS = 60.0
 
 
 def check_kernel() -> Check:
@@ -47,7 +59,7 @@ def check_kernel() -> Check:
         return total
 
     try:
-        answer = sum_of_squares(_TERMS)
+        answer = sum_of_squares(_SETTINGS.terms)
     except (RuntimeError, ti.TaichiCompilationError) as error:
         return Check("Taichi", "fail", f"cannot compile a kernel ({error})",
                      "python -m pip install --force-reinstall taichi==1.7.4")
@@ -56,7 +68,7 @@ def check_kernel() -> Check:
     backend = str(ti.lang.impl.current_cfg().arch).removeprefix("Arch.")
     offered = [backend, *find_other_backends()]
     values = {"version": version, "backend": backend, "offered": ", ".join(offered), "start_s": seconds}
-    expected = sum(i * i for i in range(_TERMS))
+    expected = sum(i * i for i in range(_SETTINGS.terms))
     if answer != expected:
         return Check("Taichi", "fail", f"{version} on {backend} computed {answer} instead of {expected}",
                      "delete the files in the folder of compiled kernels, then: "
@@ -74,7 +86,7 @@ def find_other_backends() -> list[str]:
     """
     try:
         process = subprocess.run([sys.executable, "-c", _PROBE, *_OTHER_BACKENDS], capture_output=True, text=True,
-                              encoding="utf-8", timeout=_PROBE_SECONDS, check=False)
+                              encoding="utf-8", timeout=_SETTINGS.timeout, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return []
     return [name for name in process.stdout.split() if name in _OTHER_BACKENDS]

@@ -27,10 +27,24 @@ from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError,
 from tissue_sim.recording.recording import Recording
 
 _logger = logging.getLogger(__name__)
-#: Largest number of recordings of a calibration.
-MAX_RECORDINGS = 50
-#: Largest relative difference of depth and of speed between replicates, as in the package `calibration`.
-_REPLICATE_TOLERANCE = 0.2
+
+
+@dataclass(frozen=True)
+class RecordingLimits:
+    """Limits of the recordings of a calibration.
+
+    Attributes:
+        max_recordings: Largest number of recordings.
+        replicate_tolerance: Largest relative difference of depth and of speed between replicates, 1, as in the package
+            `calibration`. A larger value groups tests of different speeds.
+    """
+
+    max_recordings: int = 50
+    replicate_tolerance: float = 0.2
+
+
+#: Limits of every calibration.
+LIMITS = RecordingLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,8 +191,9 @@ class CalibrationRun:
         if any(each.file.stem.lower() == upload.stem.lower() for each in present):
             raise InputError("A recording of this name was uploaded before. Rename one of the files, or remove all "
                              "recordings.", file=upload.name)
-        if len(present) >= MAX_RECORDINGS:
-            raise InputError(f"The recording was not added: a calibration takes at most {MAX_RECORDINGS} recordings.",
+        if len(present) >= LIMITS.max_recordings:
+            raise InputError("The recording was not added: a calibration takes at most "
+                             f"{LIMITS.max_recordings} recordings.",
                              file=upload.name)
         new = _with_sidecar(upload, self._waiting.get(upload.stem))
         self._waiting.pop(upload.stem, None)
@@ -315,7 +330,7 @@ def group_replicates(recordings: Sequence[UploadedRecording]) -> tuple[tuple[str
 
 def _are_replicates(first: UploadedRecording, second: UploadedRecording) -> bool:
     pairs = [(first.depth, second.depth), (first.speed, second.speed)]
-    return all(a is None or b is None or max(a, b) <= (1.0 + _REPLICATE_TOLERANCE) * min(a, b) for a, b in pairs)
+    return all(a is None or b is None or max(a, b) <= (1.0 + LIMITS.replicate_tolerance) * min(a, b) for a, b in pairs)
 
 
 def _with_sidecar(file: Upload, sidecar: Upload | None) -> UploadedRecording:

@@ -28,6 +28,23 @@ class Phase(Enum):
 
 
 @dataclass(frozen=True)
+class FrameSettings:
+    """Rates of the frames of a session.
+
+    Attributes:
+        rate: Frames per second, Hz.
+        frames_per_plot: Number of frames between two updates of the plots.
+    """
+
+    rate: float = 30.0
+    frames_per_plot: int = 3
+
+
+#: Rates of every session.
+FRAMES = FrameSettings()
+
+
+@dataclass(frozen=True)
 class Readouts:
     """Present numbers of the simulation.
 

@@ -19,12 +19,26 @@ from tissue_sim.recording.origin import other_tool
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 from tissue_sim.recording.segmentation import load_and_unload
 
-#: Number of depths of the grid on which replicates are averaged.
-GRID_POINTS = 201
-#: Number of samples of a measured motion that is simulated for comparison; the fast solver needs about 25 ms for them.
-MOTION_SAMPLES = 50
-#: Weight of time relative to path length in the distribution of these samples.
-_TIME_WEIGHT = 0.25
+
+@dataclass(frozen=True)
+class ResamplingSettings:
+    """Numbers of points to which measured curves are resampled.
+
+    Attributes:
+        grid_points: Number of depths of the grid on which replicates are averaged.
+        motion_samples: Number of samples of a measured motion that is simulated for comparison; the fast solver needs
+            about 25 ms for 50.
+        time_weight: Weight of time relative to path length in the distribution of these samples, 1. A larger weight
+            places more samples in holds.
+    """
+
+    grid_points: int = 201
+    motion_samples: int = 50
+    time_weight: float = 0.25
+
+
+#: Resolution of every comparison.
+RESAMPLING = ResamplingSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +167,7 @@ def build_measurement(recordings: Sequence[Recording]) -> Measurement:
         raise InputError(f"must be the same in all recordings; got {named[0]} and {named[1]}. Give replicates of one "
                          "test.", file=kinds[named[1]], field="kind")
     grid = np.linspace(max(0.0, min(each.displacement.min() for each in recordings)),
-                       max(each.displacement.max() for each in recordings), GRID_POINTS)
+                       max(each.displacement.max() for each in recordings), RESAMPLING.grid_points)
     branches = tuple(load_and_unload(each) for each in recordings)
     unloadings = [unloading for _, unloading in branches if unloading.size]
     unload = None
@@ -228,7 +242,7 @@ def residual(model: Recording, measured: Measurement) -> Residual:
     return Residual(measured.depth, load - measured.load.mean, out, float(np.sqrt(np.mean(errors**2))), errors.size)
 
 
-def motion(measured: Measurement, *, samples: int = MOTION_SAMPLES, speed: float | None = None) -> Protocol:
+def motion(measured: Measurement, *, samples: int = RESAMPLING.motion_samples, speed: float | None = None) -> Protocol:
     """Return a protocol of the measured motion with few samples, to simulate it for comparison.
 
     The motion is that of the typical replicate from its first sample to the end of its first unloading. The samples are
@@ -289,7 +303,7 @@ def _distribute(time: np.ndarray, depth: np.ndarray, corners: np.ndarray, count:
     for begin, end in pairwise(corners.tolist()):
         travel = np.maximum.accumulate(np.sign(depth[end] - depth[begin]) * (depth[begin:end + 1] - depth[begin]))
         path[begin:end + 1] = path[begin] + np.maximum(travel, 0.0)
-    measure = path / max(path[-1], 1e-12) + _TIME_WEIGHT * (time - time[0]) / max(time[-1] - time[0], 1e-12)
+    measure = path / max(path[-1], 1e-12) + RESAMPLING.time_weight * (time - time[0]) / max(time[-1] - time[0], 1e-12)
     return np.unique(np.searchsorted(measure, np.linspace(0.0, measure[-1], count)).clip(0, depth.size - 1))
 
 

@@ -8,6 +8,7 @@ the plot, so `settled_range` changes a range rarely.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from html import escape
 from typing import Any
 
@@ -16,10 +17,33 @@ import numpy as np
 from scenes.viewer.measurement import Measurement, Residual
 
 Pair = tuple[np.ndarray, np.ndarray]
-#: Time span of the plot of force over time, s.
-SECONDS = 20.0
-#: Number of intervals of that span; each interval shows its smallest and its largest force.
-PARTS = 200
+
+
+@dataclass(frozen=True)
+class PlotSettings:
+    """Sizes and ranges of the plots.
+
+    Attributes:
+        time_span: time span of the plot of force over time, s.
+        intervals: number of intervals of that span; each interval shows its smallest and its largest force.
+        force_height: height of the plot of force over depth, pixels. The three plots with the texts between them fill a
+            window of 720 pixels; the page stretches them in a larger window.
+        other_height: height of the two other plots, pixels.
+        min_fill: fraction of an axis that the data must fill, 1; an axis with less data shrinks. A larger value changes
+            the axis more often.
+        zero_force: force range below which a plot is empty, N.
+    """
+
+    time_span: float = 20.0
+    intervals: int = 200
+    force_height: int = 208
+    other_height: int = 128
+    min_fill: float = 0.4
+    zero_force: float = 1e-9
+
+
+#: Settings of every page.
+PLOTS = PlotSettings()
 #: Colours of the curves on a light page (Okabe and Ito), by role.
 LIGHT = {"measured": "#6b6b6b", "model": "#0072B2", "compared": "#CC79A7", "live": "#D55E00", "hand": "#009E73",
          "late": "#8a8a8a"}
@@ -29,17 +53,8 @@ DARK = {"measured": "#b5b5b5", "model": "#56B4E9", "compared": "#CC79A7", "live"
 _BAND = "rgba(128, 128, 128, 0.28)"
 _GRID = "rgba(128, 128, 128, 0.18)"
 _DASH = (6, 4)
-#: Height of the plot of force over depth, pixels. The three plots with the texts between them fill a window of 720
-#: pixels; the page stretches them in a larger window.
-FORCE_HEIGHT = 208
-#: Height of the two other plots, pixels.
-OTHER_HEIGHT = 128
 #: Mantissas of the ends of an axis, times powers of ten.
 _NICE = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
-#: Fraction of an axis that the data must fill; an axis with less data shrinks.
-_MIN_FILL = 0.4
-#: Force range below which a plot is empty, N.
-_ZERO_FORCE = 1e-9
 
 
 def depth_grid(deepest: float, points: int = 201) -> np.ndarray:
@@ -104,7 +119,7 @@ def force_depth_options(x_range: tuple[float, float], y_range: tuple[float, floa
                    "points": {"show": True, "size": 4, "fill": colours["late"], "stroke": colours["late"]}})
     series.append({"label": "now", "stroke": colours["live"], "width": 0,
                    "points": {"show": True, "size": 9, "fill": colours["live"], "stroke": colours["live"]}})
-    return _options(series, x_range, y_range, "depth [mm]", "force [N]", height=FORCE_HEIGHT,
+    return _options(series, x_range, y_range, "depth [mm]", "force [N]", height=PLOTS.force_height,
                     bands=({"series": (2, 1), "fill": _BAND}, {"series": (5, 4), "fill": _BAND}))
 
 
@@ -145,13 +160,13 @@ def residual_depth_options(x_range: tuple[float, float], y_range: tuple[float, f
     series = [{"label": "depth [mm]"}, _band_edge("lowest"), _band_edge("highest"),
               _line("zero", (DARK if dark else LIGHT)["measured"], 1.0), _line("load", colour, 2.0),
               _line("unload", colour, 2.0, _DASH)]
-    return _options(series, x_range, y_range, "depth [mm]", "residual [N]", height=OTHER_HEIGHT,
+    return _options(series, x_range, y_range, "depth [mm]", "residual [N]", height=PLOTS.other_height,
                     bands=({"series": (2, 1), "fill": _BAND},))
 
 
 def force_time(time: np.ndarray, force: np.ndarray, now: float, *, measured: Pair | None = None,
                hand: np.ndarray | None = None,
-               seconds: float = SECONDS) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
+               seconds: float = PLOTS.time_span) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
     """Return the data of the plot of force over time.
 
     Args:
@@ -164,10 +179,10 @@ def force_time(time: np.ndarray, force: np.ndarray, now: float, *, measured: Pai
 
     Returns:
         Columns in the order of `force_time_options`: time relative to now, s, and forces, N, each of shape
-        (2 `PARTS`,), with the smallest and the largest force of each interval of `seconds` / `PARTS`; and the smallest
-        and largest force of all columns, N.
+        (2 `PlotSettings.intervals`,), with the smallest and the largest force of each interval; and the smallest and
+        largest force of all columns, N.
     """
-    x = np.linspace(-seconds, 0.0, 2 * PARTS)
+    x = np.linspace(-seconds, 0.0, 2 * PLOTS.intervals)
     live = _smallest_and_largest(np.asarray(time) - now, np.asarray(force), seconds)
     on_hand = np.full(x.size, np.nan)
     if hand is not None:
@@ -178,7 +193,8 @@ def force_time(time: np.ndarray, force: np.ndarray, now: float, *, measured: Pai
     return (x, replayed, live, on_hand), _extent([replayed, live, on_hand])
 
 
-def force_time_options(y_range: tuple[float, float], *, seconds: float = SECONDS, dark: bool = False) -> dict[str, Any]:
+def force_time_options(y_range: tuple[float, float], *, seconds: float = PLOTS.time_span,
+                       dark: bool = False) -> dict[str, Any]:
     """Return the keyword arguments of `add_uplot` for the data of `force_time`.
 
     Args:
@@ -189,7 +205,7 @@ def force_time_options(y_range: tuple[float, float], *, seconds: float = SECONDS
     colours = DARK if dark else LIGHT
     series = [{"label": "time [s]"}, _line("measured", colours["measured"], 1.5), _line("live", colours["live"], 2.0),
               _line("on the hand", colours["hand"], 1.5)]
-    return _options(series, (-seconds, 0.0), y_range, "time before now [s]", "force [N]", height=OTHER_HEIGHT)
+    return _options(series, (-seconds, 0.0), y_range, "time before now [s]", "force [N]", height=PLOTS.other_height)
 
 
 def plot_scales(x_range: tuple[float, float], y_range: tuple[float, float]) -> dict[str, Any]:
@@ -210,7 +226,7 @@ def curve_options(label: str, x_range: tuple[float, float], y_range: tuple[float
     colour = (DARK if dark else LIGHT)["live"]
     series: list[dict[str, Any]] = [{"label": label}, {"label": "force", "stroke": colour, "width": 0, "points": {
         "show": True, "size": 3, "fill": colour, "stroke": colour}}]
-    return _options(series, x_range, y_range, label, "force [N]", height=FORCE_HEIGHT)
+    return _options(series, x_range, y_range, label, "force [N]", height=PLOTS.force_height)
 
 
 def settled_range(extent: tuple[float, float], previous: tuple[float, float] | None = None, *,
@@ -227,9 +243,9 @@ def settled_range(extent: tuple[float, float], previous: tuple[float, float] | N
         high = max(-low, high)
         low = -high
     if previous is not None and previous[0] <= low and high <= previous[1] \
-            and high - low >= _MIN_FILL * (previous[1] - previous[0]):
+            and high - low >= PLOTS.min_fill * (previous[1] - previous[0]):
         return previous
-    if high - low < _ZERO_FORCE:
+    if high - low < PLOTS.zero_force:
         return (-1.0 if about_zero else 0.0), 1.0
     # The smaller side gets at least 5 % of the larger one, so that small values near zero do not change the range.
     top = _round_up(max(1.05 * high, -0.05 * low)) if high > 0 else 0.0
@@ -320,15 +336,15 @@ def _smallest_and_largest(age: np.ndarray, force: np.ndarray, seconds: float) ->
         seconds: Time span, s.
 
     Returns:
-        Forces, N, shape (2 `PARTS`,), NaN before the first and after the last point.
+        Forces, N, shape (2 `PlotSettings.intervals`,), NaN before the first and after the last point.
     """
     first = max(int(np.searchsorted(age, -seconds)) - 1, 0)
     age, force = age[first:], force[first:]
     if not age.size:
-        return np.full(2 * PARTS, np.nan)
-    x = np.linspace(-seconds, 0.0, 2 * PARTS)
-    values = np.interp(x, age, force, left=np.nan).reshape(PARTS, 2)
-    part = np.clip(((age + seconds) * (PARTS / seconds)).astype(int), 0, PARTS - 1)
+        return np.full(2 * PLOTS.intervals, np.nan)
+    x = np.linspace(-seconds, 0.0, 2 * PLOTS.intervals)
+    values = np.interp(x, age, force, left=np.nan).reshape(PLOTS.intervals, 2)
+    part = np.clip(((age + seconds) * (PLOTS.intervals / seconds)).astype(int), 0, PLOTS.intervals - 1)
     recent = age >= -seconds
     part, force = part[recent], force[recent]
     if part.size:

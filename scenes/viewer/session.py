@@ -15,7 +15,7 @@ from haptics.devices.motions import HandMotion
 from haptics.loop.loop import LoopSettings
 from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS, take_result
 from scenes.viewer.calibration_run import CalibrationRun
-from scenes.viewer.frame import Curves, Frame, Phase, Viewer
+from scenes.viewer.frame import FRAMES, Curves, Frame, Phase, Viewer
 from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from scenes.viewer.material_files import save_edited
 from scenes.viewer.measurement import motion, residual_or_none
@@ -29,12 +29,8 @@ from tissue_sim.errors import InputError
 from tissue_sim.live_material import require_tissue
 from tissue_sim.parameters import parameter_values, with_values
 
-#: Frames per second.
-FRAME_RATE = 30.0
-#: Number of frames between two updates of the plots.
-PLOT_EVERY = 3
 #: Duration of a single step of a paused motion, s.
-STEP_TIME = 1.0 / FRAME_RATE
+STEP_TIME = 1.0 / FRAMES.rate
 
 
 class Session:
@@ -114,7 +110,7 @@ class Session:
         if records is not None and len(records):
             self._trace_version += self._trace.append(records)
         self._curve.poll()
-        if self._frames % PLOT_EVERY == 0:
+        if self._frames % FRAMES.frames_per_plot == 0:
             self._update_curves()
         self._frames += 1
         message = simulation.message
@@ -139,7 +135,7 @@ class Session:
         while not stop.is_set() and (seconds is None or time.monotonic() - began < seconds):
             viewer.show(self.frame())
             # After a slow frame, the following frames keep their distance instead of catching up.
-            due = max(due + 1.0 / FRAME_RATE, time.monotonic())
+            due = max(due + 1.0 / FRAMES.rate, time.monotonic())
             stop.wait(due - time.monotonic())
 
     def aim(self, depth: float | None = None, across: tuple[float, float] | None = None) -> None:

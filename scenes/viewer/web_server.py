@@ -20,6 +20,7 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
+from dataclasses import dataclass
 from http import HTTPStatus
 from types import SimpleNamespace
 from typing import Any
@@ -40,19 +41,32 @@ from tissue_sim.errors import InputError, MissingBackendError
 VISER_VERSION = "1.1.1"
 #: Default address.
 LOOPBACK = "127.0.0.1"
-#: Default port.
-PORT = 8080
+
+
+@dataclass(frozen=True)
+class WebServerSettings:
+    """Port and limits of the web server.
+
+    Attributes:
+        port: default TCP port of the page.
+        start_timeout: time limit for the start of listening, s.
+        max_part_size: largest part in which viser's page sends an upload, bytes.
+    """
+
+    port: int = 8080
+    start_timeout: float = 10.0
+    max_part_size: int = 512 * 1024
+
+
+#: Settings of every page.
+SERVER = WebServerSettings()
 #: Names of this computer on the loopback interface.
 _LOCAL_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
-#: Time limit for the start of listening, s.
-_START_TIMEOUT = 10.0
-#: Largest part in which viser's page sends an upload, bytes.
-_MAX_PART_SIZE = 512 * 1024
 #: Lock for changes of module state of viser and rich while a server starts or stops.
 _module_state = threading.RLock()
 
 
-def open_server(host: str = LOOPBACK, port: int = PORT, *, exposed: bool = False,
+def open_server(host: str = LOOPBACK, port: int = SERVER.port, *, exposed: bool = False,
                 title: str = "tissue_sim", token: str = "") -> ViewerServer:
     """Start a viser server that answers only its own page; the server listens when the function returns.
 
@@ -161,8 +175,8 @@ class ViewerServer(viser.ViserServer):
             handlers[0] = lambda client, message: handle(client, message) if is_acceptable(message) else None
 
         accept_only(messages.FileTransferStartUpload, lambda start: start.size_bytes <= LARGEST_UPLOAD
-                    and start.part_count <= LARGEST_UPLOAD // _MAX_PART_SIZE + 1)
-        accept_only(messages.FileTransferPart, lambda part: len(part.content) <= _MAX_PART_SIZE)
+                    and start.part_count <= LARGEST_UPLOAD // SERVER.max_part_size + 1)
+        accept_only(messages.FileTransferPart, lambda part: len(part.content) <= SERVER.max_part_size)
 
 
 class _MessageEvent(asyncio.Event):
@@ -240,7 +254,7 @@ class _CheckedListener:
             OSError: Another program has started to listen at this address.
         """
         loop = self._server.get_loop()
-        asyncio.run_coroutine_threadsafe(self._server.start_serving(), loop).result(_START_TIMEOUT)
+        asyncio.run_coroutine_threadsafe(self._server.start_serving(), loop).result(SERVER.start_timeout)
 
     def _checked(self, answer: Callable) -> Callable:
         """Return viser's function for HTTP requests with the access checks before it."""

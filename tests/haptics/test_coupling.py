@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from haptics.safety.coupling import LONGEST_STIFFNESS_AGE, VirtualCoupling, is_stale
+from haptics.safety.coupling import COUPLING, VirtualCoupling, is_stale
 from tissue_sim import InputError
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus, NextForce, ToolForce, axial_stiffness, axial_wrench
@@ -388,8 +388,14 @@ def test_a_stiffness_that_is_too_old_does_not_make_the_proxy_oscillate(first, ti
 def test_a_recent_stiffness_is_used():
     young, old = (VirtualCoupling(500.0) for _ in range(2))
     answer = ToolForce.axial(0.0, 1500.0, ForceStatus.CONVERGED)
-    for coupling, age in ((young, LONGEST_STIFFNESS_AGE), (old, 1.01 * LONGEST_STIFFNESS_AGE)):
+    for coupling, age in ((young, COUPLING.longest_stiffness_age), (old, 1.01 * COUPLING.longest_stiffness_age)):
         step(coupling, 0.0, None)
         step(coupling, 1e-3, replace(answer, stiffness_age=age))
     assert young.pose.depth == pytest.approx(1e-3 * 500.0 / 2000.0) and is_stale(replace(answer, stiffness_age=1.0))
     assert old.pose.depth == pytest.approx(1e-3)  # nothing is known of the stiffness yet
+
+
+def test_the_old_name_of_the_age_limit_warns():
+    with pytest.warns(DeprecationWarning, match="renamed to COUPLING.longest_stiffness_age"):
+        from haptics.safety.coupling import LONGEST_STIFFNESS_AGE
+    assert COUPLING.longest_stiffness_age == LONGEST_STIFFNESS_AGE

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptics.safety.force_release import LARGEST_FIRST_FORCE, PATIENCE, RAMP, ForceRelease
+from haptics.safety.force_release import RELEASE, ForceRelease
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus, NextForce, ToolForce, axial_stiffness, axial_wrench
@@ -40,13 +40,13 @@ def test_force_and_stiffness_fade_together_after_the_patience(release, status):
     lost = answer(status)
     release.step(answer(), 0.0)
     results = [release.step(lost, k * TICK) for k in range(1, 200)]
-    patient = round(PATIENCE / TICK) - 1
+    patient = round(RELEASE.patience / TICK) - 1
     assert all(one is lost for one in results[:patient])
     fading = results[patient:]
     assert {one.status for one in fading} == {ForceStatus.FADING}
     gains = [one.force / 5.0 for one in fading]
-    assert gains == sorted(gains, reverse=True) and gains[round(RAMP / TICK)] == 0.0
-    assert max(a - b for a, b in zip([1.0, *gains], gains, strict=False)) <= 1.5 * TICK / RAMP + 1e-12
+    assert gains == sorted(gains, reverse=True) and gains[round(RELEASE.ramp / TICK)] == 0.0
+    assert max(a - b for a, b in zip([1.0, *gains], gains, strict=False)) <= 1.5 * TICK / RELEASE.ramp + 1e-12
     for one, gain in zip(fading, gains, strict=True):
         assert one.stiffness == pytest.approx(800.0 * gain)
         assert one.step_stiffness == pytest.approx(3100.0 * gain)
@@ -60,7 +60,7 @@ def test_force_returns_along_a_ramp_with_the_status_returning(release):
         release.step(answer(ForceStatus.STOPPED), k * TICK)
     back = [release.step(answer(), (200 + k) * TICK) for k in range(100)]
     ramp = [one for one in back if one.status is ForceStatus.RETURNING]
-    assert len(ramp) == round(RAMP / TICK) - 1 and ramp == back[:len(ramp)]
+    assert len(ramp) == round(RELEASE.ramp / TICK) - 1 and ramp == back[:len(ramp)]
     assert [one.force for one in ramp] == sorted(one.force for one in ramp) and ramp[0].force < 0.01
     assert all(one == answer() for one in back[len(ramp):])
 
@@ -78,7 +78,7 @@ def test_a_hand_that_begins_inside_begins_without_a_force():
     release.reset()
     assert release.step(answer(), 1.0).force == 0.0
     release.reset()
-    touch = answer(force=LARGEST_FIRST_FORCE)
+    touch = answer(force=RELEASE.largest_first_force)
     assert release.step(touch, 1.0) is touch
 
 
@@ -111,5 +111,5 @@ def test_force_is_at_most_that_of_the_tissue_and_zero_after_patience_and_ramp(ev
         assert result.force <= 5.0 and result.stiffness <= 800.0
         assert result.force / 5.0 == pytest.approx(result.stiffness / 800.0)
         assert release.gain == pytest.approx(result.force / 5.0)
-        if now - last_equilibrium > PATIENCE + RAMP + 1e-9:
+        if now - last_equilibrium > RELEASE.patience + RELEASE.ramp + 1e-9:
             assert result.force == 0.0

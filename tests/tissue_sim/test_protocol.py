@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from tissue_sim.experiment.protocol import HOLD_GROWTH
+from tissue_sim.experiment.protocol import HOLD_STEPS
 from tissue_sim.experiment.protocol_text import parse_protocol, write_protocol
 from tissue_sim.experiment.segments import EXAMPLE, KINDS, Repeat, Segment
 
@@ -78,8 +78,8 @@ class TestSamples:
         """From 2 s, or a twentieth of a short hold, by a quarter each; shortened by less than one more step would."""
         protocol = ts.Protocol.parse(f"ramp 10mm @0.5mm/s; hold {hold!r}s", points=11)
         steps = np.diff(protocol.time[10:])
-        np.testing.assert_allclose(steps[1:] / steps[:-1], HOLD_GROWTH, rtol=1e-9)
-        assert first / HOLD_GROWTH**1.5 < steps[0] <= first * (1 + 1e-9)
+        np.testing.assert_allclose(steps[1:] / steps[:-1], HOLD_STEPS.growth, rtol=1e-9)
+        assert first / HOLD_STEPS.growth**1.5 < steps[0] <= first * (1 + 1e-9)
         assert steps.sum() == pytest.approx(hold) and (protocol.displacement[10:] == 0.010).all()
 
     def test_cost_of_a_long_hold_is_a_logarithm(self):

@@ -15,10 +15,24 @@ from tissue_sim.experiment.segments import Leg, fault, legs
 STUDY_SPEED = 0.248e-3
 #: Largest number of samples of a protocol.
 MOST_SAMPLES = 100_000
-#: Ratio of each time step of a hold to the step before, 1.
-HOLD_GROWTH = 1.25
-#: Largest first time step of a hold over its duration, 1.
-HOLD_FIRST = 0.05
+
+
+@dataclass(frozen=True)
+class HoldStepSettings:
+    """Distribution of the time steps of a hold.
+
+    Attributes:
+        growth: ratio of each time step to the step before, 1. A smaller ratio resolves the relaxation with more
+            samples.
+        largest_first: largest first time step over the duration of the hold, 1.
+    """
+
+    growth: float = 1.25
+    largest_first: float = 0.05
+
+
+#: Distribution of every hold.
+HOLD_STEPS = HoldStepSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +105,9 @@ class Protocol:
         """Make a protocol from text, such as ``"ramp 10mm @0.248mm/s; hold 60s; unload"``.
 
         A moving segment has `points` samples at equal distances, with its start. The time steps of a hold grow by
-        `HOLD_GROWTH`, from the last time step of the motion before (at most `HOLD_FIRST` of the hold), and are scaled
-        so that the last one ends the hold. A sample where two segments meet belongs to the first of them.
+        `HoldStepSettings.growth`, from the last time step of the motion before (at most
+        `HoldStepSettings.largest_first` of the hold), and are scaled so that the last one ends the hold. A sample where
+        two segments meet belongs to the first of them.
 
         Args:
             text: segments; see `tissue_sim.experiment.protocol_text.parse_protocol`.
@@ -165,9 +180,9 @@ def _sample(leg: Leg, now: float, points: int, step: float) -> tuple[np.ndarray,
 
 def _hold(duration: float, step: float) -> np.ndarray:
     """Times of the samples of a hold, s, the last one equal to `duration`; see `Protocol.parse`."""
-    first = min(max(step / duration, 1e-9), HOLD_FIRST)
-    count = math.ceil(math.log1p((HOLD_GROWTH - 1) / first) / math.log(HOLD_GROWTH))
-    growth = HOLD_GROWTH ** np.arange(1, count + 1) - 1
+    first = min(max(step / duration, 1e-9), HOLD_STEPS.largest_first)
+    count = math.ceil(math.log1p((HOLD_STEPS.growth - 1) / first) / math.log(HOLD_STEPS.growth))
+    growth = HOLD_STEPS.growth ** np.arange(1, count + 1) - 1
     return duration * (growth / growth[-1])
 
 

@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from tissue_sim.recording.recording import Recording
 
-#: Depths whose difference is below this fraction of the travel are equal; small oscillations in a hold are ignored.
-_RESOLVED = 1e-3
-#: Force over the largest force below which the tool is out of contact, 1.
-_NO_FORCE = 1e-6
-#: Number of bisections.
-_HALVINGS = 60
+
+@dataclass(frozen=True)
+class LoadingCurveSettings:
+    """Tolerances of a `LoadingCurve`.
+
+    Attributes:
+        resolution: depths whose difference is below this fraction of the travel are equal, 1; small oscillations in a
+            hold are ignored. A larger value ignores larger oscillations.
+        no_force: force over the largest force at or below which the tool is out of contact, 1.
+        bisections: number of bisections of the depth of a tool on a compliant rig; each halves the error of the depth.
+    """
+
+    resolution: float = 1e-3
+    no_force: float = 1e-6
+    bisections: int = 60
+
+
+#: Tolerances of every curve.
+_SETTINGS = LoadingCurveSettings()
 
 
 class LoadingCurve:
@@ -29,13 +44,13 @@ class LoadingCurve:
     def __init__(self, recording: Recording):
         depth, force = recording.displacement, recording.force
         hold = recording.labels["segment"] == "hold" if "segment" in recording.labels else np.zeros(depth.size, bool)
-        step = _RESOLVED * np.ptp(depth)
+        step = _SETTINGS.resolution * np.ptp(depth)
         first = _first_reached(depth, hold, step)
         self._into = _from_touch(depth[first], force[first], step)
         self._out = _from_touch(-depth[first], force[first], step)
         self._extremes = force[first].min(), force[first].max()
         curve = self(depth)
-        loaded = np.abs(curve) > _NO_FORCE * np.abs(force).max()
+        loaded = np.abs(curve) > _SETTINGS.no_force * np.abs(force).max()
         # A ratio far from 1 means that the curve is near zero; the difference is used in addition to a limited ratio.
         factor = np.clip(np.divide(force, curve, out=np.ones_like(force), where=loaded), 0.0, 2.0)
         # Out of contact the effect of history is that of the last contact; there is none before the first contact.
@@ -71,7 +86,7 @@ class LoadingCurve:
             np.minimum(self(motion), self._extremes[0]), np.maximum(self(motion), self._extremes[1])))
         shallow = motion - compliance * np.maximum(strongest, 0.0)
         deep = motion - compliance * np.minimum(weakest, 0.0)
-        for _ in range(_HALVINGS):
+        for _ in range(_SETTINGS.bisections):
             middle = 0.5 * (shallow + deep)
             short = middle + compliance * force_at(middle) < motion
             shallow, deep = np.where(short, middle, shallow), np.where(short, deep, middle)

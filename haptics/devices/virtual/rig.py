@@ -20,16 +20,29 @@ from tissue_sim import Protocol as Motion
 from tissue_sim.errors import InputError
 from tissue_sim.rig.loading_curve import LoadingCurve
 
-#: Range along z of the default sensor, an ATI Mini40 SI-40-2, N.
-SENSOR_RANGE = 120.0
-#: Resolution along z of the default sensor, N.
-SENSOR_RESOLUTION = 0.02
+
+@dataclass(frozen=True)
+class VirtualRigSettings:
+    """Properties of the default sensor and stage of a virtual rig.
+
+    Attributes:
+        sensor_range: range of the sensor along z, N, as of an ATI Mini40 SI-40-2.
+        sensor_resolution: resolution of the sensor along z, N, as of an ATI Mini40 SI-40-2.
+        stage_step: length of a motor step of the stage, m.
+        speed_interval: interval of the backward difference that gives the tool's speed, s. A longer interval smooths
+            the speed and delays it.
+    """
+
+    sensor_range: float = 120.0
+    sensor_resolution: float = 0.02
+    stage_step: float = 1e-6
+    speed_interval: float = 2e-3
+
+
+#: Default sensor and stage.
+DEFAULTS = VirtualRigSettings()
 #: Travel and top speed of the default stage, from 50 mm above its zero to 30 mm below, at 20 mm/s.
 STAGE_LIMITS = StageLimits(-0.05, 0.03, 0.02)
-#: Length of a motor step of the default stage, m.
-STAGE_STEP = 1e-6
-#: Interval of the backward difference that gives the tool's speed, s.
-_SPEED_INTERVAL = 2e-3
 
 
 @dataclass(frozen=True)
@@ -151,8 +164,8 @@ class VirtualRig:
 
     def __init__(self, specimen: Specimen, rig: Rig | None = None, *, surface: float = 2e-3,
                  limits: StageLimits = STAGE_LIMITS, start_at: float = -5e-3, channels: tuple[str, ...] = ("Fz",),
-                 sign: int = 1, rate: float = 1000.0, reach: float = SENSOR_RANGE,
-                 resolution: float = SENSOR_RESOLUTION, encoder: bool = True, faults: Faults | None = None,
+                 sign: int = 1, rate: float = 1000.0, reach: float = DEFAULTS.sensor_range,
+                 resolution: float = DEFAULTS.sensor_resolution, encoder: bool = True, faults: Faults | None = None,
                  clock: Callable[[], float] = time.monotonic):
         rig, faults = rig or Rig(), faults or Faults()
         if rig.faults or rig.sampling_rate is not None:
@@ -167,7 +180,7 @@ class VirtualRig:
         #: Last noise, N, its time, s, and time of the first sample, s.
         self._noise, self._last, self._began = 0.0, -math.inf, math.inf
         self._tool_motion = replace(rig.motion_only, compliance=0.0).tool_motion
-        self.stage = VirtualStage(limits, STAGE_STEP, start_at, clock, encoder, faults.stall_after)
+        self.stage = VirtualStage(limits, DEFAULTS.stage_step, start_at, clock, encoder, faults.stall_after)
         self.sensor = VirtualForceSensor(self._load, channels, rate, resolution, reach, clock,
                                          silent_after=faults.disconnect_after)
 
@@ -181,8 +194,8 @@ class VirtualRig:
         rig = self._rig
         self._began = min(self._began, at)
         delayed = at - rig.latency
-        depth, before = self._depth(delayed), self._depth(delayed - _SPEED_INTERVAL)
-        speed = (depth - before) / _SPEED_INTERVAL
+        depth, before = self._depth(delayed), self._depth(delayed - DEFAULTS.speed_interval)
+        speed = (depth - before) / DEFAULTS.speed_interval
         force = self._specimen.force(delayed, depth)
         force += rig.guide_friction * ((speed > 0) - (speed < 0)) + rig.rate_damping * speed
         force = (1 + rig.sensor_gain) * force + rig.zero_offset + self._disturbance(at)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from textwrap import shorten
 from typing import TYPE_CHECKING
 
@@ -26,12 +27,23 @@ if TYPE_CHECKING:
     from calibration.fit.fit import Fit, Prediction, Region
     from calibration.fit.result import CalibrationResult
 
-#: Width of the parameter names, characters; longer names are wrapped.
-_NAME_WIDTH = 29
-#: Length of a note on an interval, characters; the report has the whole note.
-_NOTE_WIDTH = 60
-#: Number of regions with a misfit that are printed for a law; the report lists all.
-_MAX_REGIONS = 3
+
+@dataclass(frozen=True)
+class TableLayout:
+    """Sizes of the tables of fits.
+
+    Attributes:
+        name_width: width of the parameter names, characters; longer names are wrapped.
+        note_width: length of a note on an interval, characters; the report has the whole note.
+        max_regions: number of regions with a misfit that are printed for a law; the report lists all.
+    """
+
+    name_width: int = 29
+    note_width: int = 60
+    max_regions: int = 3
+
+
+_LAYOUT = TableLayout()
 
 
 def print_fits(result: CalibrationResult, console: Console) -> None:
@@ -118,7 +130,7 @@ def _parameter_table(fits: Sequence[Fit], units: Units) -> Table:
     """Return the table of the parameters of all laws with standard errors and profile-likelihood intervals."""
     table = text_table("parameter", "value ± standard error", "95 % interval", text=3)
     table.columns[0].no_wrap, table.columns[0].overflow = False, "fold"
-    table.columns[0].max_width = _NAME_WIDTH
+    table.columns[0].max_width = _LAYOUT.name_width
     for fit in fits:
         if len(fits) > 1:
             table.add_row(fit.law, "", "")
@@ -169,7 +181,7 @@ def _missing_predictions(predictions: Sequence[Prediction]) -> Iterator[str]:
 def _identifiability_remarks(fits: Sequence[Fit], units: Units) -> Iterator[str]:
     """Yield sentences on truncated intervals, unidentifiable parameters and poorly determined directions."""
     for fit in fits:
-        cuts = [f"{fit.symbols[name]} {shorten(note, _NOTE_WIDTH, placeholder=' ...')}"
+        cuts = [f"{fit.symbols[name]} {shorten(note, _LAYOUT.note_width, placeholder=' ...')}"
                 for name, profile in fit.profiles.items() for note in profile.notes]
         if cuts:
             yield f"{fit.law}: cut intervals: {'; '.join(cuts)}"
@@ -191,8 +203,9 @@ def _misfit_remarks(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units
         bad = sorted((region for region in fit.regions if not region.adequate),
                      key=lambda region: (region.p, -region.statistic))
         if bad:
-            worst = "; ".join(_describe_misfit(region, tests[region.test], units) for region in bad[:_MAX_REGIONS])
-            more = f"; and {len(bad) - _MAX_REGIONS} more" if len(bad) > _MAX_REGIONS else ""
+            most = _LAYOUT.max_regions
+            worst = "; ".join(_describe_misfit(region, tests[region.test], units) for region in bad[:most])
+            more = f"; and {len(bad) - most} more" if len(bad) > most else ""
             yield f"{fit.law}: smooth misfit in {worst}{more}"
         elif fit.regions:
             yield f"{fit.law}: no smooth misfit in any of {format_count(len(fit.regions), 'region')}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from scenes.commands.shared.campaigns import add_workers
@@ -12,12 +13,25 @@ from scenes.commands.shared.parsing import Parser, add_json, at_least
 
 SUMMARY = "predict, before an experiment, the errors of the material parameters and which effects are detectable"
 EXAMPLE = "tissue-sim design plan.toml --replicates 3 --workers 2"
-#: Recordings of each planned test, the default of `calibration.design_experiments`.
-REPLICATES = 3
-#: Samples of a recording, the default of `calibration.design_experiments`.
-SAMPLES = 500
-#: Least number of samples that `calibration.design_experiments` accepts.
-MIN_SAMPLES = 20
+
+
+@dataclass(frozen=True)
+class DesignFlagSettings:
+    """Defaults and limits of the flags, as of `calibration.design_experiments`.
+
+    Attributes:
+        replicates: recordings of each planned test.
+        samples: samples of a recording.
+        min_samples: least number of samples of a recording.
+    """
+
+    replicates: int = 3
+    samples: int = 500
+    min_samples: int = 20
+
+
+#: Defaults of the command.
+FLAGS = DesignFlagSettings()
 
 
 def add_arguments(parser: Parser) -> None:
@@ -26,10 +40,10 @@ def add_arguments(parser: Parser) -> None:
                         help='campaign file with method = "inverse_fem", the expected parameters as start, and force_N '
                              'under [noise]; each test has recordings or a motion such as protocol = "ramp 10mm; '
                              'hold 60s; unload"')
-    parser.add_argument("--replicates", type=at_least(1), default=REPLICATES, metavar="N",
-                        help=f"number of recordings of each planned test (default: {REPLICATES})")
-    parser.add_argument("--samples", type=at_least(MIN_SAMPLES), default=SAMPLES, metavar="N",
-                        help=f"number of samples of a recording, evenly spaced in time (default: {SAMPLES})")
+    parser.add_argument("--replicates", type=at_least(1), default=FLAGS.replicates, metavar="N",
+                        help=f"number of recordings of each planned test (default: {FLAGS.replicates})")
+    parser.add_argument("--samples", type=at_least(FLAGS.min_samples), default=FLAGS.samples, metavar="N",
+                        help=f"number of samples of a recording, evenly spaced in time (default: {FLAGS.samples})")
     parser.add_argument("--law", help="material law, one of the laws of the campaign (default: its first law)")
     add_workers(parser, "the evaluation of the effects")
     add_json(parser)

@@ -12,7 +12,7 @@ from scenes.catalogue import SCENES
 from scenes.commands.shared.console import print_json, progress_console, results_console
 from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.experiment_flags import (
-    DEFAULT_DEPTH_MM,
+    MOTION_FLAGS,
     add_experiment_flags,
     check_scene,
     make_experiment,
@@ -230,7 +230,7 @@ def open_source(arguments, name: str, protocol, *, lifts: bool = True):
         return open_haptic(name)
     if name == "protocol":
         return follow_protocol(protocol)
-    depth = f"depth_mm={arguments.depth_mm or DEFAULT_DEPTH_MM!r}" + ("" if lifts else ",lift=0")
+    depth = f"depth_mm={arguments.depth_mm or MOTION_FLAGS.depth_mm!r}" + ("" if lifts else ",lift=0")
     motions_of_flags = {"random": f"random:{depth},top_speed_mm_s={arguments.top_speed_mm_s!r},seed={arguments.seed},"
                           f"sideways_mm={arguments.sideways_mm or 0.0!r},turn_deg={arguments.turn_deg or 0.0!r}",
                 "sine": f"sine:{depth},frequency_hz={arguments.frequency_hz!r}"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,10 +26,24 @@ if TYPE_CHECKING:
     from tissue_sim.experiment.contact_law import ContactLaw
     from tissue_sim.parameters import Declaration
 
-#: Largest value of ``--points``; larger protocols would exhaust the memory.
-MAX_POINTS = 100_000
-#: Depth of the ramp without ``--depth-mm`` and ``--protocol``, mm.
-DEFAULT_DEPTH_MM = 10.0
+
+@dataclass(frozen=True)
+class MotionFlagSettings:
+    """Defaults and limits of the flags of the motion.
+
+    Attributes:
+        max_points: largest value of ``--points``; larger protocols would exhaust the memory.
+        depth_mm: depth of the ramp without ``--depth-mm`` and ``--protocol``, mm.
+        points: default of ``--points``.
+    """
+
+    max_points: int = 100_000
+    depth_mm: float = 10.0
+    points: int = 21
+
+
+#: Defaults of all commands with these flags.
+MOTION_FLAGS = MotionFlagSettings()
 #: Sizes of the cylinder without flags: the silicone specimen of the reference study.
 DEFAULT_CYLINDER_SIZES = {"radius_mm": 40.0, "height_mm": 70.0}
 
@@ -52,11 +67,11 @@ def _add_motion(parser: Parser) -> None:
     """Add the flags of the motion."""
     motion = parser.add_argument_group("motion")
     motion.add_argument("--depth-mm", type=positive, metavar="N",
-                        help=f"largest tool displacement of a single ramp (default: {DEFAULT_DEPTH_MM:g})")
+                        help=f"largest tool displacement of a single ramp (default: {MOTION_FLAGS.depth_mm:g})")
     motion.add_argument("--protocol", metavar="TEXT",
                         help="motion in segments instead of --depth-mm, such as 'approach 2mm; ramp 10mm @0.248mm/s; "
                              "hold 60s; unload; reload; retract 2mm' or 'repeat 3 (ramp 5mm; unload)'")
-    motion.add_argument("--points", type=at_least(2, MAX_POINTS), metavar="N", default=21,
+    motion.add_argument("--points", type=at_least(2, MOTION_FLAGS.max_points), metavar="N", default=MOTION_FLAGS.points,
                         help="number of samples of the ramp, or of each moving segment, its first one included "
                              "(default: 21)")
     motion.add_argument("--speed-mm-s", type=positive, metavar="N", default=0.248,
@@ -151,7 +166,7 @@ def make_protocol(arguments) -> Protocol:
 
     speed = arguments.speed_mm_s * 1e-3
     if arguments.protocol is None:
-        return Protocol.ramp((arguments.depth_mm or DEFAULT_DEPTH_MM) * 1e-3, arguments.points, speed)
+        return Protocol.ramp((arguments.depth_mm or MOTION_FLAGS.depth_mm) * 1e-3, arguments.points, speed)
     if arguments.depth_mm is not None:
         raise InputError("cannot be combined with --protocol, which states its own depths. Leave one of them out",
                          field="--depth-mm")

@@ -16,10 +16,22 @@ from haptics.recorder.run_folder import PARTIAL_SUFFIX, RUN_FILE
 from tissue_sim.decode import read_json
 from tissue_sim.errors import InputError
 
-#: Approximate number of points of a curve.
-POINTS = 600
-#: Time span of the samples of a sensor, s.
-SECONDS = 20.0
+
+@dataclass(frozen=True)
+class CurveSettings:
+    """Size of the drawn curves.
+
+    Attributes:
+        points: Approximate number of points of a curve; more points show shorter peaks and load the browser more.
+        time_span: Time span of the samples of a sensor, s.
+    """
+
+    points: int = 600
+    time_span: float = 20.0
+
+
+#: Curves of every bench.
+CURVE = CurveSettings()
 
 
 @dataclass(frozen=True)
@@ -98,7 +110,7 @@ class RunSource(BenchSource):
         return None
 
     def _read_recording(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the present recording so far, or else the last one, thinned to about `POINTS` rows.
+        """Return the present recording so far, or else the last one, thinned to about `CurveSettings.points` rows.
 
         Returns:
             Time, s, displacement, mm, and force, N, each of shape (n,).
@@ -115,7 +127,7 @@ class RunSource(BenchSource):
                 cells = line.split(",")
                 with contextlib.suppress(ValueError, IndexError):  # skips the header
                     self._rows.append((float(cells[0]), float(cells[1]), float(cells[2])))
-        rows = np.array(self._rows[:: max(1, len(self._rows) // POINTS)]).reshape(-1, 3)
+        rows = np.array(self._rows[:: max(1, len(self._rows) // CURVE.points)]).reshape(-1, 3)
         return rows[:, 0], rows[:, 1], rows[:, 2]
 
 
@@ -155,7 +167,7 @@ class DevicesSource(BenchSource):
         except DeviceError as error:
             return self._view(str(error))
         self._rows.extend((sample.received, position, sample.values[self._axis]) for sample in samples)
-        while self._rows and self._rows[-1][0] - self._rows[0][0] > SECONDS:
+        while self._rows and self._rows[-1][0] - self._rows[0][0] > CURVE.time_span:
             self._rows.popleft()
         if any(sample.status & SampleStatus.SATURATED for sample in samples):
             message = "The sensor is at the limit of its range. Reduce the force."
@@ -164,7 +176,7 @@ class DevicesSource(BenchSource):
         return self._view(message)
 
     def _view(self, message: str) -> BenchView:
-        rows = np.array(list(self._rows)[:: max(1, len(self._rows) // POINTS)]).reshape(-1, 3)
+        rows = np.array(list(self._rows)[:: max(1, len(self._rows) // CURVE.points)]).reshape(-1, 3)
         last = self._rows[-1] if self._rows else None
         return BenchView("sensor" if self._stage is None else "sensor and stage", message or (
             "" if last else "The sensor has not sent a sample yet."), None if last is None else last[2],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import viser
@@ -21,12 +22,23 @@ from scenes.viewer.page.saving import SaveControls
 from scenes.viewer.page.scene_controls import SceneControls
 from scenes.viewer.page.solid import SolidPicture
 from scenes.viewer.page.view_controls import ViewControls
-from scenes.viewer.web_server import LOOPBACK, PORT, open_server
+from scenes.viewer.web_server import LOOPBACK, SERVER, open_server
 
-#: Number of frames between two updates of the plots, read-outs and controls.
-_UPDATE_INTERVAL = 3
-#: Width of each side panel, pixels.
-_PANEL_WIDTH = 380
+
+@dataclass(frozen=True)
+class PageSettings:
+    """Rate of updates and width of the page.
+
+    Attributes:
+        update_interval: Number of frames between two updates of the plots, read-outs and controls.
+        panel_width: Width of each side panel, pixels.
+    """
+
+    update_interval: int = 3
+    panel_width: int = 380
+
+
+_SETTINGS = PageSettings()
 
 
 class Page:
@@ -47,8 +59,9 @@ class Page:
         InputError: The port is in use, the host is invalid, or the folder does not exist.
     """
 
-    def __init__(self, session: Commands, frame: Frame, materials: Path, *, host: str = LOOPBACK, port: int = PORT,
-                 exposed: bool = False, token: str = "", low_graphics: bool = False, dark: bool = False):
+    def __init__(self, session: Commands, frame: Frame, materials: Path, *, host: str = LOOPBACK,
+                 port: int = SERVER.port, exposed: bool = False, token: str = "", low_graphics: bool = False,
+                 dark: bool = False):
         self._frames = 0
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self.server = server = open_server(host, port, exposed=exposed, token=token)
@@ -88,9 +101,9 @@ class Page:
         self._look.on_dark = self._set_dark
         self._look.set_dark(dark)
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(_PANEL_WIDTH)
+        gui.main_panel.set_width(_SETTINGS.panel_width)
         curves.dock_left()
-        curves.set_width(_PANEL_WIDTH)
+        curves.set_width(_SETTINGS.panel_width)
 
         @self._restart.on_click
         def _(event: viser.GuiEvent) -> None:
@@ -115,7 +128,7 @@ class Page:
                 label, _ = LABELS[self._look.options.field]
                 self._bar.content = colour_bar_html(self._solid.levels, self._solid.colours, label)
             self._saving.show(frame)
-            if self._frames % _UPDATE_INTERVAL == 0:
+            if self._frames % _SETTINGS.update_interval == 0:
                 self._update_panels(frame)
         # Without the flush viser waits 1/60 s, and longer if the next frame is then incomplete.
         self.server.flush()

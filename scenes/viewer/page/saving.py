@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,14 +24,26 @@ from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace, recording_files
 from tissue_sim.errors import InputError
 
-#: Time that a browser may take to render the picture that is saved, s.
-_RENDER_TIMEOUT = 8.0
-#: Number of render requests, because a busy browser sometimes leaves one unanswered.
-_RENDER_ATTEMPTS = 3
-#: Largest width and height of a saved picture, pixels.
-_MAX_PICTURE_SIZE = 1600
-#: Longest replay, s; one minute of motion takes about 15 MB.
-LONGEST_REPLAY = 60.0
+
+@dataclass(frozen=True)
+class SavingSettings:
+    """Limits of saved pictures and replays.
+
+    Attributes:
+        render_timeout: time that a browser may take to render the picture that is saved, s.
+        render_attempts: number of render requests, because a busy browser sometimes leaves one unanswered.
+        max_picture_size: largest width and height of a saved picture, pixels.
+        longest_replay: longest replay, s; one minute of motion takes about 15 MB.
+    """
+
+    render_timeout: float = 8.0
+    render_attempts: int = 3
+    max_picture_size: int = 1600
+    longest_replay: float = 60.0
+
+
+#: Limits of every page.
+SAVING = SavingSettings()
 
 
 class SaveControls:
@@ -72,14 +85,14 @@ class SaveControls:
             run_later(lambda: self._toggle_replay(event))
 
     def show(self, frame: Frame) -> None:
-        """Keep the frame for saving, and extend a running replay; stop the replay at `LONGEST_REPLAY`."""
+        """Keep the frame for saving, and extend a running replay until it is `SavingSettings.longest_replay` long."""
         self._frame = frame
         if self._recorder is None:
             return
         now = time.monotonic()
         self._recorder.insert_sleep(now - self._last)
         self._recorded, self._last = self._recorded + now - self._last, now
-        if self._recorded >= LONGEST_REPLAY:
+        if self._recorded >= SAVING.longest_replay:
             self._finish_replay(self._recorder)
         label = f"Save replay ({self._recorded:.0f} s)"
         if self._replay.label != label:
@@ -105,7 +118,7 @@ class SaveControls:
         if frame is None or client is None:
             return
         camera = client.camera
-        width, height = (min(size, _MAX_PICTURE_SIZE) for size in (camera.image_width, camera.image_height))
+        width, height = (min(size, SAVING.max_picture_size) for size in (camera.image_width, camera.image_height))
         render = _request_render(client, height, width)
         if render is None:
             notify(client, FAILED, "The browser did not render the picture. Try again.", "red")
@@ -154,9 +167,9 @@ def curve_files(scene: Scene, trace: Trace) -> dict[str, bytes]:
 
 def _request_render(client: viser.ClientHandle, height: int, width: int) -> np.ndarray | None:
     """Return the view of a browser as an image, shape (height, width, 4); None if the browser does not answer."""
-    for _ in range(_RENDER_ATTEMPTS):
+    for _ in range(SAVING.render_attempts):
         with suppress(TimeoutError, RuntimeError):
-            return client.get_render(height, width, transport_format="png", timeout=_RENDER_TIMEOUT)
+            return client.get_render(height, width, transport_format="png", timeout=SAVING.render_timeout)
     return None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import radians
 
 import viser
@@ -18,12 +19,24 @@ from tissue_sim.parameters import Declaration
 _INTERFACES = (*INTERFACES, "friction")
 #: Interfaces along which tissue slides; tissue cannot slide around a sharp edge.
 _SLIDING = ("frictionless", "friction")
-#: Edge radius that a sharp tool gets when a sliding interface is chosen, m.
-_EDGE_RADIUS = 0.5e-3
+
+
+@dataclass(frozen=True)
+class SlidingDefaults:
+    """Values that the page fills in when an interface that slides is chosen.
+
+    Attributes:
+        edge_radius: edge radius of a sharp tool, m.
+        friction: initial friction coefficient if the scene has none, 1.
+    """
+
+    edge_radius: float = 0.5e-3
+    friction: float = 0.3
+
+
+_SLIDING_DEFAULTS = SlidingDefaults()
 #: Initial sizes of a needle that is chosen after a plate, by their SI unit.
 _DEFAULT_SIZES = {"m": 8e-3, "rad": radians(45.0)}
-#: Initial friction coefficient, if the scene has none.
-_DEFAULT_FRICTION = 0.3
 
 
 class SceneControls:
@@ -46,7 +59,7 @@ class SceneControls:
                        for key, (declaration, _, _) in self._declared_sizes.items()}
         self._interface = gui.add_dropdown("tool's face", _INTERFACES, initial_value="bonded",
                                            hint="interface between tool and tissue")
-        self._friction = gui.add_number("friction", _DEFAULT_FRICTION, min=0.0, max=2.0, step=0.01,
+        self._friction = gui.add_number("friction", _SLIDING_DEFAULTS.friction, min=0.0, max=2.0, step=0.01,
                                         hint="friction coefficient")
         self._apply = gui.add_button("Apply", icon=viser.Icon.CHECK)
         self._shown: Scene | None = None
@@ -97,7 +110,7 @@ class SceneControls:
         if tool.sharp_edge and self._interface.value in _SLIDING:
             for key, (declaration, name, _) in self._declared_sizes.items():
                 if name == "edge_radius":
-                    set_value(self._sizes[key], _EDGE_RADIUS / declaration.factor)
+                    set_value(self._sizes[key], _SLIDING_DEFAULTS.edge_radius / declaration.factor)
 
     def _update_visibility(self) -> None:
         """Show only the controls and interfaces that apply to the chosen scene and tool."""

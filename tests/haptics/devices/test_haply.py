@@ -16,7 +16,7 @@ from haptics.devices.haply import TIMING, HaplyDevice
 from haptics.devices.virtual.faults import Faults
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.emulators.emulator import open_emulator
-from haptics.emulators.haply import RELEASE_TIME, START, HaplyEmulator, emulate_haply
+from haptics.emulators.haply import START, TIMES, HaplyEmulator, emulate_haply
 from haptics.protocols.haply import HapticState, read_force, state_message
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
@@ -298,7 +298,7 @@ def test_the_emulator_removes_the_force_after_a_silence(service):
         client.send(force_message(first.device_id, (0.0, 0.0, 3.0)))
         assert read_state(client.recv()).device_id == "049D" and service.force == (0.0, 0.0, 3.0)
         with pytest.raises(TimeoutError):
-            client.recv(timeout=2 * RELEASE_TIME)  # the service sends nothing unrequested
+            client.recv(timeout=2 * TIMES.release_time)  # the service sends nothing unrequested
         wait_for(lambda: service.force == (0.0, 0.0, 0.0))
         client.send("nonsense")
         assert read_state(client.recv()).device_id == "049D", "each message has one answer"

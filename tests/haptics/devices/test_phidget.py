@@ -4,6 +4,7 @@ import ctypes.util
 import importlib.util
 import math
 import sys
+from dataclasses import replace
 from types import ModuleType
 
 import pytest
@@ -326,7 +327,7 @@ def test_a_missing_library_raises_with_the_remedy(library, monkeypatch, error, s
                     "which comes with the extra 'phidget', and is not installed")
 def test_the_real_package_without_a_controller(capfd, monkeypatch):
     """Without a controller, `start` raises one message, and prints nothing."""
-    monkeypatch.setattr(phidget, "_ATTACH_MS", 100)
+    monkeypatch.setattr(phidget, "_TIMES", replace(phidget._TIMES, attach_ms=100))
     with pytest.raises(DeviceError) as caught:
         open_stage("phidget:1,steps_per_mm=25").start()
     there = ctypes.util.find_library("usb-1.0")

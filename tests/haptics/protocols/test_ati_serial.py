@@ -7,10 +7,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from haptics.protocols.ati_serial import (
-    BINARY_LENGTH,
-    HIGHEST_COUNT,
-    LOWEST_COUNT,
-    PADDED_LENGTH,
+    FORMAT,
     Record,
     decode_ascii,
     decode_binary,
@@ -27,7 +24,7 @@ OF_THE_MANUAL = b"0,-413,-1080,-2480,-3532,45,5890"
 PADDED = b"0,  -102,   -99,  -225,   -20,    39,   -39"
 BINARY = b"\x00\xff\x93\xff\x98\xfei\xff\xbb\x00\x06\xff\xdb"
 
-counts = st.integers(LOWEST_COUNT, HIGHEST_COUNT)
+counts = st.integers(FORMAT.lowest_count, FORMAT.highest_count)
 records = st.builds(Record, st.integers(0, 9), st.tuples(*[counts] * 6))
 pieces = st.lists(st.sampled_from([b"0", b",", b" ", b"-", b"45", b"-3532", b"\r", b"\n", b">", b"QS", b"\xff", b"00",
                                    b"+", b"1_0", "\u0663".encode()])).map(b"".join)
@@ -44,12 +41,12 @@ def test_records_are_encoded_in_the_public_form():
     assert encode_ascii(Record(0, (-413, -1080, -2480, -3532, 45, 5890)), padded=False) == OF_THE_MANUAL
     assert encode_ascii(Record(0, (-102, -99, -225, -20, 39, -39))) == PADDED
     assert encode_binary(Record(0, (-109, -104, -407, -69, 6, -37))) == BINARY
-    assert len(PADDED) + 2 == PADDED_LENGTH and len(BINARY) == BINARY_LENGTH
+    assert len(PADDED) + 2 == FORMAT.padded_length and len(BINARY) == FORMAT.binary_length
 
 
 def test_transmission_time_of_a_record():
     assert transmission_time(len(OF_THE_MANUAL) + 2, 9600) == pytest.approx(35.4e-3, abs=0.1e-3)
-    assert transmission_time(PADDED_LENGTH, 9600) == pytest.approx(46.9e-3, abs=0.1e-3)
+    assert transmission_time(FORMAT.padded_length, 9600) == pytest.approx(46.9e-3, abs=0.1e-3)
 
 
 @pytest.mark.parametrize("line", [
@@ -64,7 +61,7 @@ def test_lines_that_are_no_records_are_refused(line):
 
 @CASES
 @given(records, st.booleans())
-@example(Record(0, (LOWEST_COUNT,) * 6), True)
+@example(Record(0, (FORMAT.lowest_count,) * 6), True)
 def test_every_record_survives_encoding_and_decoding(record, padded):
     assert decode_ascii(encode_ascii(record, padded)) == record
     assert decode_ascii(encode_ascii(record, padded), padded) == record
@@ -77,7 +74,7 @@ def test_only_encoded_records_are_decoded(line):
     record = decode_ascii(line)
     assert record is None or line in (encode_ascii(record, padded=False), encode_ascii(record))
     record = decode_binary(line)
-    assert (record is None) == (len(line) != BINARY_LENGTH) and (record is None or encode_binary(record) == line)
+    assert (record is None) == (len(line) != FORMAT.binary_length) and (record is None or encode_binary(record) == line)
 
 
 @CASES
@@ -105,11 +102,11 @@ def test_with_padding_a_missing_or_additional_character_is_detected(record, plac
 def test_with_padding_parts_of_two_records_are_refused(one, other, end, begin):
     """Parts of two records, as after an interruption of the line, have another length, or the parts fit together."""
     head, tail = encode_ascii(one)[:end], encode_ascii(other)[begin:]
-    if len(head) + len(tail) != PADDED_LENGTH - 2:
+    if len(head) + len(tail) != FORMAT.padded_length - 2:
         assert decode_ascii(head + tail, padded=True) is None
 
 
 def test_counts_at_the_ends_of_the_range_are_detected():
-    assert is_at_end_of_range(Record(0, (0, 0, HIGHEST_COUNT, 0, 0, 0)))
-    assert is_at_end_of_range(Record(0, (0, 0, 0, 0, 0, LOWEST_COUNT)))
-    assert not is_at_end_of_range(Record(1, (HIGHEST_COUNT - 1, LOWEST_COUNT + 1, 0, 0, 0, 0)))
+    assert is_at_end_of_range(Record(0, (0, 0, FORMAT.highest_count, 0, 0, 0)))
+    assert is_at_end_of_range(Record(0, (0, 0, 0, 0, 0, FORMAT.lowest_count)))
+    assert not is_at_end_of_range(Record(1, (FORMAT.highest_count - 1, FORMAT.lowest_count + 1, 0, 0, 0, 0)))

@@ -33,7 +33,7 @@ def test_a_record_equals_the_manual():
     assert rdt.unpack_records(data) == [Record(1, 100, 0, (10, -1, 1_000_000, 0, -2**31, 2**31 - 1))]
 
 
-@given(st.lists(records, min_size=1, max_size=rdt.MAX_RECORDS))
+@given(st.lists(records, min_size=1, max_size=rdt.DATAGRAM.max_records))
 def test_records_survive_packing_and_unpacking(sent):
     assert rdt.unpack_records(rdt.pack_records(sent)) == sent
 

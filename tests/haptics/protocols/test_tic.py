@@ -99,9 +99,9 @@ def test_a_wrong_byte_never_passes_the_checksum(command, value, at, flip):
 def test_a_status_is_complete_and_possible_or_none(block):
     status, motion = tic.parse_status(block), tic.parse_motion_state(block)
     if status is not None:
-        assert len(block) == tic.STATUS_SIZE and block[0] in set(State) and not block[3] & 0xFE
+        assert len(block) == tic.BlockLength.STATUS and block[0] in set(State) and not block[3] & 0xFE
     if motion is not None:
-        assert len(block) == tic.MOTION_STATE_SIZE and abs(motion.velocity) <= tic.TOP_SPEED
+        assert len(block) == tic.BlockLength.MOTION_STATE and abs(motion.velocity) <= tic.MOTION.top_speed
 
 
 @given(st.sampled_from(list(State)), st.integers(0, 31), st.integers(0, 0x1FF), st.integers(0, 0x1FFFFF),

@@ -8,6 +8,7 @@ from virtual_bench import STIFFNESS, SURFACE, Spring
 
 from haptics.devices.contracts import DeviceError
 from haptics.devices.virtual.faults import Faults
+from haptics.recorder.plan import PollSettings
 from haptics.recorder.stopped import StoppedError
 from tissue_sim import Rig, read_recording
 from tissue_sim.errors import InputError
@@ -323,7 +324,7 @@ def test_a_late_poll_is_detected_by_another_thread(bench, monkeypatch):
     import threading
 
     halted = threading.Event()
-    monkeypatch.setattr("haptics.recorder.guarded_motion.POLL_TIMEOUT", 0.01)
+    monkeypatch.setattr("haptics.recorder.guarded_motion.POLLING", PollSettings(timeout=0.01))
     rig = bench.rig()
     halt = rig.stage.halt
     rig.stage.halt = lambda: (halt(), halted.set())

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 import tissue_sim as ts
 from scenes.viewer.measurement import build_measurement, residual
 from scenes.viewer.plots import (
-    PARTS,
-    SECONDS,
+    PLOTS,
     depth_grid,
     force_depth,
     force_depth_options,
@@ -129,9 +128,9 @@ def test_force_over_time_keeps_peaks():
     data, extent = force_time(time, force, now)
     x, _, live, hand = columns(data, force_time_options(extent)).values()
     assert np.isnan(hand).all(), "no hand is there"
-    assert (x[0], x[-1], x.size) == (-SECONDS, 0, 2 * PARTS)
+    assert (x[0], x[-1], x.size) == (-PLOTS.time_span, 0, 2 * PLOTS.intervals)
     assert extent == (force[time >= 40].min(), force[time >= 40].max())
-    for i in range(PARTS):
+    for i in range(PLOTS.intervals):
         part = force[(time >= 40 + 0.1 * i) & (time < 40.1 + 0.1 * i)]
         assert sorted(live[2 * i:2 * i + 2]) == [part.min(), part.max()]
 
@@ -141,7 +140,8 @@ def test_force_over_time_follows_a_slow_force():
     data, _ = force_time(time, 0.3 * time, 12.0, measured=(time, 0.2 * time))
     x, measured, live, _ = data
     known = x + 12 > 0.1
-    np.testing.assert_allclose(live[known & (x < -0.2)], 0.3 * (x + 12)[known & (x < -0.2)], atol=0.3 * SECONDS / PARTS)
+    np.testing.assert_allclose(live[known & (x < -0.2)], 0.3 * (x + 12)[known & (x < -0.2)],
+                               atol=0.3 * PLOTS.time_span / PLOTS.intervals)
     np.testing.assert_allclose(measured[known & (x < -0.2)], 0.2 * (x + 12)[known & (x < -0.2)], atol=1e-9)
     assert np.isnan(live[x + 12 < -0.2]).all() and np.isnan(measured[x > -0.05]).all()
 

@@ -18,10 +18,10 @@ from haptics.devices.virtual.hand import VirtualHand
 from haptics.loop.loop import LoopSettings
 from haptics.loop.ring import PAUSED, RingReader
 from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS
-from scenes.viewer.frame import NullViewer, Phase
+from scenes.viewer.frame import FRAMES, NullViewer, Phase
 from scenes.viewer.measurement import build_measurement, motion, residual
 from scenes.viewer.scene import CLEARANCE
-from scenes.viewer.session import COMMANDS, PLOT_EVERY, STEP_TIME, Session
+from scenes.viewer.session import COMMANDS, STEP_TIME, Session
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.parameters import with_values
 
@@ -351,9 +351,9 @@ def test_unchanged_curves_are_the_same_objects(session, until):
                                                  and frame.curves.model is session._curve.recording))
     ticks = before.readouts.time
     until(session.frame, lambda frame: frame.readouts.time > ticks + 0.1)  # what was felt before the pause is drawn
-    for _ in range(PLOT_EVERY):
+    for _ in range(FRAMES.frames_per_plot):
         settled = session.frame().curves
-    seen = [session.frame().curves for _ in range(3 * PLOT_EVERY)]
+    seen = [session.frame().curves for _ in range(3 * FRAMES.frames_per_plot)]
     assert all(each is settled for each in seen)
 
 
@@ -422,7 +422,7 @@ def test_another_scene_starts_a_new_simulation_without_curves(springs, pool, nee
     springs.frame()
     first, curve = springs.simulation, ts.simulate(needle.model)
     pool.tasks[0][1].set_result(curve)
-    for _ in range(PLOT_EVERY + 1):
+    for _ in range(FRAMES.frames_per_plot + 1):
         frame = springs.frame()
     assert frame.curves.model is curve
     assert done(springs, "keep_curve", name="needle") is None
@@ -431,7 +431,7 @@ def test_another_scene_starts_a_new_simulation_without_curves(springs, pool, nee
         assert springs.simulation is first and springs.frame().scene is frame.scene
     assert done(springs, "use_scene", name="bonded_compression") is None
     assert springs.simulation is not first and not first.process.alive
-    frames = [springs.frame() for _ in range(PLOT_EVERY)]
+    frames = [springs.frame() for _ in range(FRAMES.frames_per_plot)]
     assert frames[-1].scene.kind.name == "bonded_compression"
     assert (frames[-1].curves.model, frames[-1].curves.compared) == (None, None)
     assert newest_model(pool).experiment.tool.shape == "plate"

@@ -15,10 +15,23 @@ from tissue_sim.experiment.tools.tool import Tool
 if TYPE_CHECKING:
     import numpy as np
 
-#: Default rounding of the corners over the radius of the tool, 1; it is halved until it fits the shortest segment.
-PROFILE_ROUNDING = 0.02
-#: Largest number of halvings.
-MOST_HALVINGS = 10
+
+@dataclass(frozen=True)
+class RoundingSettings:
+    """Default rounding of the corners of an outline.
+
+    Attributes:
+        fraction: radius of the rounding over the radius of the tool, 1; the radius is halved until it fits the shortest
+            segment.
+        most_halvings: largest number of halvings.
+    """
+
+    fraction: float = 0.02
+    most_halvings: int = 10
+
+
+#: Rounding of every outline.
+ROUNDING = RoundingSettings()
 
 
 @dataclass(frozen=True)
@@ -27,8 +40,8 @@ class ProfileTool(Tool):
 
     Attributes:
         radius: largest radius of the file, m.
-        edge_radius: radius of the rounding of the corners, m; 0: `PROFILE_ROUNDING` of the radius, or the largest that
-            fits the segments.
+        edge_radius: radius of the rounding of the corners, m; 0: `RoundingSettings.fraction` of the radius, or
+            the largest that fits the segments.
         profile_file: see `tissue_sim.experiment.tools.profile_file`.
         points: content of the file, (r, z) of each point, m, if the file is not to be read again.
 
@@ -55,8 +68,8 @@ class ProfileTool(Tool):
 
     def _choose_rounding(self) -> None:
         """Set the largest rounding of the series that fits the outline."""
-        for halvings in range(MOST_HALVINGS):
-            object.__setattr__(self, "edge_radius", PROFILE_ROUNDING * self._widest / 2**halvings)
+        for halvings in range(ROUNDING.most_halvings):
+            object.__setattr__(self, "edge_radius", ROUNDING.fraction * self._widest / 2**halvings)
             try:
                 _ = self.profile
                 return
