@@ -1,0 +1,32 @@
+"""One simulator in one process, for `realtime_processes`: ready, wait for a line, step for so many seconds, report."""
+
+# One thread each, before the libraries start.
+import os
+
+os.environ["OMP_NUM_THREADS"] = "1"
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+os.environ["MKL_NUM_THREADS"] = "1"
+
+import json
+import sys
+import time
+
+from benchmarks.realtime.ticks import cases, drive
+from haptics.loop.loop import peak_memory
+
+
+def main() -> None:
+    simulator = cases()[0].simulator()
+    drive(simulator)
+    print("ready", flush=True)
+    seconds = float(sys.stdin.readline())
+    steps, began, used = 0, time.perf_counter(), time.process_time()
+    while time.perf_counter() - began < seconds:
+        steps += len(drive(simulator).force)
+    peak = peak_memory()
+    print(json.dumps({"steps": steps, "wall_s": time.perf_counter() - began, "cpu_s": time.process_time() - used,
+                      "peak_memory_MB": None if peak is None else peak / 1e6}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,169 @@
+"""The processes that `viewer` measures: the viewer, a client that reads, Chromium, and the loop alone."""
+
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import tissue_sim as ts
+from benchmarks.viewer.client import READOUTS
+from benchmarks.viewer.ticks import MOTION, SETTLING, TickCount
+from haptics.devices.motions import ProtocolMotion
+from haptics.loop.loop import LoopSettings
+from haptics.loop.process import LoopProcess
+from haptics.safety.limits import ForceLimits
+from haptics.safety.rendering import ForceRendering
+from scenes.viewer.live_simulation import BUDGET
+
+_HERE = Path(__file__).parent
+#: Notes every change of the read-outs, with the page's clock in ms.
+_WATCH = """names => {
+    const seen = window.__seen = [];
+    const shown = () => names.map(name => document.querySelector(`[data-testid=${name}]`)?.textContent).join("|");
+    let last = shown();
+    new MutationObserver(() => {
+        const now = shown();
+        if (now !== last) seen.push([performance.now(), last = now]);
+    }).observe(document.body, {subtree: true, childList: true, characterData: true});
+}"""
+
+
+@contextmanager
+def script(name: str, *arguments: str) -> Iterator[subprocess.Popen]:
+    """A script of this folder, spoken to in lines; at the end its input ends, and it is waited for."""
+    paths = [str(_HERE.parent), os.environ.get("PYTHONPATH", "")]
+    process = subprocess.Popen([sys.executable, str(_HERE / name), *arguments], text=True, encoding="utf-8",
+                               env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))},
+                               stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    try:
+        yield process
+    finally:
+        process.stdin.close()
+        process.wait()
+        process.stdout.close()
+
+
+def line_of(process: subprocess.Popen) -> str:
+    """What it says next. Raises SystemExit where it has ended."""
+    line = process.stdout.readline()
+    if not line:
+        raise SystemExit(f"{process.args[1]} has ended with code {process.wait()}; see what it printed")
+    return line
+
+
+class ViewerProcess:
+    """A running `viewer_worker`.
+
+    Attributes:
+        port: of its page; elements: of its mesh; loop: the number of its loop's process.
+    """
+
+    def __init__(self, process: subprocess.Popen):
+        self._process = process
+        ready = json.loads(line_of(process))
+        self.port, self.elements, self.loop = ready["port"], ready["elements"], ready["loop"]
+
+    def run(self, seconds: float, viewer: str = "page", motion: str = "moves", clients: int = 1) -> dict:
+        """One run; see `viewer_worker.run`."""
+        asked = {"viewer": viewer, "motion": motion, "clients": clients, "seconds": seconds}
+        self._process.stdin.write(json.dumps(asked) + "\n")
+        self._process.stdin.flush()
+        return json.loads(line_of(self._process))
+
+
+@contextmanager
+def viewing(resolution: str) -> Iterator[ViewerProcess]:
+    """A viewer of the needle."""
+    with script("viewer_worker.py", resolution) as process:
+        yield ViewerProcess(process)
+
+
+@contextmanager
+def reading(port: int) -> Iterator[Callable[[], list]]:
+    """A client that reads; called at the end, it gives the messages that came, and is gone."""
+    with script("viewer_client.py", str(port)) as process:
+        line_of(process)
+
+        def messages() -> list:
+            process.stdin.close()
+            return json.loads(line_of(process))
+
+        yield messages
+
+
+def looked_at(port: int, work: Callable[[], dict]) -> tuple[dict, list[tuple[float, str]]] | None:
+    """Do something while Chromium, drawing in software, looks at the page; with when its read-outs changed, and to
+    what (s of `time.monotonic`). None where there is no Chromium, or no Playwright."""
+    chromium = _chromium()
+    if chromium is None:
+        return None
+    with chromium.chromium() as browser:
+        page = browser.new_page(viewport={"width": 1000, "height": 700})
+        chromium.open_viewer(page, f"http://127.0.0.1:{port}")
+        page.evaluate(_WATCH, READOUTS)
+        zero = _zero_of(page)
+        done = work()
+        seen = page.evaluate("() => window.__seen")
+    return done, [(zero + 1e-3 * when, text) for when, text in seen]
+
+
+def _chromium():
+    """The module that drives Chromium for the documentation; None where it cannot."""
+    if importlib.util.find_spec("playwright") is None:
+        return None
+    spec = importlib.util.spec_from_file_location("docs_chromium", _HERE.parent / "docs" / "chromium.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module if module.chromium_path() else None
+
+
+def _zero_of(page) -> float:
+    """When the page's clock was zero, s of `time.monotonic`, from the shortest of some questions."""
+    found = []
+    for _ in range(50):
+        asked = time.monotonic()
+        now = 1e-3 * page.evaluate("() => performance.now()")
+        answered = time.monotonic()
+        found.append((answered - asked, 0.5 * (asked + answered) - now))
+    return min(found)[1]
+
+
+@contextmanager
+def stopped(pid: int) -> Iterator[None]:
+    """A process takes no time meanwhile (SIGSTOP)."""
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(pid, signal.SIGCONT)
+
+
+@contextmanager
+def loop_alone(model: ts.Model) -> Iterator[tuple[int, Callable[[float], dict]]]:
+    """The number of a process, and a function that counts the ticks of so many seconds: the same loop in the same
+    motion, with no viewer, and nothing published but its ring."""
+    motion = ProtocolMotion(ts.Protocol.parse(MOTION, 21, 5e-3), repeat=True)
+    loop = LoopProcess(partial(ts.Simulator, model, budget=BUDGET), motion, ForceRendering(ForceLimits(1e3, 1e3)),
+                       LoopSettings())
+    with loop:
+        loop.wait_until_ready(120.0)
+        loop.pause()
+        with loop.ring() as ring:
+
+            def run(seconds: float) -> dict:
+                loop.resume()
+                time.sleep(SETTLING)
+                count = TickCount(ring)
+                time.sleep(seconds)
+                counted = count.counted()
+                loop.pause()
+                return counted
+
+            yield loop.pid, run

@@ -1,0 +1,208 @@
+"""The viewer's process, for `viewer_processes`: a page on a free port, and runs of it as its input asks for.
+
+    python -m benchmarks worker RESOLUTION
+
+Says its port, then answers each line of JSON (``viewer``: page or none, ``motion``, ``clients``, ``seconds``) with one
+line of JSON. CPU times are of the thread that makes and shows frames, and of the whole process.
+"""
+
+# One thread each, before the libraries start.
+import os
+
+os.environ["OMP_NUM_THREADS"] = "1"
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+os.environ["MKL_NUM_THREADS"] = "1"
+
+import functools
+import json
+import math
+import multiprocessing
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import scenes.viewer.bodies
+import scenes.viewer.page.solid
+import tissue_sim as ts
+from benchmarks.viewer.client import readouts_in
+from benchmarks.viewer.ticks import MOTION, SETTLING, SPEED, STANDING, TEST, TickCount, peak_memory
+from haptics.loop.ring import RingReader
+from scenes.viewer.cut_away import CutAway
+from scenes.viewer.frame import Frame, NullViewer, Phase, Viewer
+from scenes.viewer.measurement import build_measurement
+from scenes.viewer.page import Page
+from scenes.viewer.page.readouts import readouts_html
+from scenes.viewer.scene import Scene
+from scenes.viewer.session import Session
+from tissue_sim.experiment.kinds.indentation import NEEDLE
+from tissue_sim.fem.axisymmetric.fields import Fields
+
+REPLICATES, SAMPLES, NOISE = 3, 401, 0.02
+#: How long the start may take, s; the machine's first one compiles.
+PATIENCE = 120.0
+
+
+class Stopwatch:
+    """CPU seconds of the calling thread by the name of the part."""
+
+    def __init__(self) -> None:
+        self.spent: Counter[str] = Counter()
+
+    def timed(self, part: str, work: Callable) -> Callable:
+        """The same function, whose time counts for a part."""
+
+        @functools.wraps(work)
+        def measured(*arguments, **options):
+            began = time.thread_time()
+            try:
+                return work(*arguments, **options)
+            finally:
+                self.spent[part] += time.thread_time() - began
+
+        return measured
+
+    def watch(self, page: Page, session: Session) -> None:
+        """Time what a frame is made of."""
+        solid = scenes.viewer.page.solid
+        Fields.at_points = self.timed("fields", Fields.at_points)
+        bodies = scenes.viewer.bodies
+        bodies.extrapolate = self.timed("fields", bodies.extrapolate)
+        solid.field_range = self.timed("fields", solid.field_range)
+        CutAway.bands = self.timed("bands", CutAway.bands)
+        page._update_panels = self.timed("words", page._update_panels)
+        page.show, session.frame = self.timed("show", page.show), self.timed("frame", session.frame)
+
+
+class Watched:
+    """A viewer between the session and another one: notes when it showed what, and the CPU time of each frame."""
+
+    def __init__(self, viewer: Viewer, stopwatch: Stopwatch):
+        self._viewer, self._spent = viewer, stopwatch.spent
+        self._before = self._sum()
+        self.shown: list[tuple[float, Frame]] = []
+        self.cpu: list[float] = []
+
+    def show(self, frame: Frame) -> None:
+        began = time.monotonic()
+        self._viewer.show(frame)
+        now = self._sum()
+        self.cpu.append(now - self._before)
+        self._before = now
+        self.shown.append((began, frame))
+
+    def close(self) -> None:
+        pass
+
+    def _sum(self) -> float:
+        return self._spent["frame"] + self._spent["show"]
+
+
+def study() -> Scene:
+    """The needle in the study's specimen with three replicates; what plots cost does not depend on their force."""
+    experiment = NEEDLE.experiment(specimen=ts.Specimen(0.040, 0.070), protocol=TEST)
+    depth, noise = np.linspace(0.0, TEST.depth, SAMPLES), np.random.default_rng(0)
+    recordings = [ts.Recording({"time": depth / SPEED, "displacement": depth,
+                                "force": 250.0 * depth * (1 + 40.0 * depth) + noise.normal(0.0, NOISE, SAMPLES)},
+                               {}, {"name": f"needle_{number}", "kind": NEEDLE.name}) for number in range(REPLICATES)]
+    material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4),
+                           density=1040.0)
+    return Scene(NEEDLE, experiment, material, measurements={NEEDLE.name: build_measurement(recordings)})
+
+
+def began_at(ring: RingReader) -> float:
+    """When the loop's clock was zero, s of `time.monotonic`: no tick is seen before its end, and some at once."""
+    until, earliest = time.monotonic() + 0.2, math.inf
+    while time.monotonic() < until:
+        tick = ring.latest()
+        earliest = min(earliest, time.monotonic() - tick["time"] - tick["compute_time"])
+    return float(earliest)
+
+
+def move(session: Session, motion: str) -> None:
+    """Let the tool move, or stand in the tissue, and wait until that is all it does."""
+    if motion == "moves":
+        session.post("play", text=MOTION, repeat=True)
+    else:
+        session.post("aim", depth=STANDING)
+    session.run(NullViewer(), threading.Event(), SETTLING)
+
+
+def run(session: Session, page: Page, stopwatch: Stopwatch, ring: RingReader, asked: dict) -> dict:
+    """One run, and what it cost."""
+    until = time.monotonic() + PATIENCE
+    while len(page.server.get_clients()) != asked["clients"] and time.monotonic() < until:
+        time.sleep(0.05)
+    move(session, asked["motion"])
+    viewer = page if asked["viewer"] == "page" else NullViewer()
+    stop = threading.Event()
+    session.run(viewer, stop, 0.3)
+    zero, count = began_at(ring), TickCount(ring)
+    stopwatch.spent.clear()
+    watched = Watched(viewer, stopwatch)
+    process, thread = time.process_time(), time.thread_time()
+    session.run(watched, stop, asked["seconds"])
+    process, thread = time.process_time() - process, time.thread_time() - thread
+    ticks, records, parts = count.counted(), count.records(), stopwatch.spent
+    frames, per_frame = len(watched.shown), 1e3 / len(watched.shown)
+    picture = parts["show"] - parts["fields"] - parts["bands"] - parts["words"]
+    return {**asked, "frames": frames, "process_ms": process * per_frame,
+            "frame_thread_ms": {"mean": sum(watched.cpu) * per_frame,
+                                **{name: 1e3 * float(np.quantile(watched.cpu, share))
+                                   for name, share in (("p50", 0.5), ("p99", 0.99))}},
+            "parts_ms": {**{part: parts[part] * per_frame for part in ("frame", "fields", "bands", "words")},
+                         "picture": picture * per_frame, "sending": max(process - thread, 0.0) * per_frame},
+            "ticks": ticks, "shown": list(shown(watched, page, zero, records)), "memory_MB": memory(session)}
+
+
+def shown(watched: Watched, page: Page, zero: float, records: np.ndarray):
+    """Of each frame: when it was made, when the ticks of its picture and of its read-outs began (s of
+    `time.monotonic`), how high the tool stands, and the read-outs."""
+    for made, frame in watched.shown:
+        if frame.snapshot is None or frame.readouts is None:
+            continue
+        same = records["time"][records["tool_depth"] == frame.snapshot.depth]
+        same = same[np.abs(same - frame.readouts.time) < 0.5]
+        picture = zero + float(same[-1]) if same.size else None
+        yield (made, picture, zero + frame.readouts.time, -frame.snapshot.depth * page._solid.scale,
+               readouts_in(readouts_html(replace(frame, snapshot=None))))
+
+
+def memory(session: Session) -> dict[str, float | None]:
+    """MB in memory at most so far, of the three processes."""
+    loop = session.simulation.process.pid
+    others = [child.pid for child in multiprocessing.active_children() if child.pid != loop]
+    return {"viewer": peak_memory(os.getpid()), "loop": peak_memory(loop),
+            "curves": peak_memory(others[0]) if others else None}
+
+
+def main() -> None:
+    session = Session(study(), resolution=sys.argv[1])
+    page = None
+    try:
+        until = time.monotonic() + PATIENCE
+        while (frame := session.frame()).curves.model is None or frame.snapshot is None:
+            if frame.phase is Phase.DIED or time.monotonic() > until:
+                raise SystemExit(f"the simulation does not start: {frame.message}")
+            time.sleep(0.02)
+        page, stopwatch = Page(session, frame, Path(__file__).parent, port=0, low_graphics=True), Stopwatch()
+        stopwatch.watch(page, session)
+        print(json.dumps({"port": page.server.get_port(), "elements": len(frame.snapshot.fields.mesh.connectivity),
+                          "loop": session.simulation.process.pid}),
+              flush=True)
+        with session.simulation.process.ring() as ring:
+            for line in sys.stdin:
+                print(json.dumps(run(session, page, stopwatch, ring, json.loads(line))), flush=True)
+    finally:
+        if page is not None:
+            page.close()
+        session.close()
+
+
+if __name__ == "__main__":
+    main()
