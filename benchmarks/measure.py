@@ -1,4 +1,4 @@
-"""What the benchmarks share: the clock, the machine, the band Cholesky against LAPACK, options and tables."""
+"""Parts of all benchmarks: CPU time, description of the machine, comparison with LAPACK, options and tables."""
 
 import argparse
 import functools
@@ -6,19 +6,23 @@ import json
 import os
 import platform
 import statistics
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 from scipy.linalg import lapack
 
 import tissue_sim as ts
+from benchmarks import MARKDOWN, ROOT
 from tissue_sim.fem.linear import band
 from tissue_sim.fem.linear.cholesky import cholesky_functions
 from tissue_sim.fem.taichi.runtime import initialise
@@ -118,7 +122,7 @@ def machine() -> dict:
     if cpuinfo.exists():
         lines = cpuinfo.read_text(encoding="utf-8").splitlines()
         model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), model)
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    load = round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None
     return {"cpu": model, "cores": os.cpu_count(), "system": platform.system(), "load_average": load}
 
 
@@ -144,13 +148,47 @@ def about(name: str, peers: Sequence[str] = ()) -> dict:
                          **{each: version(each) for each in (*peers, "taichi", "numpy", "scipy")}}}
 
 
+class MarkdownConsole(Console):
+    """A console that prints tables in Markdown and text without markup."""
+
+    def print(self, *parts: Any, **_: Any) -> None:
+        for part in parts:
+            if not isinstance(part, Table):
+                print(Text.from_markup(str(part)).plain + "\n")
+                continue
+            cells = [[Text.from_markup(str(cell)).plain.replace("|", "\\|").replace("\n", " ") for cell in
+                      (column.header, *column.cells)] for column in part.columns]
+            ruler = ["---" if column.justify == "left" else "---:" for column in part.columns]
+            header, *rows = ([column[i] for column in cells] for i in range(len(part.rows) + 1))
+            title = Text.from_markup(str(part.title)).plain.rstrip(".") if part.title else ""
+            print((f"**{title}**\n\n" if title else "")
+                  + "\n".join("| " + " | ".join(row) + " |" for row in (header, ruler, *rows)) + "\n")
+
+
+def commit() -> str:
+    """Short hash of the commit, with "and changes" if files of the repository differ from it; "unknown" without git."""
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+
+    try:
+        return git("rev-parse", "--short", "HEAD") + (" and changes" if git("status", "--porcelain", "-uno") else "")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
 def show(result: dict, draw: Callable[[dict, Console], None], *, as_json: bool) -> None:
-    """Print the result: one JSON object, or where it comes from and its tables."""
+    """Print the result: one JSON object, or its date, machine, versions and tables.
+
+    Tables are in Markdown, with the commit, if the environment variable `MARKDOWN` is set.
+    """
     if as_json:
         print(json.dumps(result))
         return
-    console, found = Console(width=None if sys.stdout.isatty() else 150), result["machine"]
+    markdown = MARKDOWN in os.environ
+    console = MarkdownConsole() if markdown else Console(width=None if sys.stdout.isatty() else 150)
+    found = result["machine"]
     console.print(f"{result['date']}, {found['cpu']}, {found['cores']} cores, load {found['load_average']}; "
+                  + (f"commit {commit()}, " if markdown else "")
                   + ", ".join(f"{name} {number}" for name, number in result["versions"].items()))
     draw(result, console)
 

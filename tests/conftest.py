@@ -1,6 +1,7 @@
 """Folders that tests share, and the order of the tests."""
 
 import gc
+import importlib
 import io
 import os
 import subprocess
@@ -8,7 +9,9 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -24,7 +27,7 @@ settings.load_profile("shared machine")
 
 ROOT = Path(__file__).resolve().parents[1]
 # What tests of several folders share is a module beside this one.
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path[:0] = [str(ROOT / "tests"), str(ROOT)]
 #: s; after that tests compile for themselves what nobody has.
 COMPILING = 1800.0
 #: With more processes a machine has too little memory before it has too few cores.
@@ -49,6 +52,20 @@ def root() -> Path:
 def reference() -> Path:
     """Reference curves from independent solvers."""
     return ROOT / "tests" / "reference"
+
+
+@pytest.fixture(scope="session")
+def benchmark_module() -> Callable[[str], ModuleType]:
+    """A function that imports a module of the benchmarks: ``benchmark_module("peers.felupe_problem")``.
+
+    The benchmarks limit the threads of numerical libraries by environment variables; these are restored."""
+    def load(name: str) -> ModuleType:
+        with pytest.MonkeyPatch.context() as patch:
+            for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+                patch.setenv(variable, "1")
+            return importlib.import_module(f"benchmarks.{name}")
+
+    return load
 
 
 @pytest.fixture(scope="session")

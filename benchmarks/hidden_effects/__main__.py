@@ -27,7 +27,8 @@ from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
 
-from benchmarks.hidden_effects.run import ROOMS, ROOT, SEALED_FROM, Planned, Results, code_hash, plan, run_one
+from benchmarks import ROOT
+from benchmarks.hidden_effects.run import ROOMS, SEALED_FROM, Planned, Results, code_hash, plan, run_one
 from benchmarks.hidden_effects.scoring import outcome
 from benchmarks.hidden_effects.sizes import CLASSES, freeze
 from benchmarks.hidden_effects.tables import cases_in_words, draw, figures
@@ -35,7 +36,7 @@ from benchmarks.hidden_effects.truth import CACHE, PROTOCOLS
 from benchmarks.measure import about, show
 from calibration.tasks.executors import Workers, open_tasks
 
-LEDGER = Path(__file__).with_name("hidden_effects_ledger.jsonl")
+LEDGER = Path(__file__).with_name("ledger.jsonl")
 #: Runs with nothing hidden of which none may alarm, for a rate below 1 % (Wilson).
 ENOUGH = 380
 
@@ -100,8 +101,8 @@ def check_seeds(seeds: Sequence[int], digest: str, *, sealed: bool, ledger: Path
             raise SystemExit(f"seeds {entry['first']} to {entry['last']} were run under the hash {entry['hash'][:12]} "
                              f"on {entry['date']}; take fresh ones from {max(one['last'] for one in noted) + 1} on")
     changed = subprocess.run(["git", "status", "--porcelain", "calibration", "tissue_sim", "benchmarks",
-                              f":(exclude)benchmarks/{LEDGER.name}"], cwd=ROOT, capture_output=True, text=True,
-                             check=True).stdout
+                              f":(exclude)benchmarks/hidden_effects/{LEDGER.name}"], cwd=ROOT, capture_output=True,
+                             text=True, check=True).stdout
     if changed.strip():
         raise SystemExit(f"the working tree differs from its commit; commit first, so that the figures have a code:\n"
                          f"{changed}")

@@ -15,6 +15,7 @@ from unittest import mock
 
 import numpy as np
 
+from benchmarks import ROOT
 from benchmarks.hidden_effects.cases import PAIRS, Case, both, hidden, outside
 from benchmarks.hidden_effects.peers import best_by_bic, gaussian_process, ordinary
 from benchmarks.hidden_effects.recordings import draw_scatter, write_campaign
@@ -27,7 +28,6 @@ from calibration.fit.run_context import RunContext
 from calibration.tasks.executors import Tasks
 from tissue_sim.errors import ConvergenceError, InputError
 
-ROOT = Path(__file__).resolve().parents[1]
 #: What the figures depend on; sealed figures stand under the hash of all of it, thresholds included.
 HASHED = ("diagnosis", "effects", "statistics", "fit", "forward")
 #: Seeds below are for development, those from here on are sealed: drawn once, scored once.

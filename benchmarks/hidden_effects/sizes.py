@@ -17,7 +17,7 @@ from benchmarks.hidden_effects.cases import Case, hidden, moduli_change, outside
 from benchmarks.hidden_effects.truth import C10, C20, PROTOCOLS, VirtualTest, plain
 from tissue_sim.errors import ConvergenceError
 
-TABLE = Path(__file__).with_name("hidden_effects_sizes.json")
+TABLE = Path(__file__).with_name("sizes.json")
 #: Of the recordings: noise, N; jitter between replicates, m and N; how many there are.
 NOISE, CONTACT, ZERO, REPLICATES = 0.02, 0.03e-3, 0.01, 3
 #: Correlation time of coloured noise, s.

@@ -22,6 +22,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 import tissue_sim as ts
+from benchmarks import ROOT
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.material.parts import with_parts
 from tissue_sim.mesh.axisymmetric import cylinder_mesh, needle_mesh, structured_mesh, with_lines

@@ -22,6 +22,8 @@ import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+from benchmarks import child_environment
+
 #: s without an answer: two for the reading, and what a busy computer adds. Memory of a worker, bytes.
 PATIENCE, MEMORY = 20.0, 3_000_000_000
 #: Readers of which an input costs most, and the share of the others' inputs that they get.
@@ -105,8 +107,9 @@ def watch(name: str, seed: int, count: int, kept: Path) -> Row:
     while row.inputs < count:
         with tempfile.TemporaryDirectory(prefix="mutated_") as folder:
             worker = subprocess.Popen(
-                [sys.executable, __file__, "--work", name, "--seed", str(seed), "--first", str(row.inputs), "--last",
-                 str(count), "--folder", folder], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+                [sys.executable, "-m", "benchmarks.inputs.mutated_inputs", "--work", name, "--seed", str(seed),
+                 "--first", str(row.inputs), "--last", str(count), "--folder", folder],
+                stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=child_environment())
             assert worker.stdout is not None and worker.stderr is not None
             begun = False
             while row.inputs < count:

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import ROOT
+
 sys.path.insert(0, str(ROOT / "tests" / "calibration"))
 import machine_exports
 

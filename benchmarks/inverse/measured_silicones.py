@@ -17,6 +17,7 @@ import numpy as np
 from rich.console import Console
 
 import tissue_sim as ts
+from benchmarks import ROOT
 from benchmarks.measure import about, option_parser, show, table
 from calibration import CalibrationResult, calibrate
 from calibration.fit.fit import Fit
@@ -306,7 +307,7 @@ def main() -> None:
     parser.add_argument("--figure", type=Path, metavar="FILE", help="draw it; needs the parts stated and friction")
     parser.add_argument("--part", choices=list(studies()), action="append", help="only this part (may be repeated)")
     arguments = parser.parse_args()
-    data = Path(os.environ.get("TISSUE_SIM_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+    data = Path(os.environ.get("TISSUE_SIM_DATA", ROOT.parent / "shared" / "data"))
     if not (data / "ecoflex_compression").is_dir():
         raise SystemExit(f"no measured data in {data}; set TISSUE_SIM_DATA to the folder that holds "
                          "ecoflex_compression and soro_tensile")

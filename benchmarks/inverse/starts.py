@@ -26,6 +26,7 @@ from scipy.interpolate import CubicSpline
 from scipy.stats import qmc
 
 import tissue_sim as ts
+from benchmarks import ROOT
 from benchmarks.measure import about, option_parser, show, summary, table, verdict
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve

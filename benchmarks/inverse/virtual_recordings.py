@@ -8,12 +8,12 @@ al. (Biophysical Journal 82 (2002) 2798) and of a cone on one by Gavara and Chad
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 import tissue_sim as ts
+from benchmarks import ROOT
 
 REFERENCE = ROOT / "tests" / "reference"
 #: Noise as a share of the force at the full depth, and samples from contact to there.

@@ -25,6 +25,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
 import tissue_sim as ts
+from benchmarks import ROOT
 from benchmarks.measure import about, option_parser, show, summary, table, verdict
 from benchmarks.peers.compression import PARAMETERS
 from benchmarks.peers.felupe_indentation import Indentation

@@ -26,6 +26,7 @@ from pathlib import Path
 import numpy as np
 
 import tissue_sim as ts
+from benchmarks import ROOT
 from benchmarks.measure import about, option_parser, show, table
 from benchmarks.realtime.multirate import mesh_of
 from tissue_sim.fem.solid.discretisation import make_solver
@@ -113,7 +114,7 @@ def measure(size: int, asked) -> dict:
 def truth() -> dict:
     """Force over depth."""
     recording = ts.simulate(model(STUDY), resolution="accurate")
-    other = np.loadtxt(_HERE.parent / "tests" / "reference" / "punch_3d_on_axis_RP.csv", delimiter=",", comments="#")
+    other = np.loadtxt(ROOT / "tests" / "reference" / "punch_3d_on_axis_RP.csv", delimiter=",", comments="#")
     return {"depths": recording.displacement.tolist(), "forces": recording.force.tolist(),
             "other_depths": (1e-3 * other[:, 0]).tolist(), "other_forces": other[:, 1].tolist()}
 

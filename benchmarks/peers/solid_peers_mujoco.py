@@ -68,7 +68,7 @@ def pressed(job: dict) -> dict:
     return {"freedoms": int(built.nv), "rows": rows, "ended": ""}
 
 
-def main() -> None:
+def run_process() -> None:
     with np.load(sys.argv[1]) as stored:
         job = {name: stored[name] for name in stored.files}
     for name in ("young", "poisson", "seconds"):
@@ -77,4 +77,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_process()

@@ -18,19 +18,14 @@ from pathlib import Path
 import numpy as np
 
 import tissue_sim as ts
+from benchmarks import ROOT, child_environment
 from benchmarks.peers.work_precision import MATERIAL
 from benchmarks.realtime.ticks import say
 from haptics.server.client import TissueClient
 
-_HERE = Path(__file__).parent
 _COMMAND = [sys.executable, "-m", "scenes.cli"]
 #: How a client waits: so many looks for a reply before it sleeps; the many are more than a step takes.
 _WAITS = {"sleeping": 0, "polling": 2000}
-
-
-def _environment() -> dict[str, str]:
-    paths = [str(_HERE.parent), os.environ.get("PYTHONPATH", "")]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
 
 
 def loops(seconds: float) -> list[dict]:
@@ -43,7 +38,7 @@ def loops(seconds: float) -> list[dict]:
     for title, flags in (("with SCHED_FIFO", []), ("without", ["--no-real-time"])):
         say(f"loop of {seconds:g} s {title}")
         done = subprocess.run([*_COMMAND, "loop", "needle_indentation", "--seconds", str(seconds), "--json", *flags],
-                              env=_environment(), capture_output=True, text=True, encoding="utf-8", check=False)
+                              env=child_environment(), capture_output=True, text=True, encoding="utf-8", check=False)
         if done.returncode:
             raise SystemExit(f"tissue-sim loop: {done.stderr.strip()}")
         found.append({"case": title, **json.loads(done.stdout)})
@@ -53,8 +48,8 @@ def loops(seconds: float) -> list[dict]:
 def throughput(processes: int, seconds: float) -> dict:
     """Steps per second of simulators that step at the same time, each in a process of its own."""
     say(f"{processes} simulators at once")
-    workers = [subprocess.Popen([sys.executable, str(_HERE / "realtime_worker.py")], env=_environment(), text=True,
-                                stdin=subprocess.PIPE, stdout=subprocess.PIPE, encoding="utf-8")
+    workers = [subprocess.Popen([sys.executable, "-m", "benchmarks.realtime.worker"], env=child_environment(),
+                                text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, encoding="utf-8")
                for _ in range(processes)]
     try:
         for worker in workers:
@@ -88,7 +83,7 @@ def _serving() -> Iterator[int]:
         path = Path(folder) / "silicone.material.json"
         ts.write_material_file(ts.MaterialFile.of(MATERIAL), path)
         server = subprocess.Popen([*_COMMAND, "serve", "--material", str(path), "--port", "0", "--budget-us", "0",
-                                   "--inertia", "off", "--json"], env=_environment(), text=True, encoding="utf-8",
+                                   "--inertia", "off", "--json"], env=child_environment(), text=True, encoding="utf-8",
                                   stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
         try:
             ready = server.stdout.readline()
@@ -131,8 +126,8 @@ def _compile(folder: str) -> Path | None:
     if compiler is None:
         return None
     program = Path(folder) / "realtime_round_trip"
-    subprocess.run([compiler, "-std=c99", "-O2", f"-I{_HERE.parent / 'docs' / 'client'}", "-o", str(program),
-                    str(_HERE / "realtime_round_trip.c"), "-lm"], check=True)
+    subprocess.run([compiler, "-std=c99", "-O2", f"-I{ROOT / 'docs' / 'client'}", "-o", str(program),
+                    str(Path(__file__).with_name("round_trip.c")), "-lm"], check=True)
     return program
 
 

@@ -15,7 +15,7 @@ from benchmarks.realtime.ticks import cases, drive
 from haptics.loop.loop import peak_memory
 
 
-def main() -> None:
+def run_process() -> None:
     simulator = cases()[0].simulator()
     drive(simulator)
     print("ready", flush=True)
@@ -29,4 +29,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_process()

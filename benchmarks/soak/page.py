@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 import scenes.viewer.live_simulation
+from benchmarks import child_environment
 from benchmarks.soak.scenes import HIGHEST, LAW, draw, model_of
 from benchmarks.soak.tissue import LoggedSimulator, calls_in
 from scenes.viewer.frame import FRAMES, Frame, Phase
@@ -213,9 +214,9 @@ class _Player:
             self._played.killed += 1
 
     def _start_reader(self) -> None:
-        self._reader = subprocess.Popen([sys.executable, str(Path(__file__).parent / "viewer_client.py"),
-                                         str(self._port)], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
-                                        stderr=subprocess.DEVNULL)
+        self._reader = subprocess.Popen([sys.executable, "-m", "benchmarks.viewer.client", str(self._port)],
+                                        stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                                        env=child_environment())
 
     def _end_reader(self) -> None:
         if self._reader is not None:

@@ -51,7 +51,7 @@ def described(came: float, size: int, packet: bytes) -> tuple:
     return content["timestampSec"], came, size, heights, shown
 
 
-def main() -> None:
+def run_process() -> None:
     done, packets = threading.Event(), []
     threading.Thread(target=lambda: (sys.stdin.read(), done.set()), daemon=True).start()
     with connect(f"ws://127.0.0.1:{int(sys.argv[1])}/", subprotocols=[f"viser-v{version('viser')}"], compression=None,
@@ -71,4 +71,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_process()

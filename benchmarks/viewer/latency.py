@@ -12,8 +12,8 @@ def pictures(frames: list, messages: list) -> dict:
     """From the tick whose tissue a picture shows to its arrival, and the parts of that way, ms.
 
     Args:
-        frames: of `viewer_worker`, in a run in which the tool moves.
-        messages: of `viewer_client`.
+        frames: of `worker`, in a run in which the tool moves.
+        messages: of `client`.
     """
     sent = [message[0] for message in messages]
     ways = []

@@ -10,9 +10,9 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from pathlib import Path
 
 import tissue_sim as ts
+from benchmarks import ROOT, child_environment
 from benchmarks.viewer.client import READOUTS
 from benchmarks.viewer.ticks import MOTION, SETTLING, TickCount
 from haptics.devices.motions import ProtocolMotion
@@ -22,7 +22,6 @@ from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
 from scenes.viewer.live_simulation import BUDGET
 
-_HERE = Path(__file__).parent
 #: Notes every change of the read-outs, with the page's clock in ms.
 _WATCH = """names => {
     const seen = window.__seen = [];
@@ -37,11 +36,10 @@ _WATCH = """names => {
 
 @contextmanager
 def script(name: str, *arguments: str) -> Iterator[subprocess.Popen]:
-    """A script of this folder, spoken to in lines; at the end its input ends, and it is waited for."""
-    paths = [str(_HERE.parent), os.environ.get("PYTHONPATH", "")]
-    process = subprocess.Popen([sys.executable, str(_HERE / name), *arguments], text=True, encoding="utf-8",
-                               env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))},
-                               stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    """Run a module of this folder in a child process with line-buffered pipes; on exit, close its input and wait."""
+    process = subprocess.Popen([sys.executable, "-m", f"benchmarks.viewer.{name}", *arguments], text=True,
+                               encoding="utf-8", env=child_environment(), stdin=subprocess.PIPE,
+                               stdout=subprocess.PIPE)
     try:
         yield process
     finally:
@@ -54,12 +52,12 @@ def line_of(process: subprocess.Popen) -> str:
     """What it says next. Raises SystemExit where it has ended."""
     line = process.stdout.readline()
     if not line:
-        raise SystemExit(f"{process.args[1]} has ended with code {process.wait()}; see what it printed")
+        raise SystemExit(f"{process.args[2]} has ended with code {process.wait()}; see what it printed")
     return line
 
 
 class ViewerProcess:
-    """A running `viewer_worker`.
+    """A running `worker`.
 
     Attributes:
         port: of its page; elements: of its mesh; loop: the number of its loop's process.
@@ -71,7 +69,7 @@ class ViewerProcess:
         self.port, self.elements, self.loop = ready["port"], ready["elements"], ready["loop"]
 
     def run(self, seconds: float, viewer: str = "page", motion: str = "moves", clients: int = 1) -> dict:
-        """One run; see `viewer_worker.run`."""
+        """One run; see `worker.run`."""
         asked = {"viewer": viewer, "motion": motion, "clients": clients, "seconds": seconds}
         self._process.stdin.write(json.dumps(asked) + "\n")
         self._process.stdin.flush()
@@ -81,14 +79,14 @@ class ViewerProcess:
 @contextmanager
 def viewing(resolution: str) -> Iterator[ViewerProcess]:
     """A viewer of the needle."""
-    with script("viewer_worker.py", resolution) as process:
+    with script("worker", resolution) as process:
         yield ViewerProcess(process)
 
 
 @contextmanager
 def reading(port: int) -> Iterator[Callable[[], list]]:
     """A client that reads; called at the end, it gives the messages that came, and is gone."""
-    with script("viewer_client.py", str(port)) as process:
+    with script("client", str(port)) as process:
         line_of(process)
 
         def messages() -> list:
@@ -118,7 +116,7 @@ def _chromium():
     """The module that drives Chromium for the documentation; None where it cannot."""
     if importlib.util.find_spec("playwright") is None:
         return None
-    spec = importlib.util.spec_from_file_location("docs_chromium", _HERE.parent / "docs" / "chromium.py")
+    spec = importlib.util.spec_from_file_location("docs_chromium", ROOT / "docs" / "chromium.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module if module.chromium_path() else None

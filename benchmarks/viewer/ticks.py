@@ -1,4 +1,4 @@
-"""Ticks of a loop that were late or missed, counted from its ring, for `viewer_worker` and `viewer_processes`."""
+"""Ticks of a loop that were late or missed, counted from its ring, for `worker` and `processes`."""
 
 from contextlib import suppress
 from pathlib import Path

@@ -181,7 +181,7 @@ def memory(session: Session) -> dict[str, float | None]:
             "curves": peak_memory(others[0]) if others else None}
 
 
-def main() -> None:
+def run_process() -> None:
     session = Session(study(), resolution=sys.argv[1])
     page = None
     try:
@@ -205,4 +205,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_process()

@@ -1,7 +1,5 @@
 """Prediction bands: what they hold of recordings that nobody fitted."""
 
-import importlib.util
-import sys
 
 import numpy as np
 import pytest
@@ -11,17 +9,9 @@ from calibration.statistics.bands import Scatter, prediction_bands
 
 
 @pytest.fixture(scope="module")
-def bands(root):
-    """benchmarks/bands.py."""
-    spec = importlib.util.spec_from_file_location("bands_benchmark", root / "benchmarks" / "bands.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    with pytest.MonkeyPatch.context() as patch:
-        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-            patch.setenv(name, "1")
-        spec.loader.exec_module(module)
-    yield module
-    sys.modules.pop(spec.name)
+def bands(benchmark_module):
+    """The benchmark ``bands``."""
+    return benchmark_module("inverse.bands")
 
 
 @pytest.mark.parametrize("words", ["contact and zero, 5", "the same stated, 1", "stiffness too, 5",

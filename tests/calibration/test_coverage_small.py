@@ -1,9 +1,6 @@
 """The benchmarks of the inverse calibration, small: starts far away find one minimum, intervals hold the truth."""
 
-import importlib
-import importlib.util
 import statistics
-import sys
 
 import numpy as np
 import pytest
@@ -19,20 +16,9 @@ CAMPAIGNS, STARTS, SEED = 12, 6, 1
 
 
 @pytest.fixture(scope="module")
-def benchmarks(root):
-    """benchmarks/starts.py and coverage.py; the latter by its path, because a package has its name."""
-    before = set(sys.modules)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(root / "benchmarks")
-        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-            patch.setenv(name, "1")
-        starts = importlib.import_module("starts")
-        spec = importlib.util.spec_from_file_location("coverage_benchmark", root / "benchmarks" / "coverage.py")
-        coverage = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(coverage)
-        yield starts, coverage
-    for name in {"starts", "measure"} - before:
-        sys.modules.pop(name, None)
+def benchmarks(benchmark_module):
+    """The benchmarks ``starts`` and ``coverage``."""
+    return benchmark_module("inverse.starts"), benchmark_module("inverse.coverage")
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,7 @@
-"""benchmarks/hidden_effects.py, small: its scores on runs whose score is known, its truths, and two runs end to end."""
+"""benchmarks/hidden_effects, small: its scores on runs whose score is known, its truths, and two runs end to end."""
 
-import importlib
 import json
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -12,19 +10,12 @@ NAMES = ("truth", "cases", "sizes", "recordings", "peers", "scoring", "run", "ta
 
 
 @pytest.fixture(scope="module")
-def study(root, tmp_path_factory):
-    """The modules of the study by their last name, ``main`` the program."""
-    before = set(sys.modules)
+def study(benchmark_module, tmp_path_factory):
+    """The modules of the study by name; ``main`` is its command line."""
+    found = {name: benchmark_module(f"hidden_effects.{name}") for name in NAMES}
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(root / "benchmarks")
-        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-            patch.setenv(name, "1")
-        found = {name: importlib.import_module(f"hidden_effects_{name}") for name in NAMES}
         patch.setattr(found["truth"], "CACHE", tmp_path_factory.mktemp("cache"))
-        yield {**found, "main": importlib.import_module("hidden_effects")}
-    for name in set(sys.modules) - before:
-        if name.startswith("hidden_effects") or name == "measure":
-            sys.modules.pop(name)
+        yield {**found, "main": benchmark_module("hidden_effects.__main__")}
 
 
 def made(verdict, named=(), others=(), effects=("latency",), **changes):

@@ -1,7 +1,5 @@
-"""benchmarks/raw_files.py, small: its closed forms, its files and its judgement, and some files end to end."""
+"""benchmarks/raw_files, small: its closed forms, its files and its judgement, and some files end to end."""
 
-import importlib
-import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -15,18 +13,10 @@ STRETCH = np.array([0.6, 0.9, 1.1, 1.7])
 
 
 @pytest.fixture(scope="module")
-def study(root):
-    """The modules of the generator: ``truth``, ``drafts``, ``run`` and ``main``."""
-    before = set(sys.modules)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(root / "benchmarks")
-        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-            patch.setenv(name, "1")
-        found = {name: importlib.import_module(f"raw_file_{name}") for name in ("truth", "drafts", "run")}
-        yield SimpleNamespace(**found, main=importlib.import_module("raw_files"))
-    for name in set(sys.modules) - before:
-        if name.startswith("raw_file"):
-            sys.modules.pop(name)
+def study(benchmark_module):
+    """The modules of the generator: ``truth``, ``drafts``, ``run``, and ``main``, its command line."""
+    return SimpleNamespace(**{name: benchmark_module(f"raw_files.{name}") for name in ("truth", "drafts", "run")},
+                           main=benchmark_module("raw_files.__main__"))
 
 
 @pytest.mark.parametrize(("function", "mode", "abscissa"), [

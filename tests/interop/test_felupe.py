@@ -5,8 +5,6 @@ sides solve to rounding, so what is left is far below the six digits asked for (
 Newton step is the coarser one).
 """
 
-import importlib.util
-import sys
 
 import numpy as np
 import pytest
@@ -24,14 +22,9 @@ LAWS = {
 
 
 @pytest.fixture(scope="module")
-def felupe_problem(root):
-    """The module that the benchmark uses too: one oracle, checked here and timed there."""
-    spec = importlib.util.spec_from_file_location("felupe_problem", root / "benchmarks" / "felupe_problem.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
+def felupe_problem(benchmark_module):
+    """The reference solution of the benchmarks: checked here, timed there."""
+    return benchmark_module("peers.felupe_problem")
 
 
 def felupe_law(felupe_problem, law):

@@ -2,8 +2,6 @@
 side wall, which FElupe has not, on the same mesh with the same element.
 """
 
-import importlib
-import sys
 
 import numpy as np
 import pytest
@@ -21,14 +19,9 @@ BULK_RATIO = 1e4
 
 
 @pytest.fixture(scope="module")
-def felupe_indentation(root):
-    """The module that the benchmark times; its neighbour is found beside it."""
-    before = set(sys.modules)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(root / "benchmarks")
-        yield importlib.import_module("felupe_indentation")
-    for name in {"felupe_indentation", "felupe_problem"} - before:
-        sys.modules.pop(name, None)
+def felupe_indentation(benchmark_module):
+    """The reference solution that the benchmark times."""
+    return benchmark_module("peers.felupe_indentation")
 
 
 def our_forces(mesh, C10, C20):

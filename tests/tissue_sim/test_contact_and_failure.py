@@ -1,7 +1,5 @@
-"""Contact, failure and segments of recordings: small versions of benchmarks/contact.py, and plain cases."""
+"""Contact, failure and segments of recordings: small versions of benchmarks/inverse/contact.py, and plain cases."""
 
-import importlib
-import sys
 
 import numpy as np
 import pytest
@@ -12,16 +10,9 @@ RECORDINGS = 24
 
 
 @pytest.fixture(scope="module")
-def virtual(root):
-    """benchmarks/contact.py."""
-    before = set(sys.modules)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(root / "benchmarks")
-        name = "contact"
-        yield importlib.import_module(name)
-        for name in set(sys.modules) - before:
-            if name in ("contact", "virtual_recordings"):
-                del sys.modules[name]
+def virtual(benchmark_module):
+    """The benchmark ``contact``."""
+    return benchmark_module("inverse.contact")
 
 
 def test_intervals_hold_the_truth_and_are_narrow(virtual):

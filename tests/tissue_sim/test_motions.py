@@ -1,7 +1,5 @@
-"""The generator of motions (`benchmarks/motions.py`): its truths, its judge, and a few motions of each trap."""
+"""The generator of motions (`benchmarks/motions`): its truths, its judge, and a few motions of each trap."""
 
-import importlib
-import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -11,41 +9,35 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.pose import Pose
 
-MODULES = ("motions", "motion_course", "motion_judge", "motion_scenes", "motion_traps", "motion_truth",
-           "motion_coupling")
+MODULES = ("course", "judge", "scenes", "traps", "truth", "coupling")
 #: Motions of each trap that are played.
 COUNT = 2
 
 
 @pytest.fixture(scope="module")
-def generator(root):
-    """The modules of the generator, by their names."""
-    before = set(sys.modules)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(root / "benchmarks")
-        yield SimpleNamespace(**{name: importlib.import_module(name) for name in MODULES})
-    for name in set(sys.modules) - before:
-        if name.startswith("motion"):
-            sys.modules.pop(name)
+def generator(benchmark_module):
+    """The modules of the generator by their names; ``main`` is its command line."""
+    return SimpleNamespace(**{name: benchmark_module(f"motions.{name}") for name in MODULES},
+                           main=benchmark_module("motions.__main__"))
 
 
 @pytest.fixture(scope="module")
 def bonded(generator):
     """A needle that holds elastic tissue."""
-    return generator.motion_scenes.Scene("axisymmetric", "flat", 6e-3, "bonded")
+    return generator.scenes.Scene("axisymmetric", "flat", 6e-3, "bonded")
 
 
 def press(generator, scene, depths, dt=1e-3):
     """A motion along depths, m."""
-    return generator.motion_course.Motion("press", scene, tuple(
-        generator.motion_traps.moves([Pose.at_depth(depth) for depth in depths], dt)))
+    return generator.course.Motion("press", scene, tuple(
+        generator.traps.moves([Pose.at_depth(depth) for depth in depths], dt)))
 
 
 def true_forces(generator, motion):
     """Along z at each compared operation."""
     found = {}
-    for path in generator.motion_course.paths(motion.operations):
-        found |= generator.motion_truth.truths(motion.scene, path)
+    for path in generator.course.paths(motion.operations):
+        found |= generator.truth.truths(motion.scene, path)
     return {index: truth.force[2] for index, truth in found.items()}
 
 
@@ -63,7 +55,7 @@ class TestTruth:
         assert force[0] == pytest.approx(float(recording.force[-1]), rel=1e-4)
 
     def test_a_factor_of_all_moduli_is_a_factor_of_the_force(self, generator, bonded):
-        course = generator.motion_course
+        course = generator.course
         motion = press(generator, bonded, [2e-3, 2e-3])
         scaled = replace(motion, operations=(motion.operations[0], course.Scale(2.0), motion.operations[1]))
         force = true_forces(generator, scaled)
@@ -72,7 +64,7 @@ class TestTruth:
         assert force[2] == pytest.approx(true_forces(generator, press(generator, stiffer, [2e-3]))[0], rel=1e-5)
 
     def test_reset_and_restore_begin_other_paths(self, generator, bonded):
-        course, moves = generator.motion_course, generator.motion_traps.moves
+        course, moves = generator.course, generator.traps.moves
         a, b, c = (moves([Pose.at_depth(depth)], 1e-3)[0] for depth in (1e-3, 2e-3, 3e-3))
         found = course.paths((a, course.Save(), b, course.Restore(), c, course.Reset(), b))
         assert [[(tick.pose.depth, tick.index) for tick in path] for path in found] == [
@@ -103,14 +95,14 @@ class TestJudge:
         (lambda answer: answer.scaled(0.95, ts.ForceStatus.LATE), "not converged"),
         (lambda answer: 1 / 0, "fault")])
     def test_faults_are_found(self, generator, bonded, monkeypatch, change, verdict):
-        judge = generator.motion_judge
+        judge = generator.judge
         sound = judge.tissue_of
         monkeypatch.setattr(judge, "tissue_of", lambda scene: FaultyTissue(sound(scene), change))
         motion = press(generator, bonded, np.linspace(1e-3, 3e-3, 5))
         assert judge.judged(motion).outcome == verdict
 
     def test_an_accepted_nan_is_silently_wrong(self, generator, bonded, monkeypatch):
-        judge, course = generator.motion_judge, generator.motion_course
+        judge, course = generator.judge, generator.course
         motion = press(generator, bonded, [1e-3, 2e-3])
         lost = course.Move(Pose.at_depth(float("nan")), 1e-3, None)
         motion = replace(motion, operations=(*motion.operations, lost))
@@ -122,7 +114,7 @@ class TestJudge:
         assert judge.judged(motion).outcome == "silently wrong"
 
     def test_a_stale_stiffness_must_be_marked(self, generator, bonded, monkeypatch):
-        judge = generator.motion_judge
+        judge = generator.judge
         motion = replace(press(generator, bonded, [1e-3, 2e-3, 3e-3]), checks_stiffness=True)
         sound, stale = judge.tissue_of, ts.ToolForce.axial(0.0, 1.0, ts.ForceStatus.CONVERGED).stiffness_matrix
         for age, outcome in ((0.0, "silently wrong"), (1e-3, "right")):
@@ -140,12 +132,12 @@ TRAPS = ("clean", "aside in the air", "off the axis in contact", "spin", "telepo
 
 
 def test_every_trap_is_played(generator):
-    assert {"clean", "light tool", *generator.motion_traps.AXISYMMETRIC} == {"too deep", *TRAPS}
+    assert {"clean", "light tool", *generator.traps.AXISYMMETRIC} == {"too deep", *TRAPS}
 
 
 @pytest.mark.parametrize("trap", TRAPS)
 def test_no_answer_is_silently_wrong(generator, trap):
-    motions = generator.motions
+    motions = generator.main
     for index in range(COUNT):
         task = motions.Task("axisymmetric", index, 1, trap == "clean", None if trap == "clean" else trap)
         result = motions.play(task)

@@ -1,8 +1,6 @@
 """Random models that once stopped or answered wrongly: each reaches its end, in equilibrium by other means than the
-solver's (`benchmarks/equilibrium_check.py`)."""
+solver's (`benchmarks/random_models`)."""
 
-import importlib
-import sys
 from types import SimpleNamespace
 
 import pytest
@@ -18,18 +16,12 @@ ACCURATE = (6, 14, 21, 23, 24, 31, 48, 69, 77, 81, 92, 117, 119, 120, 4134, 4165
 
 
 @pytest.fixture(scope="module")
-def random(root):
-    """`build`, `draw` and `EquilibriumCheck` of the benchmark."""
-    before = set(sys.modules)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(root / "benchmarks")
-        generator, check, motion = (importlib.import_module(name) for name in (
-            "random_model_generator", "equilibrium_check", "random_model_motion"))
-        yield SimpleNamespace(model=lambda seed: generator.build(generator.draw(seed)), check=check.EquilibriumCheck,
-                              draw=generator.draw, motion=motion)
-    for name in set(sys.modules) - before:
-        if name.startswith(("random_model", "equilibrium")):
-            sys.modules.pop(name)
+def random(benchmark_module):
+    """``model``, ``draw``, ``check`` and ``motion`` of the benchmark."""
+    generator, check, motion = (benchmark_module(f"random_models.{name}")
+                                for name in ("generator", "equilibrium_check", "motion"))
+    return SimpleNamespace(model=lambda seed: generator.build(generator.draw(seed)), check=check.EquilibriumCheck,
+                           draw=generator.draw, motion=motion)
 
 
 @pytest.mark.parametrize(("resolution", "seed"), [("fast", seed) for seed in FAST]

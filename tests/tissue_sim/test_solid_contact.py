@@ -3,8 +3,6 @@
 Formulas: Johnson, Contact Mechanics, 1985.
 """
 
-import importlib.util
-import sys
 
 import numpy as np
 import pytest
@@ -16,14 +14,9 @@ from tissue_sim.mesh.solid import needle_solid
 
 
 @pytest.fixture(scope="module")
-def solid_checks(root):
-    """The module of the benchmark, which has the finer meshes."""
-    spec = importlib.util.spec_from_file_location("solid_checks", root / "benchmarks" / "solid_checks.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
+def solid_checks(benchmark_module):
+    """The benchmark, which also checks finer meshes."""
+    return benchmark_module("solids.solid_checks")
 
 
 def test_a_ball_that_slips_in_part_is_that_of_cattaneo_and_mindlin(solid_checks):
