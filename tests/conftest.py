@@ -1,4 +1,4 @@
-"""Folders that tests share, and the order of the tests."""
+"""Shared fixtures, markers, and the order in which processes run the tests."""
 
 import gc
 import importlib
@@ -17,28 +17,29 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-# Before numpy comes: threads help no matrix as small as ours, and on a busy machine they wait for each other.
+# Set before numpy is imported: threads do not speed up small matrices, and on a busy machine they wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# The libraries leave so many objects that looking through them after every 700 new ones took a tenth of the time.
+# With the default of 700 new objects, garbage collection took a tenth of the time.
 gc.set_threshold(50_000)
-# How long an example takes says nothing on a machine that has much else to do.
+# The duration of an example depends on the load of the machine.
 settings.register_profile("shared machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("shared machine")
 
 ROOT = Path(__file__).resolve().parents[1]
-# What tests of several folders share is a module beside this one.
+# Modules that tests of several folders import are in this folder; the benchmarks are in the root folder.
 sys.path[:0] = [str(ROOT / "tests"), str(ROOT)]
-#: s; after that tests compile for themselves what nobody has.
+#: Longest time that a test waits for the compiling process, s; then it compiles its kernels itself.
 COMPILING = 1800.0
-#: With more processes a machine has too little memory before it has too few cores.
+#: Maximum number of processes; more need too much memory.
 MOST_PROCESSES = 8
-#: Tests that use no finite elements, but for those of the calibration that do; they take more than a minute.
+#: Tests without finite elements; they run while kernels are compiled.
 WITHOUT_KERNELS = (
     "tests/calibration/", "tests/scenes/test_calibrate_command", "tests/scenes/test_material_command",
     "tests/tissue_sim/test_column", "tests/tissue_sim/test_formats", "tests/tissue_sim/test_laws",
     "tests/tissue_sim/test_material_file", "tests/tissue_sim/test_protocol", "tests/tissue_sim/test_recording",
     "tests/tissue_sim/test_viscoelasticity")
-BUT = ("tests/calibration/effects/", "tests/calibration/test_coverage_small", "tests/calibration/test_inverse_fem",
+#: Tests of the folders above that do use finite elements.
+WITH_KERNELS = ("tests/calibration/effects/", "tests/calibration/test_coverage_small", "tests/calibration/test_inverse_fem",
        "tests/calibration/test_inverse_measured")
 
 
@@ -73,16 +74,15 @@ def data_folder() -> Path:
     """Measured data of others; not part of the repository."""
     folder = Path(os.environ.get("TISSUE_SIM_DATA", ROOT.parent / "shared" / "data"))
     if not folder.is_dir():
-        pytest.skip("compares with measurements that other people have published, of which this repository holds no "
-                    f"copy, and there is no folder {folder}; docs/calibration.md, docs/measured_silicones.md and "
-                    "docs/viscoelasticity.md say where they are; set TISSUE_SIM_DATA to the folder that holds "
-                    "ecoflex_compression and the others")
+        pytest.skip(f"needs published measurements, which are not part of this repository; {folder} does not exist. "
+                    "docs/calibration.md, docs/measured_silicones.md and docs/viscoelasticity.md name their sources; set "
+                    "TISSUE_SIM_DATA to the folder that contains ecoflex_compression and the others")
     return folder
 
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Figures of reports are composed and not drawn, which takes longer than most fits: each is one black pixel."""
+    """Replace each drawn figure of a report by one black pixel: drawing takes longer than most fits."""
     from PIL import Image
 
     pixel = io.BytesIO()
@@ -91,19 +91,21 @@ def undrawn(monkeypatch):
 
 
 class Compilation:
-    """A process that compiles kernels while tests run that need none. A machine's first run spends two minutes on
-    that, and each of the processes that tests start would compile the same kernels again."""
+    """A process that compiles kernels while tests without kernels run.
+
+    The first run on a machine compiles for two minutes; without this process each test process would compile the same
+    kernels."""
 
     def __init__(self, config: pytest.Config):
-        #: In the processes that share the tests; the one that shares them out has none of this.
+        #: Path of the mark in worker processes; the controller has none.
         given = getattr(config, "workerinput", {}).get("compiling")
-        #: There while the process runs.
+        #: File that exists while the process runs.
         self._mark = None if given is None else Path(given)
         self._process: subprocess.Popen | None = None
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, config: pytest.Config, items: list[pytest.Item]) -> None:
-        # Pages stay together, see below, and take minutes: begun last, they would leave all processes but one idle.
+        # All pages run in one process, see below, for minutes: started last, they would leave the other processes idle.
         items.sort(key=lambda item: (may_use_kernels(item), not item.nodeid.startswith("tests/browser/")))
         both_kinds = {may_use_kernels(item) for item in items} == {False, True}
         if both_kinds and not config.option.collectonly and not hasattr(config, "workerinput"):
@@ -111,7 +113,7 @@ class Compilation:
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_configure_node(self, node: Any) -> None:
-        """Of the process that shares the tests out, which collects none."""
+        """Start the compilation in the controller, which collects no tests."""
         if self._mark is None:
             self._begin()
         node.workerinput["compiling"] = str(self._mark)
@@ -125,7 +127,7 @@ class Compilation:
             return
         self._mark.touch()
         path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-        # Where it fails, the tests compile what they need, as with any other kernel.
+        # If the process fails, the tests compile their kernels themselves.
         self._process = subprocess.Popen([sys.executable, Path(__file__).with_name("compile_kernels.py")],
                                          env={**os.environ, "PYTHONPATH": path}, stdin=subprocess.DEVNULL,
                                          stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -137,7 +139,7 @@ class Compilation:
         threading.Thread(target=wait, daemon=True).start()
 
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
-        # Taichi looks for kept kernels once, when it starts in this process.
+        # Taichi reads its cache of kernels once, at its start in this process.
         if self._mark is not None and may_use_kernels(item):
             deadline = time.monotonic() + COMPILING
             while self._mark.exists() and time.monotonic() < deadline:
@@ -151,26 +153,45 @@ class Compilation:
 
 
 def may_use_kernels(item: pytest.Item) -> bool:
-    return item.nodeid.startswith(BUT) or not item.nodeid.startswith(WITHOUT_KERNELS)
+    return item.nodeid.startswith(WITH_KERNELS) or not item.nodeid.startswith(WITHOUT_KERNELS)
+
+
+#: Markers that follow from the folder of a test.
+MARKERS_OF_FOLDERS = {"tests/browser/": "browser", "tests/haptics/devices/": "hardware_protocol",
+                      "tests/haptics/protocols/": "hardware_protocol", "tests/haptics/recorder/": "hardware_protocol"}
+
+
+def is_whole_suite(config: pytest.Config) -> bool:
+    """True if the command line names no test, file or folder."""
+    return config.args == config.getini("testpaths")
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    # The choice is made here, and not in `addopts`, so that `pytest FILE` runs all tests of the file.
+    if is_whole_suite(config) and not config.option.markexpr:
+        config.option.markexpr = "not slow"
     config.pluginmanager.register(Compilation(config))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        for folder, marker in MARKERS_OF_FOLDERS.items():
+            if item.nodeid.startswith(folder):
+                item.add_marker(marker)
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """The whole suite is shared by processes, some tests are not: each process loads the libraries and kernels anew.
+    """Number of processes: one more than processors for the whole suite, none for single tests.
 
-    One more than there are processors: a fifth of the time a process waits, for devices, pages and other processes."""
-    whole = config.args == config.getini("testpaths")
-    return min((os.cpu_count() or 1) + 1, MOST_PROCESSES) if whole else 0
+    Each process loads the libraries and kernels. A process waits a fifth of its time for devices and other processes."""
+    return min((os.cpu_count() or 1) + 1, MOST_PROCESSES) if is_whole_suite(config) else 0
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """A file is run by one process, and so are all pages: two browsers that draw without a graphics card leave no time
-    for what is drawn."""
+    """Run each file in one process, and all pages in one process: two browsers without a graphics card slow each other."""
     from xdist.scheduler import LoadFileScheduling
 
     class PagesTogether(LoadFileScheduling):
