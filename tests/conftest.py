@@ -39,8 +39,9 @@ WITHOUT_KERNELS = (
     "tests/tissue_sim/test_material_file", "tests/tissue_sim/test_protocol", "tests/tissue_sim/test_recording",
     "tests/tissue_sim/test_viscoelasticity")
 #: Tests of the folders above that do use finite elements.
-WITH_KERNELS = ("tests/calibration/effects/", "tests/calibration/test_coverage_small", "tests/calibration/test_inverse_fem",
-       "tests/calibration/test_inverse_measured")
+WITH_KERNELS = (
+    "tests/calibration/effects/", "tests/calibration/test_coverage_small", "tests/calibration/test_inverse_fem",
+    "tests/calibration/test_inverse_measured")
 
 
 @pytest.fixture(scope="session")
@@ -75,8 +76,8 @@ def data_folder() -> Path:
     folder = Path(os.environ.get("TISSUE_SIM_DATA", ROOT.parent / "shared" / "data"))
     if not folder.is_dir():
         pytest.skip(f"needs published measurements, which are not part of this repository; {folder} does not exist. "
-                    "docs/calibration.md, docs/measured_silicones.md and docs/viscoelasticity.md name their sources; set "
-                    "TISSUE_SIM_DATA to the folder that contains ecoflex_compression and the others")
+                    "docs/calibration.md, docs/measured_silicones.md and docs/viscoelasticity.md name their sources; "
+                    "set TISSUE_SIM_DATA to the folder that contains ecoflex_compression and the others")
     return folder
 
 
@@ -185,13 +186,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """Number of processes: one more than processors for the whole suite, none for single tests.
 
-    Each process loads the libraries and kernels. A process waits a fifth of its time for devices and other processes."""
+    Each process loads libraries and kernels. A process waits a fifth of its time for devices and other processes."""
     return min((os.cpu_count() or 1) + 1, MOST_PROCESSES) if is_whole_suite(config) else 0
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Run each file in one process, and all pages in one process: two browsers without a graphics card slow each other."""
+    """Run each file in one process, and all pages in one process: browsers without a graphics card slow each other."""
     from xdist.scheduler import LoadFileScheduling
 
     class PagesTogether(LoadFileScheduling):

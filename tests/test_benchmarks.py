@@ -33,8 +33,8 @@ def test_the_former_file_of_the_realtime_benchmark_runs(root):
 def page(tmp_path):
     """A page that names two benchmarks; the second one fails."""
     path = tmp_path / "page.md"
-    path.write_text("# Title\n\n<!-- benchmark: needle --repeats 1 -->\nold table\n<!-- end of benchmark -->\n\nText.\n\n"
-                    "<!-- benchmark: needle --repeats 0 -->\nkept\n<!-- end of benchmark -->\n", encoding="utf-8")
+    path.write_text("# Title\n\n<!-- benchmark: needle --repeats 1 -->\nold table\n<!-- end of benchmark -->\n\n"
+                    "Text.\n\n<!-- benchmark: needle --repeats 0 -->\nkept\n<!-- end of benchmark -->\n", encoding="utf-8")
     return path
 
 
