@@ -34,7 +34,8 @@ def page(tmp_path):
     """A page that names two benchmarks; the second one fails."""
     path = tmp_path / "page.md"
     path.write_text("# Title\n\n<!-- benchmark: needle --repeats 1 -->\nold table\n<!-- end of benchmark -->\n\n"
-                    "Text.\n\n<!-- benchmark: needle --repeats 0 -->\nkept\n<!-- end of benchmark -->\n", encoding="utf-8")
+                    "Text.\n\n<!-- benchmark: needle --repeats 0 -->\nkept\n<!-- end of benchmark -->\n",
+                    encoding="utf-8")
     return path
 
 
