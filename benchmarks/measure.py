@@ -70,7 +70,7 @@ def against_lapack(name: str, lower: np.ndarray, repeats: int, *, solve: bool) -
     Args:
         name: of the matrix, for the message.
         lower: lower band, shape (half band + 1, size).
-        repeats: medians are of so many.
+        repeats: number of measurements of each median.
         solve: whether one solution with the factor is part of the time.
 
     Raises:

@@ -4,11 +4,11 @@
         [--effects NAME ...] [--classes "3 to 10" "> 10"] [--one-size] [--seeds 1 3] [--none 380] [--shard 1/4]
         [--workers N | --dask ADDRESS] [--folder FOLDER]
     python -m benchmarks hidden_effects --scores [--sealed]      figures of what has been run under this hash
-    python -m benchmarks hidden_effects --freeze                 compute sizes and what is testable anew
+    python -m benchmarks hidden_effects --freeze                 compute sizes and testable effects again
     python -m benchmarks hidden_effects --cases                  what is hidden, as a table for docs/hidden_effects.md
 
-Killed and started again it goes on where it was. Seeds below 1000 are for development; `--sealed` takes seeds from 1000
-on that nobody has run, notes them in benchmarks/hidden_effects_ledger.jsonl, and needs a clean working tree. Figures
+A run that was killed continues where it stopped. Seeds below 1000 are for development; `--sealed` takes unused seeds
+from 1000 on, records them in benchmarks/hidden_effects/ledger.jsonl, and needs a clean working tree. Figures
 accumulate only under one hash of the diagnosis, its thresholds and the frozen table of sizes.
 """
 
@@ -59,9 +59,9 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default 1)")
     parser.add_argument("--dask", metavar="ADDRESS", help="a dask cluster instead")
     parser.add_argument("--folder", type=Path, default=CACHE / "runs", help=f"of the results (default {CACHE}/runs)")
-    parser.add_argument("--sealed", action="store_true", help=f"seeds from {SEALED_FROM} on that nobody has run")
+    parser.add_argument("--sealed", action="store_true", help=f"unused seeds from {SEALED_FROM} on")
     parser.add_argument("--scores", action="store_true", help="only score what has been run")
-    parser.add_argument("--freeze", action="store_true", help="only compute the table of sizes anew, and write it")
+    parser.add_argument("--freeze", action="store_true", help="only compute the table of sizes again, and write it")
     parser.add_argument("--cases", action="store_true", help="only print what is hidden")
     return parser
 
@@ -144,7 +144,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         try:
             run_all(planned[shard[0] - 1::shard[1]], results, digest, workers, quiet=asked.json)
         except KeyboardInterrupt:
-            print("stopped; started again it goes on from here", file=sys.stderr)
+            print("Stopped. Started again, the study continues from here.", file=sys.stderr)
     found = about("hidden_effects") | {"hash": digest, "seeds": "sealed" if asked.sealed else "development",
                                        "figures": figures(results.read())}
     show(found, draw, as_json=asked.json)

@@ -341,13 +341,13 @@ def hidden() -> dict[str, Case]:
     """All cases of the catalogue's effects, by key.
 
     Not among them, because no protocol could show them: adhesion (no tool goes back past its touch) and inertia
-    (10 mm/s would be slow). The scatter between specimens has a protocol of its own.
+    (10 mm/s would be slow). A separate protocol has the scatter between specimens.
     """
     return {case.key: case for case in (*_tissue(), *_around())}
 
 
 def _ripple(test: VirtualTest, true: np.ndarray, size: float) -> np.ndarray:
-    """A tool that sticks and slips on its shaft: a saw tooth on the way in and back."""
+    """Stick-slip on the shaft of the tool: a sawtooth force during loading and unloading."""
     tooth = (test.displacement / 0.7e-3) % 1.0
     return true + size * (tooth - 0.5) * test.direction
 

@@ -45,7 +45,7 @@ def reported(run: Run) -> list[str]:
 
 
 def size_of_set(run: Run) -> int:
-    """Names of a set beside the stated twins of the truth."""
+    """Names of a set without the stated twins of the truth."""
     return sum(name in run["effects"] or name not in run["twins"] for name in reported(run))
 
 
@@ -166,7 +166,7 @@ def bias(runs: Iterable[Run], truth: dict[str, float]) -> dict:
 
 
 def held_out(runs: Iterable[Run], kind: str) -> dict:
-    """Of runs that named something: how often what is left of unseen data is no noise, and how often its error fell."""
+    """For runs that named an effect: fractions whose held-out residual is not noise, and whose error fell."""
     rows = [row for run in runs for row in run["held_out"] if row["kind"] == kind and row["adequate_after"] is not None]
     return {"rejects": share(rows, lambda row: not row["adequate_after"]),
             "fell": share(rows, lambda row: row["after_N"] < row["before_N"])}

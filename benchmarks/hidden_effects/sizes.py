@@ -74,7 +74,7 @@ class Projection:
         return np.concatenate([columns[:1], (columns[1:] - kept * columns[:-1]) / np.sqrt(1 - kept**2)])
 
     def direction(self, forces: Callable[[VirtualTest], np.ndarray]) -> np.ndarray:
-        """What is left of the change that some forces are, in deviations of all recordings, shape (n,)."""
+        """Part of a change of force that no other change represents, in standard deviations of all recordings, (n,)."""
         whole = np.zeros(len(self._basis))
         whole[:self._rows] = np.concatenate([self._white(test, forces(test) - force)
                                              for test, force in zip(self.tests, self.plain, strict=True)])

@@ -1,4 +1,4 @@
-"""Figures of the hidden-effect study as tables, the peers' beside ours."""
+"""Tables of the hidden-effect study; the peer methods in the same tables."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def draw(result: dict, console: Console) -> None:
 
 
 def draw_peers(found: dict, protocol: str, console: Console) -> None:
-    """The peers beside ours, on testable effects of a signal of 3 and more."""
+    """Peer methods compared with ours, on testable effects with a signal of at least 3."""
     rows = [[name, *(in_words(found[name][parameter][what]) for parameter in TRUTH for what in ("error", "covered"))]
             for name in ("least squares", "Gaussian process", "ours")]
     table(console, f"{protocol}: moduli with an effect hidden (root mean square error, relative; 95 % interval holds)",

@@ -79,7 +79,7 @@ class VirtualTest:
 
     @property
     def ramp(self) -> float:
-        """How long the way in takes, s."""
+        """Duration of loading, s."""
         return DEPTH / self.speed
 
     @property
@@ -102,7 +102,7 @@ class VirtualTest:
 
     @cached_property
     def direction(self) -> np.ndarray:
-        """1 on the way in, 0 at the first sample and in the hold, -1 on the way back; a corner belongs to what ends
+        """1 during loading, 0 at the first sample and in the hold, -1 during unloading; a corner belongs to what ends
         there."""
         answer = np.zeros(self.time.size)
         answer[(self.time > 0) & (self.time <= self.ramp)] = 1.0
@@ -185,7 +185,7 @@ def model_of(kind: str, time: np.ndarray, displacement: np.ndarray, values: Mapp
     """A model of the study.
 
     Args:
-        kind: of the test. values: path -> value, SI, of everything beside the law. law: numbers of Biderman's; None:
+        kind: of the test. values: path -> value, SI, of all parts other than the law. law: numbers of Biderman's; None:
             the study's reduced polynomial.
     """
     tool = ts.Tool("flat", NEEDLE) if kind == "C" else ts.Tool("plate")
@@ -238,7 +238,7 @@ def _knots(test: VirtualTest) -> np.ndarray:
 def simulated(test: VirtualTest, values: Mapping[str, float], law: Mapping[str, float] | None = None) -> np.ndarray:
     """Force of a test by our finite elements on a fine mesh, N, shape of its times; kept on disk.
 
-    What neither ages nor remembers is simulated on the way in alone, what remembers at one speed.
+    A model without memory is simulated for loading only, a model with memory at one speed.
 
     Raises:
         ConvergenceError: it does not get through.

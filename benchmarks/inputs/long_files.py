@@ -2,7 +2,7 @@
 
     python -m benchmarks long_files [--json] [--repeats N] [--rows N]
 
-Each reading is of a process of its own, whose imports do not count; the peer reads the same columns of the same file.
+Each file is read in a new process, whose imports do not count; the peer reads the same columns of the same file.
 """
 
 from __future__ import annotations

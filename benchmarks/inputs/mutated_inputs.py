@@ -2,7 +2,7 @@
 
     python -m benchmarks mutated_inputs [--count 100000] [--seed 0] [--readers rig campaign ...] [--json]
 
-Each reader works in a process of its own with a limit of its memory, and is watched: an input without an answer within
+Each reader works in a separate process with limited memory under supervision: an input without an answer within
 `PATIENCE` is a hang. Prints a table in Markdown; the last one stands in docs/threats.md. Inputs that make a traceback
 or a hang are kept, and named.
 """
@@ -36,9 +36,10 @@ WORDS = {"stopped": ("exceeds the CPU time", "exceeds the memory", "ends the pro
 
 @dataclass
 class Row:
-    """What became of the inputs of one reader; `stopped` are those of the refused that a bound of time or memory, or
-    the end of the process for reading, answered, `faults` those that made an error nobody foresaw in the reader; memory
-    is that of the process that holds most, MB."""
+    """Outcomes of the inputs of one reader.
+
+    `stopped` counts refusals by the limit of time or memory or by the end of the reading process, `faults` unexpected
+    exceptions in the reader; `memory` is that of the largest process, MB."""
 
     reader: str
     inputs: int = 0
@@ -58,7 +59,7 @@ class Row:
 
 
 def work(name: str, seed: int, first: int, last: int, folder: Path) -> None:
-    """The inputs of one reader, a line of JSON for each; in a process of its own."""
+    """The inputs of one reader, one line of JSON each; in a separate process."""
     from benchmarks.inputs.mutations import damaged
     from benchmarks.inputs.readers import REFUSALS, readers
     from tissue_sim import bounded
@@ -149,7 +150,7 @@ def _note(row: Row, answer: list, folder: Path, kept: Path) -> None:
 
 
 def _keep(row: Row, number: int, what: str, folder: Path, kept: Path) -> None:
-    # The worker is an input further by now, but each is made anew from seed, reader and number.
+    # The worker is an input further by now, but each is generated from seed, reader and number.
     row.kept.append(f"{row.reader} {number}: {what}")
     if what == "hang":
         kept.mkdir(parents=True, exist_ok=True)

@@ -2,9 +2,9 @@
 
     python -m benchmarks bands [--campaigns 100] [--seed 1] [--case NAME ...]
 
-Each campaign is a lubricated compression with a few replicates; the law is fitted to them, and further recordings that
-nobody fitted are held against the bands. Replicates differ by noise, contact and zero, and, in some cases, by a factor
-of the force, which no fit knows of; in others the law cannot follow the curve.
+Each campaign is a lubricated compression with a few replicates. The law is fitted to them, and further recordings are
+compared with the bands. Replicates differ by noise, contact and zero. In some cases they also differ by a factor of the
+force that is no parameter of the fit; in others the law cannot represent the curve.
 """
 
 # One thread each, before the libraries start.
@@ -40,7 +40,7 @@ RELAXING = ts.Material("neo_hooke", {"C10": 1500.0}, viscoelastic=ts.Prony((ts.P
 START = {"viscoelastic.terms[0].g": 0.2, "viscoelastic.terms[0].tau": 2.0, "viscoelastic.terms[1].g": 0.2,
          "viscoelastic.terms[1].tau": 10.0}
 NOISE, CONTACT, ZERO, GAIN = 0.02, 0.05e-3, 0.02, 0.03
-#: Recordings of each campaign that nobody fitted.
+#: Recordings of each campaign that are not fitted.
 NEW = 20
 
 

@@ -8,7 +8,7 @@ jitter stated and with the jitter estimated, and by ordinary least squares: the 
 offsets, no zeros, all samples independent.
 
 The curves are the accurate mesh's. Intervals carry what the accurate mesh may be off, which these data do not have in
-them: "no mesh error" leaves it out. ``--data drawn`` puts such an error, drawn anew for each campaign, into the data;
+them: "no mesh error" leaves it out. ``--data drawn`` puts such an error, drawn for each campaign, into the data;
 ``--data reference`` takes the curves of independent solvers instead.
 """
 

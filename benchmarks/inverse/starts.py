@@ -55,7 +55,7 @@ MEDIAN_SOLVES, MOST_SOLVES, CPU_TARGET, MAY_ERR = 5, 9, 2.0, (3e-3, 3e-2)
 
 @dataclass(frozen=True)
 class Scene:
-    """A kind of test, what its experiment has of its own, and the curve of an independent solver in tests/reference."""
+    """A kind of test, the settings of its experiment, and the curve of an independent solver in tests/reference."""
 
     kind: str
     overrides: dict

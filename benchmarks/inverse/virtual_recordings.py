@@ -194,7 +194,7 @@ def break_or_not(seed: int, number: int, *, fails: bool) -> Virtual:
         share = rng.uniform(0.1, 0.5)
         force = relax(force, beat, share, rng.uniform(0.02, 0.5) * samples)
     back = np.diff(way, prepend=0.0) < 0
-    if not fails and rng.uniform() < 0.5:  # hysteresis: less force on the way back
+    if not fails and rng.uniform() < 0.5:  # hysteresis: less force during unloading
         peak = np.maximum.accumulate(way)
         force = np.where(back, force * (1 - rng.uniform(0.1, 0.6) * (1 - way / peak.clip(1e-9))), force)
     truth, how = -1, "intact"

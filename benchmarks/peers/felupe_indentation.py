@@ -68,7 +68,7 @@ class Indentation:
         for i, depth in enumerate(self.depths):
             if self.warm and self._last is not None:
                 self._set(self._last[i])
-                # A condensed body carries a pressure of its own, which belongs to the displacement it is made at.
+                # A condensed body stores a pressure that belongs to the displacement at its creation.
                 body = solid(law, self._field, bulk_modulus) if self._condensed else body
             self._moved.update(-1e3 * depth)
             found = fem.newtonraphson(

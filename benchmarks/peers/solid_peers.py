@@ -1,4 +1,4 @@
-"""A punch in the solid in space and in MuJoCo's flex on the same nodes: force over depth beside the truth, and times.
+"""Punch on a 3D solid and on MuJoCo's flex with the same nodes: force over depth against the truth, and times.
 
     python -m benchmarks solid_peers [--mujoco PYTHON] [--sizes 1800 3300 5800] [--figure FILE] [--json]
 

@@ -48,8 +48,8 @@ def uniform_needle_mesh(elements: tuple[int, int], element) -> Mesh:
     """Equal elements along r and along z, with an element boundary at the edge of the needle."""
     mesh = cylinder_mesh(RADIUS, HEIGHT, elements, element)
     top = mesh.sets["top"]
-    beside = mesh.nodes[top, 0] - NEEDLE_RADIUS
-    return replace(mesh, sets={**mesh.sets, "face": top[beside <= 1e-9], "free": top[beside >= -1e-9]})
+    distance = mesh.nodes[top, 0] - NEEDLE_RADIUS
+    return replace(mesh, sets={**mesh.sets, "face": top[distance <= 1e-9], "free": top[distance >= -1e-9]})
 
 
 def bonded_meshes() -> Iterator[tuple[str, Mesh]]:

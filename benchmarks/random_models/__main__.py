@@ -9,8 +9,8 @@ was refused, took longer than 90 s of CPU, or ended in an exception. Every sampl
 solver's (`equilibrium_check`); that is counted apart. --quarter also takes steps a quarter as long and compares the
 samples that both have. --identities checks what must hold of any solver instead, of the elastic models on an ideal rig;
 --motion leads each through 2 s of irregular motion, tick by tick (`random_model_motion`), with --max-solves of at most
-so many linear solutions a tick, beside the same without bound.
-With --resume a run that was stopped goes on where it was; a file holds what one state of the program did.
+a maximum number of linear solutions per tick, compared with the same motion without a maximum.
+With --resume a stopped run continues; a file contains the results of one state of the program.
 """
 
 # One thread each, before the libraries start.
@@ -127,7 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             lines.add(_of(seed, asked))
             print(_said(lines.known[seed]), file=sys.stderr, flush=True)
     except KeyboardInterrupt:
-        print("stopped; with --resume it goes on from here", file=sys.stderr)
+        print("Stopped. With --resume the run continues from here.", file=sys.stderr)
     entries = [lines.known[seed] for seed in chosen.seeds if seed in lines.known]
     result = about("random_models") | asked | {"seeds": [chosen.seeds.start, chosen.seeds.stop]}
     if chosen.identities:

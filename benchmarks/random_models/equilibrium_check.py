@@ -40,7 +40,7 @@ CHECKS = {
     "penetration": "depth of a surface node in the tool or the base, over the tolerance of the recording",
     "afar": "force on a surface node that is farther from both than that, over the largest nodal contact force",
     "pull": "pull of a body that does not hold, over the largest nodal contact force",
-    "stick": "the same of an interface without slip, which may let go but is not bonded",
+    "stick": "the same for an interface without slip that may separate",
     "friction": "tangential force beyond mu times the normal one, over the largest nodal contact force",
     "memory": "stress of the law that the solver's memory has, less that of the formula, over the largest",
     "balance": "sum of the tool's nodal forces less the force of the recording, over its largest force",
@@ -335,7 +335,7 @@ class EquilibriumCheck:
                 np.where(by_tool, friction, self._base), by_tool)
 
     def _surface_checks(self, sample, points, gap, normal, friction, touches, allowed, largest) -> None:
-        """Of the surface: nobody is inside, who is pushed touches, bodies push and do not pull, friction is Coulomb's.
+        """Contact conditions: no penetration, pressure only in contact, no adhesion, Coulomb friction.
 
         `largest` is the largest nodal contact force or, where nothing is pressed, what counts as nothing, N.
         """

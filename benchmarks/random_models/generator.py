@@ -158,7 +158,7 @@ def build(one: Description, finer: int = 1, size: float = 1.0, strength: float =
     Args:
         one: the description.
         finer: how many times as many samples there are.
-        size: all lengths are so many times as large; strength: all stresses. For powers of two without rounding.
+        size: factor of all lengths; strength: factor of all stresses. For powers of two without rounding.
     """
     extra, options = one.extra, dict(one.options)
     law = ts.find_law(one.law)

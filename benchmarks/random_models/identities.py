@@ -15,7 +15,7 @@ from benchmarks.random_models.runs import Clock, OutOfTimeError
 
 #: Largest difference over the largest force; of work, over what was put in.
 EULER, SCALED, WORK = 1e-6, 1e-9, 1e-6
-#: Name -> lengths, and stresses, are so many times as large.
+#: Name -> factor of lengths, factor of stresses.
 SCALES = {"lengths x 2, stresses x 4": (2.0, 4.0), "lengths x 3, stresses x 7": (3.0, 7.0)}
 IDENTITIES = ("the test reaches the end", "sum of moduli times derivatives", "the same again, bit for bit",
               "reset is a new simulator, bit for bit", *SCALES, "no work from a closed way")
@@ -56,7 +56,7 @@ def identities(one: Description, resolution: str) -> dict[str, dict]:
     if not found[end]["passed"]:
         return found
     largest = max(float(np.abs(force).max()), 1e-300)
-    if "weight" not in one.extra:  # which is a force of its own
+    if "weight" not in one.extra:  # weight is a separate force
         ask(euler, lambda: _euler(model, resolution) / largest, EULER)
     ask(again, lambda: np.abs(
         ts.simulate(model, resolution=resolution, estimate_error=False).force - force).max() / largest, 0.0)
@@ -85,8 +85,9 @@ def _euler(model: ts.Model, resolution: str) -> float:
 
 
 def _reset(model: ts.Model, resolution: str) -> float:
-    """How far forces after a reset are from those of a new simulator, N; the same bits are 0, and other answers beside
-    the force count as infinitely far."""
+    """Difference between forces after a reset and those of a new simulator, N.
+
+    0 if all bits are equal; infinite if a status or another part of an answer differs."""
     protocol = model.experiment.protocol
     steps = list(zip(protocol.displacement.tolist(), np.diff(protocol.time, prepend=0.0).tolist(), strict=True))
 

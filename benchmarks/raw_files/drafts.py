@@ -68,7 +68,7 @@ class Draft:
         head: rows of cells above the sizes. sizes: rows (name, number, unit). below: rows under the tables.
         delimiter, decimal, thousands, encoding, newline: of the text. quoted: whether all cells are.
         units: ``header``, ``row`` or ``none``.
-        side_by_side: whether the columns of all tables are adjacent. split: whether each is a file of its own.
+        side_by_side: whether the columns of all tables are adjacent. split: whether each is a separate file.
         name: of the file. stated_kind, stated_sizes, stated_test: flags that the user gives.
         columns_stated, units_stated: columns and units that the user names.
         truths: moduli, Pa, that a sound program may report. finish: changes of the text, in order.

@@ -1,6 +1,6 @@
 """What a force sensor at 7 kHz costs and loses: RDT over loopback, with a large and with the system's receive buffer.
 
-Three clients take turns, each in a process of its own, at our emulator in another one: ours with its receive buffer,
+Three clients take turns, each in a separate process, at our emulator in another one: ours with its receive buffer,
 ours with the system's, and pynetft (PyPI), whose receiver is compiled. Each gives every sample to Python: ours in lists
 of what came in 5 ms, pynetft by a call for each. The emulator is Python, and sends what its sensor has sampled at most
 every half millisecond: datagrams come a few at a time, closer together than those of a box.
@@ -169,7 +169,7 @@ def main() -> int:
         print(json.dumps(result))
         return 0
     print(f"{result['machine']}, Python {result['python']}, pynetft {peer}, load {result['load']:.1f}, "
-          f"{arguments.busy} busy processes beside, {count} runs of {seconds:g} s each")
+          f"{arguments.busy} busy processes in parallel, {count} runs of {seconds:g} s each")
     for row in result["clients"]:
         cpu, rate, lost = row["cpu_us_per_packet"], row["rate_Hz"], row["lost_percent"]
         print(f"{row['client']}: {rate[0]:.0f} packets/s ({rate[1]:.0f} to {rate[2]:.0f}), {row['records']} received, "

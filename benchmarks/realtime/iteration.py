@@ -15,7 +15,7 @@ from tissue_sim.mesh.elements import Q4P0
 
 #: The mesh whose ratios stand for all: 1016 equations, half band 44.
 STANDARD = "500 Q4/P0, uniform"
-#: Depth, m, at which an iteration is looked at: the tissue lies against the shaft.
+#: Depth, m, of the measured iteration: the tissue touches the shaft.
 DEPTH = 5e-3
 #: Parts of an iteration, in the order in which it does them; they add up to it.
 PARTS = {"launch_ms": "start from Python", "tangent_ms": "element work with tangent", "contact_ms": "contact, twice",
@@ -75,7 +75,7 @@ def parts(name: str, mesh: Mesh, repeats: int) -> dict:
 
 
 def iteration(repeats: int, peer_repeats: int) -> dict:
-    """``iteration_over_dpbtrf`` and ``felupe_over_iteration``, both of the mesh `STANDARD`, with details beside them.
+    """``iteration_over_dpbtrf`` and ``felupe_over_iteration``, both of the mesh `STANDARD`, with details.
 
     FElupe's problem is a bonded punch without wall contact, which it lacks; see `needle.iterations`.
     """

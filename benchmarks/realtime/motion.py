@@ -39,7 +39,7 @@ def unexplained(force: np.ndarray, stiffness: np.ndarray, depth: np.ndarray) -> 
 
 
 def walk(name: str, model: ts.Model, budget: float | None, count: int) -> dict:
-    """So many ticks of the random walk, one after the other without waiting."""
+    """Ticks of the random walk, one after the other without waiting."""
     say(f"{name}: {count} ticks of irregular motion, " + ("no budget" if budget is None else f"{budget * 1e3:g} ms"))
     simulator = ts.Simulator(model, inertia="off", budget=budget, tolerance=TOLERANCE)
     simulator.warm_up()

@@ -126,7 +126,7 @@ def two_rates(size: int, delay: float, tangent: float | None, poses: list[Pose],
     for pose in poses:
         began = time.process_time()
         answers.append(tissue.step(pose, TICK))
-        # Beside the linearisation, which would be another process's.
+        # Without the linearisation, which belongs to another process.
         times.append(time.process_time() - began - (tissue._link.linearising - seen))
         tissue.prepare()
         seen = tissue._link.linearising

@@ -1,4 +1,4 @@
-"""What runs in processes of its own: the 1 kHz loop, several simulators at once, and the server."""
+"""Measurements in separate processes: the 1 kHz loop, several simulators at once, and the server."""
 
 import json
 import os
@@ -24,7 +24,7 @@ from benchmarks.realtime.ticks import say
 from haptics.server.client import TissueClient
 
 _COMMAND = [sys.executable, "-m", "scenes.cli"]
-#: How a client waits: so many looks for a reply before it sleeps; the many are more than a step takes.
+#: How a client waits: number of polls for a reply before it sleeps; 2000 polls take longer than a step.
 _WAITS = {"sleeping": 0, "polling": 2000}
 
 
@@ -46,7 +46,7 @@ def loops(seconds: float) -> list[dict]:
 
 
 def throughput(processes: int, seconds: float) -> dict:
-    """Steps per second of simulators that step at the same time, each in a process of its own."""
+    """Steps per second of simulators that step at the same time, each in a separate process."""
     say(f"{processes} simulators at once")
     workers = [subprocess.Popen([sys.executable, "-m", "benchmarks.realtime.worker"], env=child_environment(),
                                 text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, encoding="utf-8")
@@ -54,7 +54,7 @@ def throughput(processes: int, seconds: float) -> dict:
     try:
         for worker in workers:
             if worker.stdout.readline() != "ready\n":
-                raise SystemExit("a simulator in a process of its own did not start")
+                raise SystemExit("a simulator in a child process did not start")
         for worker in workers:
             worker.stdin.write(f"{seconds}\n")
             worker.stdin.flush()
@@ -134,7 +134,7 @@ def _compile(folder: str) -> Path | None:
 def round_trips(steps: int) -> list[dict]:
     """Wall time from a pose to its force beyond the step itself: C and Python client, at 1 kHz and without pauses.
 
-    A client that polls beside a server that polls needs a core for each: where another process runs, they meet on one.
+    A polling client of a polling server needs a core for each: where another process runs, they meet on one.
     """
     found = []
     with tempfile.TemporaryDirectory() as folder, _serving() as port:

@@ -1,4 +1,4 @@
-"""Reduced solids beside the whole ones: error of the force and time of a step on random walks in their boxes.
+"""Reduced solids compared with whole solids: error of the force and time of a step on random walks in their boxes.
 
     python -m benchmarks reduced [--quick] [--fine] [--json] [--folder FOLDER] [--figure FILE]
 

@@ -1,7 +1,7 @@
 """Up to which delay a hand and a tissue do not shake each other: virtual hands at the needle, with and without control.
 
 The tissues are the stiffest of the documentation (EF50_0T, docs/measured_silicones.md) and the study's silicone, under
-the needle of radius 8 mm. A polynomial through the simulator's forces, without the mass of the tissue, stands in for
+the needle of radius 8 mm. A polynomial through the simulator's forces, without the mass of the tissue, replaces
 them in the wide sweep; fewer hands are tried with the simulator itself, mass included. A hand presses with a constant
 force to the depth where the tissue balances it, after a step of its place by 0.5 mm. What counts as shaking is in
 `haptics.loop.stability`.

@@ -47,7 +47,7 @@ def _ticks(rows: list[dict], console: Console) -> None:
 
 
 def _work_precision(points: list[dict], console: Console) -> None:
-    table(console, "Work and precision on the way in", ["mesh", "elements", "n", "band", "largest error %", "error %",
+    table(console, "Work and precision during loading", ["mesh", "elements", "n", "band", "largest error %", "error %",
                                                         "p50", "p99", "p99.9", "max", "Newton"],
           [[point["grading"], str(point["elements"]), str(point["freedoms"]), str(point["half_band"]),
             f"{point['largest_error_percent']:.2f}", _percent(point[ERROR]), *_times(point),

@@ -152,7 +152,7 @@ def drive(simulator: ts.Simulator, way: float = WAY) -> Drive:
 
 
 def compared_forces(driven: Drive) -> dict[str, np.ndarray]:
-    """Forces at `COMPARED` on the way in, and on the way back, at whose 10 mm it turns.
+    """Forces at `COMPARED` during loading and during unloading from 10 mm.
 
     Raises:
         SystemExit: no equilibrium at one of them.
@@ -270,7 +270,7 @@ def rows(rounds: int, solutions: ConvergedSolutions) -> list[dict]:
 
 
 def work_precision(rounds: int, solutions: ConvergedSolutions, *, few: bool) -> list[dict]:
-    """Largest force error against CPU time of a tick on the way in, for meshes of every grading."""
+    """Largest force error against CPU time of a tick during loading, for meshes of every grading."""
     chosen = [Case(BONDED, NEEDLE, graded_needle_mesh(*grading), grading_name(*grading))
               for grading in (GRADINGS[::5] if few else GRADINGS)]
     points = []

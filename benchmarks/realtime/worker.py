@@ -1,4 +1,4 @@
-"""One simulator in one process, for `realtime_processes`: ready, wait for a line, step for so many seconds, report."""
+"""One simulator in one process, for `processes`: report ready, read a number of seconds, step, report."""
 
 # One thread each, before the libraries start.
 import os

@@ -5,7 +5,7 @@
 A hand moves through random aims at 1 kHz under random tools, while parameters change by up to twentyfold, states are
 saved and restored, and the tissue is reset; poses and times that no scene holds, damaged packets, floods and garbage
 arrive, the client pauses, and servers are interrupted and killed. Every second session is of the viewer: a loop at
-1 kHz in a process of its own under a page that is read, with aims, protocols, parameters, tools, pauses, resets,
+1 kHz in a separate process under a page that is read, with aims, protocols, parameters, tools, pauses, resets,
 nonsense, bytes that are no request, reloads and loops that are killed. When all have been played the logged motion is
 stepped again without a budget, from a reset on, on all cores: what was called CONVERGED must be within 1 % + 0.02 N of
 that. That takes a few times as long. Ctrl-C ends the play, another one the replay; what there is is summed up.

@@ -13,11 +13,11 @@ from benchmarks.soak.scenes import model_of
 from benchmarks.soak.session import Session
 from haptics.server.wire import Status
 
-#: A force that was called CONVERGED may differ by so much of the replay's, and by so much, N.
+#: Allowed difference of a CONVERGED force from the replay: relative, and absolute, N.
 SHARE, NEWTONS = 0.01, 0.02
 #: For so long after a fault a step does not count as one without faults, s.
 AFTER = 0.2
-#: s: longer than any tick that finds an equilibrium; where there is none the search goes on for seconds.
+#: Longer than any tick that finds an equilibrium, s; without an equilibrium the search takes seconds.
 PATIENCE = 0.05
 #: For so long tissue remembers that it was not followed in time, s: four relaxation times of `soak_scenes.MATERIAL`.
 REMEMBERS = 2.0

@@ -22,7 +22,7 @@ from haptics.server.client import TissueClient
 from haptics.server.wire import REQUEST_SIZE, Reply, ReplyFlags, Request, Status, encode_request
 
 PERIOD = 1e-3
-#: Mean time between two of each, s, and how long the hand goes on to one aim.
+#: Mean time between two of each, s, and duration of the motion to one aim.
 BETWEEN = {"aim": 0.6, "parameters": 3.0, "reset": 6.0, "save": 5.0, "restore": 9.0, "wild": 2.0, "noise": 2.0,
            "flood": 4.0, "pause": 8.0, "garbage": 3.0}
 #: Depths and times that no scene holds, m and s.

@@ -4,10 +4,10 @@
                                     [--every 10] [--json]
 
 A flat needle that holds tissue and a ball with friction on reduced solids (files of `tissue-sim reduce`, made where
-none are given), and that ball on a solid by two rates: pressed, dragged aside and lifted off at up to 50 mm/s, as
-`haptics.devices.motions.SpatialWalk` goes. A client reads the page meanwhile (`viewer.client`), or Chromium draws it.
+none are given), and that ball on a solid in multirate simulation: pressed, dragged aside and lifted off at up to
+50 mm/s along a `haptics.devices.motions.SpatialWalk`. A client reads the page meanwhile (`viewer.client`), or Chromium draws it.
 Afterwards the poses of the ticks are gone through again without a clock: reduced solids tick by tick, and the whole
-solid at every so many ticks, from touch to lift-off. Counted are deadlines that were missed, statuses, statuses that
+solid at regular intervals, from touch to lift-off. Counted are deadlines that were missed, statuses, statuses that
 were wrong, and the largest change of the force in a tick beyond that of the replay.
 """
 
@@ -262,7 +262,7 @@ def beyond(forces: np.ndarray, expected: np.ndarray, ticks: np.ndarray, numbers:
     """
     first, last = numbers[0], numbers[-1]
     rate = np.linalg.norm(np.diff(forces[first : last + 1], axis=0), axis=1)
-    # Where a deadline was missed the tool has gone on for two.
+    # After a missed deadline the tool has moved for two ticks.
     passed = np.diff(ticks["tick"][first : last + 1].astype(float))
     slopes = np.linalg.norm(np.diff(expected, axis=0), axis=1) / np.diff(ticks["tick"][numbers].astype(float))
     around = np.maximum(slopes, np.maximum(np.append(slopes[1:], 0.0), np.append(0.0, slopes[:-1])))
@@ -358,7 +358,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the walks")
     parser.add_argument("--every", type=int, default=10, help="ticks between two that the whole solid is solved at")
     parser.add_argument("--samples", type=int, default=600, help="ticks that it is solved at, about")
-    parser.add_argument("--chromium", action="store_true", help="Chromium looks at the page, in place of a client")
+    parser.add_argument("--chromium", action="store_true", help="Chromium shows the page, in place of a client")
     parser.add_argument("--keep", type=Path, help="folder for the ticks")
     parser.add_argument("--walk-only", action="store_true", help="judge the ticks later, with --judge")
     parser.add_argument("--judge", action="store_true", help="judge the ticks in the folder, and walk no more")

@@ -2,7 +2,7 @@
 
     python -m benchmarks viewer [--json] [--repeats 3] [--seconds 10] [--no-browser]
 
-The needle in the study's specimen goes in and out all the time, cut open by 120 degrees, beside three replicates; a
+The needle in the study's specimen goes in and out all the time, cut open by 120 degrees, with three replicates; a
 client in another process reads everything. The loop's ticks are counted with the page, without it (the same session
 without a screen), and with the loop alone, in turns: who has no turn is stopped (SIGSTOP). It takes less than three
 minutes, on a quiet machine.
@@ -89,10 +89,10 @@ def finer() -> list[dict]:
     """CPU times with the mesh `fast`."""
     say("mesh fast")
     with viewing("fast") as viewer:
-        nobody = viewer.run(SHORT, clients=0)
+        unread = viewer.run(SHORT, clients=0)
         with reading(viewer.port):
             moves, stands = viewer.run(SHORT), viewer.run(SHORT, motion="stands")
-        return [frames_of(*case) for case in (("nobody looks", viewer, nobody), ("moves", viewer, moves),
+        return [frames_of(*case) for case in (("nobody looks", viewer, unread), ("moves", viewer, moves),
                                               ("stands still", viewer, stands))]
 
 

@@ -97,8 +97,10 @@ def reading(port: int) -> Iterator[Callable[[], list]]:
 
 
 def looked_at(port: int, work: Callable[[], dict]) -> tuple[dict, list[tuple[float, str]]] | None:
-    """Do something while Chromium, drawing in software, looks at the page; with when its read-outs changed, and to
-    what (s of `time.monotonic`). None where there is no Chromium, or no Playwright."""
+    """Run `work` while Chromium shows the page with software rendering.
+
+    Returns the result of `work`, and time (s of `time.monotonic`) and text of each change of the read-outs; None
+    without Chromium or Playwright."""
     chromium = _chromium()
     if chromium is None:
         return None
@@ -145,7 +147,7 @@ def stopped(pid: int) -> Iterator[None]:
 
 @contextmanager
 def loop_alone(model: ts.Model) -> Iterator[tuple[int, Callable[[float], dict]]]:
-    """The number of a process, and a function that counts the ticks of so many seconds: the same loop in the same
+    """The number of a process, and a function that counts the ticks of a number of seconds: the same loop in the same
     motion, with no viewer, and nothing published but its ring."""
     motion = ProtocolMotion(ts.Protocol.parse(MOTION, 21, 5e-3), repeat=True)
     loop = LoopProcess(partial(ts.Simulator, model, budget=BUDGET), motion, ForceRendering(ForceLimits(1e3, 1e3)),

@@ -3,7 +3,7 @@
     python -m benchmarks viewer_solid [--json] [--repeats 60]
 
 A block, dented elsewhere in every frame and cut open by 120 degrees at a tool that leans and moves, is shown 20 times a
-second on a page that a client in another process reads: von Mises stress in bands. There is no solver. Beside that,
+second on a page that a client in another process reads: von Mises stress in bands. There is no solver. In addition,
 what it costs the loop to publish such a state, and the viewer to read it.
 """
 
@@ -46,7 +46,7 @@ LEAN = 0.2
 
 
 class NoSession:
-    """Nobody asks for anything."""
+    """No client sends a request."""
 
     def post(self, command: str, *, reply: Callable | None = None, **values: object) -> None:
         raise AssertionError(command)
