@@ -5,7 +5,7 @@
 
 A flat needle that holds tissue and a ball with friction on reduced solids (files of `tissue-sim reduce`, made where
 none are given), and that ball on a solid in multirate simulation: pressed, dragged aside and lifted off at up to
-50 mm/s along a `haptics.devices.motions.SpatialWalk`. A client reads the page meanwhile (`viewer.client`), or Chromium draws it.
+50 mm/s along a `haptics.devices.motions.SpatialWalk`. Meanwhile a client reads the page, or Chromium draws it.
 Afterwards the poses of the ticks are gone through again without a clock: reduced solids tick by tick, and the whole
 solid at regular intervals, from touch to lift-off. Counted are deadlines that were missed, statuses, statuses that
 were wrong, and the largest change of the force in a tick beyond that of the replay.
