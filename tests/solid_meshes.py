@@ -21,7 +21,7 @@ def block(x, y, z, element, move=None):
 
 
 def punched_cylinder(element, radius=8e-3, centre=(0.0, 0.0), **sizes):
-    """The study's cylinder under a needle, with the sets under its face and beside it."""
+    """The study's cylinder under a needle, with the node sets under its face and outside it."""
     made_of = element if isinstance(element, Hexahedron) else HEX27P1
     mesh = needle_solid(0.04, 0.07, radius, made_of, centre=centre, **sizes)
     if made_of is element:
@@ -44,7 +44,7 @@ def write_tetrahedra(path, x, y, z, upper):
 
 
 def write_hexahedra(path, mesh, part=None, scale=1.0):
-    """A file of a mesh of eight-node hexahedra as somebody else's program would have made it, in mm; ``part`` is 2 of
+    """A file of a mesh of eight-node hexahedra as another program would write it, in mm; ``part`` is 2 of
     those that are chosen, and 1 of others."""
     order = [int(np.abs(HEX8P0.reference_nodes - corner).sum(axis=1).argmin()) for corner in _CORNERS]
     named = {} if part is None else {"part": [part.astype(int) + 1]}

@@ -152,7 +152,7 @@ def test_files_of_others_come_in_by_the_doors():
     found = {place(path): openings(parsed(path)) for path in SOURCES}
     strays = {name: lines for name, lines in found.items() if lines and name not in DOORS}
     assert not strays, f"read_bytes, read_text, read_json or read_toml instead: {strays}"
-    assert not [name for name in DOORS if not found[name]], "a door that nobody needs"
+    assert not [name for name in DOORS if not found[name]], "an exception that no module needs"
 
 
 def test_files_and_functions_are_short():

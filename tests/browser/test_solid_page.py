@@ -79,7 +79,7 @@ def test_a_reduced_solid_is_coloured_by_what_is_known_of_it(shown_reduced, open_
     reader.until(lambda: shown_reduced.frame.snapshot.pose, lambda pose: pose.depth > 1.45e-3)
     reader.until(lambda: shown_reduced.page._solid.levels, lambda levels: levels is not None and levels[-1] > 0.5)
     chromium.wait_for_picture(page)
-    # Nobody knows the pressure, so neither it nor stresses along an axis are offered.
+    # Without a pressure, neither pressure nor stresses along an axis are offered.
     assert shown_reduced.page._look._field.options == ("von Mises stress [kPa]", "displacement [mm]",
                                                        "largest stretch", "volume ratio J")
 

@@ -10,7 +10,7 @@ import tissue_sim as ts
 
 
 def terms_of(count):
-    """The start of a campaign that gives the material so many relaxing terms."""
+    """First lines of a campaign whose material has this number of relaxing terms."""
     return ", ".join(f'"viscoelastic.terms[{i}].g" = 0.2, "viscoelastic.terms[{i}].tau_s" = {3.0 * 8**i}'
                      for i in range(count))
 
@@ -37,5 +37,5 @@ def _fit(folder, recordings, law, terms=1, *, kinds="lubricated_compression", no
 
 @pytest.fixture(scope="session")
 def fit_relaxation(tmp_path_factory):
-    """A campaign of recordings, on disk, that names so many relaxing terms: called with recordings, law, terms."""
+    """A campaign of recordings, on disk, with a number of relaxing terms: called with recordings, law, terms."""
     return lambda *arguments, **options: _fit(tmp_path_factory.mktemp("relaxation"), *arguments, **options)

@@ -25,7 +25,7 @@ def wait_until(condition, seconds=600.0):
 
 
 def meet(folder, *names):
-    """Variables of this process, once another one works beside it."""
+    """Variables of this process, once a second process works in parallel."""
     Path(folder, str(os.getpid())).touch()
     wait_until(lambda: len(list(Path(folder).iterdir())) >= 2)
     return environment(*names)
@@ -85,7 +85,7 @@ def interrupted(value):
 
 
 def hold(folder):
-    """Say which process this is, then hold on until somebody ends it."""
+    """Report the process number, then wait until the process is terminated."""
     Path(folder, str(os.getpid())).touch()
     wait_for(Path(folder, "never"), None)
 

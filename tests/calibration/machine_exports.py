@@ -124,7 +124,7 @@ def zwick_book(seeds, order=(0, 1, 2), length="mm", force="N", old=False, title=
 
 
 def exponent(seeds, order=(2, 1, 0), length="mm", force="g", comma=False, encoding="utf-8", delimiter="\t"):
-    """Exponent: every test beside the other, its name above; no word says how the specimen was loaded."""
+    """Exponent: tests side by side, each below its name; no word states the kind of loading."""
     curves = [curve(seed) for seed in seeds]
     title = delimiter.join(f"gel_{seed}{2 * delimiter}" for seed in seeds)
     names = ordered(order, "Time (sec)", f"Distance ({length})", f"Force ({force})")

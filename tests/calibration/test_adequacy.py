@@ -62,7 +62,7 @@ def test_coloured_noise_taken_as_white_raises_false_alarms():
 
 
 def test_a_smooth_misfit_below_the_noise_is_found():
-    """0.015 N beside 0.02 N of noise on a sample and 8 N of force: R-squared above 0.9999 would hide it."""
+    """0.015 N, with 0.02 N of noise on a sample and 8 N of force: R-squared above 0.9999 would hide it."""
     lacking = 0.015 * np.cos(3 * np.pi * DEPTH)
     found = [score_test(*fit(SensorNoise(0.02), lacking, seed)).p < 0.01 for seed in range(50)]
     assert np.mean(found) > 0.9

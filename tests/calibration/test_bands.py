@@ -1,4 +1,4 @@
-"""Prediction bands: what they hold of recordings that nobody fitted."""
+"""Coverage of prediction bands for recordings that are not fitted."""
 
 
 import numpy as np
@@ -26,7 +26,7 @@ def test_bands_hold_new_recordings(bands, words):
 def test_a_band_without_bias_and_with_a_known_size_is_the_usual_one():
     half, whole = prediction_bands(np.zeros(50), [Scatter(np.full((50, 1), 0.3))], np.full(50, 0.4))
     assert half == pytest.approx(1.959964 * 0.5, rel=1e-6)
-    # Beside one number that all samples share, 50 white ones: wider than one sample, narrower than 51 independent ones.
+    # One number shared by all samples and 50 white ones: wider than one sample, narrower than 51 independent ones.
     assert half[0] < whole[0] < 3.3 * 0.5
 
 

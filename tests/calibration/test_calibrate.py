@@ -121,7 +121,7 @@ def test_overwrite_and_resume(campaign, tmp_path, monkeypatch):
     assert again.fits == first.fits
     assert calibration.to_json([again]) == calibration.to_json([first])
 
-    # An interrupted run, and files that somebody lost: all of them come back.
+    # An interrupted run with lost files: all of them are written again.
     for name in ("fit.json", "report.html", "residuals.csv", "neo_hooke.material.json"):
         (out / name).unlink()
         assert not calibration.calibrate([campaign], out, figures=False)[0].resumed
@@ -154,7 +154,7 @@ def listing(folder):
 
 
 def test_overwrite_spares_what_no_calibration_wrote(campaign, tmp_path):
-    """Results beside the input: a material made by hand, and a recording with the name of a result."""
+    """Results in the folder of the input: a material made by hand, and a recording with the name of a result."""
     ts.write_material_file(ts.MaterialFile.of(ts.Material("neo_hooke", {"C10": 1.0})), tmp_path / "mine.material.json")
     before = listing(tmp_path)
     calibration.calibrate([campaign], tmp_path, overwrite=True, figures=False)

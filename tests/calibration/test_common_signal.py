@@ -10,7 +10,7 @@ TIME = np.arange(560) / 4.0
 
 
 def drawn(random, memory=0.0):
-    """Noise of three recordings of one size, with a memory of so much from sample to sample."""
+    """Noise of three recordings of one size, with a correlation from sample to sample."""
     noise = random.standard_normal((3, TIME.size))
     for k in range(1, TIME.size):
         noise[:, k] = memory * noise[:, k - 1] + np.sqrt(1 - memory**2) * noise[:, k]

@@ -127,7 +127,7 @@ def test_tasks_that_kill_their_worker_leave_the_others_their_results(task, tmp_p
     assert caught.value.tasks == fatal
     assert told == {1: 1, 2: 2, 4: 4, 5: 5}
     runs = [int(name) for name in log.read_text().split()]
-    # Who ran beside one of the two runs once more.
+    # A task that ran in parallel with one of the two was repeated.
     assert all(runs.count(index) <= 3 for index in told)
     # Each of the two had its second chance when the others were done.
     assert set(fatal) <= set(runs[max(runs.index(index) for index in told) + 1:])
@@ -146,7 +146,7 @@ def test_running_tasks_are_told_and_waiting_ones_dropped_when_one_raises(task, t
     told, noticed = {}, tmp_path / "noticed"
 
     def notice(running, **options):
-        """What has ended; the slow task goes on until a failure is among it."""
+        """Finished tasks; the slow task runs until one of them has failed."""
         done, others = ended(running, **options)
         if any(future.exception() for future in done):
             noticed.touch()
@@ -264,6 +264,6 @@ def _alive(pid):
         os.kill(pid, 0)
     except ProcessLookupError:
         return False
-    # A process that has ended stays listed until somebody asks for its status.
+    # A process that has ended stays listed until its status is read.
     status = Path(f"/proc/{pid}/stat")
     return not (status.exists() and status.read_text().rpartition(")")[2].split()[0] == "Z")

@@ -152,7 +152,7 @@ def test_seeds_are_kept_apart(study, tmp_path, monkeypatch):
 
 @pytest.fixture
 def plates(study, monkeypatch):
-    """A protocol of one compression, there and back, with sizes of its own."""
+    """A protocol of one compression with loading and unloading, and its table of sizes."""
     truth, run = study["truth"], study["run"]
     monkeypatch.setitem(truth.PROTOCOLS, "plates", lambda: (truth.VirtualTest("A", "A", truth.FAST, True, 3.0),))
     rows = {"testable": True, "sizes": {"> 10": [[2e-3, 30.0]]}, "correlated": {"> 10": [12.0]}, "twins": []}

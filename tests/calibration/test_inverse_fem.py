@@ -111,7 +111,7 @@ class TestProblem:
             assert gradient[i] == pytest.approx(difference, rel=1e-4)
 
     def test_gradient_is_exact_where_offsets_are_far(self, plates):
-        """A touch at 0.3 mm where 0.03 mm is stated: the force goes on straight there, and its derivatives with it."""
+        """A touch at 0.3 mm where 0.03 mm is stated: there the force and its derivatives are extrapolated linearly."""
         depth = np.linspace(0.0, 0.010, 81)
         write_recordings(plates, "lubricated", depth, lambda d: lubricated_force(np.maximum(d - 0.3e-3, 0.0)))
         _, problem = problem_of(plates, campaign_text("lubricated"))

@@ -40,7 +40,7 @@ def test_the_depth_of_lost_steps_is_found_to_a_sample(tmp_path, lost):
 
 
 def test_two_that_act_in_different_places_are_both_named(tmp_path):
-    """A jump beside a relaxation: either alone leaves a gap, and both numbers are right."""
+    """A jump and a relaxation: either alone leaves a gap, and both numbers are right."""
     found = diagnosed_plates(tmp_path, rig=ts.Rig(step_loss=0.08e-3, step_loss_depth=1.28e-3), terms=[(0.12, 6.0)],
                              samples=241, seed=4)
     assert found.diagnosis.verdict == "NAMED"
@@ -60,15 +60,15 @@ def fitted(name, axis, strength, gain=50.0):
     return SimpleNamespace(name=name, gain=gain, proposal=proposal)
 
 
-@pytest.mark.parametrize(("axis", "alone", "beside", "rival", "needed"), [
+@pytest.mark.parametrize(("axis", "alone", "second_alone", "rival", "needed"), [
     ([0, 1, 0], 6.0, 6.2, None, True),
     ([0.8, 0.6, 0], 6.0, 6.2, None, False),  # alike
     ([0.2, np.sqrt(0.96), 0], 0.4, 6.2, None, False),  # nothing alone: the difference of two
     ([0.2, np.sqrt(0.96), 0], -4.0, 6.2, None, False),  # the other sign
     ([0, 1, 0], 6.0, 6.2, 95.0, False),  # the second explains as much alone
 ])
-def test_two_need_each_other(axis, alone, beside, rival, needed, monkeypatch):
-    first, second = fitted("first", [1, 0, 0], 8.0), fitted("second", axis, beside)
+def test_two_need_each_other(axis, alone, second_alone, rival, needed, monkeypatch):
+    first, second = fitted("first", [1, 0, 0], 8.0), fitted("second", axis, second_alone)
     plain = fitted("second", axis, alone).proposal
     monkeypatch.setattr("calibration.diagnosis.pairs.rescore", lambda proposal, evidence: plain)
     good = [first] if rival is None else [first, fitted("second", axis, alone, gain=rival)]

@@ -1,4 +1,4 @@
-"""Scores of many directions: probabilities that count how many were looked at."""
+"""Scores of many directions: probabilities corrected for the number of directions."""
 
 import numpy as np
 import pytest

@@ -132,7 +132,7 @@ def test_twenty_samples():
 @pytest.mark.parametrize("level", [0.0, 0.005, 0.02, 0.05])
 @pytest.mark.parametrize("curve", ["sphere", "cubic"])
 def test_quantised_signals(curve, level):
-    """The rounding error of a step q is q/sqrt(12) beside the noise, and alone where there is none."""
+    """The rounding error of a step q is q/sqrt(12), in addition to noise or alone."""
     rng, step = np.random.default_rng(7), 0.02
     found = [estimate_sensor_noise(step * np.round((CURVES[curve] + level * rng.standard_normal(401)) / step), TIME)
              for _ in range(20)]

@@ -84,7 +84,7 @@ def test_specimens_that_are_left_out_are_named_with_the_reason(tmp_path, capsys)
 
 
 def test_without_two_determined_specimens_there_is_no_material(tmp_path, capsys):
-    """Nobody's numbers are passed off as those of all; a file of an earlier calibration in the same folder goes."""
+    """Results of one specimen are not reported for all; a file of an earlier calibration in the folder is removed."""
     path = campaign(tmp_path, [(1400, -300), (1250, -300), (1600, 820)])
     calibrated(path)
     assert list((tmp_path / "out").glob("*.material.json"))

@@ -78,7 +78,7 @@ def test_ogden_has_two_minima_and_the_global_one_is_found(study):
     assert best.parameters["mu1"] == pytest.approx(2729, rel=2e-3)
     assert best.parameters["alpha1"] == pytest.approx(-0.57, abs=0.05)
     assert pytest.approx(0.99997, abs=5e-6) == best.R2
-    # The study's (3225.9, 14.8) lies beside this one.
+    # The values of the study are (3225.9, 14.8).
     assert second.parameters["mu1"] == pytest.approx(3226, rel=0.01)
     assert second.parameters["alpha1"] == pytest.approx(14.8, rel=0.05)
     assert second.R2 < best.R2 - 5e-4

@@ -2,7 +2,7 @@
 
 Radial expansion of incompressible matter around a point, rho^3 = P^3 + A, is in equilibrium without body forces for
 every incompressible isotropic law (Ericksen's universal deformations, family 4: Truesdell and Noll, The Non-Linear
-Field Theories of Mechanics, section 57). A rectangle of the (r, z) plane beside that point is held at its edges as the
+Field Theories of Mechanics, section 57). A rectangle of the (r, z) plane next to that point is held at its edges as the
 solution says; inside, the elements must find it.
 """
 

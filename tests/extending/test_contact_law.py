@@ -79,7 +79,7 @@ def test_its_parameters_are_those_of_the_model(film):
     changed = with_values(tested, {"experiment.contact_laws.tacky_film.tack": 60.0})
     assert force(changed).min() < 1.3 * force(tested).min() < 0.0
     rates = ts.sensitivities(tested, ["experiment.contact_laws.tacky_film.tack"])
-    assert not rates.exact.any() and (rates.values[5:11, 0] < 0.0).all(), "on the way out, where it pulls"
+    assert not rates.exact.any() and (rates.values[5:11, 0] < 0.0).all(), "during unloading, where the contact pulls"
 
 
 def test_the_way_out_counts(film):
@@ -90,7 +90,7 @@ def test_the_way_out_counts(film):
 
 
 def test_simulator_takes_it(film):
-    """Real time: the forces of `simulate` at its samples, with the pull on the way out."""
+    """Real time: the forces of `simulate` at its samples, with the adhesive force during unloading."""
     tested = model(film(tack=60.0, thickness=3e-4))
     sim = ts.Simulator(tested, resolution="fast", inertia="off", tolerance=1e-9)
     forces = [sim.step(float(depth), 1.0).force for depth in WAY.displacement]

@@ -70,7 +70,7 @@ def test_it_is_that_of_the_axisymmetric_solid(branch):
 
 
 def test_stiffness_and_memory(branch):
-    """The stiffness is the derivative of the force; what is saved and restored goes on as before."""
+    """The stiffness is the derivative of the force; a restored state continues with the same forces."""
     solver = make_solver(model(material(branch)), mesh=mesh())
     solver.ask_for_stiffness()
     for depth in (1e-3, 2e-3):

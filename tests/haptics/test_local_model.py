@@ -45,7 +45,7 @@ models = st.builds(lambda force, stiffness, depth, late: (force, stiffness, dept
 
 @given(st.lists(st.tuples(depths, st.none() | models), min_size=1, max_size=60))
 def test_change_of_model_moves_the_force_by_at_most_the_jump(ticks):
-    """What is left after the motion along the newest model is the change of model."""
+    """After the motion along the newest model, the remaining difference is the change of model."""
     blend, newest, last_depth, last_force = LocalModelBlend(jump=JUMP, oldest=math.inf), None, None, 0.0
     for depth, made in ticks:
         if made is not None:
@@ -160,7 +160,7 @@ def test_settings_that_mean_nothing_are_refused(settings):
 
 
 def multi_rate(period, latency, frequency, seconds=4):
-    """Run a solver that needs `latency` ticks every `period` ticks beside the loop.
+    """Run a solver that needs `latency` ticks every `period` ticks, in parallel with the loop.
 
     Returns:
         Errors of the force, the errors that were stated, N, and the jumps beyond the motion on the newest model, N.

@@ -1,4 +1,4 @@
-"""The loop: what a tick does, on a clock that the test sets; and the process of its own, killed, commanded and read."""
+"""The loop: one tick on a simulated clock, and the loop process: killed, commanded and read."""
 
 import importlib
 import json

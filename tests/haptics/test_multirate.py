@@ -1,4 +1,4 @@
-"""A solid by two rates: a tissue for the loop, with its bulk in this process or in another one."""
+"""Multirate simulation of a solid in the loop, with its bulk in this process or in another one."""
 
 import copy
 import math

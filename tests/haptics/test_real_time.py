@@ -50,7 +50,7 @@ def test_a_collection_that_was_off_stays_off():
 
 @needs_linux
 def test_what_linux_grants_is_seen_by_the_system_and_undone():
-    """In a process of its own; /proc and the scheduler are asked, not our own answer."""
+    """In a child process; /proc and the scheduler are read, not our own report."""
     code = """
 import os
 from pathlib import Path

@@ -219,7 +219,7 @@ def test_files_that_are_no_ring_are_refused_in_one_sentence(path, tmp_path, tiss
             RingReader(path)
     with pytest.raises(InputError, match="exists already"):
         RingWriter(path)
-    assert path.read_bytes() == b"tsTICKS\0" + bytes(500), "somebody else's file is kept"
+    assert path.read_bytes() == b"tsTICKS\0" + bytes(500), "a foreign file is kept"
     with pytest.raises(InputError, match="cannot be shared"):
         RingWriter(tmp_path / "missing" / "ring")
     with pytest.raises(InputError, match="at least 2"):

@@ -74,7 +74,7 @@ def test_a_coupling_bears_what_the_tissue_alone_does_not():
 
 @pytest.fixture(scope="module")
 def pressed():
-    """The study's silicone under the needle, bonded, pressed slowly to 5.73 mm; a function that gives it anew."""
+    """The study's silicone under the needle, bonded, pressed slowly to 5.73 mm; a function that makes a simulator."""
     material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4),
                            density=1040.0)
     simulator = ts.Simulator(ts.Model(ts.Experiment(ts.Specimen(0.040, 0.070), ts.Protocol.ramp(0.01),
@@ -106,7 +106,7 @@ def test_a_tissue_with_mass_does_not_throw_a_proxy_that_is_put_into_it(pressed):
 
 @pytest.mark.parametrize("damping", [1.0, 5.0])
 def test_a_heavy_hand_behind_a_coupling_does_not_shake_a_tissue_with_mass(pressed, damping):
-    """0.5 kg, in time: these shook from tick to tick while the proxy took the inertial force for one that goes on."""
+    """0.5 kg, in time: the force oscillated from tick to tick when the proxy extrapolated the inertial force."""
     class Deeper(AxialMotion):
         def depth(self, time):
             return 5.733e-3 if time <= 0 else 6.233e-3

@@ -1,8 +1,8 @@
-"""The solid in space beside CalculiX on the same mesh: a punch off the axis, upright and at an angle, whose face holds
+"""3D solids compared with CalculiX on the same mesh: a punch off the axis, upright and at an angle, whose face holds
 the tissue, and a block of tetrahedra that is pressed and sheared.
 
 CalculiX has no element with discontinuous pressures; its 20-node hexahedron with reduced integration, and its ten-node
-tetrahedron, have the corners and edges of ours. Self-contact of the fold beside the punch is in neither of the two.
+tetrahedron, have the corners and edges of ours. Neither program has self-contact of the fold at the punch.
 """
 
 import math

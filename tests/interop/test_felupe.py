@@ -1,7 +1,7 @@
 """Forces against FElupe, an independent program, on the same mesh with the same element: Q4/P0 and Q9/P-1.
 
 What is compared is the whole chain: axisymmetric kinematics, law, mixed formulation, condensation, reactions. Both
-sides solve to rounding, so what is left is far below the six digits asked for (at most 3e-11 where FElupe's last
+sides solve to rounding, so the difference is far below the six digits asked for (at most 3e-11 where FElupe's last
 Newton step is the coarser one).
 """
 

@@ -1,4 +1,4 @@
-"""Shapes of specimens in space beside FElupe on the same meshes: hexahedra of eight nodes with mean dilatation."""
+"""3D specimens compared with FElupe on the same meshes: hexahedra of eight nodes with mean dilatation."""
 
 import numpy as np
 import pytest

@@ -20,7 +20,7 @@ from haptics.emulators.rdt import RdtEmulator
 from haptics.protocols import rdt
 from haptics.protocols.rdt import Settings
 
-pynetft = pytest.importorskip("pynetft", reason="asks pynetft, a client of somebody else's that comes with the extra "
+pynetft = pytest.importorskip("pynetft", reason="asks pynetft, an independent client that comes with the extra "
                                                 "'test' where there is a wheel of it, and is not installed")
 PATIENCE = 60.0
 LOAD = (0.1, -0.2, 3.0, 0.01, 0.02, -0.03)

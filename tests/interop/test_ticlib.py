@@ -10,7 +10,7 @@ from haptics.devices.virtual.force_sensor import VirtualForceSensor
 from haptics.devices.virtual.stage import VirtualStage
 from haptics.emulators.emulator import open_emulator
 
-ticlib = pytest.importorskip("ticlib", reason="asks ticlib, a client of somebody else's that comes with the extra "
+ticlib = pytest.importorskip("ticlib", reason="asks ticlib, an independent client that comes with the extra "
                                               "'test', and is not installed")
 
 COMMAND_TIMEOUT, SAFE_START = 1 << 6, 1 << 7

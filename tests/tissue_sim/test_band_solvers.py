@@ -61,7 +61,7 @@ def factorised(functions, lower: np.ndarray, added: np.ndarray, skewed: int = 0,
     run_init, run_solve = functions
     size, blocks = lower.shape[1], band.pack(lower)
     rows, width = blocks.shape[:2]
-    # What is not to be looked at is no number.
+    # Entries that must not be read are NaN.
     upper, factor, upper_factor = np.full((3, *blocks.shape), np.nan)
     inverse, good = np.zeros(rows * band.BLOCK), np.zeros(1, np.int32)
     for more in (added, later):

@@ -43,8 +43,8 @@ class TestAdhesion:
         ("frictionless", None, None, 0.02), ("stick", None, "bonded", 0.03), (0.3, None, "bonded", 0.03),
         ("stick", ts.Tool("flat", RADIUS), "bonded", 0.07)])
     def test_pull_off(self, friction, tool, base, short):
-        """A plate lets go nearly all at once: where the base holds the tissue, its rim first. Under a sharp punch the
-        edge goes first, so it pulls a little less."""
+        """A plate separates almost everywhere at once; with a bonded base its rim separates first. Under a sharp punch
+        the edge separates first, so it pulls a little less."""
         places, found, plain = self.curves(friction, tool, base)
         assert found.min() == pytest.approx(-self.FORCE, rel=short)
         retracting = np.arange(found.size) > 8

@@ -1,4 +1,4 @@
-"""A bulk that goes on with an earlier tangent while the next one is condensed beside."""
+"""A bulk that uses an earlier tangent while the next one is condensed in parallel."""
 
 from dataclasses import replace
 

@@ -91,7 +91,7 @@ EQUAL = {
     "swollen": components(1.1 * np.eye(2), 0.9),
     "turned": components(1.05 * rotation(0.7), 0.92),
     "all but equal": components(np.array([[1.1, 1e-7], [0.0, 1.1]]), 0.85),
-    "beside the switch": components(np.array([[1.1, 2.1e-5], [0.0, 1.1]]), 0.85),
+    "near the switch": components(np.array([[1.1, 2.1e-5], [0.0, 1.1]]), 0.85),
     "nearly equal": components(np.array([[1.1, 1e-4], [0.0, 1.1]]), 0.85),
     "on the axis": components(np.array([[1.1, 0.0], [0.0, 0.8]]), 1.1),
 }

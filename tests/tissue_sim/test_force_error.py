@@ -37,7 +37,7 @@ def turns_back(points=21):
 
 
 def presses_twice(points=11):
-    """Flat tissue between plates with friction, pressed, let go and pressed again: in 11 steps the first one of the
+    """Flat tissue between plates with friction, pressed, released and pressed again: in 11 steps the first one of the
     second time errs by 2 % of the largest force, and one twice as long by as much again and more."""
     experiment = ts.Experiment(ts.Specimen(57.1e-3, 12.4e-3), ts.Protocol.parse(
         "ramp 0.3733mm @2.09mm/s; unload; ramp 0.6222mm; unload; reload; unload", points=points), ts.Tool("plate"),

@@ -222,7 +222,7 @@ class TestTangent:
         differences of nodal forces of the augmented Lagrangian, written here from the geometry of the edge.
 
         With mu = 0.1 all points slip. A point that sticks is held by so stiff a spring that the curvature, 1e-5 of it,
-        is not looked at.
+        is not evaluated.
         """
         solver = stepped(mu, ts.Tool("flat", RADIUS, edge), depth=4e-3)
         surface, before = solver.equations.surface, solver.equations.surface.anchors.copy()

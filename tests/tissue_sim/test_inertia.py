@@ -44,7 +44,7 @@ def confined_column() -> AxisymmetricSolver:
 
 
 def column(steps, end=0.06):
-    """Times and forces of the confined column in so many equal steps."""
+    """Times and forces of the confined column in a number of equal steps."""
     solver = confined_column()
     times, forces = np.arange(1, steps + 1) * end / steps, []
     for t in times:
@@ -136,7 +136,7 @@ def test_it_knows_what_the_next_step_answers():
             assert answer.ahead is not None
             compared.append((answer.force, stays, answer.ahead.wrench[2], (further - stays) / 1e-6,
                              answer.ahead.stiffness_matrix[2][2]))
-    assert ts.Simulator(ts.Model(needle, silicone), inertia="on").step(1e-3, 1e-3).ahead is None, "nobody asked"
+    assert ts.Simulator(ts.Model(needle, silicone), inertia="on").step(1e-3, 1e-3).ahead is None, "not requested"
     now, stays, said, slope, stiffness = np.array(compared).T
     np.testing.assert_allclose(said, stays, atol=3e-3)
     np.testing.assert_allclose(stiffness, slope, rtol=0.02)

@@ -90,7 +90,7 @@ def test_another_taichi_is_named_with_the_remedy(kernel, monkeypatch):
 
 
 def test_other_arrays_of_a_kernel_that_has_run_are_bound_without_asking_taichi_again(kernel, monkeypatch):
-    """Taichi looks at type and rank of each array, which the kernel states."""
+    """Taichi checks type and rank of each array, which the kernel states."""
     launch.BoundKernel(kernel, arrays())()
     monkeypatch.delattr(type(kernel._primal), "ensure_compiled")
     others = arrays(x=np.arange(5.0), y=np.zeros((5, 2)))

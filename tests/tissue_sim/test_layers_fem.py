@@ -46,7 +46,7 @@ class TestLayers:
     @pytest.mark.parametrize(("tool", "friction", "precision"), [
         (PLATE, "frictionless", 1e-7), (PLATE, "bonded", 2e-3), (NEEDLE, "bonded", 3e-3)])
     def test_ratio_one_is_absent(self, tool, friction, precision):
-        """What is left is the error of another mesh, and between frictionless plates the tolerance of the contact,
+        """The difference is the error of another mesh, and between frictionless plates the tolerance of the contact,
         which is closer for one material; on the same mesh nothing is left."""
         layers = (ts.Layer(2e-3, 1.0), ts.Layer(5e-3, 1.0))
         np.testing.assert_allclose(force(layers, tool, friction), force((), tool, friction), rtol=precision)
@@ -73,7 +73,7 @@ class TestLayers:
         assert 0.02 < plate < 0.04 and 0.10 < needle < 0.14
 
     def test_shallow_needle_feels_the_skin_only(self):
-        """The thicker the skin beside the needle's radius, the nearer is the force to that of a block of it."""
+        """The thicker the skin relative to the needle's radius, the nearer is the force to that of a block of skin."""
         shallow, ratio = ts.Protocol.ramp(0.2e-3, 3), 3.0
         bare = force((), NEEDLE, protocol=shallow)[-1]
         shares = [force((ts.Layer(h, ratio),), NEEDLE, protocol=shallow)[-1] / bare for h in (1e-3, 4e-3, 16e-3, 69e-3)]

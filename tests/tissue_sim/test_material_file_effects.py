@@ -66,7 +66,7 @@ def test_covariance_reaches_beyond_the_law(tmp_path):
     assert again.standard_errors["layers[1].thickness"] == pytest.approx(0.5e-3)
 
 
-#: Written by version 0.1.0 before anything beside the law existed; kept as they were.
+#: Written by version 0.1.0 which knew the law only; unchanged.
 VERSION_1 = {
     "by the command line": ("""{
   "schema": "tissue_sim/material/1",

@@ -1,4 +1,4 @@
-"""Regions in material files: the round trip, the refusals, and the command line beside the closed form."""
+"""Regions in material files: the round trip, the refusals, and the command line against the closed form."""
 
 import dataclasses
 import json

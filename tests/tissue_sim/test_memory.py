@@ -144,7 +144,7 @@ class TestSoftening:
         away, again = slice(19, 37), slice(37, 55)
         returning = np.interp(depth[again], depth[away][::-1], soft[away][::-1])
         inside = depth[again] < 6e-3
-        # Straight lines between samples: 0.278 mm apart on the way out.
+        # Straight lines between samples: 0.278 mm apart during unloading.
         np.testing.assert_allclose(soft[again][inside], returning[inside], rtol=3e-3)
 
     def test_absent(self):
@@ -282,7 +282,7 @@ class TestFields:
                              ids=["elastic", "softened", "softened and relaxing", "relaxing under a layer"])
     def test_stress_carries_the_force_through_every_row(self, material):
         """The mean over a row of elements of the force through its planes, from Cauchy stress, is the tool's: that is
-        equilibrium, on the way in, in the hold and on the way out."""
+        equilibrium, during loading, hold and unloading."""
         protocol = ts.Protocol.parse("ramp 8mm @1mm/s; hold 4s; unload 5mm", points=5)
         recording = ts.simulate(model(protocol, **material), fields=True)
         fields = recording.fields

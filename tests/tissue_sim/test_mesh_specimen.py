@@ -45,8 +45,8 @@ def test_the_resolution_chooses_the_element(specimen):
     for resolution, element in (("realtime", TET8P0), ("fast", TET15P1), ("accurate", TET15P1)):
         mesh = build_mesh(experiment(friction="bonded"), resolution)
         assert mesh.element is element and len(mesh.connectivity) == 288
-    beside = np.hypot(*mesh.nodes[mesh.sets["face"], :2].T)
-    assert beside.max() <= 8e-3 < np.hypot(*mesh.nodes[np.setdiff1d(mesh.sets["free"], mesh.sets["face"]), :2].T).min()
+    radii = np.hypot(*mesh.nodes[mesh.sets["face"], :2].T)
+    assert radii.max() <= 8e-3 < np.hypot(*mesh.nodes[np.setdiff1d(mesh.sets["free"], mesh.sets["face"]), :2].T).min()
     with pytest.raises(ts.InputError, match="only 1 nodes of the top lie within 1 mm of the tool's axis"):
         build_mesh(ts.Experiment(specimen, ts.Protocol.ramp(1e-4, 2), tool=ts.Tool("flat", radius=1e-3)))
     layered = ts.Material("neo_hooke", {"C10": 1500.0}, layers=(ts.Layer(2e-3, 3.0),))

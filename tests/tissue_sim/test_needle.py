@@ -31,8 +31,8 @@ def halved(mesh):
     lines = (np.unique(mesh.nodes[mesh.connectivity[:, :4], k]) for k in range(2))
     fine = structured_mesh(*(np.sort(np.concatenate([x, 0.5 * (x[1:] + x[:-1])])) for x in lines), mesh.element)
     top = fine.sets["top"]
-    beside = fine.nodes[top, 0] - RADIUS
-    fine.sets.update(face=top[beside < 1e-9], free=top[beside > -1e-9])
+    distance = fine.nodes[top, 0] - RADIUS
+    fine.sets.update(face=top[distance < 1e-9], free=top[distance > -1e-9])
     return fine
 
 
@@ -59,7 +59,7 @@ class TestBondedFace:
         assert abs(fast.force[AT] / [0.3601, 0.9363, 2.078] - 1).max() < 1e-2
 
     def test_the_surface_folds_onto_the_shaft_and_stays_outside(self, accurate):
-        """A mesh without the wall can hit the force by cancellation: the fold itself is looked at."""
+        """A mesh without the wall can give the right force by cancellation of errors, so the fold is checked."""
         mesh = accurate.fields.mesh
         free = mesh.sets["free"]
         for sample in range(len(accurate.force)):

@@ -34,7 +34,7 @@ def test_reaches_its_end_in_equilibrium(random, resolution, seed):
 
 
 def test_the_check_sees_what_is_no_equilibrium(random):
-    """One node that contact has let go of, a hundredth of a percent of the height away from where it rests."""
+    """One node out of contact, displaced by 0.01 % of the height from its equilibrium."""
     class Kicked(random.check):
         def check(self, state, *rest):
             node = 2 * self.section.connectivity[0, -1]

@@ -84,7 +84,7 @@ def test_chosen_at_warm_up_and_kept(monkeypatch):
     fixed = ts.Simulator(model("needle"), resolution="realtime_35", inertia="off")
     fixed.warm_up()
     assert answer.force == fixed.step(2e-3, 1e-3).force
-    sim.warm_up()  # asks nobody any more
+    sim.warm_up()  # measures nothing again
     assert sim.mesh is mesh
     sim.reset()
     assert sim.step(2e-3, 1e-3).force == answer.force

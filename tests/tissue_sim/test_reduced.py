@@ -173,7 +173,7 @@ class TestForces:
             assert step.force == pytest.approx(expected.force, rel=1e-3)
 
     def test_another_material(self, held):
-        """The law is evaluated anew: twice as stiff is twice the force."""
+        """The law is evaluated again: twice the stiffness gives twice the force."""
         forces = []
         for factor in (1.0, 2.0):
             material = ts.with_values(MATERIAL, {name: factor * value for name, value in MATERIAL.parameters.items()})
@@ -459,7 +459,7 @@ def test_a_smooth_motion_needs_few_further_looks(held):
 
 @pytest.mark.parametrize(("between_steps", "at_least"), [("nothing", 20), ("one that fails", 1), ("there and back", 1)])
 def test_what_is_not_looked_at_again_is_in_equilibrium(held, between_steps, at_least):
-    """A linear solution of small remainder is believed; here each is looked at, by a solver beside it."""
+    """A linear solution with a small residual is accepted; here a second solver checks each."""
     solver, beside = ReducedSolver(held, MATERIAL), ReducedSolver(held, MATERIAL)
     looks, evaluate = [], solver.elements.evaluate
 

@@ -1,4 +1,4 @@
-"""Fields of a reduced solid beside those of the whole one at the same pose, and what nobody knows of them."""
+"""Fields of a reduced solid compared with the whole solid at the same pose, and fields that it does not have."""
 
 from dataclasses import replace
 

@@ -107,7 +107,7 @@ class TestElements:
         np.testing.assert_allclose(sampled.tangent, stiffness, rtol=1e-5, atol=1e-6 * np.abs(stiffness).max())
 
     def test_each_material_has_its_own_limit_of_the_bulk(self):
-        """At rest K of each is at most so many times its own mu0, and pressures follow from it."""
+        """At rest the bulk modulus of each region is limited to a multiple of its mu0, and pressures follow from it."""
         mesh = block(np.linspace(0.0, 0.02, 3), np.linspace(0.0, 0.02, 3), np.linspace(-0.02, 0.0, 3), HEX8P0)
         mesh = replace(mesh, regions={"lump": np.arange(4)})
         stretch = np.zeros((mesh.nodes.size, 1))
@@ -169,7 +169,7 @@ class TestLayers:
         assert refused.value.field.startswith("also[1].")
 
     def test_a_soft_material_counts_as_much_as_a_stiff_one(self, skinned):
-        """Where elements are looked at, and in what is said of the error."""
+        """Evaluated elements, and the stated error."""
         soft = ts.with_values(skinned.model.material, {"C10": 14.049, "C20": 6.994})
         solver = training.whole_solver(skinned.model, skinned.mesh)
         start, taken, ways = skinned.model.experiment.tool_pose(0.0), [], []

@@ -99,7 +99,7 @@ def test_it_does_what_the_whole_one_does(heavy):
     assert off(light, expected) > 0.05
     assert off(found, expected) < 0.01 and heavy.report["force_rms_error"] < 0.01
     assert np.abs(found[0]).max() < 1e-9
-    # Nobody has touched it again.
+    # The solid was not touched again.
     solver.forget()
     np.testing.assert_allclose(forces(solver, poses), found, rtol=0, atol=1e-3 * np.abs(found).max())
 

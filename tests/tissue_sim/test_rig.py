@@ -80,7 +80,7 @@ def test_motion_only():
 class TestCompliance:
     @pytest.mark.parametrize("stiffness", [1.0, 760.0, 1e6])
     def test_linear_spring(self, stiffness):
-        """F = k x / (1 + c k), on the ramp, in the hold and on the way back."""
+        """F = k x / (1 + c k), on the ramp, in the hold and during unloading."""
         c = 0.05e-3
         soft = Rig(compliance=c).apply(compression(lambda d: stiffness * d))
         np.testing.assert_allclose(soft.force, stiffness * WAY / (1 + c * stiffness), rtol=1e-9, atol=1e-12)

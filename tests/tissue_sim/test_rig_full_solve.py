@@ -44,7 +44,7 @@ class TestFullSolve:
         np.testing.assert_allclose(found.force, driven.force, atol=2e-6 * found.force.max())
 
     def test_relaxing_specimen_creeps_behind_a_spring(self):
-        """In the hold the force falls and the tool goes on into the specimen."""
+        """In the hold the force falls and the tool moves further into the specimen."""
         c = 0.5e-3
         found = simulated(rig=ts.Rig(compliance=c), **LOSSY)
         hold = CYCLE.segment == "hold"

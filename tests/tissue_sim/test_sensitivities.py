@@ -1,6 +1,6 @@
 """Exact derivatives of the force against central differences of whole simulations.
 
-Contact conditions are solved much closer here than a user's simulation needs: what is left of their violation would
+Contact conditions are solved much closer here than a user's simulation needs: a remaining violation would
 show in the differences. Differences and exact values are compared while all three runs have had the same points in
 contact and slipping.
 """
@@ -174,7 +174,7 @@ def test_one_sided_differences_take_a_simulation_less(monkeypatch):
     ("material.layers[0].thickness", {}, {"layers": (ts.Layer(5e-3, 2.0),)})])
 @pytest.mark.parametrize("resolution", ["fast", "accurate"])
 def test_geometry_has_one_derivative_whatever_the_width(path, options, material, resolution, monkeypatch):
-    """The nodes of one mesh move; a mesh made anew would jump where its elements are counted."""
+    """The nodes of one mesh move; a new mesh would change its number of elements."""
     model = ts.Model(experiment("ramp 3mm", 4, **options), elastic(**material))
     slopes = []
     for width in (1e-2, 1e-3, 1e-4):

@@ -119,7 +119,7 @@ def test_what_is_no_number_is_refused(sim, pose, dt):
     after = sim.step(1.1e-3, 1e-3)
     sim.reset()
     sim.step(1e-3, 1e-3)
-    assert sim.step(1.1e-3, 1e-3).force == after.force, "as if nobody had asked"
+    assert sim.step(1.1e-3, 1e-3).force == after.force, "unchanged by the request"
 
 
 def test_a_late_step_answers_the_local_model_and_the_next_one_catches_up():
@@ -145,7 +145,7 @@ def test_a_budget_that_ends_between_parts_keeps_the_parts():
     """A way that takes many parts is made in several steps."""
     sim = simulator()
     sim.warm_up()
-    # A clock of its own: every part takes as long as the budget of four solves.
+    # A simulated clock: every part takes as long as the budget of four solves.
     sim.budget = 12 * sim._clock.solve
     seen = [sim.step(4e-3, 1e-3)]
     while seen[-1].status is ts.ForceStatus.LATE and len(seen) < 500:
@@ -174,7 +174,7 @@ def test_no_equilibrium_says_so_and_comes_back(sim):
 
 @pytest.mark.parametrize("friction", ["bonded", "stick", 0.3, "frictionless"])
 def test_after_a_jump_far_beyond_the_next_press_is_that_of_a_new_one(friction):
-    """With friction at the base, which the jump has dragged along; in the air it is let go of."""
+    """With friction at the base, which the jump has dragged along; in the air the tissue is free."""
     edge = 0.0 if friction == "bonded" else 1e-3
     options = {"tool": ts.Tool("flat", 8e-3, edge), "friction": friction, "friction_base": 0.3}
     used, new = simulator(options, inertia="off"), simulator(options, inertia="off")

@@ -25,7 +25,7 @@ def simulator(how=None, **options) -> ts.Simulator:
     return made
 
 
-#: Into the tissue at up to 100 mm/s and out of it again, where the face lets go, and in again.
+#: Into the tissue at up to 100 mm/s and out again, where the face separates, and in again.
 WAY = [8e-3 * np.sin(np.pi * k / 240) ** 2 - 0.2e-3 for k in range(1, 301)]
 
 
@@ -74,7 +74,7 @@ def test_no_step_takes_more_and_the_next_equilibrium_is_the_right_one(work, iner
 
 def test_contact_settles_within_a_solution():
     """At 50 mm/s in and out again 4 solutions and the stiffness are enough, where each change of points that stick,
-    slip, touch or part took one of its own (7), and the forces are those of far smaller residuals."""
+    slip, touch or part took a separate one (7), and the forces are those of far smaller residuals."""
     way = [*range(1, 201), *range(199, -1, -1)]
     bound, exact = (ts.Simulator(model(0.7), inertia="off", **options) for options in ({"max_solves": 5},
                                                                                        {"tolerance": 1e-9}))
@@ -147,6 +147,6 @@ def test_an_iteration_that_was_ended_goes_on_as_if_it_had_not_been(friction, sha
         step, ended = solver.step(at, TICK, max_iterations=share, resumes=True, **options), ended + 1
         solves += step.iterations
     assert step.status is expected.status is StepStatus.CONVERGED and ended
-    # Each start has a tangent of its own where an iteration in one piece uses some twice.
+    # Each restart computes a tangent, whereas an uninterrupted iteration uses some tangents twice.
     assert solves <= expected.iterations + 1
     assert step.force == pytest.approx(expected.force, rel=1e-5)

@@ -111,7 +111,7 @@ def test_where_no_creep_helps_it_stops_and_says_so(monkeypatch):
 
 
 def test_where_nothing_helps_it_stops_however_little_fits_into_a_step(monkeypatch):
-    """Pressed anew once, and not once in every step: it would come late for ever."""
+    """Pressed again once, not in every step: otherwise every step would be late."""
     barred = Barred(monkeypatch, max_solves=4)
     monkeypatch.setattr(barred.solver, "creep", lambda *arguments, **options: iter(()))
     answers = [barred.simulator.step(BARRED, 1e-3)]

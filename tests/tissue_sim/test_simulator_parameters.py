@@ -54,7 +54,7 @@ def test_one_modulus_alone_is_followed_there_and_back(case):
 
 @pytest.mark.parametrize("case", CASES)
 def test_with_time_for_one_solve_a_step_it_takes_as_many_steps_as_solves(case, monkeypatch):
-    """An iteration goes on from step to step until it is there; once it began anew every ten steps, and never was."""
+    """An iteration continues over steps until it has converged; a restart every ten steps never converged."""
     sim, _ = pressed(CASES[case])
     free, _ = pressed(CASES[case])
     for one in (sim, free):

@@ -64,7 +64,7 @@ def test_a_plate_pulls_at_a_block_until_it_lets_go(tack):
     expected = -(pull * (1.0 - gap) + tack * 0.02 * 0.03) / (1.0 - pull * 0.02 / (SOFT.E0 * 0.02 * 0.03 * length))
     np.testing.assert_allclose(found[4:9], expected[1:], rtol=2e-3)
     assert found[3] == pytest.approx(-SOFT.E0 * 0.02 * 0.03 * 0.05 / 20, rel=5e-3), "still in touch, and stretched"
-    assert found[1] > 0.0 and abs(found[9]) < 1e-9 and abs(found[10]) < 1e-9, "it has to touch anew"
+    assert found[1] > 0.0 and abs(found[9]) < 1e-9 and abs(found[10]) < 1e-9, "it has to touch again"
 
 
 @pytest.mark.parametrize(("laws", "precision"), [

@@ -1,4 +1,4 @@
-"""The solid in space against contact mechanics, and whether its mesh has a direction of its own.
+"""The solid in space against contact mechanics, and whether its mesh prefers a direction.
 
 Formulas: Johnson, Contact Mechanics, 1985.
 """

@@ -56,7 +56,7 @@ def test_tangent_is_the_derivative_of_the_forces(element, name, past):
     here, pressures = x.copy(), batches.pressures.copy()
     way = rng.normal(size=x.size)
 
-    def beside(step):
+    def perturbed(step):
         x[:], batches.pressures[:] = here + step * way, pressures
         # The pressures follow the volume as they do in a linear solution.
         batches.volume_rates[:], batches.gaps[:] = rates, 0.0
@@ -65,7 +65,7 @@ def test_tangent_is_the_derivative_of_the_forces(element, name, past):
         return forces(tissue)
 
     h = 1e-7
-    difference = (beside(h) - beside(-h)) / (2 * h)
+    difference = (perturbed(h) - perturbed(-h)) / (2 * h)
     np.testing.assert_allclose(tangent @ way, difference, atol=1e-8 * np.abs(difference).max())
 
 

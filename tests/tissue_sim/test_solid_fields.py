@@ -155,7 +155,7 @@ def test_along_the_axis_the_fields_are_those_of_the_axisymmetric_solid(punched, 
 @pytest.mark.parametrize("past", [{"viscoelastic": ts.Prony((ts.PronyTerm(0.3, 2.0),))},
                                   {"softening": ts.Softening(0.3, 400.0, 0.2)}], ids=["relaxes", "softens"])
 def test_stress_of_tissue_that_remembers_is_that_of_the_axisymmetric_solid(past):
-    """Evenly pressed between plates, held and let go again."""
+    """Uniformly pressed between plates, held and released."""
     kind = ts.KINDS["lubricated_compression"]
     experiment = kind.experiment(specimen=SPECIMEN, protocol=ts.Protocol.parse(
         "ramp 6mm @3mm/s; hold 2s; unload 3mm @3mm/s", 3, 3e-3))

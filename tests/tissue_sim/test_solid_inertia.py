@@ -38,7 +38,7 @@ def closed_form(t, speed, rise):
 
 
 def column(element, count, held):
-    """A column of so many elements, or of cubes of six; `held` are the axes along which its walls hold it."""
+    """A column of elements, or of cubes of six tetrahedra; `held` are the axes along which its walls hold it."""
     line = 0.5 * WIDTH * np.array([-1.0, 1.0])
     mesh = block(line, line, np.linspace(-HEIGHT, 0.0, count + 1), element)
     x, y, _ = np.abs(mesh.nodes.T)

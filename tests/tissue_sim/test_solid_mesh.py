@@ -57,7 +57,7 @@ def test_a_block_has_its_volume_and_its_surface_points_outwards(element):
 @pytest.mark.parametrize("centre", [(0.0, 0.0), (0.015, -0.01)])
 def test_a_cylinder_under_a_needle(centre):
     mesh = needle_solid(0.04, 0.07, 0.008, HEX27P1, around=3, centre=centre, **NEEDLE)
-    # Two points of a quadratic side are on the circle beside each middle.
+    # Two points of a quadratic side lie on the circle next to each midpoint.
     assert volume(mesh) == pytest.approx(np.pi * 0.04**2 * 0.07, rel=3e-4)
     side = np.hypot(*mesh.nodes[mesh.sets["side"], :2].T)
     np.testing.assert_allclose(side, 0.04, rtol=1e-12)

@@ -28,7 +28,7 @@ OUT = (0.0, 1.0, 2.0, 1.0, 0.3)
 
 @pytest.fixture(autouse=True)
 def close_contact(monkeypatch):
-    """Closer than a user needs: what is left of a violation would show in the differences."""
+    """Closer than a user needs: a remaining violation would show in the differences."""
     monkeypatch.setattr(discretisation, "_NEEDLE_TOLERANCE", 1e-9)
     monkeypatch.setattr(discretisation, "_PLATE_TOLERANCE", 1e-10)
 
@@ -57,7 +57,7 @@ def solid_mesh(centre=(0.0, 0.0), interfaces=()):
 
 def model(tool=FLAT, friction="bonded", way=(0.0, 1.5, 3.0), approach=None, specimen=None, laws=(), base="bonded",
           **of_material):
-    """The way in mm, a sample each second."""
+    """The path in mm, one sample per second."""
     material = ts.Material("reduced_polynomial_2", STUDY, ts.Bulk("bulk_ratio", 1e4), **of_material)
     protocol = ts.Protocol(np.arange(1.0 * len(way)), 1e-3 * np.array(way))
     return ts.Model(ts.Experiment(specimen or ts.Specimen(0.04, 0.05), protocol, tool=tool, friction=friction,
@@ -124,7 +124,7 @@ def test_friction_with_a_past():
     ({"tool": BALL, "friction": 0.3, "specimen": HEAVY},
      ["C10", "regions.lump.C10", "regions.lump.viscoelastic.terms[0].g"])], ids=["bonded", "oblique", "that weighs"])
 def test_several_materials(options, names):
-    """Each region with a law, a bulk response and a past of its own."""
+    """Each region has its law, bulk response and history."""
     assert_exact(model(regions=LUMP, **options), names, 1e-6)
 
 

@@ -132,7 +132,7 @@ def test_a_shell_that_moves_as_a_whole_feels_nothing():
     mesh = SHELL.solid_mesh(Grading(HEX27P1, 6e-3, 2.2, 20e-3, 2, radius=6e-3, centre=(0.01, 0.0)))
     solver = SolidSolver(mesh, MATERIAL, {}, np.union1d(mesh.sets["top"], mesh.sets["base"]), start=Pose.at_depth(0.0))
     turn = Pose((2e-3, -1e-3, 3e-3), (math.cos(0.1), 0.6 * math.sin(0.1), 0.8 * math.sin(0.1), 0.0))
-    # Measured against a load that is none, what is left of equilibrium is rounding.
+    # Relative to a load of zero, the residual of the equilibrium is rounding.
     step = stepped(solver, turn, tolerance=1e-5)
     assert np.abs(step.wrench).max() < 1e-9
     frame = Frame(turn, 0.0)

@@ -77,7 +77,7 @@ def test_the_edge_of_a_leaning_face_touches_it(tool, degrees):
 @pytest.mark.parametrize("tool", [ts.Tool("flat", radius=RADIUS), ts.Tool("flat", radius=RADIUS, edge_radius=1e-3)],
                          ids=["sharp", "rounded"])
 def test_a_face_that_holds_the_tissue_touches_it_too(tool):
-    """Nodes beside it may meet the shaft alone, and the place of the first touch is that of the whole tool."""
+    """Nodes outside the face may meet the shaft alone; the first touch is that of the whole tool."""
     mesh = block(LINE, LINE, [-0.02, 0.0], TET8P0)
     mesh.nodes[:, 2] += 1e-3 * np.sin(400.0 * mesh.nodes[:, 0]) * np.sin(300.0 * mesh.nodes[:, 1] + 1.0)
     for pose in (Pose((0.3e-3, 0.2e-3, 0.0)), turned(Pose((0.3e-3, 0.2e-3, 0.0)), (0.1, 0.05, 0.0))):
@@ -112,9 +112,9 @@ def test_a_ball_touches_a_curved_top(element):
     lattice = np.stack(np.meshgrid(line, line), axis=-1).reshape(1, -1, 2)
     points = np.concatenate([SidePoints(element, mesh.nodes[sides[[k]]]).at(np.array([0]), lattice)[0]
                              for k in range(len(sides))])
-    beside = ((points[:, :2] - place) ** 2).sum(axis=1)
-    points, beside = points[beside < RADIUS**2], beside[beside < RADIUS**2]
-    expected = (points[:, 2] + np.sqrt(RADIUS**2 - beside)).max() - RADIUS
+    squares = ((points[:, :2] - place) ** 2).sum(axis=1)
+    points, squares = points[squares < RADIUS**2], squares[squares < RADIUS**2]
+    expected = (points[:, 2] + np.sqrt(RADIUS**2 - squares)).max() - RADIUS
     assert 0.0 <= height(mesh, tool, Pose((*place, 0.0))) - expected < 1e-7
 
 

@@ -269,7 +269,7 @@ def test_a_module_beside_the_file_is_not_imported(tmp_path, monkeypatch):
 
 def test_files_of_the_system_that_say_that_they_are_empty():
     if not Path("/proc/self/maps").exists():
-        pytest.skip("looks at files of /proc, which Linux alone has")
+        pytest.skip("reads /proc, which only Linux has")
     assert "grows while it is read" in refused(lambda path: read_bytes(path, "anything"), Path("/proc/self/maps"))
 
 

@@ -1,4 +1,4 @@
-"""Tetrahedra that neither lock nor oscillate, in contact and beside other elements and programs."""
+"""Tetrahedra that neither lock nor oscillate, in contact and compared with other elements and programs."""
 
 from functools import cache
 

@@ -1,4 +1,4 @@
-"""The tissue's own stiffness beside that of a step: what a hand feels, with the mass or without."""
+"""Stiffness of the tissue compared with that of a step: the one that a hand feels, with mass and without."""
 
 import math
 from dataclasses import replace

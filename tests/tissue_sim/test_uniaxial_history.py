@@ -109,7 +109,7 @@ def test_softening_on_first_load_only(mode):
     assert (back[1:-1] < first[::-1][1:-1]).all()
     np.testing.assert_allclose(again, back[::-1], rtol=1e-12, atol=1e-9)
     np.testing.assert_allclose(beyond, elastic[-further.size:], rtol=1e-12)
-    # The formula itself, at one point of the way back: W by quadrature of the stress.
+    # The formula itself, at one point of the unloading: W by quadrature of the stress.
     middle = up.size // 2
     fine = np.linspace(rest, up[middle], 20001)
     energy = np.trapezoid(STUDY.energy_law.nominal_stress(fine, STUDY.values, mode), fine)

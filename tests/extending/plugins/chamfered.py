@@ -1,4 +1,4 @@
-"""A shape of tool in one file: a flat punch with a chamfer of 45 degrees, which is a size of its own."""
+"""A shape of tool in one file: a flat punch with a chamfer of 45 degrees as an additional dimension."""
 
 import math
 from dataclasses import dataclass

@@ -1,5 +1,5 @@
-"""An effect at the points in one file: a Maxwell branch beside the law, an isochoric neo-Hooke spring in series with a
-dashpot (Simo, CMAME 60 (1987) 153, with the recursion of Taylor, Pister and Goudreau, IJNME 2 (1970) 45)."""
+"""An effect at the points in one file: a Maxwell branch parallel to the law, an isochoric neo-Hooke spring in series
+with a dashpot (Simo, CMAME 60 (1987) 153, with the recursion of Taylor, Pister and Goudreau, IJNME 2 (1970) 45)."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""An effect of the tissue in reduced form: a wet surface lets go of some of the force while the tool stays in it."""
+"""An effect of the tissue in reduced form: seepage at a wet surface reduces the force while the tool stays in."""
 
 import math
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import tissue_sim as ts
 
 @dataclass(frozen=True)
 class Seepage(ts.ReducedEffect):
-    """The force falls by a share of itself with a time of its own."""
+    """The force relaxes exponentially by a fraction of itself."""
 
     name = "seepage"
     title = "seepage at the surface"

@@ -25,7 +25,7 @@ def stiffness():
 class ToyTissue:
     """Pushes back by the spring from its foot, which gives way sideways where the lateral force would exceed `GRIP`.
 
-    The stiffness that it answers is that of the spring: what the tool feels on the way back.
+    The stiffness that it answers is that of the spring: the one that the tool feels during unloading.
     """
 
     def __init__(self, grip=GRIP):
