@@ -59,6 +59,7 @@ def run_page(text: str, name: str) -> int:
     return ran
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_page_runs(page, tmp_path, monkeypatch):
     from tissue_sim import LAWS

@@ -22,6 +22,7 @@ def watched(tmp_path):
     page.close()
 
 
+@pytest.mark.slow
 def test_a_running_recorder_is_displayed(watched, open_page):
     from haptics.recorder.live import LiveFile
 

@@ -10,6 +10,7 @@ def note(reader, text):
     reader.page.get_by_test_id("field-note").filter(has_text=text).first.wait_for()
 
 
+@pytest.mark.slow
 def test_a_field_accepts_decimal_numbers_only_and_explains_each_rejection(shown, reader):
     reader.enter("depth [mm]", "2")
     reader.wait_for("depth", "2.00")
@@ -47,6 +48,7 @@ def type_slowly(reader, label, text, is_applied):
     field.press("Enter")
 
 
+@pytest.mark.slow
 def test_slow_typing_of_a_number_outside_the_range_is_not_interrupted(shown, reader):
     type_slowly(reader, "depth [mm]", "34",
                 lambda frame, typed: frame.target == pytest.approx(min(int(typed), 5) * 1e-3))
@@ -72,6 +74,7 @@ def test_a_file_that_is_too_large_does_not_leave_the_browser(shown, reader, tmp_
     assert not shown.page.server.gui._current_file_upload_states
 
 
+@pytest.mark.slow
 def test_keys_move_and_reset_the_tool_except_while_typing(shown, reader):
     page = reader.page
 
@@ -95,6 +98,7 @@ def test_keys_move_and_reset_the_tool_except_while_typing(shown, reader):
     reader.wait_for("depth", "0.00")
 
 
+@pytest.mark.slow
 def test_moving_a_paused_tool_is_refused_with_a_message(shown, reader):
     reader.press("Pause")
     reader.phase("paused")
@@ -105,6 +109,7 @@ def test_moving_a_paused_tool_is_refused_with_a_message(shown, reader):
     reader.phase("running")
 
 
+@pytest.mark.slow
 def test_plots_fill_the_panel_of_a_tall_window_and_fit_into_a_small_one(shown, open_page):
     for height, least in ((720, 0.0), (1080, 0.75)):
         page = open_page(shown, width=1280, height=height)

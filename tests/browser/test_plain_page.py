@@ -35,6 +35,7 @@ def test_the_page_loads_offline(server, open_page):
     assert f"ws://127.0.0.1:{server.get_port()}/" in asked
 
 
+@pytest.mark.slow
 def test_clicks_and_replies_are_transmitted(server, open_page, chromium):
     button = server.gui.add_button("push")
     answer = server.gui.add_html("<span data-testid='answer'>not yet</span>")
@@ -69,6 +70,7 @@ def guarded():
         yield running
 
 
+@pytest.mark.slow
 def test_the_address_with_token_opens_the_page_and_the_cookie_reopens_it(guarded, open_page, chromium):
     """The cookie from the first visit also opens the websocket and a reload."""
     page = open_page(guarded)

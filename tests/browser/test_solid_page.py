@@ -13,6 +13,7 @@ UNIT = SIZE / 0.08
 LEAN = math.radians(10.0)
 
 
+@pytest.mark.slow
 def test_a_tool_goes_off_the_axis_of_a_solid_and_the_picture_follows(shown_solid, open_page, chromium, reader_of):
     page = open_page(shown_solid, width=1200, height=760, triangles=300)
     reader = reader_of(page, shown_solid)
@@ -43,6 +44,7 @@ def test_a_tool_goes_off_the_axis_of_a_solid_and_the_picture_follows(shown_solid
     assert len(set(seen)) == 2
 
 
+@pytest.mark.slow
 def test_a_mouse_drags_the_tool_sideways(shown_solid, open_page, reader_of):
     page = open_page(shown_solid, width=1200, height=760, triangles=300)
     reader = reader_of(page, shown_solid)
@@ -70,6 +72,7 @@ def test_a_mouse_drags_the_tool_sideways(shown_solid, open_page, reader_of):
     assert end[2] == pytest.approx(start[2], abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_reduced_solid_is_coloured_by_what_is_known_of_it(shown_reduced, open_page, chromium, reader_of):
     page = open_page(shown_reduced, width=1200, height=1000, triangles=300)
     reader = reader_of(page, shown_reduced)
@@ -84,6 +87,7 @@ def test_a_reduced_solid_is_coloured_by_what_is_known_of_it(shown_reduced, open_
                                                        "largest stretch", "volume ratio J")
 
 
+@pytest.mark.slow
 def test_a_reduced_block_is_seen_and_its_tool_stays_in_the_box(shown_block, open_page, reader_of):
     page = open_page(shown_block, width=1200, height=760, triangles=100)
     reader = reader_of(page, shown_block)

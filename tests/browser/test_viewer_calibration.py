@@ -47,6 +47,7 @@ def upload(reader, path):
     chooser.value.set_files(path)
 
 
+@pytest.mark.slow
 def test_uploaded_recordings_are_calibrated_and_the_material_is_used_and_saved(
         shown, calibrating, recordings):
     reader = calibrating

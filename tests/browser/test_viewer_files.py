@@ -18,6 +18,7 @@ def upload(reader, path):
     chooser.value.set_files(path)
 
 
+@pytest.mark.slow
 def test_a_material_is_uploaded_and_an_invalid_one_is_refused(shown, reader, tmp_path):
     good, bad = tmp_path / f"stiff{SUFFIX}", tmp_path / f"bad{SUFFIX}"
     ts.write_material_file(MaterialFile.of(STIFF, provenance={"method": "written by hand"}), good)
@@ -42,6 +43,7 @@ def test_a_material_is_uploaded_and_an_invalid_one_is_refused(shown, reader, tmp
     assert reader.field("C10 [kPa]").input_value() == "4"
 
 
+@pytest.mark.slow
 def test_a_material_is_chosen_edited_with_a_slider_and_saved(shown, reader):
     def end_of_model():
         return max(reader.curves()[0]["model load"], default=0.0)
@@ -86,6 +88,7 @@ def at_its_end(trace):
     return trace.depth.max(initial=0.0) > 2.99e-3 and abs(trace.depth[-1] - 1e-3) < 1e-6
 
 
+@pytest.mark.slow
 def test_the_live_curve_is_downloaded_as_a_recording(shown, reader, tmp_path):
     # Slow enough for equilibria in loading and unloading on a busy machine: late forces are not saved, and fading
     # forces are not in the trace.
@@ -125,6 +128,7 @@ def test_picture_is_downloaded_as_png(shown, reader, tmp_path):
     assert len(colours) > 100
 
 
+@pytest.mark.slow
 def test_replay_is_a_page_that_plays_without_a_server(shown, reader, stranger, tmp_path):
     reader.tab("Save")
     reader.press("Record replay")

@@ -76,6 +76,7 @@ def test_the_mouse_drags_the_tool(shown, reader):
     reader.until(reader.curves, lambda plots: len(plots[0]["live load"]) > 50)
 
 
+@pytest.mark.slow
 def test_the_slider_moves_the_tool_and_shows_its_depth(shown, reader):
     reader.enter("depth [mm]", "3.5")
     reader.wait_for("depth", "3.50")
@@ -98,6 +99,7 @@ def at_rest(reader):
     return at_rest
 
 
+@pytest.mark.slow
 def test_a_protocol_is_played_paused_stepped_and_reset(shown, reader):
     # Slow enough to be still moving when a busy machine presses the button.
     reader.fill("protocol", "ramp 4mm @0.05mm/s")
@@ -150,6 +152,7 @@ def test_an_invalid_protocol_is_refused_with_a_message(shown, reader):
     assert max(shown.frame.curves.trace.depth, default=0.0) < 1e-6
 
 
+@pytest.mark.slow
 def test_two_browsers_share_everything_except_the_camera_and_a_reload_restores_it(shown, reader, another):
     one, other = reader, another
     one.fill("protocol", "ramp 1.5mm; hold 60s")
@@ -189,6 +192,7 @@ def test_the_page_switches_between_dark_and_light(reader):
                      lambda seen, expected=expected: (seen == light) == (expected == "light"))
 
 
+@pytest.mark.slow
 def test_a_valid_scene_is_applied_and_a_killed_simulation_can_be_restarted(shown, reader):
     reader.tab("Scene")
     reader.choose("tool", "flat")

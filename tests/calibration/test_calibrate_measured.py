@@ -39,6 +39,7 @@ def five(data_folder, tmp_path_factory):
     return {r.campaign.name: r for r in calibration.calibrate(paths, folder / "out", figures=False)}
 
 
+@pytest.mark.slow
 def test_published_yeoh_parameters_of_ten_pooled_recordings(five):
     result = five["EF10_0T"]
     assert len(result.campaign.tests[0].recordings) == 10
@@ -102,6 +103,7 @@ def test_foam_in_any_order_of_samples(data_folder, tmp_path, foam, kind, suffix,
         assert found.mu0 == pytest.approx(1e6 * stress[:, 0] @ stress[:, 1] / (stress[:, 0] @ stress[:, 0]), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_treloar(data_folder, tmp_path):
     reading = ('columns = { stretch = { name = "Stretch", unit = "-" }, '
                '"nominal stress" = { name = "Stress", unit = "MPa" } }')

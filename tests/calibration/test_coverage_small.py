@@ -30,6 +30,7 @@ def runs(benchmarks):
             for number in range(CAMPAIGNS)]
 
 
+@pytest.mark.slow
 def test_starts_ten_times_off_find_the_minimum_of_the_joint_fit(benchmarks):
     starts, _ = benchmarks
     points = starts.spread_starts(STARTS)
@@ -48,6 +49,7 @@ def test_starts_ten_times_off_find_the_minimum_of_the_joint_fit(benchmarks):
     assert estimate["parameters"][1] == pytest.approx(699.4, rel=0.03)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_where_ordinary_ones_do_not(benchmarks, runs):
     _, coverage = benchmarks
     found = {one["method"]: one for one in coverage.summarise(runs) if one["interval"] == "Wald"}

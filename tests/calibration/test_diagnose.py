@@ -84,6 +84,7 @@ def diagnosed(campaign, two_effects):
         return diagnose_campaign(asked, measured, RunContext(asked.name, tasks)), measured
 
 
+@pytest.mark.slow
 def test_nothing_hidden_is_nothing_missing(diagnosed):
     found = diagnosed[0].diagnosis
     assert found.verdict == "NONE" and found.effects == [] and found.fit_after is None

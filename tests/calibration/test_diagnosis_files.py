@@ -58,6 +58,7 @@ def drifting(tmp_path_factory):
     return diagnose(tmp_path_factory.mktemp("hidden") / "drifts", rig=ts.Rig(sensor_drift=3e-3))
 
 
+@pytest.mark.slow
 def test_a_tissue_goes_into_a_material_that_relaxes_in_real_time(relaxing):
     diagnosis, _, out = relaxing
     assert [effect.name for effect in diagnosis.effects] == ["viscoelasticity"]

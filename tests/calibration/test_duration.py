@@ -69,6 +69,7 @@ def glued(tmp_path, monkeypatch):
     return path
 
 
+@pytest.mark.slow
 def test_it_says_what_it_tries_and_how_long_to_expect(glued, tmp_path, monkeypatch):
     monkeypatch.setattr(duration, "_MIN_ANNOUNCED", 0.0)
     said, announced = [], []

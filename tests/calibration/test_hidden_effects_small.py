@@ -160,6 +160,7 @@ def plates(study, monkeypatch):
     return "plates"
 
 
+@pytest.mark.slow
 def test_one_hidden_effect_and_none_end_to_end(study, plates, tmp_path, capsys):
     """A drifting sensor and nothing, through files: found, or not; the lines are read and scored; peers tried."""
     run, main = study["run"], study["main"]

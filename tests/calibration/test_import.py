@@ -379,6 +379,7 @@ SETS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SETS)
 def test_every_measured_set_goes_from_raw_files_to_a_report(data_folder, tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)

@@ -15,6 +15,7 @@ from machine_exports import EXPORTS
 SIZES = calibration.Wishes(specimen={"radius_mm": 10.0, "height_mm": 12.0})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXPORTS)
 def test_an_export_is_read_and_imported(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)

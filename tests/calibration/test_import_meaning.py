@@ -59,6 +59,7 @@ MEASURED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MEASURED)
 def test_measures_are_converted(tmp_path, name):
     header, columns, above = MEASURED[name]
@@ -94,6 +95,7 @@ def test_measures_and_units_that_fit_as_well_are_a_question(tmp_path, capsys, he
         assert load(small).questions == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("header", "strain", "stress", "above"), [
     ("Strain (mm/mm),Stress (kPa)", STRETCH - 1, 1e-3 * STRESS, "Uniaxial tension\n"),
     ("Strain [-],Stress [kPa]", STRETCH - 1, 1e-3 * STRESS, "Uniaxial tension\n"),

@@ -99,6 +99,7 @@ def compression(delimiter=",", modulus=20e3, extra=()):
 LINES = "Diameter,20,mm\nHeight,12,mm\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", [
     LINES + compression(), compression() + "\n" + LINES, "Diameter,20,mm\n" + compression() + "Height (mm),12\n",
     compression() + "\nResults\nSpecimen,Diameter (mm),Height (mm)\n1,20.0,12.0\n",

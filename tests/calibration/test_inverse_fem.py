@@ -234,6 +234,7 @@ class TestStudy:
             write_recordings(tmp_path, name, depth, reference_force(reference, file))
         return tmp_path
 
+    @pytest.mark.slow
     def test_joint_fit_finds_the_truth_from_far_off(self, folder):
         _, problem = problem_of(folder, campaign_text("lubricated", "bonded", "needle"))
         ends = []
@@ -342,6 +343,7 @@ SURROUNDINGS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SURROUNDINGS)
 def test_a_number_of_geometry_friction_or_rig_is_fitted_beside_the_material(name, tmp_path):
     """The plates tell the modulus, the other test what surrounds the tissue there."""
@@ -427,6 +429,7 @@ class TestSolves:
 class TestWhole:
     """Through the function that users call."""
 
+    @pytest.mark.slow
     def test_law_is_preferred_for_its_prediction(self, plates):
         text = campaign_text("lubricated", "bonded").replace(
             '["reduced_polynomial_2"]', '["neo_hooke", "reduced_polynomial_2"]')
@@ -470,6 +473,7 @@ class TestWhole:
         assert fit.left_out is None
         assert "single test" in result.message
 
+    @pytest.mark.slow
     def test_a_left_out_test_does_not_leak(self, plates):
         """Softening shows in a return only: without that test its loss is open, and nothing is predicted."""
         material = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e4), softening=ts.Softening(0.3))
@@ -495,6 +499,7 @@ class TestWhole:
         assert found["lubricated"].note == "the other tests do not determine r"
         assert found["pull"].percent < 1.0
 
+    @pytest.mark.slow
     def test_workers_give_the_same_numbers(self, plates):
         (plates / "study.toml").write_text(campaign_text("lubricated", "bonded").replace("starts = 1", "starts = 2"),
                                            encoding="utf-8")
@@ -506,6 +511,7 @@ class TestWhole:
         assert [p.RMSE_N for p in other.predictions] == [p.RMSE_N for p in own.predictions]
         assert other.best.fem_solves >= own.best.fem_solves
 
+    @pytest.mark.slow
     def test_a_cluster_gives_the_same_numbers(self, plates, tmp_path_factory, monkeypatch):
         """Worker processes of a local dask cluster that stand in another folder."""
         (plates / "study.toml").write_text(campaign_text("lubricated"), encoding="utf-8")
@@ -522,6 +528,7 @@ class TestWhole:
         assert any((plates / "other" / "solves").iterdir())
         assert not (elsewhere / "other").exists()
 
+    @pytest.mark.slow
     def test_a_held_out_test_is_predicted(self, plates):
         text = campaign_text("lubricated") + (
             '[[test]]\nname = "bonded"\nkind = "bonded_compression"\nrecordings = ["bonded_*.csv"]\nhold_out = true\n')
@@ -561,6 +568,7 @@ BOUNDS = "\n[fit.bounds]\nC20 = [0.0, 500.0]\n"
 
 
 class TestRefused:
+    @pytest.mark.slow
     @pytest.mark.parametrize(("change", "field", "hint"), [
         (lambda t: t.replace("height_mm = 70.0", "height_mm = 9.0"), "test[0].recordings",
          "must be smaller than the height"),

@@ -46,6 +46,7 @@ def law(result, name):
     return next(own for own in result.fits if own.law == name)
 
 
+@pytest.mark.slow
 def test_modulus_of_the_closed_form(frictionless, data_folder):
     """Between frictionless platens the inverse fit is linear regression of the closed form, but for offsets."""
     found = law(frictionless, "neo_hooke")

@@ -83,6 +83,7 @@ def test_what_does_not_fit_is_refused_with_its_field(folder, way, field, words):
     assert caught.value.field == field and words in str(caught.value)
 
 
+@pytest.mark.slow
 def test_the_solid_finds_the_moduli(tmp_path, coarse):
     """What is measured is the force against the way of the needle; that along z is 6 % larger or smaller."""
     material = ts.Material("reduced_polynomial_2", TRUE, ts.Bulk("bulk_ratio", 1e3))

@@ -39,6 +39,7 @@ def test_the_depth_of_lost_steps_is_found_to_a_sample(tmp_path, lost):
     assert "rig.step_loss_depth" not in found.after.problem.space.free
 
 
+@pytest.mark.slow
 def test_two_that_act_in_different_places_are_both_named(tmp_path):
     """A jump and a relaxation: either alone leaves a gap, and both numbers are right."""
     found = diagnosed_plates(tmp_path, rig=ts.Rig(step_loss=0.08e-3, step_loss_depth=1.28e-3), terms=[(0.12, 6.0)],

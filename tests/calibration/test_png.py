@@ -81,6 +81,7 @@ def frames(figure):
     return np.array([axes.get_position().extents for axes in figure.axes])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dpi", [60, 150])
 @pytest.mark.parametrize(("draw", "same"), [(shared, True), (logarithmic, True), (coloured, False), (empty, True),
                                             (narrow, True)])

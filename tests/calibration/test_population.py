@@ -144,6 +144,7 @@ def test_one_material_in_all_specimens_differs_in_nothing(animals, tmp_path):
     assert not any("the specimens differ" in each for each in result.best.warnings)
 
 
+@pytest.mark.slow
 def test_a_campaign_finds_the_population(animals, tmp_path, capsys):
     """From recordings to the material file: each specimen its own numbers, the material their mean."""
     folder, truth = animals

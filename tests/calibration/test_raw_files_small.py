@@ -73,6 +73,7 @@ def test_clean_files_are_right(study):
     assert [study.main._line(each) for each in results if each.outcome != study.run.RIGHT] == []
 
 
+@pytest.mark.slow
 def test_files_with_traps_are_never_silently_wrong(study):
     results = [study.run.run_file(2, index) for index in range(30)]
     bad = (study.run.WRONG, study.run.CRASH)

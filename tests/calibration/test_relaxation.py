@@ -71,6 +71,7 @@ def test_the_independent_reference_curve(reference, fit_relaxation):
     assert found.material.mu_long_term == pytest.approx(0.7 * 2809.8, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_standard_errors_are_those_of_the_scatter(fit_relaxation):
     found = [fit_relaxation(recording(noise=10.0, seed=seed), "reduced_polynomial_2", 2)
              for seed in range(40)]

@@ -60,6 +60,7 @@ def test_panels_are_spread_evenly(count, rows):
     assert panels_per_row(count) == rows
 
 
+@pytest.mark.slow
 def test_pictures_are_files_beside_the_report_and_are_made_when_asked_for_later(campaign, tmp_path, monkeypatch):
     drawn = []
 

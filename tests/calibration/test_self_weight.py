@@ -93,6 +93,7 @@ def test_the_wrong_height_errs_less_than_no_weight(tmp_path):
     assert errors(fit.best) == pytest.approx([3.9, 19.5], abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["neo_hooke", "mooney_rivlin", "reduced_polynomial_3", "ogden_1", "ogden_2"])
 def test_every_law_finds_its_own_curve(tmp_path, law):
     found = ts.find_law(law)
@@ -132,6 +133,7 @@ def test_offsets_beside_gravity(tmp_path):
     assert fit.noise_ratio == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_with_jitter(tmp_path):
     """Standard errors of C10 against the scatter of 40 calibrations with a contact jitter of 0.1 mm."""
     specimen = f"radius_mm = 40.0\nheight_mm = 70.0\n{GRAVITY}"

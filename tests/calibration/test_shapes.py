@@ -268,6 +268,7 @@ zero_jitter_N = 0.0
 """
 
 
+@pytest.mark.slow
 def test_a_lump_is_fitted_beside_a_sample_of_what_is_around_it(tmp_path, coarse):
     """Its stiffness comes out with its interval, and stands in the region of the material file; the sample has none."""
     write_lumpy_mesh(tmp_path / "organ.vtu")
@@ -323,6 +324,7 @@ def felupe_forces(depths):
     return np.array(forces)
 
 
+@pytest.mark.slow
 def test_a_glued_cube_of_another_program(tmp_path, coarse):
     """FElupe's cube has C10 = 450 Pa, and its mesh is 0.7 % too stiff; ours of 64 elements errs by less than 2 %. From
     the same file of a mesh the answer is that of the block, and its interval allows for the mesh."""
@@ -338,6 +340,7 @@ def test_a_glued_cube_of_another_program(tmp_path, coarse):
     assert abs(mesh.parameters["C10"] - 450.0) < 3.0 * mesh.standard_errors["C10"]
 
 
+@pytest.mark.slow
 def test_a_block_that_weighs_is_fitted_with_exact_derivatives(tmp_path, coarse, monkeypatch):
     """No simulation is done for a difference; those of the start, which depends on the modulus, would be many."""
     weight = {"density": 1040.0, "gravity": 9.81, "height_is": "placed"}
@@ -381,6 +384,7 @@ def test_a_campaign_that_is_written_elsewhere_finds_its_mesh(folder):
     assert table == {"shape": "mesh", "mesh": str((folder / "cube.vtu").resolve()), "mesh_unit": "mm"}
 
 
+@pytest.mark.slow
 def test_design_asks_for_the_sizes_that_a_specimen_has(tmp_path, coarse):
     text = CAMPAIGN.format(specimen=BLOCK, kind="bonded_compression", test='protocol = "ramp 2mm @0.1mm/s"',
                            method="inverse_fem").replace('recordings = ["run_*.csv"]\n', "")

@@ -217,6 +217,7 @@ def test_an_exponent_that_all_share_moves_the_mean(tmp_path):
     assert held.expected_N == pytest.approx(np.sqrt(variance), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_fitted_contact_is_no_scatter_between_specimens(tmp_path):
     """Five specimens that are alike: what the fitted contact of each leaves open is its own error."""
     path = campaign(tmp_path, np.tile([1400.0, 700.0], (5, 1)), fit='offset = "fit"\n',
@@ -258,6 +259,7 @@ def test_a_bonded_specimen_that_weighs_is_not_said_to_have_no_weight(tmp_path):
         "Self-weight of animal_1, animal_2: 1040 kg/m3 at 9.81 m/s2, settled before the test; height 20 mm as moulded.")
 
 
+@pytest.mark.slow
 def test_a_miss_within_the_scatter_of_specimens_is_no_failure_of_the_law(tmp_path):
     """A further specimen stiffer by 0.3 than the mean of five that scatter by 0.17; one of three times the mean is."""
     wide = FIVE.mean(axis=0) * np.array([0.8, 1.2, 0.9, 1.15, 0.95])[:, None]
@@ -270,6 +272,7 @@ def test_a_miss_within_the_scatter_of_specimens_is_no_failure_of_the_law(tmp_pat
     assert "does not predict held-out tests: plates_6 within" in far.message
 
 
+@pytest.mark.slow
 def test_a_further_test_tells_the_numbers_of_its_specimen_alone(tmp_path):
     """C20 of the third, which was hardly compressed, is the weakest: the test that is suggested is of that specimen."""
     fit = calibrated(campaign(tmp_path, FIVE[:3], short=(3,), fit='method = "inverse_fem"\nstarts = 1\n',

@@ -152,6 +152,7 @@ def test_quantised_forces_have_the_noise_of_their_step(tmp_path):
     assert "resolution of the sensor" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_strain_points_do_not_make_the_errors_smaller(tmp_path):
     answers, errors = [], []
     for seed in range(60):

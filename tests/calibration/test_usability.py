@@ -100,6 +100,7 @@ def test_a_second_kind_of_test_decides_the_sign(tmp_path):
     assert result.best.parameters["alpha1"] == pytest.approx(8.0, abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("stress", "mu", "R2", "neo_hooke"), [
     (lambda g: 700.0 * np.tanh(g / 0.35), 820.0, 0.239, 665.0),
     (lambda g: 2000.0 * g / (1.0 + g / 0.8), 1038.0, 0.912, 851.0)])

@@ -74,6 +74,7 @@ def errors(element, cells: int, material: ts.Material) -> tuple[float, float]:
     return tuple(np.sqrt((reference.weights * square).sum() / volume) for square in (displacement, stress))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}),
                                  ("ogden_1", {"mu1": 2809.8, "alpha1": 5.0})], ids=lambda law: law[0])
 @pytest.mark.parametrize(("element", "displacement_order", "stress_order", "bulk_ratio"), [

@@ -46,6 +46,7 @@ def law(name, ratio=1e4):
     return ts.Material(name, MATERIALS[name], ts.Bulk("bulk_ratio", ratio))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MATERIALS)
 @pytest.mark.parametrize(("element", "order", "cells"), [
     (HEX8P0, 2, (4, 8)), (HEX27P1, 3, (2, 4)), (TET8P0, 2, (2, 4)), (TET15P1, 3, (2, 4))],

@@ -36,6 +36,7 @@ def force(tested) -> np.ndarray:
     return ts.simulate(tested).force
 
 
+@pytest.mark.slow
 def test_a_pull_is_that_of_the_built_in_adhesion(film):
     """The same pull, once as `Adhesion` and once as the film's: to the tolerance of the equilibrium."""
     area = np.pi * model().experiment.contact_radius**2
@@ -64,6 +65,7 @@ def test_smooth_friction_is_nearly_coulombs(film):
     np.testing.assert_allclose(smooth[2:], coulomb[2:], rtol=2e-2)
 
 
+@pytest.mark.slow
 def test_rates_help_the_iteration_and_change_nothing(film):
     recordings = [ts.simulate(plates(film(shear=3e4, with_rates=rates))) for rates in (True, False)]
     with_rates, without = (recording.metadata["solver"]["newton_iterations"] for recording in recordings)
@@ -128,6 +130,7 @@ def test_command_line_takes_it(film, tmp_path, capsys):
     assert "did you mean 'tack_Pa'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_a_campaign_states_and_fits_it(film, tmp_path):
     """Data with the film's elastic shear between plates; the campaign finds its stiffness."""

@@ -34,6 +34,7 @@ def force(displacement):
     return -TRUTH["mu"] * TRUTH["Jm"] / (TRUTH["Jm"] - I1 + 3) * (stretch - stretch**-2) * np.pi * RADIUS**2
 
 
+@pytest.mark.slow
 def test_law_of_one_file(plugin, registers, tmp_path):
     registers(ts.LAWS, plugin("gent").LAW)
     displacement = np.linspace(0.0, 0.030, 61)

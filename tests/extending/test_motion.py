@@ -39,6 +39,7 @@ def test_a_loop_follows_it(spiral, ticks_of):
     assert np.ptp(ticks["tool_pose"], axis=0)[[0, 1, 2, 3, 4, 5, 6]].min() > 1e-4, "it is oblique, and it turns"
 
 
+@pytest.mark.slow
 def test_the_command_line_knows_a_motion_of_an_installed_package(tmp_path):
     """By an entry point: the help names it, and the loop follows it."""
     installed = tmp_path / "spirals-1.0.dist-info"

@@ -69,6 +69,7 @@ def test_formula_on_plain_numbers(branch):
         assert np.isfinite(after).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("make", "tolerance"), [
     (lambda stuff: model(stuff, "frictionless"), 1e-8), (model, 1e-8), (needle, 1e-6)],
     ids=["homogeneous", "bonded", "needle"])
@@ -93,6 +94,7 @@ def test_layers_scale_it_as_the_law(branch):
     np.testing.assert_allclose(plugin, own, atol=1e-8 * own.max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element", [Q9P1, Q4P0], ids=lambda e: e.name)
 def test_tangent_is_the_derivative_of_the_residual(branch, element):
     """As in test_memory.py: every column of the condensed tangent against differences of nodal forces."""
@@ -209,6 +211,7 @@ for module in sys.argv[1:]:
 """
 
 
+@pytest.mark.slow
 def test_two_plugins_of_one_name_are_two_kernels(tmp_path):
     """Another content is another kernel, in one process and among the kernels that are kept on disk."""
     def write(module, factor):
@@ -253,6 +256,7 @@ def test_a_name_is_taken_once(branch):
         EFFECTS.register(type("Other", (branch,), {}))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_a_campaign_fits_it(branch, tmp_path):
     """Modulus, stress and time of the branch from a ramp and a hold between glued plates."""

@@ -86,6 +86,7 @@ def test_its_parameters_are_those_of_the_model(worn):
     assert (found.value, found.symbol, found.declaration.absent) == (2e-5, "w", 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_a_campaign_fits_it_beside_the_material(worn, tmp_path):
     """The plates, read by a good sensor, tell the modulus; the tool how far its sensor gives way."""

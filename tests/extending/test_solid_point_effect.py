@@ -42,6 +42,7 @@ def mesh(offset=0.0, layers=()):
                         centre=(offset, 0.0), interfaces=np.cumsum([layer.thickness for layer in layers]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layers", [(), (ts.Layer(4e-3, 3.0),)], ids=["plain", "layered"])
 def test_a_branch_is_the_built_in_term(branch, layers):
     """Under an oblique needle off the axis: forces in space, fields, and as many iterations."""
@@ -58,6 +59,7 @@ def test_a_branch_is_the_built_in_term(branch, layers):
         np.testing.assert_allclose(found.fields.at_points(name), right, atol=1e-5 * np.abs(right).max())
 
 
+@pytest.mark.slow
 def test_it_is_that_of_the_axisymmetric_solid(branch):
     """Over the force of each without the branch."""
     shares = []
@@ -115,6 +117,7 @@ def test_a_region_has_none(branch):
     assert 1.05 * none < some < 0.95 * most
 
 
+@pytest.mark.slow
 def test_a_formula_may_add_in_place(branch, registers):
     """Names of a formula are its own: what it does to them leaves the memory of the tissue as it was."""
     class InPlace(branch):

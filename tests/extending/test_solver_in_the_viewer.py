@@ -187,6 +187,7 @@ def test_empty_triangles_are_published(spring, scene, monkeypatch):
     assert published.snapshot.pose == pose and published.snapshot.skin.vertices.shape == (0, 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [
     ["simulate", "needle_indentation", "--material", "{material}", "--depth-mm", "2"],
     ["loop", "--seconds", "0.2", "--no-real-time", "--motion", "spiral:reach_mm=2"],

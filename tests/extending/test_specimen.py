@@ -29,6 +29,7 @@ def pressed(specimen, resolution="realtime"):
     return ts.simulate(model(specimen), solver="solid", resolution=resolution).force[-1]
 
 
+@pytest.mark.slow
 def test_shape_of_one_file(wedge, tmp_path, capsys):
     specimen = ts.Specimen(shape="wedge", **SIZES)
     assert isinstance(specimen, wedge) and pickle.loads(pickle.dumps(specimen)) == specimen

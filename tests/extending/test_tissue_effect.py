@@ -72,6 +72,7 @@ def test_its_parameters_are_those_of_the_model(seepage):
     np.testing.assert_allclose(answer.values[:, 0], np.expm1(-plain.time / TIME) * plain.force, rtol=1e-6, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_a_campaign_fits_it(seepage, tmp_path):
     recording = ts.simulate(model(material(seepage(LOST, TIME)), points=81))

@@ -81,6 +81,7 @@ def test_its_size_is_a_parameter(chamfered):
     assert more.experiment.tool == ts.Tool("chamfered", 8e-3, 2e-3)
 
 
+@pytest.mark.slow
 def test_flags_of_an_installed_package(plugin, material_file, tmp_path):
     """The package says by an entry point that it has the shape; no program imports it by name."""
     installed = tmp_path / "site" / "shapes-1.0.dist-info"

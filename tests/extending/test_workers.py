@@ -77,6 +77,7 @@ def workers(request):
         yield Workers(dask=cluster.scheduler_address)
 
 
+@pytest.mark.slow
 def test_a_law_of_a_plugin_file_is_known_in_workers(plugin, workers):
     values = {"a": 2800.0, "b": 1.5}
     with open_tasks(workers) as tasks:
@@ -95,6 +96,7 @@ def test_what_nobody_registered_is_refused_there_as_here(workers):
         tasks.run(ts.Material, [("fung_of_a_plugin", {"a": 1.0, "b": 1.0})])
 
 
+@pytest.mark.slow
 def test_a_class_that_a_plugin_file_registers_is_known_in_workers(seepage, workers):
     tissue = ts.Material("neo_hooke", {"C10": 500.0}, effects=(seepage(0.3, 4.0),))
     with open_tasks(workers) as tasks:

@@ -61,6 +61,7 @@ def hand(seed, ticks, deepest=2e-3, aside=3e-3):
             for a, b, c, r in zip(x.tolist(), y.tolist(), z.tolist(), ramp.tolist(), strict=True)]
 
 
+@pytest.mark.slow
 def test_a_random_walk_has_a_force_in_every_tick_and_no_jump():
     """Lift-off, touch, lateral drag and friction; what a change of model may add to a tick is 0.01 N."""
     tissue, poses = delayed(), hand(3, 1500)
@@ -81,6 +82,7 @@ def test_a_random_walk_has_a_force_in_every_tick_and_no_jump():
     assert tissue.models > 50
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tool", "friction", "gain"), [("round", 0.3, 3.0), ("flat", "bonded", 8.0)])
 def test_forces_of_now_on_a_tangent_of_then_are_nearer_than_models_as_late_as_the_tangent(tool, friction, gain):
     """60 ms for a tangent, 8 ms for an iterate: against the whole solid, in rms."""
@@ -97,6 +99,7 @@ def test_forces_of_now_on_a_tangent_of_then_are_nearer_than_models_as_late_as_th
     assert off["now"] < 0.02 * np.linalg.norm(exact, axis=1).max()
 
 
+@pytest.mark.slow
 def test_the_same_motion_gives_the_same_forces_also_after_a_reset():
     poses, tissue = hand(5, 150), delayed()
     first = [tissue.step(pose, DT).wrench for pose in poses]
@@ -125,6 +128,7 @@ def test_before_a_second_model_a_long_way_is_no_equilibrium():
     assert tissue.models == 0 and answers[-1].status is ForceStatus.LATE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delays", [(0.016, None), (0.008, 0.06)])
 def test_after_a_reset_models_come_as_at_first(delays):
     tissue, pose = delayed(*delays), Pose((0.0, 0.0, -1e-3))
@@ -166,6 +170,7 @@ def test_parameters_reach_the_bulk():
         tissue.set_parameters(C10=1e12)
 
 
+@pytest.mark.slow
 def test_a_bonded_tool_feels_the_whole_solid_with_its_bulk_in_another_process():
     tested = model("flat", "bonded")
     tissue = MultiRateTissue(tested, link=BulkProcess(tested, mesh=MESH))
@@ -189,6 +194,7 @@ def test_a_bonded_tool_feels_the_whole_solid_with_its_bulk_in_another_process():
     assert not tissue._link.alive
 
 
+@pytest.mark.slow
 def test_the_loop_takes_it():
     made = partial(MultiRateTissue, model(), mesh=MESH)
     loop = LoopProcess(made, SineMotion(1.5e-3, -5e-4, 2.0), ForceRendering(ForceLimits(5.0, 0.5)),
@@ -216,6 +222,7 @@ def test_solvers_with_a_bulk_take_two_rates():
         real_time_tissue(model(), solver="solid", resolution="realtime", budget=None, inertia="on")
 
 
+@pytest.mark.slow
 def test_what_the_bulk_refuses_is_said_where_it_is_made():
     tissue = MultiRateTissue(model(friction_base=0.3), mesh=MESH)
     with pytest.raises(ts.InputError, match="a base that slides or lifts off would not hold the bulk"):
@@ -241,6 +248,7 @@ def deep():
     return statuses_and_errors(delayed(), 6e-3, 600, 0.0)[0][-1].force
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("history", ["air", "light touch", "deep touch"])
 @pytest.mark.parametrize("delay", [0.1, 0.4])
 def test_a_slow_bulk_is_never_wrong_and_converged(history, delay, deep):
@@ -289,6 +297,7 @@ def test_waiting_for_a_process_that_has_ended_comes_to_an_end():
     assert tissue.step(down(1e-3), DT).status is ForceStatus.LATE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("waits", [False, True])
 def test_after_changes_of_material_only_a_model_of_the_newest_one_counts(waits):
     tested = model("flat", "bonded")
@@ -327,6 +336,7 @@ def test_a_reset_while_a_model_is_on_its_way():
     assert tissue.error == math.inf and not tissue.has_touched
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", [Pose((0.0, 0.0, 1e-5)), Pose((8e-4, 0.0, 1e-5)), Pose((0.0, 0.0, 1e-5), tilted(4.0)),
                                  Pose((-5e-4, 4e-4, 1e-5), tilted(3.0))])
 def test_a_tool_that_holds_tissue_holds_it_where_it_touched(end):
@@ -365,6 +375,7 @@ def test_a_sticking_tool_that_goes_aside_in_the_air_drags_nothing():
     assert answer.force > 0.01 and abs(answer.force_vector[0]) < 0.1 * answer.force
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pose", [Pose((0.0, math.nan, 0.0)), Pose((0.0, 0.0, 0.0), (math.nan, 0.0, 0.0, 1.0)),
                                   Pose((math.inf, 0.0, 0.0)), Pose((1e300, 0.0, -1e-4)), Pose((0.0, 0.0, -5.0)), 1e9])
 def test_wild_poses_are_refused_and_change_nothing(pose):
@@ -427,6 +438,7 @@ def test_a_step_that_waits_gets_its_answers_from_the_process(deep):
         tissue.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0.05, 0.1, 0.2])
 def test_a_tool_that_stops_before_the_pose_of_its_model_is_not_in_the_air(delay):
     """200 mm/s to 2 mm: models are made for where the tool would have gone, and there is no contact on them at 2 mm."""

@@ -82,6 +82,7 @@ def held_energy(coupling, tissue, path):
     return observer.energy
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 10**6), st.floats(200.0, 4000.0), st.floats(0.3, 3.0))
 def test_the_coupling_dissipates_the_energy_that_the_hold_returns(seed, stiffness, ratio):

@@ -134,6 +134,7 @@ def test_force_and_rate_limits_hold_for_any_input(path, coupled, damping):
         last = rendered.force
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(st.lists(st.tuples(depths, answers, ticks), max_size=30), st.booleans())
 def test_the_force_returns_after_any_input(path, coupled):

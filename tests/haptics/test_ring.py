@@ -155,6 +155,7 @@ def test_a_slot_that_has_not_arrived_is_left_for_the_next_time(path):
         assert reader.after(1) == ([b"2"], 2, 0)
 
 
+@pytest.mark.slow
 def test_no_torn_record_is_seen_from_a_writer_at_full_speed(tmp_path, tissues):
     """Another process writes a ring of 8 ticks, and a board, as fast as it can."""
     ring, board, stop = tmp_path / "ring", tmp_path / "board", tmp_path / "stop"

@@ -104,6 +104,7 @@ def test_a_tissue_with_mass_does_not_throw_a_proxy_that_is_put_into_it(pressed):
     assert coupling.force[2] == pytest.approx(answer.force, abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damping", [1.0, 5.0])
 def test_a_heavy_hand_behind_a_coupling_does_not_shake_a_tissue_with_mass(pressed, damping):
     """0.5 kg, in time: the force oscillated from tick to tick when the proxy extrapolated the inertial force."""

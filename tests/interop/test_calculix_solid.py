@@ -27,6 +27,7 @@ ORDER = [0, 2, 8, 6, 18, 20, 26, 24, 1, 5, 7, 3, 19, 23, 25, 21, 9, 11, 17, 15]
 
 
 #: How far the direction may be off, as Fx / Fz. At an angle Fx is what two effects of either sign leave.
+@pytest.mark.slow
 @pytest.mark.parametrize(("degrees", "off"), [(0.0, 0.001), (20.0, 0.0025)], ids=["upright", "oblique"])
 def test_force_off_the_axis(degrees, off, tmp_path):
     """In the plane of the way, by symmetry; sign, size and direction as CalculiX has them."""
@@ -49,6 +50,7 @@ def test_force_off_the_axis(degrees, off, tmp_path):
     np.testing.assert_allclose(frame @ force[[0, 2]], frame @ expected[[0, 2]], rtol=0.05)
 
 
+@pytest.mark.slow
 def test_tetrahedra_that_are_pressed_and_sheared(tmp_path):
     """A bonded block, a tenth of its height down and aside, K/mu = 10. Ten nodes without pressures are 3 % stiffer on
     the same mesh (7 % aside), 0.6 % on elements of half the size (2.3 %): they come to what ours say at once."""

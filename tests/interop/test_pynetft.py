@@ -116,6 +116,7 @@ def fake(fake_sensor_module):
     sensor.close()
 
 
+@pytest.mark.slow
 def test_our_client_reads_a_foreign_server(fake):
     fake.configure(product_name="ATI Net F/T", counts_per_force=1000, counts_per_torque=100, force_unit="lbf",
                    torque_unit="lbf-in")

@@ -109,6 +109,7 @@ def test_two_campaigns_in_one_call(campaign, tmp_path, capsys):
         assert f"read from {out / name}, where this calibration was already finished" in text
 
 
+@pytest.mark.slow
 def test_tables_fit_on_80_columns(tmp_path, capsys, monkeypatch):
     """Stresses of MPa and the longest rows: Ogden N = 3 and Yeoh."""
     stretch = np.linspace(1.0, 3.0, 60)
@@ -135,6 +136,7 @@ def test_tables_fit_on_80_columns(tmp_path, capsys, monkeypatch):
     assert all(name in text for fit in fits.values() for name in fit["parameters"])
 
 
+@pytest.mark.slow
 def test_a_closed_pipe_is_no_error(campaign, tmp_path):
     """``calibrate ... | head -1``: rich alone would end with exit code 1."""
     words = [sys.executable, "-m", "scenes.cli", "calibrate", str(campaign), "-o", str(tmp_path / "out")]

@@ -8,6 +8,7 @@ import pytest
 from scenes.cli import main
 
 
+@pytest.mark.slow
 def test_demo(tmp_path, capsys):
     out = tmp_path / "demo"
     assert main(["demo", "-o", str(out), "--json"]) == 0

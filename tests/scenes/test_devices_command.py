@@ -5,6 +5,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 from haptics.devices.virtual.force_sensor import VirtualForceSensor
 from haptics.emulators.rdt import RdtEmulator
 from haptics.protocols import rdt
@@ -42,6 +44,7 @@ def test_an_unknown_device_is_refused(capsys):
     assert "names: must begin with one of ati-daq, ati-serial, " in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_emulators_can_be_opened(capsys):
     """Sensor and stage of one virtual rig, emulated by a separate process."""
     program = subprocess.Popen([sys.executable, "-c", "import sys; from scenes.cli import main; sys.exit(main())",

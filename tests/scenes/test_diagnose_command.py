@@ -186,6 +186,7 @@ main(sys.argv[1:])
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="Windows has no such signal")
 @pytest.mark.usefixtures("undrawn")
 def test_a_killed_run_resumes(answer, study, tmp_path, capsys):

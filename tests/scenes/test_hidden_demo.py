@@ -86,6 +86,7 @@ def demo(tmp_path_factory):
         yield out, text.getvalue()
 
 
+@pytest.mark.slow
 def test_the_demo_finds_the_effect_and_reveals_it_at_the_end(demo):
     out, text = demo
     hidden = draw_hidden_effect(RELAXING)

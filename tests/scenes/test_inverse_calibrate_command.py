@@ -119,6 +119,7 @@ def test_json_contains_the_whole_iteration_table(joint, tmp_path, capsys):
     assert not fit["history"][0]["corrected"] and fit["history"][-1]["corrected"]
 
 
+@pytest.mark.slow
 def test_results_fit_on_80_columns(write, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("scenes.commands.shared.console.PIPE_WIDTH", 80)
     path = write(laws=("neo_hooke", "reduced_polynomial_2"), more="starts = 1")
@@ -154,6 +155,7 @@ def test_results_fit_on_80_columns(write, tmp_path, capsys, monkeypatch):
     assert f"{answer['best']}: no smooth misfit in any of {len(best['regions'])} regions" in text
 
 
+@pytest.mark.slow
 def test_the_held_out_test_ranks_the_laws(write, tmp_path, capsys):
     assert run(write(held_out=("bonded",)), "-o", tmp_path / "out") == 0
     text = capsys.readouterr().out
@@ -194,6 +196,7 @@ def frames(stream):
     return [re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", frame).splitlines() for frame in plain]
 
 
+@pytest.mark.slow
 def test_iteration_table_is_live_on_a_terminal(joint, tmp_path, capsys, monkeypatch):
     stream = terminal(monkeypatch)
     assert run(joint, "-o", tmp_path / "out") == 0
@@ -240,6 +243,7 @@ def test_remaining_time_follows_from_the_finished_tasks(monkeypatch):
     assert "remaining in this part" not in shown(), "another part"
 
 
+@pytest.mark.slow
 def test_the_table_fits_on_a_low_terminal(joint, tmp_path, monkeypatch):
     stream = terminal(monkeypatch, height=12)
     assert run(joint, "-o", tmp_path / "out") == 0
@@ -247,12 +251,14 @@ def test_the_table_fits_on_a_low_terminal(joint, tmp_path, monkeypatch):
     assert max(counts) == 4 and max(map(len, frames(stream))) <= 12
 
 
+@pytest.mark.slow
 def test_json_is_quiet_on_a_terminal(joint, tmp_path, monkeypatch):
     stream = terminal(monkeypatch)
     assert run(joint, "-o", tmp_path / "out", "--json") == 0
     assert stream.getvalue() == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_ctrl_c_keeps_the_simulations(overwrite, joint, tmp_path, capsys, monkeypatch):
     out = tmp_path / "out"
@@ -311,6 +317,7 @@ main(sys.argv[1:])
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="Windows has no such signal")
 def test_a_killed_run_resumes(joint, tmp_path, capsys):
     out = tmp_path / "out"

@@ -88,6 +88,7 @@ def of_springs(of_tissue):
     of_tissue(lambda tissues: tissues.Spring)
 
 
+@pytest.mark.slow
 def test_a_short_loop_reports_in_json(capsys):
     """Without inertia, the needle at 2 mm has 0.3601 N in the reference curve."""
     assert main(["loop", "--seconds", "0.6", "--protocol", "ramp 2mm @5mm/s; hold 1s", "--budget-us", "0",
@@ -239,6 +240,7 @@ def test_flags_reach_the_coupling_and_the_controller(asked):
     assert asked("--coupling-stiffness-N-m", "800", "--inertia", "on")[0].keywords["inertia"] == "on"
 
 
+@pytest.mark.slow
 def test_the_force_at_a_device_stays_within_its_limit(capsys):
     """Needle in silicone, moved 12 mm deep by the emulated hand of a Haply device with a limit of 1 N."""
     from haptics.devices.virtual.faults import Faults
@@ -315,6 +317,7 @@ def test_a_loop_that_is_killed_is_exit_code_1(of_springs, capsys, tmp_path):
     assert not ring.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals and process groups")
 def test_ctrl_c_ends_the_loop_with_its_report(tmp_path):
     """Random motion, the default without flags."""

@@ -88,6 +88,7 @@ def test_a_dry_run_prints_the_plan(protocol, capsys):
     assert planned["state"] == "planned" and planned["tests"][0]["replicates"] == 2
 
 
+@pytest.mark.slow
 def test_recordings_can_be_calibrated(protocol, tmp_path, capsys):
     run = tmp_path / "run"
     assert main(["record", str(protocol()), "-o", str(run), "--json"]) == 0
@@ -102,6 +103,7 @@ def test_recordings_can_be_calibrated(protocol, tmp_path, capsys):
     assert fit["parameters"]["C10"] == pytest.approx(1405.0, rel=0.03) and fit["R2"] > 0.999
 
 
+@pytest.mark.slow
 def test_the_folder_of_a_run_contains_all_files_of_its_campaign(protocol, tmp_path):
     """The campaign can be read after the folder was moved and the original rig file was deleted."""
     frame, run = tmp_path / "frame.rig.json", tmp_path / "deep" / "run"
@@ -143,6 +145,7 @@ def test_files_of_equal_names_are_kept_apart(tmp_path):
     assert not RunFolder(tmp_path / "run", "digest").is_begun
 
 
+@pytest.mark.slow
 def test_exceeded_force_limit_stops_the_run_with_its_reason(protocol, tmp_path, capsys):
     run = tmp_path / "run"
     limits = {"force_N = 20.0": "force_N = 1.0"}
@@ -156,6 +159,7 @@ def test_exceeded_force_limit_stops_the_run_with_its_reason(protocol, tmp_path, 
     assert "choose another folder" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_killed_run_leaves_readable_files(protocol, tmp_path):
     slow = protocol(replace={"ramp 4mm @8mm/s; unload": "ramp 3mm @8mm/s; hold 100s; unload"})
     run = tmp_path / "run"
@@ -175,6 +179,7 @@ def test_a_killed_run_leaves_readable_files(protocol, tmp_path):
     assert not (run / "campaign.toml").exists()
 
 
+@pytest.mark.slow
 def test_ctrl_c_stops_the_stage_and_keeps_the_readings(protocol, tmp_path):
     slow = protocol(replace={"ramp 4mm @8mm/s; unload": "ramp 3mm @8mm/s; hold 100s; unload"})
     run = tmp_path / "run"

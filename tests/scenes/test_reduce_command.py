@@ -11,6 +11,7 @@ SMALL = ["reduce", "needle_indentation", "--radius-mm", "30", "--height-mm", "20
          "--friction", "bonded", "--depth-mm", "2"]
 
 
+@pytest.mark.slow
 def test_default_box_is_a_motion_along_the_axis(tmp_path, capsys):
     """By default the tool moves along its axis only; a few modes suffice."""
     path = tmp_path / "axis.reduced.npz"
@@ -22,6 +23,7 @@ def test_default_box_is_a_motion_along_the_axis(tmp_path, capsys):
     assert len(curve.force) > 10 and (curve.force[1:] > curve.force[:-1]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("modes", "says"), [("2", True), ("12", False)])
 def test_an_inaccurate_model_gives_a_remedy(modes, says, tmp_path, capsys):
     assert main([*SMALL, "--sideways-mm", "2", "--strokes", "2", "--modes", modes, "--tried", "1", "-o",

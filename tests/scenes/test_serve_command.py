@@ -84,6 +84,7 @@ def advance(client, depth):
     return reply
 
 
+@pytest.mark.slow
 def test_force_agrees_with_the_reference_curve(client, reference):
     """Bonded punch at 2 mm: within 1 % of an independent solver."""
     displacement, force = np.loadtxt(reference / "punch_bonded_face_side_wall_RP.csv", delimiter=",", unpack=True)
@@ -178,6 +179,7 @@ def test_saved_states_restore_their_force(ask, client):
     assert reply.force[2] == pytest.approx(force, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_with_counters(root, material):
     with serving(root, material, "--configuration-port", "0") as (process, line):
         assert line.startswith("serving needle_indentation on 127.0.0.1:") and line.endswith("Ctrl-C stops\n")

@@ -45,6 +45,7 @@ def test_json_is_the_only_output_and_correct(material, capsys):
     assert set(answer["mesh"]) == {"elements", "freedoms"} and answer["newton_iterations"] > 0
 
 
+@pytest.mark.slow
 def test_a_needle_off_the_axis_is_simulated_in_space(material, tmp_path, capsys):
     curve = tmp_path / "curve.csv"
     words = ["simulate", "needle_indentation", "--material", material, "--depth-mm", "1", "--points", "5",
@@ -180,6 +181,7 @@ def test_leaving_the_valid_and_stable_range_gives_warnings(tmp_path, capsys):
     assert "fitted to stretches from 0.9 to 1 only" in err and "unstable within the mean stretches" in err
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_the_fitted_test_is_in_the_valid_range(tmp_path, capsys):
     """A thin needle stretches only a small part of a large specimen; the mean stretch would be misleading."""

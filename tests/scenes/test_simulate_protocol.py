@@ -228,6 +228,7 @@ class TestFigures:
                                                  ts.Bulk("bulk_ratio", 1e4), viscoelastic=series))
         return ts.simulate(model, fields=True), model
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(("segment", "depth"), [(None, 5), ("ramp", 5), ("hold", 5), ("unload", 2)])
     def test_segment(self, relaxing, segment, depth, tmp_path):
         recording, model = relaxing

@@ -51,6 +51,7 @@ def area(triangles):
     return 0.5 * (a * d - b * c)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("field", LABELS)
 def test_a_cut_has_the_area_of_the_section_and_the_values_of_the_field(field, cylinder):
     axes = Figure().subplots()
@@ -102,6 +103,7 @@ def test_a_body_of_revolution_has_its_volume():
     assert np.einsum("ti,ti->", np.cross(a, b), c) / 6.0 == pytest.approx(12.0 * np.pi, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_simulate_draws_a_solid(tmp_path, capsys):
     """The command draws a figure; the test uses the smallest number of samples."""
     from scenes.cli import main

@@ -29,6 +29,7 @@ def recorded(path, **metadata):
     return path
 
 
+@pytest.mark.slow
 def test_headless_run_returns_the_forces(of_gel, capsys):
     before = set(multiprocessing.active_children())
     assert main(["view", "--headless", "--seconds", "0.5", "--protocol", "ramp 2mm @20mm/s; hold 1s", "--json",

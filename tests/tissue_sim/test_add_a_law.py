@@ -59,6 +59,7 @@ def test_tends_to_neo_hooke_as_the_exponent_vanishes(law):
     np.testing.assert_allclose(law.nominal_stress(stretch, {"a": VALUES["a"], "b": 1e-8}), neo_hooke, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_finite_elements_follow_the_closed_form(law):
     """Lubricated compression is uniaxial: the force is the closed form's up to K/mu = 1e5."""
     from scenes import SCENES

@@ -39,6 +39,7 @@ def compressible_force(material, stretch, area):
     return -stresses(lateral)[0] / stretch * area
 
 
+@pytest.mark.slow
 @every_element
 @every_law
 @pytest.mark.parametrize("ratio", [50.0, 1e3, 1e5])

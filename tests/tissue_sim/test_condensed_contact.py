@@ -47,6 +47,7 @@ def settle(bulk, stepper, pose, time, times=5):
     return step
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_at_the_pose_of_the_solve_wrench_and_stiffness_are_those_of_the_whole_solid(case):
     tool, friction = CASES[case]
@@ -87,6 +88,7 @@ def drag(start, end, ticks):
     return [Pose(tuple((1e-3 * (start + (end - start) * k / ticks)).tolist())) for k in range(ticks)]
 
 
+@pytest.mark.slow
 def test_a_drag_with_lift_off_and_touch_is_that_of_the_whole_solid():
     """Friction at 50 mm/s, a model every 8 ms that is as old when it comes: normal and lateral force to 2 % and 3 %."""
     way = [(0, 0, 0.2), (0, 0, -2), (3, 0, -2), (3, 0, 0.5), (0, 0, 0.5), (-1, 0, -2)]
@@ -169,6 +171,7 @@ def test_a_specimen_that_nothing_holds_is_refused():
         two_rates(friction_base=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("softer", [1.0, 2.0, 3.0, 10.0])
 @pytest.mark.parametrize("friction", ["frictionless", 0.3])
 def test_no_node_is_left_in_the_tool_where_tissue_becomes_softer_at_once(friction, softer):

@@ -18,6 +18,7 @@ def force(friction, tool, places, base=None, adhesion=None):
 
 
 class TestLiftOff:
+    @pytest.mark.slow
     @pytest.mark.parametrize(("tool", "mu"), [
         (None, 0.1), (None, 0.4), (None, 0.7), (ts.Tool("flat", RADIUS, 1e-3), 0.4), (ts.Tool("round", RADIUS), 0.4),
         (ts.Tool("cone", RADIUS, half_angle=1.0, tip_radius=5e-4), 0.1)])
@@ -39,6 +40,7 @@ class TestAdhesion:
         adhesion = ts.Adhesion(self.FORCE, self.LENGTH)
         return (places, *(force(friction, tool, places, base or friction, each) for each in (adhesion, None)))
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(("friction", "tool", "base", "short"), [
         ("frictionless", None, None, 0.02), ("stick", None, "bonded", 0.03), (0.3, None, "bonded", 0.03),
         ("stick", ts.Tool("flat", RADIUS), "bonded", 0.07)])
@@ -54,6 +56,7 @@ class TestAdhesion:
         assert abs(found[places < -self.LENGTH - 0.2e-3]).max() < 1e-9
         assert (np.diff(found[found.argmin():]) > -1e-9).all()
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(("friction", "tool"), [("frictionless", None), ("stick", None),
                                                     ("stick", ts.Tool("flat", RADIUS))])
     def test_first_loading_is_that_without_adhesion(self, friction, tool):

@@ -15,6 +15,7 @@ def virtual(benchmark_module):
     return benchmark_module("inverse.contact")
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_and_are_narrow(virtual):
     """Of 24 intervals of 95 %, three or more miss with a probability of 12 %, five or more with 0.5 %."""
     rows = virtual.contacts(RECORDINGS, 11)

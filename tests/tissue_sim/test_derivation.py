@@ -75,6 +75,7 @@ def test_a_folder_that_cannot_be_written_to_costs_time_alone(tmp_path, monkeypat
     assert np.isfinite(stress(ReducedPolynomial(2))).all()
 
 
+@pytest.mark.slow
 def test_once_derived_a_simulation_needs_neither_sympy_nor_scipy():
     code = ("import sys, tissue_sim as ts; "
             "material = ts.Material('neo_hooke', {'C10': 1404.9}, ts.Bulk('bulk_ratio', 1e4)); "

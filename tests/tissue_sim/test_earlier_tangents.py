@@ -48,6 +48,7 @@ def go(bulk, stepper, pose):
     return stepper.step(pose, exact=True), model
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tool", "friction", "end"), [
     (FLAT, "bonded", Pose((1e-3, -5e-4, -1.7e-3), TURNED)), (TIP, "frictionless", Pose((2e-3, 1e-3, -2e-3)))])
 def test_iterates_with_a_tangent_of_millimetres_ago_end_at_the_equilibrium(tool, friction, end):

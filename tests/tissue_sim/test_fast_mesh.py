@@ -17,6 +17,7 @@ def test_a_shoulder_in_contact_is_meshed_as_an_edge():
     assert fast[-1] == pytest.approx(accurate[-1], rel=0.011)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", ["stick", 0.3, 0.7])
 @pytest.mark.parametrize("edge", [0.02, 0.05, 0.1])
 def test_an_edge_that_tissue_rubs_against(friction, edge):

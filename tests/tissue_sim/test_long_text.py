@@ -128,6 +128,7 @@ def test_what_is_not_plain_is_looked_at_cell_by_cell(reader, lines, tmp_path):
     assert at_once == cell_by_cell
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(data=st.data())
 def test_damage_anywhere_changes_neither_recording_nor_sentence(data, tmp_path_factory):

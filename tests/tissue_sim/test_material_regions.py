@@ -114,6 +114,7 @@ def halves(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_the_command_line_takes_regions(halves, tmp_path, capsys):
     """Halves side by side between slippery plates carry what their laws say of the same stretch."""
     soft, stiff, path = (tmp_path / f"{name}.material.json" for name in ("soft", "stiff", "both"))

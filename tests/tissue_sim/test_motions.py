@@ -135,6 +135,7 @@ def test_every_trap_is_played(generator):
     assert {"clean", "light tool", *generator.traps.AXISYMMETRIC} == {"too deep", *TRAPS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trap", TRAPS)
 def test_no_answer_is_silently_wrong(generator, trap):
     motions = generator.main

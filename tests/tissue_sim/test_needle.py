@@ -73,6 +73,7 @@ class TestBondedFace:
         assert solver["penetration_tolerance_mm"] == pytest.approx(NEEDLE_TOLERANCE * 8.0)
         assert 0 < solver["penetration_mm"] <= solver["penetration_tolerance_mm"]
 
+    @pytest.mark.slow
     def test_halving_the_accurate_mesh(self, accurate):
         fine = ts.simulate(model(), mesh=halved(build_mesh(model().experiment, "accurate")))
         assert fine.metadata["solver"]["mesh"]["elements"] == 4 * accurate.metadata["solver"]["mesh"]["elements"]

@@ -24,6 +24,7 @@ def random(benchmark_module):
                            draw=generator.draw, motion=motion)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("resolution", "seed"), [("fast", seed) for seed in FAST]
                          + [("accurate", seed) for seed in ACCURATE])
 def test_reaches_its_end_in_equilibrium(random, resolution, seed):
@@ -67,6 +68,7 @@ def test_derivatives_with_moduli_add_up_to_the_force(random, seed):
     assert abs(answer.values @ [values[name] for name in moduli] - force).max() < 1e-8 * abs(force).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [31, 35, 46])
 def test_every_tick_of_an_irregular_motion_is_in_equilibrium(random, seed):
     """Where faces tear off or a layer under plates slides Newton's iteration alone finds none."""

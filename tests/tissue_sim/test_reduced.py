@@ -41,6 +41,7 @@ def touched():
                         modes=12, tried=1)
 
 
+@pytest.mark.slow
 def test_a_tool_that_presses_the_same_nodes_has_a_stiffer_bulk(held, touched):
     assert (held.bulk_ratio, touched.bulk_ratio) == (300.0, 300.0)
 
@@ -247,6 +248,7 @@ class TestEstimate:
         assert steps[1].force == pytest.approx(steps[0].force, rel=1e-4), "what is watched moves nothing"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("base", ["bonded", "frictionless"])
 def test_a_motion_along_the_axis_alone_has_few_modes(base):
     """What more are asked for would be rounding, which nothing resists: no step found an equilibrium."""
@@ -381,6 +383,7 @@ class TestFile:
             ts.load_reduced(path)
         assert str(refused.value.file) == str(path) and "tissue-sim reduce" in str(refused.value)
 
+    @pytest.mark.slow
     def test_what_was_killed_goes_on(self, held, tmp_path, monkeypatch):
         """The strokes that are done are not done again; the result is the same."""
         folder, done = tmp_path / "strokes", []

@@ -38,6 +38,7 @@ def fields(solver):
     return solver.fields([solver.sample()])
 
 
+@pytest.mark.slow
 def test_they_are_those_of_the_whole_solid(reduced, fields):
     whole = training.whole_solver(reduced.model, reduced.mesh)
     for pose in POSES:

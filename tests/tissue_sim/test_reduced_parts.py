@@ -83,6 +83,7 @@ POSES = [ts.Pose((0.12e-3 * k, -0.05e-3 * k, -0.25e-3 * k)) for k in range(1, 9)
 
 
 class TestElements:
+    @pytest.mark.slow
     @pytest.mark.parametrize("element", [HEX8P0, TET8P0], ids=lambda element: element.name)
     def test_forces_and_stiffness_are_those_of_the_whole_tissue(self, element):
         """Every element once, in two layers and two regions of other laws, on motions of the nodes."""
@@ -129,9 +130,11 @@ class TestElements:
 
 
 class TestLayers:
+    @pytest.mark.slow
     def test_on_unseen_strokes(self, skinned):
         assert skinned.report["force_rms_error"] < 0.01 and skinned.report["not_converged"] == 0.0
 
+    @pytest.mark.slow
     def test_a_skin_of_another_stiffness(self, skinned):
         """The moduli are those of now: softer and stiffer by half than the one that it was made of, and none."""
         materials = [replace(SOFT, layers=(replace(SKIN, ratio=ratio),)) for ratio in (3.0, 6.0)]
@@ -143,6 +146,7 @@ class TestLayers:
         np.testing.assert_allclose(reduced_forces(skinned, none, POSES), reduced_forces(skinned, one, POSES), rtol=1e-9,
                                    atol=1e-12)
 
+    @pytest.mark.slow
     def test_made_for_several_materials(self, skinned, tmp_path):
         """Half and twice the stiffness of the skin among those that it is made for: good for what is between, too."""
         also = [replace(SOFT, layers=(replace(SKIN, ratio=ratio),)) for ratio in (2.0, 8.0)]
@@ -168,6 +172,7 @@ class TestLayers:
             ts.reduce_solid(skinned.model, skinned.box, also=[SOFT, replace(SOFT, bulk=ts.Bulk("bulk_ratio", 5e6))])
         assert refused.value.field.startswith("also[1].")
 
+    @pytest.mark.slow
     def test_a_soft_material_counts_as_much_as_a_stiff_one(self, skinned):
         """Evaluated elements, and the stated error."""
         soft = ts.with_values(skinned.model.material, {"C10": 14.049, "C20": 6.994})
@@ -242,6 +247,7 @@ def lopsided(path, middle=0.0):
 
 
 class TestSides:
+    @pytest.mark.slow
     def test_a_stiff_side_is_no_mirror_image_of_a_soft_one(self, tmp_path):
         model = lopsided(tmp_path / "organ.vtu")
         box = ts.PoseBox(1e-3, DEPTH)
@@ -267,6 +273,7 @@ class TestSides:
 
 
 class TestMeshesOfFiles:
+    @pytest.mark.slow
     def test_on_an_unseen_stroke(self, organ):
         made, _ = organ
         assert made.report["force_rms_error"] < 0.01 and made.report["not_converged"] == 0.0
@@ -293,6 +300,7 @@ class TestMeshesOfFiles:
             ts.load_reduced(path)
         assert str(refused.value.file) == str(path)
 
+    @pytest.mark.slow
     def test_a_region_of_another_law(self, organ):
         """Also one that relaxes where the rest does not."""
         _, read = organ
@@ -329,6 +337,7 @@ class TestMeshesOfFiles:
         assert str(refused.value.file) == str(path)
 
 
+@pytest.mark.slow
 def test_a_shell_with_a_skin_is_kept_with_its_depths(tmp_path):
     shell = ts.EllipsoidShell(0.030, 0.024, 0.018, 0.008)
     model = ts.Model(experiment(shell, ts.Tool("flat", radius=4e-3), friction="bonded"), replace(SOFT, layers=(SKIN,)))
@@ -340,6 +349,7 @@ def test_a_shell_with_a_skin_is_kept_with_its_depths(tmp_path):
     np.testing.assert_array_equal(*(reduced_forces(each, model.material, poses) for each in (made, read)))
 
 
+@pytest.mark.slow
 def test_a_tool_of_a_file_is_kept_in_it(tmp_path):
     profile = tmp_path / "cone.csv"
     profile.write_text("0, 0\n2, 0.3\n6, 2\n6, 9\n", encoding="utf-8")
@@ -358,6 +368,7 @@ def test_a_tool_of_a_file_is_kept_in_it(tmp_path):
         replace(read.model.experiment.tool, points=((0.0, 0.0), (np.inf, 1.0)))
 
 
+@pytest.mark.slow
 def test_the_command_takes_a_skin_and_another_one(tmp_path, capsys):
     files = tmp_path / "skin.material.json", tmp_path / "stiffer.material.json"
     for file, ratio in zip(files, (4.0, 6.0), strict=True):

@@ -38,6 +38,7 @@ def scene(name):
     return whole, box, solver, whole.experiment.tool_pose(0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_images_are_what_the_solid_does(name):
     """A stroke's image, against the same stroke reflected and solved."""
@@ -139,6 +140,7 @@ class TestModes:
         np.testing.assert_allclose(np.abs(np.einsum("fi,if->i", found, vectors[:4])), 1.0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_images_make_a_reduced_solid_better():
     """Three strokes with their images against the three alone, on one that neither was made of."""
     whole, box, solver, start = scene("held")

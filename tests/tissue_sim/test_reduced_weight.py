@@ -56,6 +56,7 @@ def heavy():
     return ts.reduce_solid(model(CREEPING), BOX, strokes=6, modes=16, tried=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element", [HEX8P0, HEX27P1], ids=lambda element: element.name)
 @pytest.mark.parametrize("bulk_ratio", [1e3, 50.0], ids=["own bulk", "softer bulk"])
 def test_elements_are_in_equilibrium_with_the_weight_where_it_stands(element, bulk_ratio):
@@ -90,6 +91,7 @@ def test_elements_are_in_equilibrium_with_the_weight_where_it_stands(element, bu
     assert np.abs(np.einsum("ei,eir->r", stiff, rows) + weight).max() < 1e-7 * np.abs(found.forces).max()
 
 
+@pytest.mark.slow
 def test_it_does_what_the_whole_one_does(heavy):
     """Soft tissue that sinks in by 1.5 mm, and creeps; its weight changes the forces by several percent."""
     mesh, poses = training_mesh(model(), BOX, "realtime"), way(16)
@@ -104,6 +106,7 @@ def test_it_does_what_the_whole_one_does(heavy):
     np.testing.assert_allclose(forces(solver, poses), found, rtol=0, atol=1e-3 * np.abs(found).max())
 
 
+@pytest.mark.slow
 def test_layers_lie_where_they_are_stated_in_a_specimen_as_placed():
     """It was moulded a tenth higher, and its elements reach deeper there."""
     of = model(replace(SOFT, layers=(ts.Layer(10e-3, 0.4),)), height_is="placed")
@@ -115,6 +118,7 @@ def test_layers_lie_where_they_are_stated_in_a_specimen_as_placed():
     assert off(forces(ReducedSolver(reduced, of.material), poses), forces(make_solver(of, mesh=mesh), poses)) < 0.02
 
 
+@pytest.mark.slow
 def test_a_height_as_placed_and_a_tool_that_slides(tmp_path):
     of = model(height_is="placed", friction=0.3, tool="round")
     reduced = ts.reduce_solid(of, ts.PoseBox(0.0, 2e-3), strokes=4, modes=16, tried=1)

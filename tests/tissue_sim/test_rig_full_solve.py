@@ -27,6 +27,7 @@ def ideal():
 
 
 class TestFullSolve:
+    @pytest.mark.slow
     @pytest.mark.parametrize("rig", [
         ts.Rig(compliance=0.05e-3), ts.Rig(compliance=0.5e-3), ts.Rig(compliance=0.1e-3, displacement_gain=-0.01),
         ts.Rig(compliance=0.1e-3, backlash=0.1e-3), ts.Rig(compliance=0.1e-3, step_loss=0.2e-3, step_loss_depth=6e-3),

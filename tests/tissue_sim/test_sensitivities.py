@@ -104,6 +104,7 @@ def test_last_factor_or_exact_tangent(options, monkeypatch):
     np.testing.assert_allclose(*answers, rtol=0, atol=1e-8 * abs(answers[1]).max(axis=0).min())
 
 
+@pytest.mark.slow
 def test_everything_in_time():
     material = ts.Material("ogden_1", {"mu1": 3225.9, "alpha1": 14.8}, ts.Bulk("K_Pa", 3e6), viscoelastic=PRONY,
                            softening=ts.Softening(0.3, 50.0, 0.5), layers=(ts.Layer(5e-3, 2.0),),
@@ -114,6 +115,7 @@ def test_everything_in_time():
     assert compared == 1.0 and not answer.kinks.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("options", "text"), [
     ({"friction": 0.2, "friction_base": 0.2}, CYCLE),
     ({"tool": ts.Tool("round", 8e-3), "friction": 0.3}, "ramp 6mm @0.5mm/s; hold 5s"),
@@ -168,6 +170,7 @@ def test_one_sided_differences_take_a_simulation_less(monkeypatch):
     assert len(counted) == 7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("path", "options", "material"), [
     ("experiment.specimen.radius", {}, {}), ("experiment.specimen.height", {"tool": ts.Tool("flat", radius=8e-3)}, {}),
     ("experiment.tool.radius", {"tool": ts.Tool("flat", radius=8e-3)}, {}),

@@ -58,6 +58,7 @@ def test_lubricated_force_against_the_column(resolution):
     assert 0.11 < rise[0] < rise[1] < rise[2] < 0.18
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("resolution", ["fast", "accurate"])
 def test_needle_force_rises(resolution):
     """By 4 to 6 % under the study's punch, a little more at its deepest."""

@@ -48,6 +48,7 @@ class TestBondedCompression:
         fast = ts.simulate(model(ratio=ratio))
         assert abs(fast.force[1:] / bonded_reference[1:, 1] - 1).max() < 1e-2
 
+    @pytest.mark.slow
     def test_halving_the_accurate_mesh(self, accurate):
         """Every interval of the accurate mesh is cut in two."""
         coarse = build_mesh(model().experiment, "accurate")
@@ -131,6 +132,7 @@ class TestRecordingOfASimulation:
         residual = noisy.force - later - 0.5
         assert abs(residual.mean()) < 0.02 and 0.01 < residual.std() < 0.03
 
+    @pytest.mark.slow
     def test_unreachable_depth_keeps_the_converged_part(self):
         with pytest.raises(ts.ConvergenceError, match=r"stopped at .* mm on the way to .* mm \(sample") as caught:
             ts.simulate(model(depth=69e-3, points=35))
@@ -145,6 +147,7 @@ class TestRecordingOfASimulation:
         with pytest.raises(ts.ConvergenceError, match="the law alone is uniaxial: unstable below"):
             ts.simulate(model("frictionless", parameters={"C10": 1404.9, "C20": -300.0}, depth=50e-3))
 
+    @pytest.mark.slow
     def test_first_sample_that_fails_leaves_no_recording(self):
         protocol = ts.Protocol([0.0], [69e-3])
         experiment = ts.Experiment(ts.Specimen(0.04, 0.07), protocol)

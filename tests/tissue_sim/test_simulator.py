@@ -172,6 +172,7 @@ def test_no_equilibrium_says_so_and_comes_back(sim):
     assert back.status is ts.ForceStatus.CONVERGED and back.age == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", ["bonded", "stick", 0.3, "frictionless"])
 def test_after_a_jump_far_beyond_the_next_press_is_that_of_a_new_one(friction):
     """With friction at the base, which the jump has dragged along; in the air the tissue is free."""

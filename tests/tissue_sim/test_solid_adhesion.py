@@ -51,6 +51,7 @@ def force(tested, mesh=None, solver="solid", resolution="realtime"):
     return recording.force
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tack", [0.0, 8.0])
 def test_a_plate_pulls_at_a_block_until_it_lets_go(tack):
     """Tissue follows the plate by F H / (E A): F (1 - F0 H / (E A L)) = F0 (1 - gap / L) + t A, for the pull F0 on the
@@ -67,6 +68,7 @@ def test_a_plate_pulls_at_a_block_until_it_lets_go(tack):
     assert found[1] > 0.0 and abs(found[9]) < 1e-9 and abs(found[10]) < 1e-9, "it has to touch again"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("laws", "precision"), [
     ({"adhesion": ts.Adhesion(0.02, 0.5e-3)}, 2e-3), ({"contact_laws": [Film(3e5)]}, 0.01)], ids=["adhesion", "film"])
 def test_plates_are_those_of_the_axisymmetric_solid(laws, precision):
@@ -109,6 +111,7 @@ def ball_on_a_block(tack, length=3e-4):
     return -found.min()
 
 
+@pytest.mark.slow
 def test_a_ball_lets_go_at_the_force_of_maugis():
     """Weak pull over a short way on soft tissue: nearly that of Derjaguin, Muller and Toporov, 2 pi w R.
 
@@ -123,12 +126,14 @@ def test_a_ball_lets_go_at_the_force_of_maugis():
     assert 1.94 < expected / (math.pi * work * radius) < 2.0
 
 
+@pytest.mark.slow
 def test_a_stickier_ball_is_between_the_limits():
     """1.5 pi w R of Johnson, Kendall and Roberts, and 2 pi w R."""
     work = 0.5 * 300.0 * 3e-4
     assert 1.5 < ball_on_a_block(300.0) / (math.pi * work * 8e-3) < 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", ["frictionless", 0.3, "stick"])
 def test_stiffness_knows_the_pull(friction):
     """Of a ball that is being taken off, along and aside, by steps that are then taken."""

@@ -19,6 +19,7 @@ def solid_checks(benchmark_module):
     return benchmark_module("solids.solid_checks")
 
 
+@pytest.mark.slow
 def test_a_ball_that_slips_in_part_is_that_of_cattaneo_and_mindlin(solid_checks):
     """Two elements on the radius of contact; normal and tangential do not act on each other where nu = 1/2."""
     found = solid_checks.Mindlin(fine=2, far=40.0).run(press=2, push=(0.5,))
@@ -28,6 +29,7 @@ def test_a_ball_that_slips_in_part_is_that_of_cattaneo_and_mindlin(solid_checks)
     assert found["sliding_over_mu_normal"] == pytest.approx(1.0, abs=0.005)
 
 
+@pytest.mark.slow
 def test_a_mesh_has_no_direction_of_its_own(solid_checks):
     """A needle that is dragged aside from the axis, to places turned about it by what is no symmetry of the mesh."""
     mesh = needle_solid(0.04, 0.07, 8e-3, HEX27P1, smallest=3e-3, growth=3.0, largest=30e-3, around=2)
@@ -36,6 +38,7 @@ def test_a_mesh_has_no_direction_of_its_own(solid_checks):
     assert found["radial_changes"] < 0.005 and found["around_over_radial"] < 0.005
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mu", "points", "sizes"), [
     (0.15, 7, (0.2, 1.8, 1.9, 4)), (0.3, 31, (0.6, 2.5, 3.8, 2))], ids=["as in real time", "coarse"])
 def test_plates_with_friction_turn_round_without_a_cut(mu, points, sizes):

@@ -128,6 +128,7 @@ def punched():
             ts.simulate(model, fields=True))
 
 
+@pytest.mark.slow
 def test_fields_under_a_punch_are_those_of_the_axisymmetric_solid(punched):
     solid, plane = (recording.fields for recording in punched)
     assert bool(solid)
@@ -152,6 +153,7 @@ def test_along_the_axis_the_fields_are_those_of_the_axisymmetric_solid(punched, 
     np.testing.assert_allclose(found[below], expected[below], atol=0.04 * abs(expected).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("past", [{"viscoelastic": ts.Prony((ts.PronyTerm(0.3, 2.0),))},
                                   {"softening": ts.Softening(0.3, 400.0, 0.2)}], ids=["relaxes", "softens"])
 def test_stress_of_tissue_that_remembers_is_that_of_the_axisymmetric_solid(past):

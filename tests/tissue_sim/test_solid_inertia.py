@@ -70,6 +70,7 @@ def relative(error, right):
     return np.sqrt(np.mean(error**2)) / np.abs(right).max()
 
 
+@pytest.mark.slow
 def test_waves_along_a_column_are_of_second_order_in_the_step():
     found = [forces(HEX8P0, 80, steps) for steps in (80, 160, 320)]
     errors = [relative(force - right, right) for force, right in found]
@@ -77,6 +78,7 @@ def test_waves_along_a_column_are_of_second_order_in_the_step():
     assert errors[0] / errors[1] > 3.2 and errors[1] / errors[2] > 3.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("element", "count", "options"), [
     (HEX8P0, 60, {}), (HEX8P0, 60, {"held": "all", "speed": ACROSS, "axis": 0}), (HEX27P1, 15, {}), (TET15P1, 15, {}),
     (TET8P0, 30, {})], ids=["H8", "H8 across", "H27", "T15", "T8"])
@@ -119,6 +121,7 @@ def simulator(**options):
     return ts.Simulator(needle(), solver="solid", mesh=coarse(), **options)
 
 
+@pytest.mark.slow
 def test_a_sudden_start_is_that_of_the_axisymmetric_solid():
     """50 mm/s from rest, in steps of a millisecond; quasi-static forces are a sixth to a half of these."""
     found = [ts.Simulator(needle(), inertia="on", **options) for options in
@@ -149,6 +152,7 @@ def test_auto_follows_the_speed():
     assert at_rest.force == pytest.approx(simulator(inertia="off").step(14e-5, 1e-3).force, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_what_went_before_is_saved_and_let_go():
     sim = simulator(inertia="on")
     for depth in (5e-5, 1e-4, 1.5e-4):
@@ -162,6 +166,7 @@ def test_what_went_before_is_saved_and_let_go():
     assert sim.step(5e-5, 1e-3).force == pytest.approx(simulator(inertia="on").step(5e-5, 1e-3).force, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_it_knows_its_own_stiffness_and_the_next_step():
     """Along, aside and in turns, by steps that are then taken."""
     sim = simulator(inertia="on", looks_ahead=True)
@@ -190,6 +195,7 @@ def test_it_knows_its_own_stiffness_and_the_next_step():
     assert answer.step_stiffness_matrix[2][2] > 3.0 * answer.stiffness_matrix[2][2]
 
 
+@pytest.mark.slow
 def test_a_ball_without_friction_feels_the_mass():
     model = needle("frictionless", ts.Tool("sphere", radius=8e-3))
     last = []

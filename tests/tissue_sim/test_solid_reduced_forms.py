@@ -27,6 +27,7 @@ def simulated(protocol, *, tool=NEEDLE, friction="bonded", specimen=CYLINDER, ap
                        **({} if solver == "axisymmetric" else {"resolution": resolution}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("options", "radius"), [
     ({"mesh": cylinder()}, 8e-3), ({"mesh": cylinder((10e-3, 0.0)), "approach": ts.Approach(10e-3, 0.2)}, 8e-3),
     ({"tool": PLATE, "specimen": ts.Block(0.03, 0.05, 0.04)}, 0.015)], ids=["needle", "oblique needle", "block"])
@@ -44,6 +45,7 @@ def test_a_hold_drains_with_the_square_of_the_contact(options, radius):
     assert force[0] == pytest.approx(dry, rel=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tool", "friction", "drying"), [(NEEDLE, "bonded", 1e-6), (PLATE, "bonded", 2e-5),
                                                           (PLATE, "frictionless", 2e-5)])
 def test_drainage_is_that_of_the_axisymmetric_solid(tool, friction, drying):
@@ -59,6 +61,7 @@ def test_drainage_is_that_of_the_axisymmetric_solid(tool, friction, drying):
     assert shares[0].min() < 0.8
 
 
+@pytest.mark.slow
 def test_a_puncture_takes_its_share_of_the_whole_force():
     protocol = ts.Protocol.parse("ramp 4mm; unload 1mm", points=5)
     options = {"mesh": cylinder((10e-3, 0.0)), "approach": ts.Approach(10e-3, 0.2)}

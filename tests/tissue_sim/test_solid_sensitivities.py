@@ -89,6 +89,7 @@ def assert_exact(of, names, rel):
     return answer
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tool", "friction", "approach"), [
     (FLAT, "bonded", None), (FLAT, "bonded", OBLIQUE), (BALL, "frictionless", None), (BALL, "stick", None),
     (ROUND, 0.3, OBLIQUE)], ids=["bonded", "oblique", "ball", "ball that sticks", "oblique with friction"])
@@ -104,18 +105,21 @@ def test_a_law_that_is_linear_in_its_parameters():
     np.testing.assert_allclose(answer.values @ list(STUDY.values()), answer.recording.force, rtol=1e-7, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_what_the_tissue_remembers():
     """Stresses of a Prony term and the largest load of softening depend on the parameters of the steps before."""
     of = model(way=(0.0, 2.0, 2.0, 1.0), viscoelastic=PRONY, softening=ts.Softening(0.3, 50.0, 0.5))
     assert_exact(of, ["C10", "viscoelastic.terms[0].g", "viscoelastic.terms[0].tau", "softening.loss"], 1e-6)
 
 
+@pytest.mark.slow
 def test_friction_with_a_past():
     """Anchors of what sticks and slips move with the parameters."""
     of = model(ROUND, 0.3, (0.0, 1.0, 2.0, 2.0), viscoelastic=PRONY)
     assert_exact(of, ["C20", "viscoelastic.terms[0].g"], 1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("options", "names"), [
     ({"way": (0.0, 1.5, 3.0, 2.0), "softening": SOFTENING},
      ["C10", "softening.loss", *(f"regions.lump.{name}" for name in (
@@ -128,6 +132,7 @@ def test_several_materials(options, names):
     assert_exact(model(regions=LUMP, **options), names, 1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("options", "names"), [
     ({}, ["C10", "C20"]), ({"tool": ROUND, "friction": 0.3, "approach": OBLIQUE}, ["C10"]),
     ({"tool": BALL, "friction": "frictionless"}, ["C10"]), ({"tool": ts.Tool(), "base": "as_tool"}, ["C10"]),
@@ -141,6 +146,7 @@ def test_weight(options, names):
     assert_exact(model(**{"specimen": HEAVY, **options}), names, 1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("options", "names"), [
     ({"layers": (ts.Layer(5e-3, 3.0),)}, ["C10", "layers[0].ratio"]),
     ({"tool": BALL, "friction": 0.3, "base": "stick", "viscoelastic": PRONY}, ["C10", "viscoelastic.terms[0].g"]),
@@ -156,6 +162,7 @@ def test_a_height_that_was_measured_as_placed(options, names):
     assert np.abs(held - answer.values[:, 0]).max() > 1e-3 * np.abs(held).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("options", "names"), [
     ({"tool": BALL, "laws": [ts.Adhesion(0.02, 0.5e-3)]}, ["C10"]),
     ({"tool": BALL, "friction": 0.3, "laws": [ts.Adhesion(0.02, 0.5e-3)]}, ["C10"]),
@@ -175,6 +182,7 @@ def test_laws_of_contact(options, names):
     assert answer.recording.force.min() < 0.0 or of.experiment.approach, "some of it pulls"
 
 
+@pytest.mark.slow
 def test_by_difference_where_laws_act_on_a_side_as_high_as_placed():
     """A plate may come to lie on the upper half of the side, whose area depends on the height."""
     of = model(ts.Tool(), "frictionless", (0.0, 1.0), specimen=PLACED, laws=[Gel()])
@@ -182,6 +190,7 @@ def test_by_difference_where_laws_act_on_a_side_as_high_as_placed():
     assert not answer.exact.any() and answer.values[-1, 0] > 0.0
 
 
+@pytest.mark.slow
 def test_geometry_moves_the_nodes_of_one_mesh():
     """So that derivatives by difference do not depend on the width."""
     slopes = []

@@ -51,6 +51,7 @@ def stepped(solver, *poses, **options):
     return step
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element", [HEX8P0, HEX27P1], ids=["H8", "H27"])
 @pytest.mark.parametrize("case", PLACES)
 def test_mesh_is_closed_and_of_the_shape(case, element):
@@ -114,6 +115,7 @@ def ball_on_shell(offset, depth=1e-3):
     return solver, stepped(solver, experiment.tool_pose(0.0), experiment.tool_pose(depth))
 
 
+@pytest.mark.slow
 def test_a_ball_off_the_apex_is_pushed_along_the_line_of_centres():
     """It touches where the spheres do; without friction the force goes through both centres."""
     offset, outer, ball, depth = 0.02, 0.05, 0.01, 1e-3
@@ -169,6 +171,7 @@ class TestRegions:
             specimen=ts.Block(0.04, 0.02, 0.02), protocol=ts.Protocol.parse("ramp 3mm @1mm/s; hold 300s", 3))
         return ts.Model(experiment, replace(law, regions=regions))
 
+    @pytest.mark.slow
     def test_side_by_side_they_add_up(self):
         """Both are incompressible and widen alike; each carries what its own law says, and the right one relaxes."""
         found = ts.simulate(self.model(self.PARTS), solver="solid", mesh=self.mesh()).force
@@ -203,6 +206,7 @@ class TestRegions:
             ts.simulate(ts.Model(cylinder, replace(MATERIAL, regions=self.PARTS)))
 
 
+@pytest.mark.slow
 def test_a_block_by_flags(tmp_path, capsys):
     path = tmp_path / "m.material.json"
     ts.write_material_file(ts.MaterialFile.of(MATERIAL), path)
@@ -239,6 +243,7 @@ def test_a_block_in_a_campaign(tmp_path):
     assert calibration.load_campaign(path).tests[0].solver == "solid"
 
 
+@pytest.mark.slow
 def test_meshes_of_all_resolutions():
     """A needle on each of them, and plates."""
     for specimen in (BLOCK, SHELL, ts.Specimen(0.03, 0.03)):
@@ -250,6 +255,7 @@ def test_meshes_of_all_resolutions():
                 assert (ElementBatches(mesh).weights > 0.0).all() and 3 * len(mesh.nodes) < 40_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("face", "base"), [(0.3, 0.3), ("frictionless", 0.3), (1.0, 1.0)])
 def test_plates_with_friction_on_both_sides(face, base):
     """Where nothing presses yet nothing holds the specimen either. The axisymmetric solver is the other; the section of

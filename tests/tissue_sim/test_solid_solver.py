@@ -40,6 +40,7 @@ def turned(angle, axis=(0.0, 1.0, 0.0)):
     return (math.cos(0.5 * angle), *(math.sin(0.5 * angle) * part for part in axis))
 
 
+@pytest.mark.slow
 def test_a_bonded_punch_is_that_of_another_program(reference):
     """To 0.7 % with 6000 freedoms; the curve is from quadratic tetrahedra with a linear pressure."""
     depth, force = np.loadtxt(reference / "punch_3d_on_axis_RP.csv", delimiter=",", comments="#").T[:2]
@@ -49,6 +50,7 @@ def test_a_bonded_punch_is_that_of_another_program(reference):
     np.testing.assert_allclose(found, np.interp(depths, depth, force), rtol=0.012)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tool", "friction"), [
     (ts.Tool("flat", radius=8e-3, edge_radius=1e-3), "stick"), (ts.Tool("sphere", radius=8e-3), "frictionless"),
     (ts.Tool("sphere", radius=8e-3), 0.3)], ids=["flat that sticks", "frictionless ball", "ball with friction"])
@@ -62,6 +64,7 @@ def test_contact_is_that_of_the_axisymmetric_solid(tool, friction):
     assert max(abs(found.channel(name)).max() for name in ("Fx", "Fy")) < 2e-3 * found.force[-1]
 
 
+@pytest.mark.slow
 def test_plates_without_friction_are_the_closed_form():
     kind = ts.KINDS["lubricated_compression"]
     experiment = kind.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(10e-3, 3))
@@ -74,6 +77,7 @@ def test_plates_without_friction_are_the_closed_form():
     np.testing.assert_allclose(recording.force, -stress * area, rtol=3e-4, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_relaxing_solid_relaxes_as_the_axisymmetric_one():
     """Between bonded plates of the same sections of time, over the force of each without relaxation."""
     material = ts.Material("reduced_polynomial_2", PHANTOM.parameters, PHANTOM.bulk,
@@ -94,6 +98,7 @@ CASES = {"bonded": (FLAT, "bonded", Pose((0.0, 0.0, -3e-3))),
          "ball that sticks": (ts.Tool("sphere", radius=8e-3), "stick", Pose((3e-4, -2e-4, -2e-3)))}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_stiffness_is_the_derivative_of_the_wrench(case):
     tool, friction, pose = CASES[case]
@@ -126,6 +131,7 @@ def _product(left, right):
             a * h + b * g - c * f + d * e)
 
 
+@pytest.mark.slow
 def test_a_closed_way_gives_no_work():
     """An elastic solid and a tool that it holds: down, aside, turned and back."""
     solver = make_solver(model(), mesh=coarse())
@@ -182,6 +188,7 @@ def test_a_tool_that_was_taken_away_begins_again():
     np.testing.assert_allclose(stepped(solver, Pose((0.0, 0.0, 0.0)), *way).wrench, first.wrench, rtol=1e-7, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_simulator_steps_it():
     simulator = ts.Simulator(model(ts.Tool("sphere", radius=8e-3), "stick"), mesh=coarse(), solver="solid")
     simulator.warm_up()

@@ -52,6 +52,7 @@ def test_points_of_a_side_are_those_of_its_element(element):
     assert np.abs(points.lattice[:, 0] - corner).max() < 1e-14
 
 
+@pytest.mark.slow
 @ELEMENTS
 @pytest.mark.parametrize("place", [(0.0, 0.0), (2e-3, 2e-3), (1.1e-3, -0.7e-3), (-5.3e-3, 3.1e-3), (0.1e-3, 0.2e-3),
                                    (4.3e-3, -0.1e-3)])
@@ -61,6 +62,7 @@ def test_a_ball_touches_a_flat_top_wherever_it_stands(element, place):
     assert abs(height(mesh, ts.Tool("sphere", radius=RADIUS), Pose((*place, 0.0)))) < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [5.0, 20.0, 45.0])
 @pytest.mark.parametrize("tool", [ts.Tool("flat", radius=RADIUS), ts.Tool("flat", radius=RADIUS, edge_radius=1e-3)],
                          ids=["sharp", "rounded"])
@@ -74,6 +76,7 @@ def test_the_edge_of_a_leaning_face_touches_it(tool, degrees):
         assert height(mesh, tool, pose) == pytest.approx(expected, abs=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tool", [ts.Tool("flat", radius=RADIUS), ts.Tool("flat", radius=RADIUS, edge_radius=1e-3)],
                          ids=["sharp", "rounded"])
 def test_a_face_that_holds_the_tissue_touches_it_too(tool):
@@ -84,6 +87,7 @@ def test_a_face_that_holds_the_tissue_touches_it_too(tool):
         assert height(mesh, tool, pose, first_line=1) == height(mesh, tool, pose)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tool", [ts.Tool("flat", radius=RADIUS), ts.Tool("sphere", radius=RADIUS)],
                          ids=["an edge", "a ball"])
 def test_the_height_follows_the_nodes(tool):
@@ -98,6 +102,7 @@ def test_the_height_follows_the_nodes(tool):
     assert touch(mesh, places, bodies, pose).rate(mesh, ways) == pytest.approx((high - low) / 2e-4, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element", [HEX27P1, TET15P1], ids=lambda element: element.name)
 def test_a_ball_touches_a_curved_top(element):
     """Compared with all points of a fine lattice."""
@@ -126,6 +131,7 @@ def test_beside_the_specimen_it_touches_nothing():
                 height(mesh, tool, Pose((place, 0.0, 0.0)))
 
 
+@pytest.mark.slow
 def test_the_force_does_not_tell_where_the_nodes_are():
     """A ball over a node and between two, 1 mm further: by nodes alone they were 3 % apart."""
     material = ts.Material("neo_hooke", {"C10": 1000.0}, ts.Bulk("bulk_ratio", 1e3))

@@ -87,6 +87,7 @@ def coarse(tool=None, layers=()):
     return mesh
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("friction", "tool", "height_is"), [
     ("frictionless", None, "moulded"), ("bonded", None, "placed"), ("bonded", FLAT, "moulded")])
 def test_weight_is_that_of_the_axisymmetric_solid(friction, tool, height_is):
@@ -100,6 +101,7 @@ def test_weight_is_that_of_the_axisymmetric_solid(friction, tool, height_is):
         assert sags[1]["moulded_height_mm"] - sags[1]["sag_mm"] == pytest.approx(70.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_tool_that_is_taken_away_leaves_a_specimen_that_has_settled():
     solver = make_solver(model("stick", FLAT, base="bonded"), mesh=coarse(FLAT))
     sagged = solver.x.copy()
@@ -111,6 +113,7 @@ def test_a_tool_that_is_taken_away_leaves_a_specimen_that_has_settled():
     np.testing.assert_allclose(solver.x, sagged, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_what_slips_goes_on_where_nothing_moves():
     """All of a specimen's base but its middle slips as it settles. A plate that begins to press it holds nothing aside;
     where some of the base were taken to stick it would be the roundings that choose them."""
@@ -125,6 +128,7 @@ def test_what_slips_goes_on_where_nothing_moves():
     assert solver.step(Pose.at_depth(1e-3), max_iterations=7).status is StepStatus.CONVERGED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tool", "layers", "precision"), [
     (FLAT, (ts.Layer(2e-3, 5.0),), 0.03), (FLAT, (ts.Layer(4e-3, 3.0), ts.Layer(10e-3, 0.4)), 0.02),
     (None, (ts.Layer(20e-3, 3.0),), 0.01)])

@@ -93,6 +93,7 @@ def test_json_that_is_too_large(tmp_path):
     assert "of at most 8 MB" in refused(lambda path: read_json(path, "anything"), path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", [
     "x = " + "9" * 5000, "x = " + "[" * 5000 + "]" * 5000, ".".join("a" * 100_000) + " = 1", 'x = "\\ud800"',
     'test = "a"', "test = 3", "defaults = 1", "fit = [1]", "[[test]]\nkind = 1e999"],
@@ -166,6 +167,7 @@ def test_rows_and_columns_of_spreadsheets(tmp_path, rows):
     refused(lambda path: calibration.import_files([path]), path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ending", "name"), [("xlsx", "xl/worksheets/sheet2.xml"), ("zip", "curve.ibw")])
 def test_archives_that_unpack_to_more_than_the_memory(tmp_path, ending, name):
     path = tmp_path / f"bomb.{ending}"
@@ -215,6 +217,7 @@ def _printing(path):
     return ts.Recording({"displacement": range(5), "force": range(5)})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("reader", "words"), [
     (_for_ever, "exceeds the CPU time"), (_all_memory, "exceeds the memory"), (_a_crash, "ends the process"),
     (_an_exit, "cannot be read"), (_a_fault, "its reader has an error"), (_too_deep, "nested too deep")])

@@ -98,6 +98,7 @@ def jumps(solver):
     return np.sqrt((apart**2).mean() / (mean**2).mean())
 
 
+@pytest.mark.slow
 @TETRAHEDRA
 def test_a_bonded_block_neither_locks_nor_oscillates(element):
     """From K/mu = 100 to 10 000 the force grows as it does with 27 nodes, and pressures are as smooth."""
@@ -137,6 +138,7 @@ def test_plates_that_touch_everywhere_press_everywhere_alike(element):
     assert (on_tool > 0.0).sum() == mesh.sets["top"].size, "every node of the face carries"
 
 
+@pytest.mark.slow
 def test_a_punch_is_that_of_another_program(reference):
     """To 1.8 % on elements of 2.4 mm at the edge; the curve is from quadratic tetrahedra with a linear pressure."""
     depth, force = np.loadtxt(reference / "punch_3d_on_axis_RP.csv", delimiter=",", comments="#").T[:2]
@@ -148,6 +150,7 @@ def test_a_punch_is_that_of_another_program(reference):
     assert step.force == pytest.approx(np.interp(2.0, depth, force), rel=0.022)
 
 
+@pytest.mark.slow
 def test_a_ball_is_that_of_the_axisymmetric_solid():
     """With friction, on 750 elements."""
     pressed = ts.Model(ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(2e-3, 2), friction=0.3,

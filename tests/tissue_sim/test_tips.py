@@ -36,6 +36,7 @@ def pressed(*arguments, mesh=None, fields=False):
 class TestHalfSpace:
     """An incompressible half-space does not move along its surface, so friction changes nothing."""
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("friction", ["frictionless", 0.3, "stick"])
     @pytest.mark.parametrize("shape", ["round", "sphere"])
     def test_hertz(self, shape, friction):
@@ -43,6 +44,7 @@ class TestHalfSpace:
         depth, force = shallow(ts.Tool(shape, RADIUS), 1e-3 * RADIUS, friction)
         np.testing.assert_allclose(force, 4 / 3 * PLANE_MODULUS * np.sqrt(RADIUS) * depth**1.5, rtol=1e-2)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("friction", ["frictionless", "stick"])
     @pytest.mark.parametrize(("angle", "depth"), [(80.0, 1e-4), (85.0, 2e-5)])
     def test_sneddon(self, angle, depth, friction):
@@ -58,6 +60,7 @@ class TestHalfSpace:
         chosen = slice(-1, None) if angle == 80.0 else slice(None)
         np.testing.assert_allclose(force[chosen], expected[chosen], rtol=1e-2)
 
+    @pytest.mark.slow
     def test_sharper_cones_are_not_those_of_small_strain(self):
         """The force falls short by about 6 % of the slope, which is 0.58 for 60 degrees, at any depth."""
         depths, force = shallow(ts.Tool("cone", RADIUS, half_angle=np.radians(60.0)), 5e-4, "stick")
@@ -70,6 +73,7 @@ class TestShapes:
         ball, needle = (pressed(ts.Tool(shape, RADIUS), 0.3).force for shape in ("sphere", "round"))
         np.testing.assert_allclose(ball, needle, rtol=1e-9, atol=1e-12)
 
+    @pytest.mark.slow
     def test_sharper_cones_need_less_force(self):
         force = [pressed(ts.Tool("cone", RADIUS, half_angle=np.radians(angle)), "stick").force
                  for angle in (15.0, 30.0, 45.0, 60.0)]

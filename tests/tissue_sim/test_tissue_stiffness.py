@@ -31,6 +31,7 @@ def settled(options, inertia, material=MATERIAL) -> tuple[ts.Simulator, ts.ToolF
     return sim, answer
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_with_mass_it_is_that_of_the_slow_test(case):
     _, slow = settled(CASES[case], "off")
@@ -52,6 +53,7 @@ def test_that_of_the_step_is_the_slope_within_it():
     assert np.array(answer.step_stiffness_matrix)[2, 2] == answer.step_stiffness
 
 
+@pytest.mark.slow
 def test_it_is_found_again_every_few_ticks():
     sim, _ = settled(CASES["needle"], "on")
     found = [sim.step(DEPTH + 5e-5 * k, 1e-3).stiffness for k in range(1, 21)]
@@ -59,6 +61,7 @@ def test_it_is_found_again_every_few_ticks():
     assert np.diff(changes).tolist() == [simulating._STIFFNESS_LASTS] * (len(changes) - 1) and len(changes) >= 3
 
 
+@pytest.mark.slow
 def test_what_relaxes_within_the_step_is_part_of_it():
     relaxing = replace(MATERIAL, viscoelastic=ts.Prony((ts.PronyTerm(0.3, 2.0),)))
     _, slow = settled(CASES["needle"], "off", relaxing)
@@ -66,6 +69,7 @@ def test_what_relaxes_within_the_step_is_part_of_it():
     assert swift.stiffness == pytest.approx(slow.stiffness, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_question_changes_nothing():
     """Asked for the own stiffness or not, the forces are the same but for rounding; a replay is, bit for bit."""
     sim, _ = settled(CASES["needle with friction"], "on")

@@ -103,6 +103,7 @@ class TestAfterLiftOff:
 
 
 class TestSolid:
+    @pytest.mark.slow
     def test_a_ball_touches_where_it_went_in_the_air(self):
         tool = ts.Tool("round", radius=5e-3)
         middle, aside, spun = (solid(tool, 0.5) for _ in range(3))

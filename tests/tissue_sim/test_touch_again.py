@@ -48,6 +48,7 @@ def test_a_press_onto_creeping_tissue_in_one_tick_is_that_of_fine_steps(tool, fr
     assert answer.force == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_time_in_the_air_is_no_part_of_the_time_of_a_blow():
     """2 mm of 3 mm in a tick of 1 ms are in the air; the tissue with mass is hit in the last third."""
     one = simulator(ts.Material("neo_hooke", {"C10": 1500.0}, BULK), tool=BALL, friction="frictionless", inertia="on")

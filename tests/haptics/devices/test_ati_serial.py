@@ -162,6 +162,7 @@ def test_a_count_at_the_end_of_its_range_is_saturated(emulator, monkeypatch):
     assert sample.counts[1] == -32768 and sample.status == SampleStatus.SATURATED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["ascii", "binary"])
 def test_a_truncated_record_is_a_gap(emulator, monkeypatch, mode):
     sensor = open_sensor(emulator.address.replace("ascii", mode))
@@ -181,6 +182,7 @@ def test_a_truncated_record_is_a_gap(emulator, monkeypatch, mode):
     assert [bool(count) for count in missing] == [sample.status == SampleStatus.GAP for sample in samples[1:]]
 
 
+@pytest.mark.slow
 def test_garbled_records_are_counted_and_undetected_ones_differ_by_a_digit():
     """Without a checksum, accepted records are only known to be numbers in the right form."""
     # With this seed the first messages, which `start` requires, are intact.
@@ -319,6 +321,7 @@ class Talker(TerminalEmulator):
         return {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("answer", "unasked", "sentence"), [
     (b"", (), r"^nothing answers at \S+; check that the ATI controller has power, the cable, and the baud rate \(here "
               r"9600"),
@@ -352,6 +355,7 @@ def test_an_answer_without_a_prompt_raises(emulator, monkeypatch, patience):
         sensor_at(emulator.path).start()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["ascii", "binary"])
 def test_a_silent_controller_raises(emulator, monkeypatch, mode):
     sensor = open_sensor(emulator.address.replace("ascii", mode))

@@ -310,6 +310,7 @@ def test_a_port_without_permission_raises_with_the_remedy(emulator, monkeypatch)
         open_stage(emulator.address).start()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("answer", "words"), [
     (lambda data: b"\xf8\x3c\x1f\x80\xe0", "no Grbl, or its baud rate is not 115200.*check the baud rate"),
     (lambda data: b"\r\n>" if data.endswith(b"\r") else b"", "an ATI controller answers there: name it ati-serial:"),

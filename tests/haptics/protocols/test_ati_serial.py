@@ -59,6 +59,7 @@ def test_lines_that_are_no_records_are_refused(line):
     assert decode_ascii(line) is None
 
 
+@pytest.mark.slow
 @CASES
 @given(records, st.booleans())
 @example(Record(0, (FORMAT.lowest_count,) * 6), True)

@@ -80,6 +80,7 @@ def test_a_formatted_report_is_parsed_to_the_same_report(report):
     assert grbl.parse_report(grbl.format_report(report)) == report
 
 
+@pytest.mark.slow
 @given(reports, st.data())
 @settings(max_examples=CASES, deadline=None)
 def test_a_garbled_report_is_read_literally_or_refused(report, data):

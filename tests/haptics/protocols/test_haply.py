@@ -144,6 +144,7 @@ _VALUES = st.recursive(st.none() | st.booleans() | st.integers() | st.floats() |
                                                           "status", "config"]), part, max_size=4), max_leaves=12)
 
 
+@pytest.mark.slow
 @settings(max_examples=CASES, deadline=None)
 @given(st.dictionaries(st.sampled_from(["inverse3", "verse_grip", "wireless_verse_grip", "session"]),
                        _VALUES | st.lists(_VALUES, max_size=2), max_size=3))

@@ -27,6 +27,7 @@ def test_the_interval_contains_the_lag(lag):
     assert found.value == pytest.approx(lag, abs=1e-3) and found.interval[1] - found.interval[0] < 2e-3
 
 
+@pytest.mark.slow
 def test_the_interval_covers_the_lag_in_95_percent_of_the_cases():
     intervals = [measure_lag(make_recording(0.0123, 0.2, seed, period=8e-3)).interval for seed in range(200)]
     covered = sum(low <= 0.0123 <= high for low, high in intervals)

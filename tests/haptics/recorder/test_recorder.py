@@ -47,6 +47,7 @@ def test_a_run_records_the_plan(bench):
                                                           "check"}
 
 
+@pytest.mark.slow
 def test_preconditioning_cycles_are_executed_and_not_recorded(bench):
     bench.run(plan=bench.plan(preconditioning=3, replicates=1))
     assert [entry["what"] for entry in state_of(bench)["history"]] == [
@@ -54,6 +55,7 @@ def test_preconditioning_cycles_are_executed_and_not_recorded(bench):
     assert read_recording(bench.folder / "spring_1.csv").metadata["loadings_before"] == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rig", [Rig(backlash=5e-5), Rig(zero_offset=0.3), Rig(force_noise=2e-3)])
 def test_recordings_contain_the_errors_of_the_rig(bench, rig):
     bench.run(rig=bench.rig(rig=rig))
@@ -108,6 +110,7 @@ STOPS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cause", "changes", "message", "phase"), STOPS, ids=lambda value: None)
 def test_each_fault_stops_the_stage_and_records_the_reason(bench, cause, changes, message, phase):
     changes = dict(changes)
@@ -340,6 +343,7 @@ def test_a_late_poll_is_detected_by_another_thread(bench, monkeypatch):
     assert caught.value.reason.cause == "program late"
 
 
+@pytest.mark.slow
 def test_a_stopped_run_continues_with_the_missing_recordings(bench):
     def stop_in_the_second(moment):
         if moment.replicate == 2 and moment.phase == "hold":

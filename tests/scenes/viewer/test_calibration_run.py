@@ -278,6 +278,7 @@ def test_the_material_file_is_saved_without_overwriting(run, pool, needle, tmp_p
         session.do("save_calibration", folder=tmp_path, name="mine")
 
 
+@pytest.mark.slow
 def test_the_process_fits_like_the_calibrate_command(run, pool, needle, tmp_path):
     """Fit two noisy replicates of a stiffer material with the calibration function in this process."""
     stiffer = with_values(needle.material, {"C10": 2200.0, "C20": 900.0})

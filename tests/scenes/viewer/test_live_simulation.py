@@ -70,6 +70,7 @@ def simulator_at(simulation, model, depth):
     return simulator, answer
 
 
+@pytest.mark.slow
 def test_messages_describe_the_start(needle_loop):
     words = [message for _, message in needle_loop.said]
     assert "making the tissue" in words or any("loading the solver" in word for word in words)

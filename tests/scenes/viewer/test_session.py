@@ -85,6 +85,7 @@ def curve_of(material, measured):
     return ts.simulate(model, resolution=MESH)
 
 
+@pytest.mark.slow
 def test_aim_moves_the_tool(session, needle, until):
     assert done(session, "aim", depth=2e-3) is None
     frame = until(session.frame, at_rest(2e-3))

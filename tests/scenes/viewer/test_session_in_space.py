@@ -56,6 +56,7 @@ def at(place):
     return there
 
 
+@pytest.mark.slow
 def test_the_tool_goes_along_its_axis_and_aside_and_back(session, scene, until):
     first = session.frame()
     assert first.phase is Phase.RUNNING and first.snapshot.in_space and drawable(first.snapshot.fields)
