@@ -88,7 +88,7 @@ def test_readme_really_runs_something(tmp_path, monkeypatch, capsys):
     assert run_page(python, "README.md") == 2
     said = capsys.readouterr().out
     assert float(re.search(r"([\d.]+) N at 10 mm", said)[1]) == pytest.approx(9.456, rel=0.01)
-    # The simulator's second: 2 mm of the reference curve are 1.5417 N; at 50 mm/s the mass of the tissue counts, too.
+    # The simulator: 1.5417 N at 2 mm in the reference curve.
     assert float(re.search(r"([\d.]+) N, \d+ N/m, in equilibrium", said)[1]) == pytest.approx(1.5417, rel=0.05)
 
 

@@ -95,7 +95,6 @@ class ForceStatus(IntEnum):
     - where the tissue has mass, the part of the error that unresolved waves have is at most `ERROR_SHARE` of the force,
       or `tissue_sim.wave_error.WaveScale.floor`, the tool is slower than shear waves, and no wave was lost.
 
-    It says nothing of the age of the stiffness (`ToolForce.stiffness_age`). An error that is not known is None, not 0.
     The status does not depend on the age of the stiffness (`ToolForce.stiffness_age`). An unknown error is None, not 0.
     A tissue returns the first four statuses; the others are set between tissue and hand
     (`haptics.safety.force_release`, `haptics.server`).

@@ -64,7 +64,6 @@ class Verdict(Enum):
     LATE_OFF = "not converged, force off"
     LATE_NEAR = "not converged, force within tolerance"
     WRONG = "silently wrong"
-    #: Within the stated error and `FORCE_TOLERANCE`.
     DECLARED = "wrong, but within the error that the answer states"
     FAULT = "fault"
     UNKNOWN = "no truth"
@@ -196,7 +195,7 @@ def _judge(judgement: Judgement, motion: Motion, index: int, answer: Any, truth:
         return
     judgement.largest_error = max(judgement.largest_error, error)
     if not error <= FORCE_TOLERANCE:
-        is_stated = answer.force_error is not None and error * peak <= answer.force_error + FORCE_TOLERANCE * peak
+        is_stated = answer.force_error is not None and error * peak <= answer.force_error
         judgement.note(Verdict.DECLARED if is_stated else Verdict.WRONG, described)
     elif motion.checks_stiffness and _is_stiffness_wrong(answer, truth, peak):
         judgement.note(Verdict.WRONG, f"{index}: stiffness {answer.stiffness:.4g} N/m, right {truth.stiffness:.4g}, "

@@ -16,12 +16,9 @@ POLOLU_PREFIX = 0xAA
 class BlockLength(IntEnum):
     """Lengths of blocks of variables or settings, bytes."""
 
-    #: Block that `parse_status` reads.
-    STATUS = 14
-    #: Block that `parse_motion_state` reads.
-    MOTION_STATE = 8
-    #: Largest block that one command can read.
-    LONGEST = 15
+    STATUS = 14        #: read by `parse_status`
+    MOTION_STATE = 8   #: read by `parse_motion_state`
+    LONGEST = 15       #: largest block that one command can read
 
 
 @dataclass(frozen=True)
@@ -174,24 +171,20 @@ class Setting(IntEnum):
 class ControlMode(IntEnum):
     """Values of `Setting.CONTROL_MODE`."""
 
-    #: Value "Serial / I2C / USB": the motor follows commands.
-    SERIAL = 0
+    SERIAL = 0  #: "Serial / I2C / USB": the motor follows commands
 
 
 class SoftErrorResponse(IntEnum):
     """Values of `Setting.SOFT_ERROR_RESPONSE`."""
 
-    #: Value "Go to position": the motor moves after an error.
-    GO_TO_POSITION = 3
+    GO_TO_POSITION = 3  #: "Go to position": the motor moves after an error
 
 
 class AnswerFormat(IntFlag):
     """Bits of `Setting.CRC` about the answers of the Tic."""
 
-    #: Answers carry a checksum.
-    CHECKED = 2
-    #: Answers consist of 7-bit bytes.
-    SEVEN_BIT = 4
+    CHECKED = 2    #: answers carry a checksum
+    SEVEN_BIT = 4  #: answers consist of 7-bit bytes
 
 
 @dataclass(frozen=True, slots=True)

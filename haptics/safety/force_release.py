@@ -37,7 +37,9 @@ RELEASE = ReleaseSettings()
 class ForceRelease:
     """Fade the force of a tissue without equilibrium, before the force reaches a hand, a page or a client.
 
-    An answer whose status is not CONVERGED extrapolates the last equilibrium. After `patience` without equilibrium,
+    An answer whose status is not CONVERGED extrapolates the last equilibrium, with one exception: tissue with mass is
+    in equilibrium (`inertial`, age 0) but LATE while waves that the steps do not resolve make the force inaccurate.
+    The momentum of the tissue limits this force, which is not faded. After `patience` without equilibrium,
     force and stiffness fade to zero together within `ramp` (status FADING): a client that extrapolates with the
     stiffness then stays below the force of the answer. With the next equilibrium they return within the same time
     (status RETURNING). If the first force exceeds `ReleaseSettings.largest_first_force`, the hand starts inside the
@@ -80,7 +82,8 @@ class ForceRelease:
         if last is None and math.hypot(*answer.wrench[:3]) > RELEASE.largest_first_force:
             watchdog.withdraw()
         converged = answer.status is ForceStatus.CONVERGED
-        gain = watchdog.step(converged, 0.0 if last is None else max(0.0, now - last))
+        has_equilibrium = converged or (answer.status is ForceStatus.LATE and answer.inertial and answer.age == 0.0)
+        gain = watchdog.step(has_equilibrium, 0.0 if last is None else max(0.0, now - last))
         if gain == 1.0:
             return answer
         status = answer.status

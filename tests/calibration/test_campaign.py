@@ -334,7 +334,7 @@ def test_the_shaft_of_a_needle_is_held_as_the_face_is(folder, wall, means):
     assert test.experiment.friction_wall == means
 
 
-@pytest.mark.parametrize(("wall", "words"), [('"bonded"', "cannot be bonded"), ('"stik"', "did you mean 'stick'")])
+@pytest.mark.parametrize(("wall", "words"), [('"bonded"', "must not be 'bonded'"), ('"stik"', "did you mean 'stick'")])
 def test_what_a_shaft_cannot_do(folder, wall, words):
     with pytest.raises(ts.InputError, match=words) as caught:
         load(folder, NEEDLE.format(wall=wall))

@@ -653,7 +653,7 @@ class TestRefused:
         write_recordings(plates, "lubricated", depth, lambda _: force, time=np.arange(51.0))
         (plates / "study.toml").write_text(campaign_text("lubricated"), encoding="utf-8")
         result, = calibration.calibrate([plates / "study.toml"], plates / "out", figures=False)
-        warning, = (warning for warning in result.best.warnings if "is not fitted" in warning)
+        warning, = (warning for warning in result.best.warnings if "are not fitted" in warning)
         assert "(30 samples)" in warning
         assert "viscoelastic.terms[0].g" in warning
 

@@ -201,7 +201,8 @@ def test_a_file_states_a_population_in_its_units(animals, tmp_path):
     after = ts.read_material_file(path).population
     np.testing.assert_allclose(after.between_specimens, before.between_specimens)
     assert after.specimens["animal_2"] == pytest.approx(before.specimens["animal_2"])
-    for key, value, message in (("order", ["C10", "C30"], "no parameter 'C30'"), ("mean", [1.0], "1 entries for the 2"),
+    for key, value, message in (("order", ["C10", "C30"], "no parameter 'C30'"),
+                                ("mean", [1.0], "2 entries, one for each parameter in order; got 1"),
                                 ("between_specimens", [[1.0, 2.0], [2.0, 1.0]], "not positive semi-definite")):
         path.write_text(json.dumps(content | {"population": stated | {key: value}}), encoding="utf-8")
         with pytest.raises(InputError, match=message) as caught:

@@ -15,8 +15,11 @@ TICK = 1e-3
 STATUSES = [ForceStatus.CONVERGED, ForceStatus.LATE, ForceStatus.STOPPED, ForceStatus.REFUSED]
 
 
-def answer(status=ForceStatus.CONVERGED, force=5.0):
-    return ToolForce(axial_wrench(force), axial_stiffness(800.0), status, 3, 1e-7, inertial=True,
+def answer(status=ForceStatus.CONVERGED, force=5.0, age=None):
+    """An answer; without an equilibrium it extrapolates that of the last tick."""
+    if age is None:
+        age = 0.0 if status is ForceStatus.CONVERGED else TICK
+    return ToolForce(axial_wrench(force), axial_stiffness(800.0), status, 3, 1e-7, inertial=True, age=age,
                      pose=Pose.at_depth(0.006), ahead=NextForce(axial_wrench(4.0), axial_stiffness(3000.0)),
                      step_stiffness_matrix=axial_stiffness(3100.0))
 
@@ -33,6 +36,11 @@ def test_converged_answers_are_unchanged(release):
     found = answer()
     for k in range(1, 500):
         assert release.step(found, k * TICK) is found
+
+
+def test_an_equilibrium_with_unresolved_waves_is_not_faded(release):
+    found = answer(ForceStatus.LATE, age=0.0)
+    assert all(release.step(found, k * TICK) is found for k in range(1, 500))
 
 
 @pytest.mark.parametrize("status", [ForceStatus.LATE, ForceStatus.STOPPED])

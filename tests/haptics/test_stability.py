@@ -97,7 +97,8 @@ def test_a_tissue_with_mass_does_not_throw_a_proxy_that_is_put_into_it(pressed):
     tissue, coupling, answer, depths = pressed(), VirtualCoupling(1000.0, 1.0), None, []
     for _ in range(600):
         answer = tissue.step(coupling.step(Pose.at_depth(5.733e-3), answer, 1e-3), 1e-3)
-        assert answer.status is ForceStatus.CONVERGED
+        # An equilibrium in every tick; the throw starts waves, while which the answers are LATE.
+        assert answer.age == 0.0 and answer.status in (ForceStatus.CONVERGED, ForceStatus.LATE)
         depths.append(answer.depth)
     # What swings on is the tissue, which loses nothing.
     assert min(depths) > 4.5e-3 and np.ptp(depths[-200:]) < 0.15e-3

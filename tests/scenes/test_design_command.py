@@ -115,6 +115,7 @@ def test_bad_input_is_one_sentence(old, new, expected, tmp_path, capsys):
 
 
 def test_too_few_samples_or_replicates_are_refused(tmp_path):
-    for wrong in ({"samples": 3}, {"replicates": 0}):
-        with pytest.raises(InputError, match="too few"):
+    for wrong, words in (({"samples": 3}, "samples must be at least 20; got 3"),
+                         ({"replicates": 0}, "replicates must be at least 1; got 0")):
+        with pytest.raises(InputError, match=words):
             design_experiments(write(tmp_path), **wrong)

@@ -215,8 +215,9 @@ def test_invalid_protocols_get_one_sentence(protocol, tmp_path, capsys, change, 
 
 
 @pytest.mark.parametrize(("change", "said"), [
-    ({"[fit]": '[defaults]\nrig = "frame.rig.json"\n\n[fit]'}, "defaults.rig: does not belong to the analytical"),
-    ({"contact_jitter_mm = 0.03": 'contact_jitter_mm = "estimate"'}, 'noise.contact_jitter_mm: "estimate" needs'),
+    ({"[fit]": '[defaults]\nrig = "frame.rig.json"\n\n[fit]'}, "defaults.rig: the analytical method does not use rig"),
+    ({"contact_jitter_mm = 0.03": 'contact_jitter_mm = "estimate"'},
+     'noise.contact_jitter_mm: "estimate" requires fit.method'),
     ({'["neo_hooke"]': '["neo_hook"]'}, "fit.laws[0]: unknown law 'neo_hook'"),
 ])
 def test_protocols_that_calibrate_would_refuse_are_not_recorded(protocol, tmp_path, capsys, change, said):

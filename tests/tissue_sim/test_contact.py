@@ -68,8 +68,8 @@ class TestAdhesion:
         _, found, plain = self.curves(0.3, None, "bonded")
         assert (found[1:5] > plain[1:5]).all() and abs(found[:5] - plain[:5]).max() < 0.1 * self.FORCE
 
-    @pytest.mark.parametrize(("arguments", "words"), [((-1.0, 1e-3), "not a pull-off force"),
-                                                      ((np.nan, 1e-3), "not a pull-off force"),
+    @pytest.mark.parametrize(("arguments", "words"), [((-1.0, 1e-3), "must be 0 or more; got -1 N"),
+                                                      ((np.nan, 1e-3), "must be 0 or more; got nan N"),
                                                       ((0.1, 0.0), "adhesion.length")])
     def test_refused(self, arguments, words):
         with pytest.raises(ts.InputError, match=words):

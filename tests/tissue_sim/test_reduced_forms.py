@@ -166,7 +166,7 @@ class TestSlip:
 
     @pytest.mark.parametrize(("changes", "field", "words"), [
         ({"slip": 0.1, "friction": "frictionless"}, "slip", "requires friction 'bonded'; got 'frictionless'"),
-        ({"slip": 1.5}, "slip", "no share"),
+        ({"slip": 1.5}, "slip", "a fraction from 0 to 1; got 1.5"),
         ({"slip": 0.1, "tool": NEEDLE}, "tool.edge_radius", "sharp edge")])
     def test_what_does_not_fit_is_refused(self, changes, field, words):
         with pytest.raises(ts.InputError, match=words) as caught:
@@ -180,7 +180,7 @@ class TestSlip:
 
     def test_not_in_real_time(self):
         experiment = ts.Experiment(ts.Specimen(RADIUS, HEIGHT), self.PROTOCOL, slip=0.1)
-        with pytest.raises(ts.InputError, match="slips in part"):
+        with pytest.raises(ts.InputError, match="partial slip is a correction of whole recordings"):
             ts.Simulator(ts.Model(experiment, ts.Material(LAW, STUDY, ts.Bulk("bulk_ratio", 1e4))))
 
 

@@ -200,7 +200,7 @@ class TestLayers:
         solver = ReducedSolver(skinned, skinned.model.material)
         for pose in POSES[:4]:
             solver.step(pose)
-        with pytest.raises(ts.InputError, match="K/mu0 is"):
+        with pytest.raises(ts.InputError, match=r"K/mu0 must be 2 to .*; got 5e"):
             solver.set_material(replace(SOFT, layers=(replace(SKIN, ratio=1.0),), bulk=ts.Bulk("bulk_ratio", 5e6)))
         assert solver.material is skinned.model.material
         np.testing.assert_array_equal([solver.step(pose).wrench for pose in POSES[4:]], expected[4:])
@@ -288,7 +288,7 @@ class TestMeshesOfFiles:
         assert simulator.step(1e-3, 1e-3).status is ts.ForceStatus.CONVERGED
 
     def test_a_mesh_is_that_of_a_file_or_given(self, organ):
-        with pytest.raises(ts.InputError, match="leave one of them out"):
+        with pytest.raises(ts.InputError, match="the mesh would be defined twice"):
             replace(organ[1].model.experiment.specimen, mesh_file="/nowhere/other.vtu")
 
     def test_regions_that_overlap_are_one_sentence(self, organ, tmp_path):

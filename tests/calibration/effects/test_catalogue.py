@@ -190,7 +190,7 @@ def test_campaign_states_slip(tmp_path):
     candidate, = candidates(situation_of(path), "partial_slip")
     assert candidate.absent == {"experiment.slip": 0.1} and candidate.sizes["experiment.slip"] > 0.1
     path.write_text(text.replace("[fit]", "slip = 1.1\n[fit]"), encoding="utf-8")
-    with pytest.raises(ts.InputError, match="no share") as caught:
+    with pytest.raises(ts.InputError, match=r"a fraction from 0 to 1; got 1\.1") as caught:
         situation_of(path)
     assert caught.value.field == "test[0].slip"
 

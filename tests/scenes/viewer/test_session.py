@@ -251,7 +251,7 @@ def test_a_refused_parameter_changes_nothing(session, until):
     done(session, "aim", depth=1e-3)
     before = until(session.frame, lambda frame: at_rest(1e-3)(frame) and not session._curve.busy
                    and frame.curves.model is session._curve.recording)
-    for values, expected in (({"C10": -1.0}, "must be positive"), ({"C77": 1.0}, "C77"),
+    for values, expected in (({"C10": -1.0}, "must give a positive shear modulus"), ({"C77": 1.0}, "C77"),
                              ({"C10": 1500.0, "C20": math.nan}, "C20")):
         assert expected in done(session, "set_parameters", values=values)
     time = before.readouts.time
