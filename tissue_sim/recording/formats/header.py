@@ -74,10 +74,10 @@ def find_numbers(tables: Iterable[Table], places: Sequence[int], *, file: Path) 
 
 
 def places_of(row: Row, names: Sequence[str], *, file: Path) -> list[list[int]]:
-    """Places of each name in a row that has them all, as many of each: those of replicates beside each other.
+    """Return the positions of each name in a row with all names: one for each of the replicates side by side.
 
     Raises:
-        InputError: one of them stands there more often than another.
+        InputError: a name occurs more often than another one.
     """
     found = [matches(row.cells, name) for name in names]
     for name, places in zip(names, found, strict=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,23 +20,39 @@ from tissue_sim.units import UNITS, loose_header
 
 #: Columns -> recordings of the table.
 Read = Callable[[Sequence[ColumnGuess]], tuple[Recording, ...]]
-#: Strain above which numbers may be in %, without a unit or under that of a ratio, such as mm/mm: specimens of soft
-#: tissue fail before.
-_LARGEST_STRAIN = 2.0
-#: The same of a shear strain, of a stretch, and of a column that the user names: elastomers reach 10.
-_LARGEST_CERTAIN = 12.0
-#: Relative difference of two strains that counts as agreement.
-_AGREEMENT = 0.02
-#: The same of a strain and of a displacement over the gauge length, which includes the compliance of the frame.
-_SAME_UNIT = 0.5
-#: Relative difference above which two columns of the same quantity are reported.
-_NOTED_DIFFERENCE = 0.01
-#: Relative difference above which equally sure columns of the same quantity are a question.
-_DECISIVE_DIFFERENCE = 0.05
-#: Correlation below which a column does not measure the same quantity.
-_CORRELATION = 0.9
-#: Relative range below which the sensor of a column is not connected.
-_CONNECTED = 0.02
+
+
+@dataclass(frozen=True)
+class ComparisonSettings:
+    """Thresholds for the comparison of columns.
+
+    Attributes:
+        largest_strain: strain above which numbers may be in % if their unit is missing or is a ratio, such as mm/mm.
+            Specimens of soft tissue fail at smaller strains.
+        largest_certain_strain: the same threshold for a shear strain, a stretch and a column that the user names;
+            elastomers reach 10.
+        agreement: largest relative difference of two strains that agree.
+        same_unit: largest relative difference of a strain and of a displacement over the gauge length that agree; the
+            displacement includes the compliance of the frame.
+        noted_difference: relative difference above which two columns of the same quantity are reported.
+        decisive_difference: relative difference above which equally plausible columns of the same quantity are a
+            question to the user.
+        correlation: correlation below which a column does not measure the same quantity.
+        connected_range: relative range below which the sensor of a column is not connected.
+    """
+
+    largest_strain: float = 2.0
+    largest_certain_strain: float = 12.0
+    agreement: float = 0.02
+    same_unit: float = 0.5
+    noted_difference: float = 0.01
+    decisive_difference: float = 0.05
+    correlation: float = 0.9
+    connected_range: float = 0.02
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = ComparisonSettings()
 #: Channel -> why its sign is turned.
 _TURNED = {"displacement": "falls under load", "force": "against the motion", "nominal stress": "against the motion",
            "stretch": "positive in compression"}
@@ -89,7 +105,7 @@ def speed_assumption(speed: tuple[float, str], recordings: Sequence[Recording]) 
     for recording in recordings:
         force = np.abs(recording.force)
         peak = int(np.argmax(force))
-        if force[-1] < (1.0 - _DECISIVE_DIFFERENCE) * force[peak]:
+        if force[-1] < (1.0 - _SETTINGS.decisive_difference) * force[peak]:
             against = [f"the force falls after {recording.time[peak]:.4g} s: if the motion stopped or turned there, "
                        "only the part before counts"]
     return Assumption("displacement", f"{1e3 * value:.6g} mm/s x time from the first sample",
@@ -125,20 +141,20 @@ def settle_rivals(read: Read, columns: tuple[ColumnGuess, ...], recordings: tupl
         own, its = (np.concatenate([pair[which] - pair[which][0] for pair in pairs]) for which in (0, 1))
         if np.ptp(its) == 0:
             continue
-        if np.ptp(own) < _CONNECTED * np.ptp(its) and rival.rank > column.rank:
+        if np.ptp(own) < _SETTINGS.connected_range * np.ptp(its) and rival.rank > column.rank:
             remarks.append(f"column {column.header!r} does not move, so that {rival.header!r} is read in its place")
             columns, recordings = swapped, other
             continue
-        if np.ptp(own) == 0 or abs(np.corrcoef(own, its)[0, 1]) < _CORRELATION:
+        if np.ptp(own) == 0 or abs(np.corrcoef(own, its)[0, 1]) < _SETTINGS.correlation:
             continue
         ratio = float(np.ptp(its) / np.ptp(own))
-        if abs(ratio - 1.0) <= _NOTED_DIFFERENCE:
+        if abs(ratio - 1.0) <= _SETTINGS.noted_difference:
             continue
         means = f" ({rival.reason.split('; ')[-1]})" if is_derived(rival) else ""
         said = (f"{rival.header!r} has {abs(100 * (ratio - 1)):.0f} % {'more' if ratio > 1 else 'less'} "
                 f"{column.channel} than {column.header!r}{means}")
         modulus = ratio if CHANNELS[column.channel] in ("force", "stress") else 1.0 / ratio
-        is_question = rival.rank == column.rank and abs(ratio - 1.0) > _DECISIVE_DIFFERENCE
+        is_question = rival.rank == column.rank and abs(ratio - 1.0) > _SETTINGS.decisive_difference
         alternatives = (Alternative(rival.header, modulus, _all_columns(swapped)),) if is_question else ()
         if source_of(plain(column.header)) == "specimen":
             said += "; the height must be the gauge length of this sensor"
@@ -215,7 +231,7 @@ def _percent(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], re
     length = 1e-3 * (column.scale or 1e3)
     largest = float(np.abs(values - (column.channel == "stretch" and column.role == "strain")).max()) / length
     is_sure = column.role != "strain" or is_named
-    if column.measure or largest <= (_LARGEST_CERTAIN if is_sure else _LARGEST_STRAIN):
+    if column.measure or largest <= (_SETTINGS.largest_certain_strain if is_sure else _SETTINGS.largest_strain):
         return ()
     for other in others:
         same = other.measure == column.measure and is_derived(other) == is_derived(column)
@@ -226,7 +242,7 @@ def _percent(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], re
         except InputError:
             continue
         pairs = [pair for pair in shared_values(recordings, rival, column.channel) if pair[0].size]
-        limit = (_AGREEMENT if other.measure != column.measure else _SAME_UNIT) * largest * length
+        limit = (_SETTINGS.agreement if other.measure != column.measure else _SETTINGS.same_unit) * largest * length
         if pairs and max(float(np.abs(its - own).max()) for own, its in pairs) <= limit:
             return ()
     percent = replace(column, scale=0.01 * (column.scale or 1.0)) if is_derived(column) else replace(

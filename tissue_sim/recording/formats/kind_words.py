@@ -14,7 +14,7 @@ from tissue_sim.recording.formats.unknown_tests import UNKNOWN_TESTS, UnknownTes
 
 #: Kind -> abbreviations that count in the name of a file only.
 _SHORT = {"simple_shear": ("ss",), "uniaxial_tension": ("ut",), "lubricated_compression": ("uc",)}
-#: Characters of a line that are searched.
+#: Number of characters of a line that are searched.
 _LONGEST_LINE = 2000
 #: Entries above a table whose value is the name of a person, a company, a program or a machine.
 _PEOPLE = re.compile(r"^\W*(operator|tester|user|author|customer|company|client|laboratory|lab|prufer|bearbeiter|kunde|"

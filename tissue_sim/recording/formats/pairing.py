@@ -30,7 +30,7 @@ _CHANNEL = {"time": "time", "displacement": "displacement", "force": "force", "s
             "strain": "stretch", "shear strain": "shear strain", "stress": "nominal stress",
             "temperature": "temperature"}
 #: Relative difference up to which a stated speed agrees with that in the file.
-_SAME_SPEED = 0.01
+_SPEED_TOLERANCE = 0.01
 #: A shear strain keeps the measure that its header names, which has no conversion.
 _CHANNEL_OF_MEASURE = {"shear strain": "stretch"}
 
@@ -185,7 +185,7 @@ def _speed_for(roles: Collection[str], numbers: Numbers, stated: Stated) -> tupl
         return None
     speeds = speeds_in((*numbers.above, *numbers.below))
     if stated.speed is not None:
-        if speeds and not any(abs(speed / stated.speed - 1.0) <= _SAME_SPEED for speed in speeds):
+        if speeds and not any(abs(speed / stated.speed - 1.0) <= _SPEED_TOLERANCE for speed in speeds):
             lines = "; ".join(speeds.values())
             raise InputError(f"speed of {1e3 * stated.speed:g} mm/s contradicts the file ({lines}); leave the flag "
                              "out, or that line (--skip-lines)", field="--speed-mm-s")

@@ -45,7 +45,7 @@ from tissue_sim.recording.formats.table import Row
 from tissue_sim.recording.formats.table_reader import TableReader
 from tissue_sim.recording.formats.vocabulary import MACHINES, Machine, find_machine
 
-#: Rows of a table from which the decimal mark of the lines around it is taken.
+#: Number of rows of a table that determine the decimal mark of the lines around the table.
 _MARKED_ROWS = 2000
 _NAMING = ("displacement", "stretch", "shear strain", "force", "nominal stress")
 

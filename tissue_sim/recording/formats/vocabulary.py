@@ -63,8 +63,23 @@ _SOURCES = {"specimen": re.compile(r"\b(extensomet\w*|extensomètre|video\w*|vid
             "machine": re.compile(r"\b(crosshead|traverse|traversenweg|actuator|ram|grips?|machine|maschine|motor|"
                                   r"stage)\b")}
 _CORRECTED = re.compile(r"\b(corrected|korrigiert\w*|corrigée?|tared|tarred|zeroed|net|compensated|kompensiert\w*)\b")
-#: Added to the rank of a column that is measured by the machine, and of one of another measure than the nominal one.
-_BY_MACHINE, _OTHER_MEASURE = 1, 4
+
+
+@dataclass(frozen=True)
+class RankSettings:
+    """Ranks of columns of the same role; the column with the lowest rank is read.
+
+    Attributes:
+        by_machine: addition to the rank of a column that the machine measures, including its own compliance.
+        other_measure: addition to the rank of a column of a measure other than the nominal one.
+    """
+
+    by_machine: int = 1
+    other_measure: int = 4
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = RankSettings()
 #: Words of measures that make no sense of a time, a force or a temperature.
 _TRUE = re.compile(r"\b(true|cauchy|wahre[rn]?|vraie?s?)\b")
 _SHEAR = re.compile(r"\b(shear|shr|scher\w*|schub\w*|cisaillement)\b")
@@ -152,13 +167,13 @@ def role_of(name: str, unit: str | None, machine: Machine | None = None) -> tupl
     if role not in _QUANTITY:
         return None
     if role in ("stress", "strain", "shear strain", "stretch"):
-        rank += _OTHER_MEASURE * (measure_of(words, role) in MEASURES)
+        rank += _SETTINGS.other_measure * (measure_of(words, role) in MEASURES)
     elif _TRUE.search(words):
         return None
     source = source_of(words)
     if source in ("specimen", "corrected"):
-        rank = min(rank - 1, -1) if rank < _OTHER_MEASURE else rank - 1
-    return role, rank + _BY_MACHINE * (source == "machine")
+        rank = min(rank - 1, -1) if rank < _SETTINGS.other_measure else rank - 1
+    return role, rank + _SETTINGS.by_machine * (source == "machine")
 
 
 def source_of(words: str) -> str:
