@@ -1,4 +1,4 @@
-"""The text of a campaign, with a reason behind each line that was guessed."""
+"""Write the text of a campaign, with the reason of each assumed line."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from calibration.importing.assumption_table import campaign_comment
 from calibration.importing.imported import ImportedTest, Line
 from calibration.report.drawing import format_count
 
-#: Where a reason begins, where the line is short enough.
-_COLUMN = 44
+#: Character position of the reason in a line that is short enough.
+_REASON_POSITION = 44
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 FILL_IN = "FILL IN"
 
@@ -75,7 +75,7 @@ def _line(line: Line) -> str:
     text = f"{_key(line.key)} = {toml_value(line.value)}"
     if not reason:
         return text
-    return f"{text:<{_COLUMN}}  # {reason}" if len(text) + len(reason) < 116 else f"# {reason}\n{text}"
+    return f"{text:<{_REASON_POSITION}}  # {reason}" if len(text) + len(reason) < 116 else f"# {reason}\n{text}"
 
 
 def _key(key: str) -> str:

@@ -35,7 +35,7 @@ def same_decimal_mark(understood: Sequence[Understanding]) -> list[Understanding
 
 
 def decimal_reason(parts: Sequence[Part]) -> str:
-    """Why a campaign states the decimal mark of its files, in words."""
+    """Return the reason why a campaign states the decimal mark of its files, in one sentence."""
     found = [assumption for part in parts for assumption in part.understanding.assumptions
              if assumption.subject in ("thousands separator", "decimal mark")]
     found.sort(key=lambda each: each.subject, reverse=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from calibration.importing.imported import ImportedTest, Wishes
+from calibration.importing.imported import ImportedTest, ImportOptions
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.experiment.tools.tool import TOOLS, read_shape
@@ -18,7 +18,7 @@ from tissue_sim.recording.measures import ENGINEERING, MEASURES
 _AFM = ("afm", "jpk", "bruker")
 
 
-def check_wishes(wishes: Wishes) -> None:
+def check_options(wishes: ImportOptions) -> None:
     """Refuse statements that contradict each other, whatever the files hold.
 
     Raises:
@@ -38,7 +38,7 @@ def check_wishes(wishes: Wishes) -> None:
             raise InputError(f"measure of {flag_name(channel)} must be {expected}; got {measure!r}", field="--measure")
 
 
-def require_used(wishes: Wishes, files: Sequence[Understanding], tests: Sequence[ImportedTest]) -> None:
+def require_used(wishes: ImportOptions, files: Sequence[Understanding], tests: Sequence[ImportedTest]) -> None:
     """Refuse statements that no file needs.
 
     Raises:
@@ -51,7 +51,7 @@ def require_used(wishes: Wishes, files: Sequence[Understanding], tests: Sequence
 
 
 def applies(key: str, value: Any, kind: TestKind | None) -> bool:
-    """Whether a test of this kind (None: not known yet) has the key of ``[[test]]`` with this value."""
+    """Return whether a test of this kind (None: not known yet) has the key of ``[[test]]`` with this value."""
     if kind is None:
         return True
     if key == "friction":
@@ -66,7 +66,8 @@ def _is_plate(shape: Any) -> bool:
     return name in TOOLS and TOOLS[name].is_plate
 
 
-def _unused(wishes: Wishes, files: Sequence[Understanding], tests: Sequence[ImportedTest]) -> Iterator[tuple[str, str]]:
+def _unused(wishes: ImportOptions, files: Sequence[Understanding], tests: Sequence[ImportedTest]
+            ) -> Iterator[tuple[str, str]]:
     """(flag, reason) of each statement without effect."""
     yield from _of_files(wishes, files)
     yield from _of_columns(wishes, files)
@@ -86,7 +87,7 @@ def _unused(wishes: Wishes, files: Sequence[Understanding], tests: Sequence[Impo
                "displacement and force are read if all sizes are stated")
 
 
-def _of_files(wishes: Wishes, files: Sequence[Understanding]) -> Iterator[tuple[str, str]]:
+def _of_files(wishes: ImportOptions, files: Sequence[Understanding]) -> Iterator[tuple[str, str]]:
     stated, kinds = wishes.stated, {each.kind_of_file for each in files}
     if stated.sheet is not None and not kinds & {"workbook", "container"}:
         yield "--sheet", "only spreadsheets and containers of arrays have sheets"
@@ -99,7 +100,7 @@ def _of_files(wishes: Wishes, files: Sequence[Understanding]) -> Iterator[tuple[
             yield "--column", "files of an AFM name their channels"
 
 
-def _of_columns(wishes: Wishes, files: Sequence[Understanding]) -> Iterator[tuple[str, str]]:
+def _of_columns(wishes: ImportOptions, files: Sequence[Understanding]) -> Iterator[tuple[str, str]]:
     columns: list[ColumnGuess] = [column for each in files for reading in each.readings for column in reading.columns]
     read = {name for column in columns for name in (column.channel, column.role)}
     stated = wishes.stated

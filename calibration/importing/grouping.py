@@ -1,4 +1,4 @@
-"""Which files are replicates of a test, and which are tests of their own."""
+"""Group files: replicates of one test, and separate tests."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def _numbered(files: Sequence[Path]) -> dict[Path, str]:
 
 
 def same_motion(first: Part, second: Part) -> bool:
-    """Whether two files move alike, within `REPLICATE_TOLERANCE`."""
+    """Return whether two files move alike, within `REPLICATE_TOLERANCE`."""
     kind = KINDS[first.reading.kind.kind] if first.reading.kind.kind else None
     pairs = []
     a, b = first.motions[0], second.motions[0]

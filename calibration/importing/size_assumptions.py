@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from calibration.importing.imported import Wishes
+from calibration.importing.imported import ImportOptions
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
 from tissue_sim.recording.formats.guesses import Reading, Understanding
@@ -21,7 +21,7 @@ _GIVEN_BY = {"radius_mm": ("diameter", "radius", "circumference", "area"), "area
              "height_mm": ("height", "thickness", "length", "gauge length")}
 
 
-def with_size_assumptions(found: Understanding, wishes: Wishes) -> Understanding:
+def with_size_assumptions(found: Understanding, wishes: ImportOptions) -> Understanding:
     """The understanding with an assumption about each size that the file states, unless the user states it."""
     return replace(found, readings=tuple(
         replace(reading, assumptions=(*reading.assumptions, *size_assumptions(reading, wishes.specimen)))
@@ -51,7 +51,7 @@ def size_assumptions(reading: Reading, stated: Mapping[str, Any]) -> tuple[Assum
 
 
 def unclear_statement(reading: Reading, key: str) -> str:
-    """Why a statement of the file does not give the size `key`, in words; empty if there is no such statement."""
+    """Return the reason why a statement in the file does not give the size `key`; empty without such a statement."""
     seen = sizes_without_unit(reading.stated)
     found = next((seen[name] for name in _GIVEN_BY.get(key, ()) if name in seen), "")
     if found:

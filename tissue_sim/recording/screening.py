@@ -156,7 +156,7 @@ class Control:
 
     @property
     def sentence(self) -> str:
-        """What an elastic law cannot describe, and the remedy; empty where there is nothing."""
+        """Behaviour that an elastic law cannot describe, and the remedy; empty without such behaviour."""
         if self.dissipates:
             return (f"oscillation at {self.frequency:.3g} Hz with the loss factor {self.loss_factor:.2f}: the force is "
                     "out of phase, and an elastic law cannot describe it; measure the relaxation in a hold, and "

@@ -149,13 +149,13 @@ def segments_of(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | 
 
 
 def _oscillates(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None) -> bool:
-    """Whether the cycles are an oscillation around an offset, which does not precondition."""
+    """Return whether the cycles are an oscillation around an offset, which does not precondition."""
     found = find_oscillation(displacement, force, time)
     return found is not None and not found.returns
 
 
 def _is_ordered(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None) -> bool:
-    """Whether the samples are in the order of time, and the specimen is loaded to one side."""
+    """Return whether the samples are in the order of time, and the specimen is loaded to one side."""
     reach, least = float(np.abs(displacement).max()) or 1.0, int(np.argmin(displacement))
     both_sides = displacement[least] < -0.2 * reach and force[least] < -0.2 * float(np.abs(force).max())
     table = time is None and (displacement[-1] < displacement[0] or

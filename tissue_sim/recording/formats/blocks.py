@@ -198,7 +198,7 @@ def is_unit_row(row: Row, places: Sequence[int]) -> bool:
 
 
 def is_mostly_units(row: Row, places: Sequence[int]) -> bool:
-    """Whether at least two cells at the places, and half of them, hold units, and the others a short word."""
+    """Return whether at least two cells at the places, and half of them, hold units, and the others a short word."""
     cells = [row.cells[place] for place in places if place < len(row.cells) and row.cells[place]]
     known = sum(known_unit(cell) is not None for cell in cells)
     return known >= max(2, 0.5 * len(cells)) and all(_SHORT.match(cell) and not is_number(cell) for cell in cells)

@@ -57,7 +57,7 @@ def without_cell_units(rows: list[Row], text: str | None = None) -> list[Row]:
 
 
 def _is_of_quantities(row: Row, *, begun: bool) -> bool:
-    """Whether most cells are numbers, at least one with a unit; a later row of a table may have lost its numbers."""
+    """Return whether most cells are numbers, and at least one has a unit; `begun` rows may have lost their units."""
     filled = [cell for cell in row.cells if cell]
     united = sum(split_quantity(cell) is not None for cell in filled)
     numbers = united + sum(map(is_number, filled))

@@ -79,7 +79,7 @@ def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int
 
     Columns by name: the header is the first row that contains every named column. A column matches by its whole header
     (``"Load (N)"``) or by the part before the unit (``"Load"``), whatever the case. A header that comes again, below or
-    in the same row, begins another recording; one below it whose time goes on is the same one. Columns by place only:
+    in the same row, begins another recording; one below it whose time continues is the same one. Columns by place only:
     the table begins with the first row that has a number in each of them.
 
     Delimiter of a text: comma, semicolon or tab, whichever has such a row, unless it is stated. Rows of text below the
@@ -94,7 +94,7 @@ def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int
             the value is (sign * scale * cell + offset) units. An offset ``"start"`` counts from the first sample.
             ``measure`` of a stretch or nominal stress, a name in `tissue_sim.recording.measures.MEASURES`:
             the value is of that measure and is converted for an incompressible specimen.
-        skip_lines: lines (rows) at the top of the file that are not looked at.
+        skip_lines: number of lines (rows) at the top of the file that are ignored.
         delimiter: one character; a blank stands for any number of blanks. None: found. Text only.
         sheet: name or number (from 1) of a spreadsheet's sheet, or of a container's table, or a list of them, which
             are replicates. None: the only one that holds anything.
@@ -198,7 +198,7 @@ def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, met
     blocks: list[Block]
     table, blocks = (named_blocks(tables, names, also=places, file=path) if names
                      else placed_blocks(tables, places, file=path))
-    # The end goes on from the last row; what is above that is another block.
+    # The plain end continues the last row; rows above belong to another block.
     if end is not None and (len(blocks) > 1 or not blocks[0].rows or blocks[0].rows[-1].line != table.rows[-1].line):
         raise NotPlainError
     # A summary has the names of its table, too.
@@ -252,7 +252,7 @@ def _marks(blocks: Sequence[Block], chosen: Sequence[Sequence[Column]], delimite
 
 
 def _goes_on(first: Recording, second: Recording) -> bool:
-    """Whether the second is a later part of the same test: its clock goes on."""
+    """Return whether the second recording is a later part of the same test, with a continuing clock."""
     return ("time" in first and "time" in second and first.labels.keys() == second.labels.keys()
             and second.time[0] >= first.time[-1] > first.time[0])
 
@@ -265,7 +265,7 @@ def _joined(first: Recording, second: Recording) -> Recording:
 
 def _choose(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int], block: Block, named: bool,
             path: Path) -> list[Column]:
-    """Where each channel stands under the header (the first row of numbers where nothing is named)."""
+    """Return the column of each channel under the header (without names: the first row of numbers)."""
     chosen: list[Column] = []
     faults: list[InputError] = []
     header = block.header
@@ -295,14 +295,14 @@ def _choose(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int], 
         added = 0.0 if isinstance(stated, str) else stated * factor / entry.get("scale", 1.0)
         chosen.append(Column(channel, index, cell, sign * factor, sign * offset + added))
     if faults:
-        # All at once: a person mends them in one go.
+        # One error lists all faults, so that the user can correct them together.
         raise InputError("; ".join(fault.problem for fault in faults), file=path, line=header.line,
                          field=faults[0].field if len(faults) == 1 else "columns")
     return chosen
 
 
 def _narrow(rows: Sequence[Row], chosen: Sequence[Column]) -> tuple[list[Row], list[Column]]:
-    """The chosen columns alone, and the rows that have something in them: a sheet holds other things beside a table."""
+    """Select the chosen columns, and the rows with content in them; a sheet may have other content around a table."""
     return (narrow(rows, [column.index for column in chosen]),
             [Column(column.channel, i, column.header, column.factor, column.offset)
              for i, column in enumerate(chosen)])

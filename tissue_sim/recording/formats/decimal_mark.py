@@ -60,7 +60,7 @@ _QUANTITY = re.compile(r"(?<![\d.,])\d+(?P<mark>[.,])(?!\d{3}\b)\d+\s*[\[(]?(mm|
 
 @dataclass(frozen=True)
 class NumberMarks:
-    """How the numbers of a table are written.
+    """Spelling of the numbers of a table.
 
     Attributes:
         decimal: decimal mark, ``"."`` or ``","``.
@@ -198,7 +198,7 @@ def _first_example(columns: Iterable[Sequence[str]]) -> str:
 
 
 def _differs(cell: str) -> bool:
-    """Whether the two decimal marks give two numbers."""
+    """Return whether the two decimal marks give two numbers."""
     if isinstance(cell, ExactNumber) or not ("." in cell or "," in cell):
         return False
     point, comma = parse_number(cell, "."), parse_number(cell, ",")
@@ -206,7 +206,7 @@ def _differs(cell: str) -> bool:
 
 
 def _vote(cells: Sequence[str]) -> _Vote | None:
-    """What the values of one column show; None: no value has a point or comma."""
+    """Return the evidence of the values of one column; None: no value has a point or comma."""
     text = "\n".join(cell for cell in cells if not isinstance(cell, ExactNumber))
     marks = [mark for mark in DECIMAL_MARKS if mark in text]
     if not marks:
@@ -233,7 +233,7 @@ def _cell_at(text: str, place: int) -> str:
 
 
 def _detailed_vote(cells: Sequence[str]) -> _Vote | None:
-    """What the values of one column show, by each value and by the jumps between them."""
+    """Return the evidence of the values of one column, from each value and from the jumps between values."""
     cells = [cell for cell in cells if cell]
     readings = {mark: np.array([parse_number(cell, mark) for cell in cells]) for mark in DECIMAL_MARKS}
     marked = np.array([not isinstance(cell, ExactNumber) and ("." in cell or "," in cell) for cell in cells])
@@ -262,7 +262,7 @@ def _other(mark: str) -> str:
 
 
 def _is_damage(cells: Sequence[str], refused: np.ndarray, count: int) -> bool:
-    """Whether the few refused cells may be damaged, and prove nothing: none of them begins with a zero."""
+    """Return whether the few refused cells may be damaged, and prove nothing: none of them begins with a zero."""
     odd = [cell for cell, is_odd in zip(cells, refused.tolist(), strict=True) if is_odd]
     return len(odd) <= _SETTINGS.damaged_fraction * count + 1 and count > _SETTINGS.most_short and not any(
         cell.lstrip("+-").startswith("0") for cell in odd)

@@ -1,4 +1,4 @@
-"""Where a table begins: the row that names its columns, or its first row of numbers."""
+"""Find the start of a table: the row of names, or the first row of numbers."""
 
 from __future__ import annotations
 

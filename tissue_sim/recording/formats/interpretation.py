@@ -11,7 +11,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
 from tissue_sim.recording.formats.comparison import shared_values
 from tissue_sim.recording.formats.gauge_length import is_derived
-from tissue_sim.recording.formats.guesses import ColumnGuess, Stated
+from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints
 from tissue_sim.recording.formats.pairing import with_measure
 from tissue_sim.recording.formats.vocabulary import Machine, plain, source_of
 from tissue_sim.recording.measures import ENGINEERING, MEASURES, measure_of, other_measures
@@ -63,7 +63,7 @@ def flag_name(channel: str) -> str:
     return {"nominal stress": "stress"}.get(channel, channel.replace(" ", "_"))
 
 
-def format_assumption(machine: Machine | None, stated: Stated) -> Assumption:
+def format_assumption(machine: Machine | None, stated: ColumnHints) -> Assumption:
     """The machine whose words and units count."""
     if machine is None:
         return Assumption("format", "table", ("no mark of a known machine",), flag="--format table",
@@ -73,7 +73,7 @@ def format_assumption(machine: Machine | None, stated: Stated) -> Assumption:
 
 
 def column_assumptions(read: Read, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
-                       others: Sequence[ColumnGuess], stated: Stated) -> Iterator[Assumption]:
+                       others: Sequence[ColumnGuess], stated: ColumnHints) -> Iterator[Assumption]:
     """Role, unit, sign and measure of each column.
 
     Args:
@@ -177,7 +177,7 @@ def _quoted(text: str) -> str:
 
 
 def _unit(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
-          others: Sequence[ColumnGuess], stated: Stated, flag: str) -> Assumption:
+          others: Sequence[ColumnGuess], stated: ColumnHints, flag: str) -> Assumption:
     channel, subject = column.channel, f"unit of {column.channel}"
     is_stated = not (stated.units.keys() | stated.scales.keys()).isdisjoint({channel, column.role})
     alternatives = () if is_stated or not _is_ratio(column) else _percent(
@@ -211,12 +211,12 @@ def _unit(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], recor
 
 
 def _has_cell_units(column: ColumnGuess) -> bool:
-    """Whether the cells of a column have units behind their numbers."""
+    """Return whether the cells of a column have units behind their numbers."""
     return "unit behind each number" in column.reason
 
 
 def _is_ratio(column: ColumnGuess) -> bool:
-    """Whether the numbers of a column count as strains or stretches as they are, without a unit or under mm/mm."""
+    """Return whether the numbers of a column, without a unit or in mm/mm, are strains or stretches without a factor."""
     if column.strain_unit is not None:
         return UNITS.get(column.strain_unit) == UNITS["-"]
     return CHANNELS[column.channel] == "ratio" and column.scale is None and (
@@ -251,7 +251,7 @@ def _percent(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], re
 
 
 def _measure(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
-             stated: Stated, flag: str) -> Assumption:
+             stated: ColumnHints, flag: str) -> Assumption:
     """The measure of a strain or stress, with those that the other columns suggest."""
     words = plain(column.header)
     named = measure_of(words, column.role)

@@ -63,7 +63,7 @@ class NamedTest:
         return " " in self.word
 
     def refusal(self) -> InputError:
-        """Why no registered kind is taken for the unknown test.
+        """Return the error for a test without a registered kind.
 
         Raises:
             ValueError: the test has a kind.

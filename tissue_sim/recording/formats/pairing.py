@@ -10,7 +10,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.cell_units import CellUnits, split_quantity
 from tissue_sim.recording.formats.columns import column_number
 from tissue_sim.recording.formats.gauge_length import displacement_of_strain, gauge_length, stretch_of_displacement
-from tissue_sim.recording.formats.guesses import ColumnGuess, Stated
+from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints
 from tissue_sim.recording.formats.header import matches
 from tissue_sim.recording.formats.kind_hints import title_hints
 from tissue_sim.recording.formats.kind_words import named_tests
@@ -83,7 +83,7 @@ class Group:
                 *((each.channel, each.header or each.place, each.unit) for each in self.columns))
 
 
-def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated, statements: Mapping[str, str]
+def find_groups(numbers: Numbers, machine: Machine | None, stated: ColumnHints, statements: Mapping[str, str]
                 ) -> list[Group]:
     """The recordings in adjacent columns: a motion, a load, and the time where there is one.
 
@@ -136,7 +136,7 @@ def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated, state
     return groups
 
 
-def _stated_group(numbers: Numbers, named: Sequence[ColumnGuess], stated: Stated,
+def _stated_group(numbers: Numbers, named: Sequence[ColumnGuess], stated: ColumnHints,
                   statements: Mapping[str, str]) -> Group:
     """The recording of the columns that the user names."""
     roles = {column.role: column for column in named}
@@ -178,7 +178,7 @@ def _variant(numbers: Numbers, place: int, role: str) -> tuple[str, str]:
     return source_of(words), measure_of(words, role) or ""
 
 
-def _speed_for(roles: Collection[str], numbers: Numbers, stated: Stated) -> tuple[float, str] | None:
+def _speed_for(roles: Collection[str], numbers: Numbers, stated: ColumnHints) -> tuple[float, str] | None:
     """The constant speed of a table of time and force without a motion, m/s, and its source; None: not such a table, or
     no speed is known."""
     if not {"time", "force"} <= set(roles) or set(roles) & {"displacement", "stretch", "strain", "shear strain"}:
@@ -233,7 +233,7 @@ def _best(part: Sequence[KnownColumn]) -> dict[str, int]:
     return {role: each.place for role, each in best.items()}
 
 
-def _pair(chosen: Mapping[str, int], stated: Stated) -> tuple[str, str] | None:
+def _pair(chosen: Mapping[str, int], stated: ColumnHints) -> tuple[str, str] | None:
     """Roles of the motion and the load that belong together; what the load frame measured before what is derived."""
     sheared = stated.kind == "simple_shear" or "shear strain" in chosen
     mechanical = [("displacement", "force")]
@@ -242,7 +242,7 @@ def _pair(chosen: Mapping[str, int], stated: Stated) -> tuple[str, str] | None:
     return next((pair for pair in pairs if set(pair) <= set(chosen)), None)
 
 
-def _column(numbers: Numbers, place: int, role: str, machine: Machine | None, stated: Stated, *,
+def _column(numbers: Numbers, place: int, role: str, machine: Machine | None, stated: ColumnHints, *,
             is_named: bool = False) -> ColumnGuess:
     channel = _CHANNEL[role]
     unit, header = numbers.unit(place), numbers.name(place)
@@ -300,7 +300,7 @@ def with_measure(column: ColumnGuess, stated: str | None = None) -> ColumnGuess:
     return replace(column, reason=reason)
 
 
-def _stated_column(numbers: Numbers, channel: str, name: str | int, stated: Stated) -> ColumnGuess | None:
+def _stated_column(numbers: Numbers, channel: str, name: str | int, stated: ColumnHints) -> ColumnGuess | None:
     """The column that a person names; None: this table has none of that name."""
     place = _place(numbers, name)
     if place is None or place not in numbers.columns:
@@ -321,9 +321,9 @@ def _place(numbers: Numbers, name: str | int) -> int | None:
     return place if place < numbers.width else None
 
 
-def no_pair(found: Sequence[Numbers], machine: Machine | None, stated: Stated,
+def no_pair(found: Sequence[Numbers], machine: Machine | None, stated: ColumnHints,
             statements: Callable[[Numbers], Mapping[str, str]]) -> str:
-    """Why no table is a recording, everything that is missing in one sentence.
+    """Return the message for a file without a recording, which lists all missing information.
 
     Args:
         statements: table -> key and value with unit, as the file states them about it.

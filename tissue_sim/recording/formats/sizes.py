@@ -46,7 +46,7 @@ class Size:
 
 
 @dataclass(frozen=True)
-class _Stated:
+class _StatedSize:
     """A size as a file states it: m or m2, and its relative rounding."""
 
     key: str
@@ -72,7 +72,7 @@ def find_sizes(stated: Mapping[str, str], kind: str | None) -> dict[str, Size]:
 def stated_sizes(stated: Mapping[str, str], kind: str | None) -> dict[str, tuple[Size, ...]]:
     """``radius_mm`` or ``area_mm2``, and ``height_mm`` -> the sizes that a file states for it, more than
     `CONTRADICTION` apart; the first one counts."""
-    known: dict[str, list[_Stated]] = {}
+    known: dict[str, list[_StatedSize]] = {}
     for key, text in stated.items():
         name = size_class(key)
         one = None if name is None else _area(key, text) if name == "area" else _length(key, text)
@@ -99,7 +99,7 @@ def stated_sizes(stated: Mapping[str, str], kind: str | None) -> dict[str, tuple
     return found
 
 
-def _rectangles(known: Mapping[str, Sequence[_Stated]], kind: str | None, height: str | None
+def _rectangles(known: Mapping[str, Sequence[_StatedSize]], kind: str | None, height: str | None
                 ) -> list[_Candidate]:
     """Width times thickness, mm2; of a sheared or compressed block width times length."""
     second = {"simple_shear": ("length",), "uniaxial_tension": ("thickness",)}.get(
@@ -156,23 +156,23 @@ def quantity_in(text: str) -> tuple[float, str | None] | None:
     return None if match is None or math.isnan(value) else (value, match["unit"])
 
 
-def _length(key: str, text: str) -> _Stated | None:
+def _length(key: str, text: str) -> _StatedSize | None:
     """m."""
     pair = quantity_in(text)
     unit = None if pair is None or pair[1] is None else known_unit(pair[1])
     if pair is None or unit is None or UNITS[unit][0] != "length" or not 0 < pair[0] < 1e9:
         return None
-    return _Stated(key, pair[0] * UNITS[unit][1], _rounding(text, pair[0]))
+    return _StatedSize(key, pair[0] * UNITS[unit][1], _rounding(text, pair[0]))
 
 
-def _area(key: str, text: str) -> _Stated | None:
+def _area(key: str, text: str) -> _StatedSize | None:
     """m2."""
     number, _, rest = text.strip().partition(" ")
     pair = quantity_in(text) or quantity_in(number)
     match = _SQUARE.match((pair[1] or "") if pair else "") or _SQUARE.match(rest.strip()) or _IN_KEY.search(key)
     if pair is None or match is None or not 0 < pair[0] < 1e9:
         return None
-    return _Stated(key, pair[0] * UNITS[known_unit(match["unit"]) or "mm"][1] ** 2, _rounding(text, pair[0]))
+    return _StatedSize(key, pair[0] * UNITS[known_unit(match["unit"]) or "mm"][1] ** 2, _rounding(text, pair[0]))
 
 
 def _rounding(text: str, value: float) -> float:

@@ -72,7 +72,7 @@ class Statements(dict[str, str]):
 
 def table_statements(numbers: Numbers, used: Sequence[int], *, decimal: str | None, table: int = 0, tables: int = 1
                      ) -> Statements:
-    """What a file states about one table of numbers.
+    """Return the statements of a file about one table of numbers.
 
     Args:
         numbers: the table. used: places from 0 of the columns that are read.
@@ -104,7 +104,7 @@ def add_unstated(rows: Sequence[Row], found: Statements, decimal: str | None, ta
 
 
 def states_sizes(rows: Sequence[Row]) -> bool:
-    """Whether rows outside of the numbers state a size of the specimen."""
+    """Return whether rows outside of the numbers state a size of the specimen."""
     found = Statements()
     row_statements(rows, found)
     return any(size_class(key) is not None for key in found)
@@ -263,7 +263,7 @@ def _sentences(row: Row, decimal: str | None) -> Iterator[tuple[str, str]]:
 
 
 def _same(stated: str, quantity: str) -> bool:
-    """Whether a statement is the same quantity, with a unit."""
+    """Return whether a statement is the same quantity, with a unit."""
     first, second = quantity_in(stated), quantity_in(quantity)
     return first is not None and second is not None and first[1] is not None and first[0] == second[0]
 

@@ -53,7 +53,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Column:
-    """Where a channel or label stands and how its numbers become SI: value * factor + offset."""
+    """Column of a channel or label, and the conversion of its numbers to SI: value * factor + offset."""
 
     channel: str
     index: int

@@ -1,4 +1,4 @@
-"""What the columns of test machines are called, and what is known of single machines: data for one reader of all.
+"""Words in the headers of test machines, and properties of single machines.
 
 Sources: the vendors' manuals and the exports that people publish programs for: Bluehill raw data (``Time``,
 ``Extension``, ``Load`` with ``(s)``, ``(mm)``, ``(N)`` below; load and extension are negative in compression), MTS 793
@@ -177,7 +177,7 @@ def role_of(name: str, unit: str | None, machine: Machine | None = None) -> tupl
 
 
 def source_of(words: str) -> str:
-    """Where a column is measured, by its header in lower case: ``specimen``, ``machine``, ``corrected`` or empty."""
+    """Return the source of a column by its header in lower case: ``specimen``, ``machine``, ``corrected`` or empty."""
     if _CORRECTED.search(words):
         return "corrected"
     return next((name for name, pattern in _SOURCES.items() if pattern.search(words)), "")
