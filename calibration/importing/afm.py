@@ -34,7 +34,7 @@ def is_afm(path: Path) -> bool:
 
 
 def understand_afm(path: Path) -> Understanding:
-    """The curves of such a file.
+    """Interpret a file of force curves of an AFM.
 
     Raises:
         InputError: as `tissue_sim.recording.formats.afm.read_afm`.

@@ -1,4 +1,4 @@
-"""The assumptions of an import as one table: for the terminal, the picture and the campaign."""
+"""Format the assumptions of an import as a table for the terminal, the picture and the campaign."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import NamedTuple
 from calibration.importing.imported import ImportedTest, assumptions_of
 from tissue_sim.errors import shortened
 
+#: Headings of the columns of the table.
 HEADINGS = ("assumption", "value", "evidence", "against", "or", "flag")
 
 
@@ -50,7 +51,7 @@ class AssumptionRow(NamedTuple):
 
 
 def assumption_rows(tests: Sequence[ImportedTest]) -> list[AssumptionRow]:
-    """A row for each assumption; files that share one have one row."""
+    """Return one row for each assumption; files with the same assumption share a row."""
     found = assumptions_of(tests)
     files = list(dict.fromkeys(name for name, _ in found))
     rows = []
@@ -70,12 +71,12 @@ def _ratio(modulus_ratio: float | None) -> str:
 
 
 def _plain(text: str) -> str:
-    """The text on one line, without characters that move the cursor."""
+    """Return the text on one line, with ``?`` for control characters."""
     return " ".join("".join(each if each.isprintable() or each.isspace() else "?" for each in text).split())
 
 
 def campaign_comment(tests: Sequence[ImportedTest]) -> str:
-    """The table as comments of a campaign, with the columns that are not used; empty: no assumptions."""
+    """Return the table as comments of a campaign, with the unused columns; empty without assumptions."""
     rows = assumption_rows(tests)
     if not rows:
         return ""

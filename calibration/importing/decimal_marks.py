@@ -1,4 +1,4 @@
-"""One decimal mark for files of one import, so that replicates are read with the same options."""
+"""Set one decimal mark for all files of an import, so that replicates have equal options."""
 
 from __future__ import annotations
 

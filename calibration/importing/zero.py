@@ -43,7 +43,7 @@ class ZeroSettings:
 
 #: Settings that the functions of this module use.
 _SETTINGS = ZeroSettings()
-#: Shifts that are tried, in the shift of the first estimate.
+#: Trial shifts of contact, relative to the first estimate of the shift.
 _SHIFTS = np.linspace(0.0, 3.0, 121)
 PRELOAD = "preload"
 SENSOR = "sensor"
@@ -65,7 +65,7 @@ class _Explanation:
 
 def with_zero(parts: Sequence[Part], sizes: Mapping[str, float], laws: Sequence[str], stated: str | None
               ) -> tuple[tuple[Part, ...], Zero | None]:
-    """The replicates of a test with the assumption about their zero, and the zero; None: the load starts from zero.
+    """Add the assumption about the zero to the replicates of a test, and return the zero; None: the load starts at 0.
 
     Args:
         parts: of one test. sizes: ``height_mm`` and ``radius_mm`` or ``area_mm2``, as far as known.
@@ -161,7 +161,7 @@ def linear_laws(names: Sequence[str]) -> tuple[str, ...]:
 
 def _decide(explanations: Sequence[tuple[dict[str, _Explanation], float]], start: LoadAtZero,
             kind: TestKind | None, stated: str | None) -> tuple[Assumption, str, float | None]:
-    """The assumption, its value, and the shift of contact by the fit, m."""
+    """Return the assumption, its value, and the fitted shift of contact, m."""
     if start.load < 0 and kind is not None and not kind.can_pull:
         return _against_the_load(start, stated), SENSOR, None
     words = {**_WORDS, PRELOAD: _AGAINST} if start.load < 0 else _WORDS

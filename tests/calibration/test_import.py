@@ -286,7 +286,7 @@ def test_mutated_exports_are_understood_or_refused_in_one_sentence(tmp_path, mon
             assert "\n" not in str(error) and path.name in str(error) and error.file == path, number
 
 
-def test_blocks_beside_each_other_of_different_length(tmp_path):
+def test_blocks_side_by_side_of_different_length(tmp_path):
     first, second = exponent((1,)), exponent((2,))
     rows = [a.rstrip("\n") + "\t" + (b.rstrip("\n") if i < 60 else "\t\t")
             for i, (a, b) in enumerate(zip(first.content.decode().splitlines(), second.content.decode().splitlines(),

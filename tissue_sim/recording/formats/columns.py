@@ -1,5 +1,4 @@
-"""Foreign tables, text, spreadsheet or container, by a map of channels to columns: by name under a header, or by place.
-"""
+"""Read tables of texts, spreadsheets and containers by a map from channels to columns: names or positions."""
 
 from __future__ import annotations
 
@@ -35,8 +34,9 @@ from tissue_sim.recording.measures import check_measure, convert_measures
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
 from tissue_sim.units import loose_header, split_header
 
+#: Keys of an entry of ``columns``.
 _KEYS = ("name", "column", "unit", "sign", "scale", "offset", "measure")
-#: More than any table has.
+#: Largest column number that is accepted.
 _MOST_COLUMNS = 1_000_000
 #: The last column of a spreadsheet is XFD.
 _LETTERS = re.compile(r"[A-Za-z]{1,3}")
@@ -46,11 +46,13 @@ Curves = int | Sequence[int]
 
 @dataclass(frozen=True)
 class MarkedRecording:
-    """A recording of a table.
+    """Recording of a table with the spelling of its numbers.
 
     Attributes:
-        recording: SI. marks: decimal mark and thousands separator of its numbers.
-        line: of the header. sheet: name of the sheet; empty in a text.
+        recording: recording in SI.
+        marks: decimal mark and thousands separator of the numbers.
+        line: line of the header.
+        sheet: name of the sheet; empty in a text.
     """
 
     recording: Recording
@@ -61,10 +63,10 @@ class MarkedRecording:
 
 def read_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0, delimiter: str | None = None,
                  sheet: Sheets | None = None, metadata: Mapping[str, Any] | None = None) -> Recording:
-    """The only recording that `read_blocks` finds.
+    """Read a file with exactly one recording; see `read_blocks` for the arguments.
 
     Raises:
-        InputError: there are several; and as there.
+        InputError: several recordings, or an error of `read_blocks`.
     """
     found = read_blocks(path, columns, skip_lines=skip_lines, delimiter=delimiter, sheet=sheet, metadata=metadata)
     if len(found) > 1:
@@ -75,7 +77,7 @@ def read_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: in
 def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0, delimiter: str | None = None,
                 sheet: Sheets | None = None, curve: Curves | None = None, decimal: str | None = None,
                 metadata: Mapping[str, Any] | None = None) -> tuple[Recording, ...]:
-    """Recordings from chosen columns of any delimited text file, spreadsheet or container of arrays.
+    """Read recordings from chosen columns of a delimited text, a spreadsheet or a container of arrays.
 
     Columns by name: the header is the first row that contains every named column. A column matches by its whole header
     (``"Load (N)"``) or by the part before the unit (``"Load"``), whatever the case. A header that comes again, below or
@@ -120,7 +122,7 @@ def read_marked_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lin
                        delimiter: str | None = None, sheet: Sheets | None = None, curve: Curves | None = None,
                        decimal: str | None = None, metadata: Mapping[str, Any] | None = None
                        ) -> tuple[MarkedRecording, ...]:
-    """Recordings as of `read_blocks`, each with the marks of its numbers, where these are open too."""
+    """Read recordings like `read_blocks`, each with the marks of its numbers; ambiguous marks are not an error."""
     path = Path(path)
     if decimal is not None:
         check_decimal(decimal)
@@ -152,7 +154,7 @@ def read_marked_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lin
 
 
 def check_decimal(decimal: Any, field: str = "decimal") -> str:
-    """The decimal mark, if it is one.
+    """Return the decimal mark if it is valid.
 
     Raises:
         InputError: neither point nor comma; with the field.
@@ -191,7 +193,7 @@ def _sheets(path: Path, sheet: Sheets | None) -> Sequence[Sheet]:
 
 def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, metadata: Mapping[str, Any] | None,
                 decimal: str | None, *, alone: bool = False, end: PlainEnd | None = None) -> list[MarkedRecording]:
-    """The recordings of the first of the tables that has the columns; with a plain end the only one."""
+    """Return the recordings of the first table with the columns; a table with a plain end has one recording."""
     names = [entry["name"] for entry in wanted.values() if "name" in entry]
     places = [entry["column"] - 1 for entry in wanted.values() if "column" in entry]
     table: Table
@@ -236,7 +238,7 @@ def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, met
 
 def _marks(blocks: Sequence[Block], chosen: Sequence[Sequence[Column]], delimiter: str | None,
            decimal: str | None) -> NumberMarks:
-    """Decimal mark of all blocks together: the columns that are read decide, then the others."""
+    """Return the common decimal mark of all blocks; columns that are read decide before other columns."""
     used = [cells for block, columns in zip(blocks, chosen, strict=True) for cells in cells_of(block.rows, columns)]
     places = {column.index for columns in chosen for column in columns}
 
@@ -309,7 +311,7 @@ def _narrow(rows: Sequence[Row], chosen: Sequence[Column]) -> tuple[list[Row], l
 
 
 def check_delimiter(delimiter: Any, field: str = "delimiter") -> str:
-    """The delimiter, if it is one.
+    """Return the delimiter if it is valid.
 
     Raises:
         InputError: not one character, or one that numbers and quoted cells are made of; with the field.
@@ -321,7 +323,7 @@ def check_delimiter(delimiter: Any, field: str = "delimiter") -> str:
 
 
 def check_columns(columns: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """The map with every entry as a mapping with ``name`` or ``column`` (from 1); the other keys only where given.
+    """Return the map with each entry as a mapping with ``name`` or ``column`` (from 1), and the other given keys.
 
     Raises:
         InputError: unknown channel or key, wrong type; with the field, such as ``columns.force.sign``.
@@ -365,7 +367,7 @@ def check_columns(columns: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def column_number(column: Any, field: str = "column") -> int:
-    """The number of a column, from 1, of a number or of a spreadsheet's letters: ``"AB"`` is 28.
+    """Return the number of a column, from 1, for a number or for letters of a spreadsheet: ``"AB"`` gives 28.
 
     Raises:
         InputError: neither; with the field.

@@ -112,7 +112,7 @@ class NumberMarks:
 
 @dataclass(frozen=True)
 class _Vote:
-    """The decimal mark that the values of a column show (None: both fit), and why."""
+    """Decimal mark that the values of a column support (None: both), with the evidence."""
 
     decimal: str | None
     reason: str = ""
@@ -122,7 +122,7 @@ class _Vote:
 
 def find_marks(used: Iterable[Sequence[str]], others: Iterable[Sequence[str]] = (), *, delimiter: str | None = None,
                stated: str | None = None) -> NumberMarks:
-    """The decimal mark of a table.
+    """Find the decimal mark of a table.
 
     Args:
         used: cells of the columns that are read, one sequence a column. others: cells of the other columns of numbers,
@@ -157,8 +157,8 @@ def find_marks(used: Iterable[Sequence[str]], others: Iterable[Sequence[str]] = 
     return _with_separators(found, columns)
 
 
-def marks_beside(marks: NumberMarks, text: str) -> NumberMarks:
-    """Open marks, decided by quantities with units in the text outside of the table, where these have one mark."""
+def marks_with_text(marks: NumberMarks, text: str) -> NumberMarks:
+    """Decide open marks by quantities with units in the text outside of the table, if these have a single mark."""
     found = {match["mark"]: match[0] for match in _QUANTITY.finditer(text)}
     if len(found) != 1:
         return marks
@@ -178,7 +178,7 @@ def _contradiction(votes: Sequence[_Vote], example: str) -> NumberMarks:
 
 
 def _with_separators(marks: NumberMarks, columns: Iterable[Sequence[str]]) -> NumberMarks:
-    """The marks with the thousands separators that occur in the columns."""
+    """Add the thousands separators that occur in the columns to the marks."""
     seen: dict[str, str] = {}
     for cells in columns:
         text = "\n".join(cells)
@@ -294,7 +294,7 @@ def _by_digits(cells: Sequence[str], marked: np.ndarray, readings: dict[str, np.
 
 
 def _smoother(readings: dict[str, np.ndarray], known: np.ndarray) -> str | None:
-    """The decimal mark that makes the column smooth where the other one makes it jump; None: neither does."""
+    """Return the decimal mark with smooth values if the other mark gives a jump; None: no mark is smoother."""
     rough = {mark: _roughness(values[known]) for mark, values in readings.items()}
     smooth, other = sorted(rough, key=lambda mark: rough[mark])
     if rough[other] >= _SETTINGS.jump_roughness and rough[other] > _SETTINGS.roughness_ratio * rough[smooth]:
@@ -309,7 +309,7 @@ def _roughness(values: np.ndarray) -> float:
 
 
 def _where_it_jumps(cells: Sequence[str], readings: dict[str, np.ndarray], smoother: str) -> str:
-    """The largest jump of the other reading, as the cells have it."""
+    """Return the largest jump of the other interpretation, in the spelling of the cells."""
     rough = readings[_other(smoother)]
     steps = np.abs(np.diff(rough))
     place = int(np.nanargmax(steps)) if np.isfinite(steps).any() else 0

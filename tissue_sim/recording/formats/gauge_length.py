@@ -1,4 +1,4 @@
-"""Columns that the gauge length turns into others: a strain into a displacement, a displacement into a stretch."""
+"""Convert columns by the gauge length: strain to displacement, or displacement to stretch."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def stretch_of_displacement(column: ColumnGuess, gauge: tuple[float, str]) -> Co
 
 
 def _first(column: ColumnGuess) -> str:
-    """The reason of a column without the conversion that is replaced."""
+    """Return the reason of a column without the replaced conversion."""
     return column.reason.split("; a strain, ")[0]
 
 

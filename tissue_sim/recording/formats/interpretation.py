@@ -1,4 +1,4 @@
-"""Assumptions on the columns of a table, and the alternatives that the evidence does not exclude."""
+"""List the assumptions about the columns of a table, and alternatives that the evidence does not exclude."""
 
 from __future__ import annotations
 
@@ -59,12 +59,12 @@ _TURNED = {"displacement": "falls under load", "force": "against the motion", "n
 
 
 def flag_name(channel: str) -> str:
-    """A channel as the command line names it."""
+    """Return the name of a channel on the command line."""
     return {"nominal stress": "stress"}.get(channel, channel.replace(" ", "_"))
 
 
 def format_assumption(machine: Machine | None, stated: ColumnHints) -> Assumption:
-    """The machine whose words and units count."""
+    """Return the assumption about the machine that wrote the file."""
     if machine is None:
         return Assumption("format", "table", ("no mark of a known machine",), flag="--format table",
                           is_stated=stated.format == "table")
@@ -74,7 +74,7 @@ def format_assumption(machine: Machine | None, stated: ColumnHints) -> Assumptio
 
 def column_assumptions(read: Read, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
                        others: Sequence[ColumnGuess], stated: ColumnHints) -> Iterator[Assumption]:
-    """Role, unit, sign and measure of each column.
+    """Yield the assumptions about role, unit, sign and measure of each column.
 
     Args:
         read: reads the table with other columns. columns: that are read. recordings: of them.
@@ -99,7 +99,7 @@ def column_assumptions(read: Read, columns: Sequence[ColumnGuess], recordings: S
 
 
 def speed_assumption(speed: tuple[float, str], recordings: Sequence[Recording]) -> Assumption:
-    """The displacement of a table of time and force, at a constant speed up to the last sample."""
+    """Return the assumption of a constant speed for a table of time and force without a displacement."""
     value, source = speed
     against = []
     for recording in recordings:
@@ -167,7 +167,7 @@ def settle_rivals(read: Read, columns: tuple[ColumnGuess, ...], recordings: tupl
 
 
 def _all_columns(columns: Sequence[ColumnGuess]) -> str:
-    """Flags that name all columns: a named column is read with the other named ones only."""
+    """Return flags that name all columns, because a named column is read only with other named columns."""
     return " ".join(f"--column {flag_name(each.role if is_derived(each) else each.channel)}="
                     f"{_quoted(each.header or str(each.place))}" for each in columns)
 
@@ -252,7 +252,7 @@ def _percent(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], re
 
 def _measure(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
              stated: ColumnHints, flag: str) -> Assumption:
-    """The measure of a strain or stress, with those that the other columns suggest."""
+    """Return the assumption about the measure of a strain or stress, with measures that other columns suggest."""
     words = plain(column.header)
     named = measure_of(words, column.role)
     is_stated = not stated.measures.keys().isdisjoint({column.channel, column.role, flag})
@@ -282,8 +282,10 @@ def _measure(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], re
 
 def _ratio_of_strains(read: Read, column: ColumnGuess, changed: ColumnGuess, columns: Sequence[ColumnGuess],
                       recordings: Sequence[Recording]) -> float | None:
-    """Shear modulus with the changed column of strain over that with the column, inverse to the strain as in a small
-    deformation; None: the column cannot be read so."""
+    """Return the ratio of the shear moduli with the changed and with the original column of strain.
+
+    The modulus of a small deformation is inverse to the strain. None: the column cannot be read with the change.
+    """
     try:
         other = read([changed if each is column else each for each in columns])
     except InputError:
@@ -296,7 +298,7 @@ def _ratio_of_strains(read: Read, column: ColumnGuess, changed: ColumnGuess, col
 
 def _ratio(read: Read, column: ColumnGuess, changed: ColumnGuess, recordings: Sequence[Recording],
            columns: Sequence[ColumnGuess]) -> float | None:
-    """Shear modulus with the changed column over that with the column; None: it cannot be read so."""
+    """Return the ratio of the shear moduli with the changed and with the original column; None: not readable."""
     try:
         other = read([changed if each is column else each for each in columns])
     except InputError:
@@ -306,8 +308,10 @@ def _ratio(read: Read, column: ColumnGuess, changed: ColumnGuess, recordings: Se
 
 
 def _shear_moduli(first: Sequence[Recording], second: Sequence[Recording]) -> tuple[float | None, float | None]:
-    """Least-squares shear modulus of a neo-Hookean specimen, P = mu (l - l^-2), Pa, of two readings of a table; None:
-    no stretch and stress."""
+    """Return the least-squares shear moduli, Pa, of a neo-Hookean specimen for two readings of a table.
+
+    The law is P = mu (l - l^-2). None: the readings have no stretch and stress.
+    """
     if not all({"stretch", "nominal stress"} <= set(each.channels) for each in (*first, *second)):
         return None, None
     parts = [shared_values(first, second, name) for name in ("stretch", "nominal stress")]
@@ -319,7 +323,7 @@ def _shear_moduli(first: Sequence[Recording], second: Sequence[Recording]) -> tu
 
 
 def _shear_modulus(stretch: np.ndarray, stress: np.ndarray) -> float | None:
-    """Least-squares shear modulus, Pa; None: it has no value."""
+    """Return the least-squares shear modulus, Pa; None without a finite value."""
     if not stretch.size or stretch.min() <= 0:
         return None
     shape = stretch - stretch**-2

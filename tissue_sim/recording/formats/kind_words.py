@@ -85,7 +85,7 @@ def plain_text(text: str) -> str:
 
 
 def named_tests(hints: Iterable[Hint]) -> tuple[NamedTest, ...]:
-    """The tests that texts name, in order; of words that overlap the longest, a registered kind's before others."""
+    """Return the tests that texts name, in order; of overlapping words the longest, and registered kinds first."""
     return tuple(named for hint in hints for line in hint.text.splitlines() if not _PEOPLE.match(plain_text(line))
                  for named in _in_line(line, hint))
 

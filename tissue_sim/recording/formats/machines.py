@@ -16,7 +16,7 @@ from tissue_sim.recording.recording import Recording
 
 
 def read_table(path: str | Path, *, sheet: Sheets | None = None, curve: int | None = None) -> tuple[Recording, ...]:
-    """The recordings in a text, spreadsheet or container of whatever machine.
+    """Read the recordings in a text, spreadsheet or container of any machine.
 
     What each column is taken for stands in the metadata of the recordings, under ``understood``: header, unit, sign and
     the reason.

@@ -32,7 +32,7 @@ _SETTINGS = OrientationSettings()
 
 def oriented(columns: Sequence[ColumnGuess], recordings: Sequence[Recording], starts: Sequence[float | None],
              kind: str | None, stated: Collection[str]) -> tuple[ColumnGuess, ...]:
-    """Columns with signs and zeros by which travel and force grow under load, and stretch and stress carry their sign.
+    """Set signs and zeros of columns: travel and force grow under load, stretch and stress have their sign.
 
     Args:
         columns: as the file has them. recordings: read so, without outliers.
@@ -118,6 +118,6 @@ def _most(answers: Iterable[bool]) -> bool:
 
 
 def largest_excursion(values: np.ndarray) -> float:
-    """The value farthest from the first one, less that."""
+    """Return the largest deviation from the first value, with its sign."""
     away = values - values[0]
     return float(away[np.argmax(np.abs(away))])

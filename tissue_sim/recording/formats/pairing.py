@@ -1,4 +1,4 @@
-"""Columns that belong together: the motion, the load and the time of a recording in a run of numbers."""
+"""Find columns of one recording: the motion, the load and the time in a run of numbers."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ from tissue_sim.units import UNITS, known_unit
 _CHANNEL = {"time": "time", "displacement": "displacement", "force": "force", "stretch": "stretch",
             "strain": "stretch", "shear strain": "shear strain", "stress": "nominal stress",
             "temperature": "temperature"}
-#: Relative difference up to which a stated speed agrees with that in the file.
+#: Largest relative difference of a stated speed from the speed in the file.
 _SPEED_TOLERANCE = 0.01
 #: A shear strain keeps the measure that its header names, which has no conversion.
 _CHANNEL_OF_MEASURE = {"shear strain": "stretch"}
 
 
 class KnownColumn(NamedTuple):
-    """A column whose header says its role.
+    """A column whose header determines its role.
 
     Attributes:
-        place: from 0. role, rank: see `role_of`. variant: where it is measured and which measure it has; two columns
-            of a role and different variants belong to one recording.
+        place: position, from 0. role, rank: see `role_of`. variant: source and measure of the column; two columns
+            of a role with different variants belong to one recording.
     """
 
     place: int
@@ -54,9 +54,9 @@ class Group:
     """Columns of one recording in a run of numbers.
 
     Attributes:
-        numbers: the run. columns: that are read. others: headers of further columns with a role.
-        rivals: columns that measure the same as one of those that are read, the surest first. Strains of another
-            measure count as the same.
+        numbers: the run. columns: columns that are read. others: headers of further columns with a role.
+        rivals: columns of the same quantity as a column that is read, in the order of their ranks. Strains of other
+            measures are the same quantity.
         speed: constant speed that replaces a column of the motion, m/s, and its source; None: not needed.
         stated: key -> value with unit, as the file states them about these numbers.
     """
@@ -75,7 +75,7 @@ class Group:
 
     @property
     def signature(self) -> tuple:
-        """The same for tables that are replicates, as far as columns, sizes and words for a test show."""
+        """Key of columns, sizes and words for a test, which is equal for tables that are replicates."""
         sheet = self.numbers.table.name
         sizes = size_signature(self.stated) if sheet else ()
         tests = sorted({each.title for each in named_tests(title_hints(self.numbers))}) if sheet else ()
@@ -85,7 +85,7 @@ class Group:
 
 def find_groups(numbers: Numbers, machine: Machine | None, stated: ColumnHints, statements: Mapping[str, str]
                 ) -> list[Group]:
-    """The recordings in adjacent columns: a motion, a load, and the time where there is one.
+    """Return the recordings in adjacent columns: a motion, a load, and optionally the time.
 
     Args:
         statements: key -> value with unit, as the file states them about these numbers.
@@ -100,7 +100,7 @@ def find_groups(numbers: Numbers, machine: Machine | None, stated: ColumnHints, 
              if place not in sizes and (known := role_of(numbers.bare_name(place), numbers.unit(place), machine))]
     groups: list[Group] = []
     time = None
-    for part in _beside(roles):
+    for part in _adjacent(roles):
         chosen = _best(part)
         speed, gauge = None, None
         pair: tuple[str, ...] | None = _pair(chosen, stated)
@@ -166,7 +166,7 @@ def _derived_pair(part: Sequence[KnownColumn], chosen: Mapping[str, int], pair: 
 
 
 def _with_gauge_length(column: ColumnGuess, motion: str, gauge: tuple[float, str]) -> ColumnGuess:
-    """The column of the motion as the other quantity; any other column as it is."""
+    """Convert the column of the motion by the gauge length; other columns are unchanged."""
     if column.role != motion or column.missing:
         return column
     convert = stretch_of_displacement if motion == "displacement" else displacement_of_strain
@@ -193,7 +193,7 @@ def _speed_for(roles: Collection[str], numbers: Numbers, stated: ColumnHints) ->
     return next(((speed, f"in the file: {line}") for speed, line in speeds.items()), None) if len(speeds) == 1 else None
 
 
-def _beside(roles: Sequence[KnownColumn]) -> list[list[KnownColumn]]:
+def _adjacent(roles: Sequence[KnownColumn]) -> list[list[KnownColumn]]:
     """Columns of adjacent recordings: a new one begins where a role is repeated in the same variant and as
     surely, if the columns before have a motion and a load, and the columns from there on have them too."""
     parts: list[list[KnownColumn]] = [[]]
@@ -301,7 +301,7 @@ def with_measure(column: ColumnGuess, stated: str | None = None) -> ColumnGuess:
 
 
 def _stated_column(numbers: Numbers, channel: str, name: str | int, stated: ColumnHints) -> ColumnGuess | None:
-    """The column that a person names; None: this table has none of that name."""
+    """Return the column that the user names; None: this table has no such column."""
     place = _place(numbers, name)
     if place is None or place not in numbers.columns:
         return None

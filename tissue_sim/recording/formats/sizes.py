@@ -47,7 +47,7 @@ class Size:
 
 @dataclass(frozen=True)
 class _StatedSize:
-    """A size as a file states it: m or m2, and its relative rounding."""
+    """Size in a file, m or m2, with its relative rounding."""
 
     key: str
     value: float
@@ -117,14 +117,14 @@ def _rectangles(known: Mapping[str, Sequence[_StatedSize]], kind: str | None, he
 
 def _different(key: str, candidates: Sequence[_Candidate], stated: Mapping[str, str]
                ) -> tuple[Size, ...]:
-    """The first candidate, and each that contradicts all before it."""
+    """Return the first candidate, and each candidate that contradicts all previous ones."""
     # To whole nanometres: 25 mm must not become 25.000000000000004 mm.
     return tuple(Size(key, round(value, 6), "in the file: " + ", ".join(f"{name}: {stated[name]}" for name in keys))
                  for value, _, keys in _distinct(candidates))
 
 
 def _distinct(candidates: Sequence[_Candidate]) -> list[_Candidate]:
-    """The candidates without those that equal an earlier one within rounding."""
+    """Return the candidates that differ from all previous ones by more than the rounding."""
     kept: list[_Candidate] = []
     for value, rounding, keys in candidates:
         if all(abs(value / other - 1.0) > max(CONTRADICTION, rounding + also) for other, also, _ in kept):
@@ -144,13 +144,13 @@ def sizes_without_unit(stated: Mapping[str, str]) -> dict[str, str]:
 
 
 def size_signature(stated: Mapping[str, str], kind: str | None = None) -> tuple[tuple[str, float], ...]:
-    """The same for files, or sheets, that state the same sizes of a specimen for a kind of test."""
+    """Return a key that is equal for files, or sheets, with equal sizes of the specimen for a kind of test."""
     return tuple(sorted((size.key, size.value) for size in find_sizes(stated, kind).values()
                         if size.key != "speed_mm_s"))
 
 
 def quantity_in(text: str) -> tuple[float, str | None] | None:
-    """A number and its unit, ``50mm`` or ``12,5 mm``; None: the text is no such thing."""
+    """Return number and unit of a text such as ``50mm`` or ``12,5 mm``; None for another text."""
     match = _QUANTITY.match(text.strip())
     value = math.nan if match is None else any_number(match["number"].rstrip(",.' "))
     return None if match is None or math.isnan(value) else (value, match["unit"])

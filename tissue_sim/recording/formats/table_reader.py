@@ -34,7 +34,7 @@ class TableReader:
     speed: float | None = None
 
     def read(self, columns: Sequence[ColumnGuess]) -> tuple[MarkedRecording, ...]:
-        """The recordings with the marks of their numbers.
+        """Read the recordings with the marks of their numbers.
 
         Raises:
             InputError: a cell without a number, or with a number that no machine measures.

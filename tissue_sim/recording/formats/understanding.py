@@ -15,7 +15,7 @@ from tissue_sim.errors import InputError, located
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.recording.cleaning import clean, counted_from_start, start_of
 from tissue_sim.recording.formats.columns import MarkedRecording
-from tissue_sim.recording.formats.decimal_mark import NumberMarks, find_marks, marks_beside
+from tissue_sim.recording.formats.decimal_mark import NumberMarks, find_marks, marks_with_text
 from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints, Reading, Understanding
 from tissue_sim.recording.formats.header import matches
 from tissue_sim.recording.formats.interpretation import (
@@ -268,7 +268,7 @@ def _settled(marked: Sequence[MarkedRecording], groups: Sequence[Group]) -> Numb
     if not found.is_open:
         return found
     rows = [row for group in groups for row in (*group.numbers.above, *group.numbers.below)]
-    return marks_beside(found, "\n".join(" ".join(row.cells) for row in rows))
+    return marks_with_text(found, "\n".join(" ".join(row.cells) for row in rows))
 
 
 def _hints(source: Source, first: Group, columns: Sequence[ColumnGuess], titles: Sequence[Hint]) -> list[Hint]:

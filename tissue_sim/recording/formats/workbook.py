@@ -30,7 +30,7 @@ SUFFIXES = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 @dataclass(frozen=True)
 class Sheet:
-    """A sheet's rows that hold anything; `Row.line` is the number of the row in the spreadsheet."""
+    """Rows with content of a sheet; `Row.line` is the number of the row in the spreadsheet."""
 
     file: Path
     name: str
@@ -86,7 +86,7 @@ def read_sheets(path: Path, sheet: str | int | Sequence[str | int] | None = None
 
 
 def read_sheet(path: Path, sheet: str | int | None = None) -> Sheet:
-    """One sheet; None: the only one that holds anything. Otherwise as `read_sheets`.
+    """Read one sheet; None: the only sheet with content. See `read_sheets` for the arguments.
 
     Raises:
         InputError: several that hold anything.
