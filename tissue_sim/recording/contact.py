@@ -145,16 +145,16 @@ class Contact:
         if self.status == "none":
             return "no contact: the force never leaves its zero by more than its noise"
         if self.status == "before":
-            return ("no air is seen: contact was with the first motion or before it, at "
+            return ("no samples in the air: contact was at the first motion or before it, at "
                     f"{high:.4g}{unit} at the latest")
-        stands = (f"it stands on {self.air} samples before and {self.loading} after, noise {load * self.noise:.2g} "
-                  f"{of}, zero {load * self.force_zero:.4g} {of}")
+        basis = (f"estimated from {self.air} samples before and {self.loading} after, noise {load * self.noise:.2g} "
+                 f"{of}, zero {load * self.force_zero:.4g} {of}")
         if self.status == "unclear":
             reach = f"up to {high:.4g}{unit}" if np.isneginf(low) else f"from {low:.4g} to {high:.4g}{unit}"
-            return f"contact cannot be told, it may be anywhere {reach}; {stands}"
+            return f"contact is unclear, it may be anywhere {reach}; {basis}"
         doubt = "" if self.adequate else "; the rise after it is not smooth (adhesion?), so the interval may be short"
         return (f"contact at {scale * self.displacement:.4g}{unit} (95 %: {low:.4g} to {high:.4g}{unit}); "
-                f"{stands}{doubt}")
+                f"{basis}{doubt}")
 
 
 def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None, *,

@@ -188,8 +188,9 @@ def _label_preload(labels: np.ndarray, displacement: np.ndarray, force: np.ndarr
         labels[:first_motion] = "preload"
         load = f"{1e-3 * np.median(force[:first_motion]):.3g} kPa" if stressed else \
             f"{np.median(force[:first_motion]):.3g} N"
-        warnings.append(f"the recording begins at rest under {load}, and no air tells the zero of the force: a settled "
-                        "preload, and contact was before it; state where with contact, or record some air")
+        warnings.append(f"the recording begins at rest under {load}, and no samples in the air show the zero of the "
+                        "force: a settled preload, and contact was before it; state its displacement with contact, or "
+                        "record some air")
     edges = np.append(np.flatnonzero(np.append(True, labels[1:] != labels[:-1])), labels.size)
     runs = list(pairwise(edges.tolist()))
     travel = float(displacement.max()) - float(displacement[start])
@@ -216,6 +217,6 @@ def _label_preconditioning(labels: np.ndarray, cycles: np.ndarray, displacement:
     samples = (cycles <= before) & ~np.isin(labels, ("approach", "preload"))
     labels[samples] = "preconditioning"
     labels[(cycles == before + 1) & (labels == "reload")] = "ramp"
-    kind = "goes as far" if alike.all() else "goes farther" if peaks[before] > peaks[0] else "goes less far"
-    warnings.append(f"cycles 1 to {before} go as far as each other and are taken as preconditioning of cycle "
-                    f"{before + 1}, which {kind}")
+    kind = "an equal" if alike.all() else "a higher" if peaks[before] > peaks[0] else "a lower"
+    warnings.append(f"cycles 1 to {before} have equal peaks and are taken as preconditioning of cycle "
+                    f"{before + 1}, which has {kind} peak")
