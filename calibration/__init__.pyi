@@ -21,10 +21,10 @@ from calibration.fit.result import CalibrationResult as CalibrationResult
 from calibration.fit.result import to_json as to_json
 from calibration.importing.files import import_files as import_files
 from calibration.importing.imported import Imported as Imported
-from calibration.importing.imported import Wishes as Wishes
+from calibration.importing.imported import ImportOptions as ImportOptions
 from calibration.pipeline import calibrate as calibrate
 from calibration.pipeline import design_experiments as design_experiments
 from calibration.pipeline import diagnose as diagnose
 from calibration.tasks.errors import WorkerError as WorkerError
 from calibration.tasks.executors import Workers as Workers
-from tissue_sim.recording.formats.guesses import Stated as Stated
+from tissue_sim.recording.formats.guesses import ColumnHints as ColumnHints

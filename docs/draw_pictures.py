@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import tissue_sim as ts
-from calibration import Stated, Wishes, calibrate, import_files
+from calibration import ColumnHints, ImportOptions, calibrate, import_files
 from scenes import SCENES, draw_simulation, run_demo, run_hidden_demo
 from scenes.colour_scale import colour_scale
 from scenes.figures import draw_section, save
@@ -185,9 +185,9 @@ def draw_inverse_calibration(material: ts.Material) -> None:
 
 #: Picture -> files of a measured set, and what only a person knows of them.
 IMPORTS = {
-    "ecoflex": ("ecoflex_compression/EF10_0T_A?.csv", Stated()),
-    "brain": ("brain_tension_damage/brain_gm1.csv", Stated()),
-    "acrylic": ("oca_vhb_viscoelastic/uniaxial*loading_2d0_unloading_0d01.xlsx", Stated(
+    "ecoflex": ("ecoflex_compression/EF10_0T_A?.csv", ColumnHints()),
+    "brain": ("brain_tension_damage/brain_gm1.csv", ColumnHints()),
+    "acrylic": ("oca_vhb_viscoelastic/uniaxial*loading_2d0_unloading_0d01.xlsx", ColumnHints(
         columns={"time": "A", "stretch": "B", "nominal stress": "C"}, units={"time": "s", "nominal stress": "kPa"}))}
 
 
@@ -197,7 +197,7 @@ def draw_imports(data: Path) -> None:
         with tempfile.TemporaryDirectory() as place:
             campaign = Path(place, f"{name}.toml")
             imported = import_files(sorted(data.glob(pattern)), campaign,
-                                    Wishes(stated, laws=("neo_hooke", "ogden_1")))
+                                    ImportOptions(stated, laws=("neo_hooke", "ogden_1")))
             if name == "ecoflex":
                 shutil.copyfile(imported.picture, PICTURES / f"import_{name}.png")
             calibrate([campaign], Path(place, "out"))

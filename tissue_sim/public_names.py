@@ -10,12 +10,14 @@ from types import ModuleType
 from typing import Any
 
 
-def import_on_use(package: str) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
+def import_on_use(package: str, renamed: Mapping[str, str] | None = None
+                  ) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
     """Return the public names, ``__getattr__`` and ``__dir__`` of a package that imports each name on first use.
 
     Args:
         package: ``__name__`` of the package. The folder of the package contains ``__init__.pyi``, which type checkers
             read, with one line ``from MODULE import NAME as NAME`` for each public name.
+        renamed: old name -> new name. An old name gives a `DeprecationWarning` and the member with the new name.
 
     Source: PEP 562.
     """
@@ -28,6 +30,9 @@ def import_on_use(package: str) -> tuple[list[str], Callable[[str], Any], Callab
                 homes[name] = module
 
     def get(name: str) -> Any:
+        if renamed and name in renamed:
+            warnings.warn(f"{package}.{name} is renamed to {package}.{renamed[name]}", DeprecationWarning, stacklevel=2)
+            return getattr(sys.modules[package], renamed[name])
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         value = getattr(import_module(homes[name]), name)

@@ -144,7 +144,7 @@ def readers(folder: Path) -> dict[str, tuple[bytes, Reader]]:
         every[name] = content, _of_file(folder / file,
                                         lambda path, options=options: ts.read_recordings(path, **options))
         if name in sample_files.IMPORTED:
-            wishes = calibration.Wishes(specimen={"radius_mm": 10.0, "height_mm": 12.0})
+            wishes = calibration.ImportOptions(specimen={"radius_mm": 10.0, "height_mm": 12.0})
             every[f"import of {name}"] = content, _of_file(
                 folder / file, lambda path, wishes=wishes: calibration.import_files([path], wishes=wishes))
     return every | _of_settings(folder) | _of_devices() | _of_the_wire(folder)

@@ -130,10 +130,11 @@ def run_file(seed: int, index: int, *, clean: bool = False, only: str | None = N
     return result
 
 
-def _wishes(draft: Draft) -> calibration.Wishes:
-    stated = calibration.Stated(columns=draft.columns_stated, units=draft.units_stated, kind=draft.stated_kind)
-    return calibration.Wishes(stated, draft.specimen_flags() if draft.stated_sizes else {}, dict(draft.stated_test),
-                              ("neo_hooke",))
+def _wishes(draft: Draft) -> calibration.ImportOptions:
+    stated = calibration.ColumnHints(columns=draft.columns_stated, units=draft.units_stated,
+                                     kind=draft.stated_kind)
+    sizes = draft.specimen_flags() if draft.stated_sizes else {}
+    return calibration.ImportOptions(stated, sizes, dict(draft.stated_test), ("neo_hooke",))
 
 
 def _judge(index: int, draft: Draft, traps: Sequence[Trap], names: list[str]) -> Result:

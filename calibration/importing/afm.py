@@ -16,7 +16,7 @@ _HEADS = (b"Force-Distance Curve", b"# afmformats")
 
 
 def is_afm(path: Path) -> bool:
-    """Whether a file holds force curves: by its name, by how it begins, or as an archive that is no spreadsheet."""
+    """Return whether a file has force curves, by its suffix, its first bytes, or as an archive of another kind."""
     if path.suffix.lower() in _SUFFIXES:
         return True
     head = first_bytes(path, 64)
@@ -34,7 +34,7 @@ def is_afm(path: Path) -> bool:
 
 
 def understand_afm(path: Path) -> Understanding:
-    """The curves of such a file.
+    """Interpret a file of force curves of an AFM.
 
     Raises:
         InputError: as `tissue_sim.recording.formats.afm.read_afm`.

@@ -1,19 +1,34 @@
-"""The assumptions of an import as one table: for the terminal, the picture and the campaign."""
+"""Format the assumptions of an import as a table for the terminal, the picture and the campaign."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from calibration.importing.imported import ImportedTest, assumptions_of
 from tissue_sim.errors import shortened
 
+#: Headings of the columns of the table.
 HEADINGS = ("assumption", "value", "evidence", "against", "or", "flag")
-#: Characters of a line of a campaign.
-_CAMPAIGN_WIDTH = 118
-#: Characters of a value that comes from a file.
-_LONGEST_VALUE = 60
+
+
+@dataclass(frozen=True)
+class TableSettings:
+    """Sizes of the table of assumptions.
+
+    Attributes:
+        campaign_width: largest number of characters in a line of a campaign.
+        longest_value: largest number of characters of a value that is from a file.
+    """
+
+    campaign_width: int = 118
+    longest_value: int = 60
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = TableSettings()
 
 
 class AssumptionRow(NamedTuple):
@@ -30,13 +45,13 @@ class AssumptionRow(NamedTuple):
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """As under `HEADINGS`."""
+        """Cells of the row in the order of `HEADINGS`."""
         subject = f"{self.subject} ({self.files})" if self.files else self.subject
         return subject, self.value, self.evidence, self.against, self.alternatives, self.flag
 
 
 def assumption_rows(tests: Sequence[ImportedTest]) -> list[AssumptionRow]:
-    """A row for each assumption; files that share one have one row."""
+    """Return one row for each assumption; files with the same assumption share a row."""
     found = assumptions_of(tests)
     files = list(dict.fromkeys(name for name, _ in found))
     rows = []
@@ -56,12 +71,12 @@ def _ratio(modulus_ratio: float | None) -> str:
 
 
 def _plain(text: str) -> str:
-    """The text on one line, without characters that move the cursor."""
+    """Return the text on one line, with ``?`` for control characters."""
     return " ".join("".join(each if each.isprintable() or each.isspace() else "?" for each in text).split())
 
 
 def campaign_comment(tests: Sequence[ImportedTest]) -> str:
-    """The table as comments of a campaign, with the columns that are not used; empty: no assumptions."""
+    """Return the table as comments of a campaign, with the unused columns; empty without assumptions."""
     rows = assumption_rows(tests)
     if not rows:
         return ""
@@ -72,10 +87,10 @@ def campaign_comment(tests: Sequence[ImportedTest]) -> str:
         details = [row.evidence, f"against: {row.against}" if row.against else "",
                    f"or: {row.alternatives}" if row.alternatives else "", row.flag]
         said = "; ".join(filter(None, details))
-        lines.append(f"{'QUESTION ' if row.is_question else ''}{subject}: {shortened(value, _LONGEST_VALUE)}"
+        lines.append(f"{'QUESTION ' if row.is_question else ''}{subject}: {shortened(value, _SETTINGS.longest_value)}"
                      f"{f' ({said})' if said else ''}")
     lines += [f"Columns not used: {each}" for each in unused_columns(tests)]
-    return "\n".join(textwrap.fill(line, _CAMPAIGN_WIDTH, initial_indent="# ", subsequent_indent="#     ",
+    return "\n".join(textwrap.fill(line, _SETTINGS.campaign_width, initial_indent="# ", subsequent_indent="#     ",
                                    break_long_words=False, break_on_hyphens=False) for line in lines)
 
 

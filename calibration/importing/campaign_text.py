@@ -1,4 +1,4 @@
-"""The text of a campaign, with a reason behind each line that was guessed."""
+"""Write the text of a campaign, with the reason of each assumed line."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from calibration.importing.assumption_table import campaign_comment
 from calibration.importing.imported import ImportedTest, Line
 from calibration.report.drawing import format_count
 
-#: Where a reason begins, where the line is short enough.
-_COLUMN = 44
+#: Character position of the reason in a line that is short enough.
+_REASON_POSITION = 44
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 FILL_IN = "FILL IN"
 
 
 def campaign_text(tests: Sequence[ImportedTest], specimens: Mapping[str, Sequence[Line]], fit: Sequence[Line],
                   folder: Path, questions: Sequence[str] = ()) -> str:
-    """A campaign file (TOML): what all tests share stands once, in ``[defaults]``.
+    """Return the text of a campaign file (TOML); keys that all tests share are in ``[defaults]``.
 
     Args:
-        tests: in order. specimens: name -> keys. fit: keys of ``[fit]``.
-        folder: of the campaign, to which the places of the recordings are relative.
-        questions: that are open; a campaign with one is refused.
+        tests: tests in order. specimens: name -> keys. fit: keys of ``[fit]``.
+        folder: folder of the campaign; the paths of the recordings are relative to this folder.
+        questions: open questions; a campaign with a question is refused.
     """
     count = sum(len(part.motions) for test in tests for part in test.parts)
     parts = [f"# Written by tissue-sim import from {format_count(count, 'recording')}. "
@@ -60,7 +60,7 @@ def campaign_text(tests: Sequence[ImportedTest], specimens: Mapping[str, Sequenc
 
 
 def _shared(lines: Sequence[Sequence[Line]]) -> list[Line]:
-    """The lines that all have."""
+    """Return the lines that all tests have."""
     return [line for line in lines[0] if all(any(_equal(line, other) for other in each) for each in lines[1:])]
 
 
@@ -75,7 +75,7 @@ def _line(line: Line) -> str:
     text = f"{_key(line.key)} = {toml_value(line.value)}"
     if not reason:
         return text
-    return f"{text:<{_COLUMN}}  # {reason}" if len(text) + len(reason) < 116 else f"# {reason}\n{text}"
+    return f"{text:<{_REASON_POSITION}}  # {reason}" if len(text) + len(reason) < 116 else f"# {reason}\n{text}"
 
 
 def _key(key: str) -> str:
@@ -83,7 +83,7 @@ def _key(key: str) -> str:
 
 
 def toml_value(value: Any) -> str:
-    """A value as a campaign writes it, in one line or as a list of lines.
+    """Format a value for a campaign, in one line or as a list of lines.
 
     Raises:
         ValueError: a number that is not finite.
@@ -105,7 +105,7 @@ def toml_value(value: Any) -> str:
 
 
 def _place(file: Path, folder: Path) -> str:
-    """The file as the campaign names it."""
+    """Return the path of a file in a campaign."""
     # Links of folders are followed, for ".." does so, too.
     there = file.parent.resolve() / file.name
     try:

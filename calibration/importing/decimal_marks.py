@@ -1,4 +1,4 @@
-"""One decimal mark for files of one import, so that replicates are read with the same options."""
+"""Set one decimal mark for all files of an import, so that replicates have equal options."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def same_decimal_mark(understood: Sequence[Understanding]) -> list[Understanding
 
 
 def decimal_reason(parts: Sequence[Part]) -> str:
-    """Why a campaign states the decimal mark of its files, in words."""
+    """Return the reason why a campaign states the decimal mark of its files, in one sentence."""
     found = [assumption for part in parts for assumption in part.understanding.assumptions
              if assumption.subject in ("thousands separator", "decimal mark")]
     found.sort(key=lambda each: each.subject, reverse=True)

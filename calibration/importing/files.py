@@ -1,4 +1,4 @@
-"""Files of test machines in; a campaign, and a picture of what was understood, out."""
+"""Import files of test machines: write a campaign, and a picture of the interpretation of the files."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from calibration.campaign.measured import read_measured
 from calibration.importing.afm import is_afm, understand_afm
 from calibration.importing.campaign_text import FILL_IN, campaign_text
 from calibration.importing.decimal_marks import decimal_reason, same_decimal_mark
-from calibration.importing.flags import applies, check_wishes, require_used
+from calibration.importing.flags import applies, check_options, require_used
 from calibration.importing.grouping import group, same_motion
-from calibration.importing.imported import Imported, ImportedTest, Line, Part, Wishes, Zero, questions_of
+from calibration.importing.imported import Imported, ImportedTest, ImportOptions, Line, Part, Zero, questions_of
 from calibration.importing.motion import describe_motion
 from calibration.importing.picture import draw_imported
 from calibration.importing.sidecar import kind_said, read_sidecar, with_sidecar
@@ -37,35 +37,36 @@ from tissue_sim.specimen.specimen import sizes_of
 
 _LAWS = {"analytical": ("neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "ogden_1"),
          "inverse_fem": ("neo_hooke", "reduced_polynomial_2")}
-#: K / mu0 of a simulated tissue where nobody says it.
+#: Ratio of bulk modulus to initial shear modulus of a simulated tissue, if the user does not state it.
 _BULK_RATIO = 1000.0
-#: Sizes that files state, and that are asked for where nobody names a shape.
+#: Sizes of a specimen without a stated shape.
 _OWN_SIZES = frozenset({"radius_mm", "area_mm2", "height_mm"})
-#: Characters of a sentence for the faults of all files.
-_ALL_FAULTS = 240
+#: Largest number of characters for the errors of all files in one sentence.
+_ERROR_CHARACTERS = 240
 
 
-def import_files(files: Iterable[str | Path], output: str | Path | None = None, wishes: Wishes | None = None, *,
+def import_files(files: Iterable[str | Path], output: str | Path | None = None, wishes: ImportOptions | None = None, *,
                  overwrite: bool = False) -> Imported:
-    """Understand files of measurements and write a campaign of them.
+    """Interpret files of measurements and write a campaign.
 
     Args:
         files: texts, spreadsheets, arrays or AFM files: replicates of a test, or several tests.
-        output: the campaign (``.toml``); a picture of what was understood goes beside it (``.png``). None: neither.
-        wishes: what is stated, over what the files show.
-        overwrite: replace both.
+        output: path of the campaign (``.toml``); a picture of the interpretation is written to the same folder
+            (``.png``). None: no files are written.
+        wishes: options of the user, which override the content of the files.
+        overwrite: whether existing output files are replaced.
 
     Returns:
-        What was understood. `Imported.missing` says what only a person can add; the campaign has a line for it.
+        The interpretation. `Imported.missing` lists information that only the user knows; the campaign has a line for
+        each item.
 
     Raises:
-        InputError: a file that cannot be understood, or several, in one sentence; an output that is there. Nothing is
-            written then.
+        InputError: files that cannot be interpreted, in one sentence, or an existing output. No file is written then.
     """
-    wishes, paths = wishes or Wishes(), [Path(file) for file in files]
+    wishes, paths = wishes or ImportOptions(), [Path(file) for file in files]
     output = None if output is None else Path(output)
     _check(paths, output, overwrite)
-    check_wishes(wishes)
+    check_options(wishes)
     understood = same_decimal_mark([with_sizes_compared(with_size_assumptions(each, wishes), wishes)
                                     for each in _understand(paths, wishes)])
     controlled = wishes.test.get("control")
@@ -95,6 +96,7 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
 
 
 def _check(paths: Sequence[Path], output: Path | None, overwrite: bool) -> None:
+    """Raise an `InputError` for repeated inputs, and for an output that cannot be written."""
     if not paths:
         raise InputError("give at least one file", field="files")
     for i, path in enumerate(paths):
@@ -113,24 +115,29 @@ def _check(paths: Sequence[Path], output: Path | None, overwrite: bool) -> None:
                              file=each)
 
 
-def _understand(paths: Sequence[Path], wishes: Wishes) -> list[Understanding]:
-    """Every file; those that cannot be understood are all named at once."""
+def _understand(paths: Sequence[Path], wishes: ImportOptions) -> list[Understanding]:
+    """Interpret all files.
+
+    Raises:
+        InputError: names all files that cannot be interpreted.
+    """
     understood, faults = [], []
     for path in paths:
         try:
-            understood.append(_one(path, wishes))
+            understood.append(_understand_file(path, wishes))
         except InputError as error:
             faults.append(error)
     if len(faults) == 1:
         raise faults[0]
     if faults:
-        room = _ALL_FAULTS // len(faults)
-        said = (shortened(f"{Path(each.file or '').name}: {each.problem}", max(room, 20)) for each in faults)
-        raise InputError(f"{len(faults)} of {len(paths)} files cannot be imported: {'; '.join(said)}")
+        length = _ERROR_CHARACTERS // len(faults)
+        problems = (shortened(f"{Path(each.file or '').name}: {each.problem}", max(length, 20)) for each in faults)
+        raise InputError(f"{len(faults)} of {len(paths)} files cannot be imported: {'; '.join(problems)}")
     return understood
 
 
-def _one(path: Path, wishes: Wishes) -> Understanding:
+def _understand_file(path: Path, wishes: ImportOptions) -> Understanding:
+    """Interpret one file with its sidecar, and read stress and strain if the size of the specimen is unknown."""
     stated = wishes.stated
     if stated.format in ("afm", "jpk", "bruker") or (not stated.format and bounded(is_afm, path, file=path)):
         return understand_afm(path)
@@ -140,9 +147,9 @@ def _one(path: Path, wishes: Wishes) -> Understanding:
                      height=None if height is None else 1e-3 * float(height))
     found = with_sidecar(bounded(understand, path, stated, file=path), said,
                          kind_stated=wishes.stated.kind is not None)
-    # Without the size of the specimen a force says nothing; where the file has stress and strain, these do.
+    # Without the size of the specimen a force gives no modulus; stress and strain in the file give one.
     lacking = [reading for reading in found.readings if {"displacement", "force"} <= set(
-        reading.recordings[0].channels) and not _sized(_sizes(reading, wishes))]
+        reading.recordings[0].channels) and not _has_sizes(_sizes(reading, wishes))]
     if lacking and not stated.columns:
         direct = bounded(understand, path, replace(stated, direct=True), file=path)
         if all({"nominal stress"} <= {column.channel for column in reading.columns} for reading in direct.readings):
@@ -150,30 +157,31 @@ def _one(path: Path, wishes: Wishes) -> Understanding:
     return found
 
 
-def _sizes(reading: Reading, wishes: Wishes) -> dict[str, Size]:
+def _sizes(reading: Reading, wishes: ImportOptions) -> dict[str, Size]:
+    """Return key -> size of the specimen; the user overrides the sidecar, and the sidecar overrides the file."""
     found = find_sizes(reading.stated, reading.kind.kind)
-    found |= {key: Size(key, float(value), "in the file beside it") for key, value in reading.specimen.items()
+    found |= {key: Size(key, float(value), "in the sidecar of the recording") for key, value in reading.specimen.items()
               if key != "shape"}
     if any(key in wishes.specimen for key in ("radius_mm", "area_mm2")):
         found = {key: size for key, size in found.items() if key not in ("radius_mm", "area_mm2")}
     return found | {key: Size(key, float(value), "stated") for key, value in wishes.specimen.items() if key != "shape"}
 
 
-def _sized(sizes: Mapping[str, Size]) -> bool:
-    # Another shape than a cylinder has other sizes, and somebody has stated it.
+def _has_sizes(sizes: Mapping[str, Size]) -> bool:
+    """Return whether the sizes give height and cross-section; other keys belong to a stated shape."""
     return not sizes.keys() <= _OWN_SIZES or ("height_mm" in sizes and ("radius_mm" in sizes or "area_mm2" in sizes))
 
 
-def _with_zero(parts: Sequence[Part], wishes: Wishes) -> tuple[tuple[Part, ...], Zero | None]:
-    """Replicates of a test with the meaning of the load with which they begin."""
+def _with_zero(parts: Sequence[Part], wishes: ImportOptions) -> tuple[tuple[Part, ...], Zero | None]:
+    """Add the meaning of a load at zero displacement to the replicates of a test."""
     sizes = {key: size.value for key, size in _sizes(parts[0].reading, wishes).items()}
     laws = linear_laws(wishes.laws or _LAWS["analytical"])
     return with_zero(parts, sizes, laws, wishes.zero)
 
 
-def _tests(groups: Sequence[tuple[str, tuple[Part, ...], Zero | None, str]], wishes: Wishes
+def _tests(groups: Sequence[tuple[str, tuple[Part, ...], Zero | None, str]], wishes: ImportOptions
            ) -> tuple[tuple[ImportedTest, ...], dict[str, tuple[Line, ...]], tuple[str, ...]]:
-    """Tests, their specimens (equal ones once), and what is missing."""
+    """Return the tests, their specimens (equal ones once), and the missing information."""
     tests: list[ImportedTest] = []
     specimens: dict[str, tuple[Line, ...]] = {}
     missing: list[str] = []
@@ -186,7 +194,7 @@ def _tests(groups: Sequence[tuple[str, tuple[Part, ...], Zero | None, str]], wis
             lines, lacks = _specimen(reading, wishes, kind)
             missing += [what for what in lacks if what not in missing]
             values = [(line.key, line.value) for line in lines]
-            # The same test under another name was done on another specimen; another test may be done on this one.
+            # An equal test of another name has another specimen; a different test may share a specimen.
             others = {test.specimen for test in tests if test.kind == reading.kind.kind
                       and same_motion(test.parts[0], parts[0])}
             specimen = next((known for known, other in specimens.items() if known not in others
@@ -202,18 +210,19 @@ def _tests(groups: Sequence[tuple[str, tuple[Part, ...], Zero | None, str]], wis
         tests.append(ImportedTest(name, reading.kind.kind, tuple(parts), specimen, tuple(keys), columns, reason,
                                   zero))
     if len(specimens) > 1 and "specimen" in specimens:
-        # Its name stands beside those of the others now.
+        # With several specimens, each is named after its first test.
         first = next(test.name for test in tests if test.specimen == "specimen")
         specimens = {first if key == "specimen" else key: lines for key, lines in specimens.items()}
         tests = [replace(test, specimen=first) if test.specimen == "specimen" else test for test in tests]
     return tuple(tests), specimens, tuple(missing)
 
 
-def _specimen(reading: Reading, wishes: Wishes, kind: TestKind | None) -> tuple[tuple[Line, ...], list[str]]:
+def _specimen(reading: Reading, wishes: ImportOptions, kind: TestKind | None) -> tuple[tuple[Line, ...], list[str]]:
+    """Return the lines of the specimen of a reading, and the missing sizes."""
     sizes = _sizes(reading, wishes)
     shape, reason = wishes.specimen.get("shape"), "stated"
     if not wishes.specimen and reading.specimen.get("shape") in SPECIMENS:
-        shape, reason = reading.specimen["shape"], "in the file beside it"
+        shape, reason = reading.specimen["shape"], "in the sidecar of the recording"
     if shape is not None:
         return _of_shape(str(shape), sizes, reason)
     lines, missing = [], []
@@ -234,7 +243,7 @@ def _specimen(reading: Reading, wishes: Wishes, kind: TestKind | None) -> tuple[
 
 
 def _of_shape(shape: str, sizes: Mapping[str, Size], reason: str) -> tuple[tuple[Line, ...], list[str]]:
-    """The same of a shape that is stated."""
+    """Return the lines of a specimen with a stated shape, and the missing sizes."""
     lines, missing = [Line("shape", shape, reason)], []
     for key, declared in sizes_of(shape).items():
         flag = f"--{key.replace('_', '-')}"
@@ -246,8 +255,8 @@ def _of_shape(shape: str, sizes: Mapping[str, Size], reason: str) -> tuple[tuple
     return tuple(lines), missing
 
 
-def _keys(parts: Sequence[Part], wishes: Wishes) -> tuple[list[Line], list[str]]:
-    """Keys of a ``[[test]]`` but for its name, specimen, recordings and columns."""
+def _keys(parts: Sequence[Part], wishes: ImportOptions) -> tuple[list[Line], list[str]]:
+    """Return the lines of a ``[[test]]`` without name, specimen, recordings and columns, and missing information."""
     reading, missing = parts[0].reading, []
     lines = [Line("kind", reading.kind.kind, reading.kind.reason if reading.kind.kind else
                   f"{reading.kind.reason}; one of {', '.join(KINDS)} (--kind)")]
@@ -273,7 +282,7 @@ def _keys(parts: Sequence[Part], wishes: Wishes) -> tuple[list[Line], list[str]]
 
 
 def _speed(parts: Sequence[Part], stated: float | None) -> list[Line]:
-    """``speed_mm_s``, where the recordings lack the displacement or the time."""
+    """Return the line ``speed_mm_s`` for recordings without displacement or without time."""
     reading = parts[0].reading
     if reading.speed is not None:
         speed, source = reading.speed
@@ -289,7 +298,7 @@ def _speed(parts: Sequence[Part], stated: float | None) -> list[Line]:
 
 
 def _tool(test: Mapping[str, Any], reading: Reading) -> tuple[list[Line], list[str]]:
-    """Shape and size of the tool of an indentation, and how its face holds the tissue."""
+    """Return the lines of the tool of an indentation and of its friction, and the missing information."""
     lines: list[Line] = []
     missing: list[str] = []
     said = reading.recordings[0].metadata
@@ -310,7 +319,7 @@ def _tool(test: Mapping[str, Any], reading: Reading) -> tuple[list[Line], list[s
 
 
 def _found(parts: Sequence[Part]) -> list[Line]:
-    """What becomes of air before the contact, and of what comes after a failure."""
+    """Return the lines for air before contact, and for samples after a failure."""
     lines = []
     motions = [(part.file.name, motion) for part in parts for motion in part.motions]
     air = [(name, motion.contact) for name, motion in motions if motion.air and motion.contact is not None]
@@ -326,11 +335,12 @@ def _found(parts: Sequence[Part]) -> list[Line]:
 
 
 def _flag_name(channel: str) -> str:
-    """A channel as a flag takes it."""
+    """Return the name of a channel in a flag."""
     return {"nominal stress": "stress"}.get(channel, channel.replace(" ", "_"))
 
 
-def _fit(tests: Sequence[ImportedTest], wishes: Wishes) -> list[Line]:
+def _fit(tests: Sequence[ImportedTest], wishes: ImportOptions) -> list[Line]:
+    """Return the lines of ``[fit]``."""
     kinds = [KINDS[test.kind] for test in tests if test.kind]
     closed = all(kind.closed_form is not None for kind in kinds)
     method = "analytical" if closed else "inverse_fem"
@@ -344,7 +354,11 @@ def _fit(tests: Sequence[ImportedTest], wishes: Wishes) -> list[Line]:
 
 
 def _problem(text_in: Callable[[Path], str]) -> str | None:
-    """Why the campaign cannot be calibrated as it stands; `text_in` gives its text in a folder."""
+    """Return the reason why the campaign cannot be calibrated; None: it can.
+
+    Args:
+        text_in: returns the text of the campaign for a folder.
+    """
     with tempfile.TemporaryDirectory() as place:
         path = Path(place).resolve() / "campaign.toml"
         try:
@@ -357,6 +371,7 @@ def _problem(text_in: Callable[[Path], str]) -> str | None:
 
 
 def _warnings(parts: Sequence[Part], tests: Sequence[ImportedTest]) -> tuple[str, ...]:
+    """Return the warnings of all files, each once."""
     found: dict[str, None] = {}
     for kind in dict.fromkeys(test.kind for test in tests if test.kind):
         names = [test.name for test in tests if test.kind == kind]

@@ -11,7 +11,7 @@ from tissue_sim.recording.screening import EQUAL_LOAD, Screening, numbered
 
 def assumptions_of(screening: Screening, contact: Contact | None, *, has_air: bool | None, stressed: bool,
                    controlled: str | None = None) -> tuple[Assumption, ...]:
-    """The assumptions about one recording.
+    """Return the assumptions about one recording.
 
     Args:
         screening: with its controlled quantity. contact: None where it was not looked for.

@@ -1,11 +1,11 @@
-"""Statements of the user that no file needs: each is refused, as a flag without effect may hide a mistake."""
+"""Refuse options of the user without effect, because such an option may hide a mistake."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from calibration.importing.imported import ImportedTest, Wishes
+from calibration.importing.imported import ImportedTest, ImportOptions
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.experiment.tools.tool import TOOLS, read_shape
@@ -15,11 +15,12 @@ from tissue_sim.recording.formats.interpretation import flag_name
 from tissue_sim.recording.formats.vocabulary import MACHINES
 from tissue_sim.recording.measures import ENGINEERING, MEASURES
 
+#: Formats of force curves of an AFM.
 _AFM = ("afm", "jpk", "bruker")
 
 
-def check_wishes(wishes: Wishes) -> None:
-    """Refuse statements that contradict each other, whatever the files hold.
+def check_options(wishes: ImportOptions) -> None:
+    """Refuse options that contradict each other for any file.
 
     Raises:
         InputError: with the flag.
@@ -38,8 +39,8 @@ def check_wishes(wishes: Wishes) -> None:
             raise InputError(f"measure of {flag_name(channel)} must be {expected}; got {measure!r}", field="--measure")
 
 
-def require_used(wishes: Wishes, files: Sequence[Understanding], tests: Sequence[ImportedTest]) -> None:
-    """Refuse statements that no file needs.
+def require_used(wishes: ImportOptions, files: Sequence[Understanding], tests: Sequence[ImportedTest]) -> None:
+    """Refuse options that no file needs.
 
     Raises:
         InputError: with the flag and the reason.
@@ -51,7 +52,7 @@ def require_used(wishes: Wishes, files: Sequence[Understanding], tests: Sequence
 
 
 def applies(key: str, value: Any, kind: TestKind | None) -> bool:
-    """Whether a test of this kind (None: not known yet) has the key of ``[[test]]`` with this value."""
+    """Return whether a test of this kind (None: not known yet) has the key of ``[[test]]`` with this value."""
     if kind is None:
         return True
     if key == "friction":
@@ -66,10 +67,11 @@ def _is_plate(shape: Any) -> bool:
     return name in TOOLS and TOOLS[name].is_plate
 
 
-def _unused(wishes: Wishes, files: Sequence[Understanding], tests: Sequence[ImportedTest]) -> Iterator[tuple[str, str]]:
-    """(flag, reason) of each statement without effect."""
-    yield from _of_files(wishes, files)
-    yield from _of_columns(wishes, files)
+def _unused(wishes: ImportOptions, files: Sequence[Understanding], tests: Sequence[ImportedTest]
+            ) -> Iterator[tuple[str, str]]:
+    """Yield (flag, reason) of each option without effect."""
+    yield from _unused_for_files(wishes, files)
+    yield from _unused_for_columns(wishes, files)
     kinds = [KINDS[test.kind] if test.kind else None for test in tests]
     for key, value in wishes.test.items():
         if not any(applies(key, value, kind) for kind in kinds):
@@ -86,7 +88,8 @@ def _unused(wishes: Wishes, files: Sequence[Understanding], tests: Sequence[Impo
                "displacement and force are read if all sizes are stated")
 
 
-def _of_files(wishes: Wishes, files: Sequence[Understanding]) -> Iterator[tuple[str, str]]:
+def _unused_for_files(wishes: ImportOptions, files: Sequence[Understanding]) -> Iterator[tuple[str, str]]:
+    """Yield (flag, reason) of options that do not apply to this kind of file."""
     stated, kinds = wishes.stated, {each.kind_of_file for each in files}
     if stated.sheet is not None and not kinds & {"workbook", "container"}:
         yield "--sheet", "only spreadsheets and containers of arrays have sheets"
@@ -99,7 +102,8 @@ def _of_files(wishes: Wishes, files: Sequence[Understanding]) -> Iterator[tuple[
             yield "--column", "files of an AFM name their channels"
 
 
-def _of_columns(wishes: Wishes, files: Sequence[Understanding]) -> Iterator[tuple[str, str]]:
+def _unused_for_columns(wishes: ImportOptions, files: Sequence[Understanding]) -> Iterator[tuple[str, str]]:
+    """Yield (flag, reason) of options for channels that are not read."""
     columns: list[ColumnGuess] = [column for each in files for reading in each.readings for column in reading.columns]
     read = {name for column in columns for name in (column.channel, column.role)}
     stated = wishes.stated

@@ -1,4 +1,4 @@
-"""Which files are replicates of a test, and which are tests of their own."""
+"""Group files: replicates of one test, and separate tests."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _NUMBER = re.compile(r"[ _.\-]*\(?\d+\)?$")
 
 
 def group(parts: Sequence[Part]) -> list[tuple[str, tuple[Part, ...], str]]:
-    """(name, replicates, reason) of each test: files whose names differ in the number at their end only, with the same
-    columns, the same kind of test, the same size of the specimen as far as they state one, and a motion alike within
-    `REPLICATE_TOLERANCE`.
+    """Group files into tests, and return (name, replicates, reason) of each test.
 
-    A gripped specimen is pulled as far as it holds: there the speed alone tells tests apart.
+    The names of replicates differ only in the number at their end. Replicates have equal columns, an equal kind of
+    test, equal stated sizes, and equal motions within `REPLICATE_TOLERANCE`. A gripped specimen is pulled up to its
+    failure, so that only the speed of its motion is compared.
     """
     alike: dict[tuple, list[list[Part]]] = {}
     counted = _numbered(list(dict.fromkeys(part.file for part in parts)))
@@ -47,8 +47,10 @@ def group(parts: Sequence[Part]) -> list[tuple[str, tuple[Part, ...], str]]:
 
 
 def _numbered(files: Sequence[Path]) -> dict[Path, str]:
-    """File -> its name without the number of the replicate, where it is one: numbers that are far apart, such as those
-    of ``gel_10`` and ``gel_50``, say what was tested."""
+    """Return file -> name without the number of the replicate.
+
+    Numbers that differ widely, such as in ``gel_10`` and ``gel_50``, are part of the name of the specimen.
+    """
     bases: dict[str, list[Path]] = {}
     for file in files:
         bases.setdefault(_NUMBER.sub("", file.stem), []).append(file)
@@ -61,7 +63,7 @@ def _numbered(files: Sequence[Path]) -> dict[Path, str]:
 
 
 def same_motion(first: Part, second: Part) -> bool:
-    """Whether two files move alike, within `REPLICATE_TOLERANCE`."""
+    """Return whether speed and reach of two motions are equal within `REPLICATE_TOLERANCE`."""
     kind = KINDS[first.reading.kind.kind] if first.reading.kind.kind else None
     pairs = []
     a, b = first.motions[0], second.motions[0]
@@ -73,6 +75,7 @@ def same_motion(first: Part, second: Part) -> bool:
 
 
 def _reason(cluster: Sequence[Part], clusters: int) -> str:
+    """Return the evidence that the parts of a cluster are replicates, in one sentence."""
     replicates = sum(len(part.motions) for part in cluster)
     apart = "; files of the same name that move otherwise are tests of their own" if clusters > 1 else ""
     if len(cluster) > 1:
@@ -84,6 +87,7 @@ def _reason(cluster: Sequence[Part], clusters: int) -> str:
 
 
 def _unique(name: str, taken: Sequence[str]) -> str:
+    """Return the name, with a number if other tests have the name."""
     number = 2
     found = name
     while found in taken:

@@ -1,4 +1,4 @@
-"""What an import makes of files: tests with their replicates, lines of a campaign, and what is missing."""
+"""Result of an import: tests with their replicates, lines of a campaign, and missing information."""
 
 from __future__ import annotations
 
@@ -10,24 +10,27 @@ from typing import Any
 
 from calibration.importing.motion import Motion
 from tissue_sim.frozen_mapping import read_only
+from tissue_sim.public_names import old_names
 from tissue_sim.recording.formats.assumption import Assumption
-from tissue_sim.recording.formats.guesses import Reading, Stated, Understanding
+from tissue_sim.recording.formats.guesses import ColumnHints, Reading, Understanding
+
+__getattr__ = old_names(__name__, {"Wishes": "ImportOptions"})
 
 
 @dataclass(frozen=True)
-class Wishes:
-    """What a person states of all the files, over what they show.
+class ImportOptions:
+    """Options of the user for all files of an import; they override the content of the files.
 
     Attributes:
-        stated: of the columns and the kind of test.
-        specimen: key of ``[[specimen]]`` -> value: ``radius_mm``, ``area_mm2``, ``height_mm``; or ``shape`` and the
-            sizes of that.
+        stated: hints about the columns and the kind of test.
+        specimen: key of ``[[specimen]]`` -> value: ``radius_mm``, ``area_mm2``, ``height_mm``; or ``shape`` and its
+            sizes.
         test: further keys of ``[[test]]`` -> value: ``tool``, ``tool_radius_mm``, ``friction``, ``speed_mm_s``, ...
-        laws: to fit. None: a few that suit most soft materials.
+        laws: laws that are fitted; None: a few laws for most soft materials.
         zero: meaning of a load at zero displacement: ``"preload"`` or ``"sensor"``; None: the curve decides.
     """
 
-    stated: Stated = field(default_factory=Stated)
+    stated: ColumnHints = field(default_factory=ColumnHints)
     specimen: Mapping[str, float | str] = field(default_factory=lambda: read_only({}))
     test: Mapping[str, Any] = field(default_factory=lambda: read_only({}))
     laws: tuple[str, ...] | None = None
@@ -36,10 +39,12 @@ class Wishes:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One file, or those of its tables that are read alike, as replicates of a test.
+    """Tables of one file that are replicates of a test.
 
     Attributes:
-        understanding: of the file. reading: of the tables. motions: of their recordings, in order.
+        understanding: interpretation of the file.
+        reading: reading of the tables.
+        motions: motions of their recordings, in order.
     """
 
     understanding: Understanding
@@ -56,8 +61,9 @@ class Zero:
     """The meaning of a load at zero displacement.
 
     Attributes:
-        value: ``"preload"`` or ``"sensor"``. shift: of contact before the zero, m. load: at zero, N. Both are
-            negative where the load is against the direction of loading.
+        value: ``"preload"`` or ``"sensor"``.
+        shift: distance of contact before the zero, m; negative for a load against the direction of loading.
+        load: load at zero displacement, N; negative for a load against the direction of loading.
     """
 
     value: str
@@ -67,7 +73,7 @@ class Zero:
 
 @dataclass(frozen=True)
 class Line:
-    """A key of a campaign, its value, and why; a value of None is to be filled in."""
+    """Key of a campaign, its value, and the reason of the value; the user must replace a value of None."""
 
     key: str
     value: Any
@@ -76,13 +82,16 @@ class Line:
 
 @dataclass(frozen=True, eq=False)
 class ImportedTest:
-    """A ``[[test]]``.
+    """Table ``[[test]]`` of a campaign.
 
     Attributes:
-        name: unique. kind: of test, None: to be stated. parts: its replicates.
-        specimen: name, None: it needs none.
-        lines: its keys but for name, recordings and columns. columns: channel -> entry.
-        reason: why its files are replicates.
+        name: unique name.
+        kind: kind of test; None: the user must state the kind.
+        parts: replicates.
+        specimen: name of the specimen; None: the test needs no specimen.
+        lines: keys without name, recordings and columns.
+        columns: channel -> entry.
+        reason: evidence that the files are replicates.
         zero: meaning of a load at zero displacement; None: the load starts from zero.
     """
 
@@ -98,16 +107,17 @@ class ImportedTest:
 
 @dataclass(frozen=True, eq=False)
 class Imported:
-    """Files, understood.
+    """Result of an import.
 
     Attributes:
-        files: what each is taken for, in the order in which they were given.
-        tests: of the campaign. specimens: name -> lines.
-        text: the campaign (TOML).
-        missing: what only a person can say, in words; empty: the campaign runs.
-        problem: why the campaign does not run as it stands, though nothing is missing; None: it does, or something is.
-        warnings: sentences.
-        output, picture: files that were written; None: none.
+        files: interpretation of each file, in the order of the input.
+        tests: tests of the campaign.
+        specimens: name -> lines.
+        text: text of the campaign (TOML).
+        missing: information that only the user knows, in words; empty: complete.
+        problem: reason why a complete campaign does not run; None: the campaign runs, or information is missing.
+        warnings: sentences for the user.
+        output, picture: written files; None: not written.
     """
 
     files: tuple[Understanding, ...]
@@ -132,7 +142,7 @@ class Imported:
 
     @property
     def complete(self) -> bool:
-        """Whether `calibration.calibrate` takes the campaign as it is and no question is open."""
+        """Whether `calibration.calibrate` accepts the campaign, and no question is open."""
         return not self.missing and self.problem is None and not self.questions
 
 

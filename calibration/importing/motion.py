@@ -1,4 +1,4 @@
-"""The way of one recording: sampling, segments, cycles, contact and failure."""
+"""Describe the motion of one recording: sampling, segments, cycles, contact and failure."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.screening import Control, Screening
 from tissue_sim.recording.segments import Segmentation, find_segments, loading_of
 
-#: Channels that say how far a test has come, the first of which is taken, and where they rest.
+#: Channels of the motion -> value at rest; the first channel in a recording is used.
 MOTIONS = {"displacement": 0.0, "stretch": 1.0, "shear strain": 0.0}
-#: Air shorter than this fraction of the displacement is ignored.
-_AT_ONCE = 0.01
+#: Largest air before contact that is ignored, as a fraction of the largest displacement.
+_NEGLIGIBLE_AIR = 0.01
 
 
 class Segment(NamedTuple):
-    """A part of the way, from sample `first` to `last`."""
+    """Segment of the motion from sample `first` to `last` (from 0, both included)."""
 
     name: str
     first: int
@@ -35,14 +35,19 @@ class Segment(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What a recording does.
+    """Motion of a recording.
 
     Attributes:
-        channel: the motion that was looked at. reach: largest and smallest value of it, SI, from rest.
-        rate: samples a second, None without time. duration: s, or None. speed: of the first loading, SI, or None.
-        found: segments, contact and failure of the samples that are kept. warnings: sentences.
-        screening: samples left out, saturation, controlled quantity. kept: samples from 0 that are kept; None: all.
-        assumptions: about this recording: zero, contact, controlled quantity, samples that are left out.
+        channel: channel of the motion.
+        reach: largest and smallest value of the motion, SI, from rest.
+        rate: samples per second; None without time.
+        duration: s; None without time.
+        speed: speed of the first loading, SI; None without time.
+        found: segments, contact and failure of the samples that are kept.
+        warnings: sentences for the user.
+        screening: samples left out, saturation, controlled quantity.
+        kept: numbers of the samples that are kept, from 0; None: all.
+        assumptions: assumptions about zero, contact, controlled quantity, and samples that are left out.
     """
 
     channel: str
@@ -57,44 +62,46 @@ class Motion:
     kept: np.ndarray | None = None
 
     def sample(self, index: int) -> int:
-        """Sample of the recording, from 0, of one that is kept."""
+        """Return the number in the recording, from 0, of a sample that is kept."""
         return index if self.kept is None else int(self.kept[index])
 
     @property
     def segments(self) -> tuple[Segment, ...]:
-        """In order."""
+        """Segments in the order of time."""
         return tuple(Segment(name, self.sample(first), self.sample(end - 1)) for name, first, end in self.found.runs())
 
     @property
     def cycles(self) -> int:
-        """The first loading, and those that begin after an unloading."""
+        """Number of cycles: the first loading, and each loading after an unloading."""
         return int(self.found.cycles.max())
 
     @property
     def failure(self) -> Failure | None:
-        """Of the specimen; None: intact."""
+        """Failure of the specimen; None: intact."""
         return self.found.failure
 
     @property
     def contact(self) -> Contact | None:
-        """Where it touched, in the displacement (the strain) of the file; None: not looked for."""
+        """Contact in the displacement (or strain) of the file; None: not searched."""
         return self.found.contact
 
     @property
     def air(self) -> bool | None:
-        """Whether there is air, or slack, before the contact; None: it cannot be told."""
+        """Whether air or slack precedes contact; None: unclear."""
         contact = self.found.contact
         if contact is None or contact.status == "before":
             return False
-        if contact.status == "unclear" and contact.interval[1] <= _AT_ONCE * max(map(abs, self.reach)):
+        if contact.status == "unclear" and contact.interval[1] <= _NEGLIGIBLE_AIR * max(map(abs, self.reach)):
             return False
         return True if contact.found else None
 
 
 def describe_motion(recording: Recording, kind: str | None, controlled: str | None = None) -> Motion:
-    """The way of a recording with a motion and a load, of a test of that kind.
+    """Describe the motion of a recording with a motion and a load.
 
     Args:
+        recording: with a motion and a load.
+        kind: kind of test; None: unknown.
         controlled: quantity that the user states; None: found in the signals.
     """
     channel = next(name for name in MOTIONS if name in recording)
@@ -104,7 +111,7 @@ def describe_motion(recording: Recording, kind: str | None, controlled: str | No
     is_kept[np.array(screening.samples, int) - 1] = False
     kept = np.flatnonzero(is_kept)
     way = np.array(recording.channel(channel)) - MOTIONS[channel]
-    # Compression is recorded as a stretch below 1, and a table may begin at its far end.
+    # Compression is recorded as a stretch below 1, and a table may start at its largest strain.
     turned = -way if channel != "displacement" and abs(way.max()) < abs(way.min()) else way
     rate = duration = speed = None
     if "time" in recording and np.ptp(recording.time) > 0:
@@ -115,7 +122,7 @@ def describe_motion(recording: Recording, kind: str | None, controlled: str | No
         peak = int(np.argmax(turned))
         speed = abs(float((turned[peak] - turned[0]) / (time[peak] - time[0]))) if time[peak] > time[0] else None
     if rate is None and abs(way[0]) > abs(way[-1]):
-        # A table without a clock has no order; from rest on it reads as a loading.
+        # A table without a clock has no order; starting from rest, the table is a loading.
         recording = recording.select(slice(None, None, -1))
     control = _control(recording, kind)
     screening = replace(screening, control=control if controlled is None else replace(control, equal_samples=0))
@@ -127,15 +134,16 @@ def describe_motion(recording: Recording, kind: str | None, controlled: str | No
 
 
 def _control(recording: Recording, kind: str | None) -> Control:
-    way, load, _ = loading_of(recording, KINDS.get(kind) if kind else None)
-    return find_control(way, load, recording.time if "time" in recording and np.ptp(recording.time) > 0 else None)
+    """Return the controlled quantity of a recording."""
+    motion, load, _ = loading_of(recording, KINDS.get(kind) if kind else None)
+    return find_control(motion, load, recording.time if "time" in recording and np.ptp(recording.time) > 0 else None)
 
 
 def _warnings(recording: Recording, motion: Motion) -> Iterator[str]:
     contact = motion.contact
     said = "" if contact is None else contact.in_words(stressed=motion.found.stressed)
     yield from motion.screening.remarks
-    # Force curves of an AFM come counted from their contact, and no air that matters is no news.
+    # Force curves of an AFM count from contact, and negligible air needs no warning.
     silent = "zeroing" in recording.metadata or motion.air is False
     yield from (warning for warning in motion.found.warnings if not (warning == said and silent))
     if np.ptp(recording.channel(motion.channel)) == 0:

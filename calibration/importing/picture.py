@@ -1,9 +1,9 @@
-"""A picture of what an import understood: the motion of each test against time, its load against the motion, and the
-assumptions."""
+"""Draw the result of an import: motion against time and load against motion of each test, and the assumptions."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,18 +14,32 @@ from calibration.report.png import render_png
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.screening import Screening
 
-#: Tests that are drawn, and recordings of a test that are named in its legend.
-_MOST_TESTS, _MOST_NAMES = 12, 8
-#: Height of the axes of a test, inches.
-_ROW_HEIGHT = 3.0
-#: Height of a line of the table below the axes, inches.
-_LINE_HEIGHT = 0.13
-#: Font size of the table, points.
-_FONT_SIZE = 6.5
-#: Largest number of characters in a line of the table.
-_TEXT_COLUMNS = 165
-#: Largest number of lines of the table.
-_MOST_LINES = 40
+
+@dataclass(frozen=True)
+class PictureSettings:
+    """Sizes of the picture.
+
+    Attributes:
+        most_tests: largest number of tests in the picture.
+        most_names: largest number of recordings in the legend of a test.
+        row_height: height of the axes of a test, inches.
+        line_height: height of a line of the table below the axes, inches.
+        font_size: font size of the table, points.
+        text_columns: largest number of characters in a line of the table.
+        most_lines: largest number of lines of the table.
+    """
+
+    most_tests: int = 12
+    most_names: int = 8
+    row_height: float = 3.0
+    line_height: float = 0.13
+    font_size: float = 6.5
+    text_columns: int = 165
+    most_lines: int = 40
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = PictureSettings()
 _SHOWN = {"displacement": ("displacement, mm", 1e3), "stretch": ("stretch", 1.0), "shear strain": ("shear strain", 1.0),
           "force": ("force, N", 1.0), "nominal stress": ("nominal stress, kPa", 1e-3)}
 _SHADES = {"hold": "0.85", "unload": "#fde3d0", "reload": "#dcebf7", "approach": "#e8f4fb", "preload": "#f5e4ee",
@@ -33,13 +47,13 @@ _SHADES = {"hold": "0.85", "unload": "#fde3d0", "reload": "#dcebf7", "approach":
 
 
 def draw_imported(imported: Imported) -> bytes:
-    """The picture as a PNG; recordings whose unit is missing are drawn in the numbers of their file."""
+    """Return the picture as PNG; a recording without a unit is drawn in the numbers of its file."""
     import matplotlib
 
-    tests = imported.tests[:_MOST_TESTS]
+    tests = imported.tests[:_SETTINGS.most_tests]
     with matplotlib.rc_context(STYLE):
-        lines = picture_lines(tests, _TEXT_COLUMNS, _MOST_LINES)
-        heights = [_ROW_HEIGHT] * len(tests) + [max(len(lines), 1) * _LINE_HEIGHT]
+        lines = picture_lines(tests, _SETTINGS.text_columns, _SETTINGS.most_lines)
+        heights = [_SETTINGS.row_height] * len(tests) + [max(len(lines), 1) * _SETTINGS.line_height]
         figure = new_figure(10.0, sum(heights))
         axes = figure.subplots(len(heights), 2, gridspec_kw={"height_ratios": heights})
         for row, test in zip(axes[:-1], tests, strict=True):
@@ -51,11 +65,12 @@ def draw_imported(imported: Imported) -> bytes:
 
 
 def _write(axes, lines: Sequence[str]) -> None:
-    """The table of assumptions, below the axes."""
+    """Write the table of assumptions below the axes."""
     for each in axes:
         each.set_axis_off()
     axes[0].text(0.0, 1.0, "\n".join(line.replace("$", r"\$") for line in lines), transform=axes[0].transAxes, va="top",
-                 ha="left", family="monospace", fontsize=_FONT_SIZE, linespacing=1.15, in_layout=False, clip_on=False)
+                 ha="left", family="monospace", fontsize=_SETTINGS.font_size, linespacing=1.15, in_layout=False,
+                 clip_on=False)
 
 
 def _draw(left, right, test: ImportedTest) -> None:
@@ -71,7 +86,7 @@ def _draw(left, right, test: ImportedTest) -> None:
             ways, loads = (_values(recording, channel, raw) for channel in (motion.channel, load))
             clocks = recording.time if motion.rate is not None else np.arange(len(recording))
             left.plot(clocks[every], ways[every], **style)
-            right.plot(ways[every], loads[every], **style, label=name if number < _MOST_NAMES else None)
+            right.plot(ways[every], loads[every], **style, label=name if number < _SETTINGS.most_names else None)
             if kept.size < len(recording):
                 _mark_left_out(left, right, clocks, ways, loads, kept, motion.screening)
             if motion.failure is not None:
@@ -84,7 +99,7 @@ def _draw(left, right, test: ImportedTest) -> None:
             number += 1
     kind = test.kind.replace("_", " ") if test.kind else "kind not known"
     left.set_title(f"{test.name}: {kind}", loc="left", fontsize=10)
-    more = f"and {number - _MOST_NAMES} more" if number > _MOST_NAMES else None
+    more = f"and {number - _SETTINGS.most_names} more" if number > _SETTINGS.most_names else None
     if number > 1 or any(motion.failure or motion.kept is not None for part in test.parts for motion in part.motions):
         right.legend(fontsize=7, title=more, title_fontsize=7)
 

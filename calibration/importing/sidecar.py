@@ -1,4 +1,4 @@
-"""What the sidecar of one of our own recordings says of its test, so that nobody is asked for it."""
+"""Read kind of test, specimen and tool from the sidecar of a recording, so that the user need not state them."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from tissue_sim.recording.formats.guesses import KindGuess, Reading, Understandi
 
 
 def read_sidecar(path: Path) -> Mapping[str, Any]:
-    """The metadata of ``NAME.json`` beside ``NAME.csv``; empty where there is none, or one of another file."""
-    beside = path.with_suffix(".json")
-    if path.suffix.lower() != ".csv" or not beside.is_file():
+    """Return the metadata of ``NAME.json`` for ``NAME.csv``; empty without a sidecar of this file."""
+    sidecar = path.with_suffix(".json")
+    if path.suffix.lower() != ".csv" or not sidecar.is_file():
         return {}
     with suppress(InputError):
-        said = read_json(beside, "the sidecar of a recording")
+        said = read_json(sidecar, "the sidecar of a recording")
         digest = hashlib.sha256(read_bytes(path, "a recording")).hexdigest()
         if isinstance(said, Mapping) and said.get("sha256") == digest:
             return said
@@ -31,16 +31,18 @@ def read_sidecar(path: Path) -> Mapping[str, Any]:
 
 
 def kind_said(said: Mapping[str, Any]) -> str | None:
-    """Kind of test that a sidecar states; None: none that is known."""
+    """Return the kind of test in a sidecar; None without a known kind."""
     kind = said.get("kind")
     return kind if isinstance(kind, str) and kind in KINDS else None
 
 
 def with_sidecar(found: Understanding, said: Mapping[str, Any], *, kind_stated: bool) -> Understanding:
-    """What a file is taken for, with the kind of test, the specimen and the tool that its sidecar states.
+    """Add the kind of test, the specimen and the tool in a sidecar to the interpretation of a file.
 
     Args:
-        said: see `read_sidecar`. kind_stated: whether a person has stated the kind.
+        found: interpretation of the file.
+        said: metadata, see `read_sidecar`.
+        kind_stated: whether the user states the kind.
     """
     if not said:
         return found
@@ -53,9 +55,9 @@ def with_sidecar(found: Understanding, said: Mapping[str, Any], *, kind_stated: 
         {"tool": tool, "tool_radius_mm": said.get("tool_radius_mm")}
     about = {key: value for key, value in about.items() if value is not None}
 
-    def told(reading: Reading) -> Reading:
+    def complete(reading: Reading) -> Reading:
         guess = reading.kind if kind is None or kind_stated else KindGuess(kind, reason)
         return replace(reading, kind=guess, specimen=read_only(sizes),
                        recordings=tuple(each.with_metadata(**about) for each in reading.recordings))
 
-    return replace(found, readings=tuple(map(told, found.readings)))
+    return replace(found, readings=tuple(map(complete, found.readings)))

@@ -14,8 +14,8 @@ from tissue_sim.recording.recording import MIN_POINTS
 from tissue_sim.recording.screening import Control
 from tissue_sim.recording.segments import loading_of
 
-#: Bounds of a contact offset that is fitted, in its standard deviation.
-_BOUNDS = 3.0
+#: Bounds of a fitted contact offset, in its standard deviations.
+_OFFSET_BOUNDS = 3.0
 #: Relaxed fractions from which a fit starts.
 _FRACTIONS = (0.1, 0.9)
 
@@ -70,7 +70,7 @@ def _of_preloads(tests: Sequence[ImportedTest]) -> Iterator[_Offset]:
             continue
         shift = 1e3 * abs(test.zero.shift)
         side = "after contact" if test.zero.load > 0 else "before the force of the specimen is zero"
-        yield _Offset(shift, _BOUNDS * shift, f"{test.name}: the displacement was zeroed at a preload of "
+        yield _Offset(shift, _OFFSET_BOUNDS * shift, f"{test.name}: the displacement was zeroed at a preload of "
                       f"{test.zero.load:.3g} N, about {shift:.2g} mm {side}")
 
 
@@ -113,7 +113,7 @@ def start_lines(tests: Sequence[ImportedTest]) -> list[Line]:
 
 
 def needs_memory(control: Control) -> bool:
-    """Whether an elastic law describes neither the recording nor its loading alone, and a hold shows the memory."""
+    """Return whether an elastic law describes neither the test nor its loading alone, and a hold shows relaxation."""
     if control.time_constant is None:
         return False
     return not control.is_elastic or (control.pattern == "creep" and control.loading < MIN_POINTS)

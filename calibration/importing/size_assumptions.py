@@ -1,4 +1,4 @@
-"""Assumptions about the size of the specimen: where a file states it, and what contradicts it."""
+"""List the assumptions about the sizes of the specimen that a file states, with contradictions."""
 
 from __future__ import annotations
 
@@ -7,29 +7,29 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from calibration.importing.imported import Wishes
+from calibration.importing.imported import ImportOptions
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
 from tissue_sim.recording.formats.guesses import Reading, Understanding
 from tissue_sim.recording.formats.sizes import Size, sizes_without_unit, stated_sizes
 from tissue_sim.recording.formats.statements import DIMENSIONS
 
-#: Key -> what it is called, its unit.
+#: Key -> name and unit of the size.
 _NAMES = {"radius_mm": ("radius", "mm"), "area_mm2": ("cross-section", "mm²"), "height_mm": ("height", "mm")}
-#: Key -> sizes in a file that give it.
+#: Key -> names of sizes in a file that give the value of the key.
 _GIVEN_BY = {"radius_mm": ("diameter", "radius", "circumference", "area"), "area_mm2": ("area", "width", "thickness"),
              "height_mm": ("height", "thickness", "length", "gauge length")}
 
 
-def with_size_assumptions(found: Understanding, wishes: Wishes) -> Understanding:
-    """The understanding with an assumption about each size that the file states, unless the user states it."""
+def with_size_assumptions(found: Understanding, wishes: ImportOptions) -> Understanding:
+    """Add an assumption for each size that the file states."""
     return replace(found, readings=tuple(
         replace(reading, assumptions=(*reading.assumptions, *size_assumptions(reading, wishes.specimen)))
         for reading in found.readings))
 
 
 def size_assumptions(reading: Reading, stated: Mapping[str, Any]) -> tuple[Assumption, ...]:
-    """One assumption for each size of the specimen that the file of a reading states.
+    """Return one assumption for each size of the specimen that the file of a reading states.
 
     Args:
         reading: of tables. stated: keys of ``[[specimen]]`` that the user states.
@@ -51,7 +51,7 @@ def size_assumptions(reading: Reading, stated: Mapping[str, Any]) -> tuple[Assum
 
 
 def unclear_statement(reading: Reading, key: str) -> str:
-    """Why a statement of the file does not give the size `key`, in words; empty if there is no such statement."""
+    """Return the reason why a statement in the file does not give the size `key`; empty without such a statement."""
     seen = sizes_without_unit(reading.stated)
     found = next((seen[name] for name in _GIVEN_BY.get(key, ()) if name in seen), "")
     if found:

@@ -1,4 +1,4 @@
-"""Sizes that a file lists for each of its tables, compared with the forces in the tables."""
+"""Compare the sizes that a file lists for its tables with the forces in the tables."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.importing.imported import Wishes
+from calibration.importing.imported import ImportOptions
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.recording.cleaning import clean
@@ -16,12 +16,12 @@ from tissue_sim.recording.formats.guesses import Reading, Understanding
 from tissue_sim.recording.formats.sizes import find_sizes
 from tissue_sim.recording.recording import Recording
 
-#: Logarithmic range of the stiffnesses over that of the sizes, below which the forces do not follow the sizes.
-_INDEPENDENT = 1.0 / 3.0
+#: Ratio of the logarithmic ranges of stiffness and size, below which the forces do not depend on the sizes.
+_LEAST_RANGE_RATIO = 1.0 / 3.0
 
 
-def with_sizes_compared(found: Understanding, wishes: Wishes) -> Understanding:
-    """The understanding with a question where tables of different sizes have the same forces.
+def with_sizes_compared(found: Understanding, wishes: ImportOptions) -> Understanding:
+    """Add a question if tables of different sizes have the same forces.
 
     The stiffness of a homogeneous specimen is proportional to its cross-section over its height. Tables whose
     stiffnesses differ by less than a third of that ratio show one specimen, or a list of sizes that belongs to others.
@@ -35,7 +35,7 @@ def with_sizes_compared(found: Understanding, wishes: Wishes) -> Understanding:
     sizes = [size for _, size in sized]
     stiffnesses = _stiffnesses([reading.recordings[0] for reading, _ in sized])
     apart, together = _range(sizes), _range(stiffnesses)
-    if apart <= np.log1p(MODULUS_TOLERANCE) or together >= _INDEPENDENT * apart:
+    if apart <= np.log1p(MODULUS_TOLERANCE) or together >= _LEAST_RANGE_RATIO * apart:
         return found
     question = Assumption(
         "sizes of the tables", "a specimen for each table, with the sizes that the file states for it", (), (

@@ -25,14 +25,26 @@ from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segments import loading_of
 from tissue_sim.units import quantity_of, to_si
 
-#: Difference of the Bayesian information criterion beyond which the curve decides.
-_DECIDES = 10.0
-#: Residuals in deviations of the noise up to which a law describes the curve.
-_DESCRIBES = 2.0
-#: Shifts that are tried, in the shift of the first estimate.
+
+@dataclass(frozen=True)
+class ZeroSettings:
+    """Settings of `with_zero`.
+
+    Attributes:
+        decides: difference of the Bayesian information criterion above which the curve decides.
+        describes: largest residual of a law that describes the curve, in standard deviations of the noise.
+        alike: largest relative scatter of the load at zero between replicates with one common offset.
+    """
+
+    decides: float = 10.0
+    describes: float = 2.0
+    alike: float = 0.1
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = ZeroSettings()
+#: Trial shifts of contact, relative to the first estimate of the shift.
 _SHIFTS = np.linspace(0.0, 3.0, 121)
-#: Relative scatter of the load at zero between replicates up to which one offset serves all.
-_ALIKE = 0.1
 PRELOAD = "preload"
 SENSOR = "sensor"
 _WORDS = {PRELOAD: "the displacement was zeroed at a preload, and contact was before it",
@@ -53,7 +65,7 @@ class _Explanation:
 
 def with_zero(parts: Sequence[Part], sizes: Mapping[str, float], laws: Sequence[str], stated: str | None
               ) -> tuple[tuple[Part, ...], Zero | None]:
-    """The replicates of a test with the assumption about their zero, and the zero; None: the load starts from zero.
+    """Add the assumption about the zero to the replicates of a test, and return the zero; None: the load starts at 0.
 
     Args:
         parts: of one test. sizes: ``height_mm`` and ``radius_mm`` or ``area_mm2``, as far as known.
@@ -72,7 +84,7 @@ def with_zero(parts: Sequence[Part], sizes: Mapping[str, float], laws: Sequence[
     assumption, value, best = _decide([each for each in explanations if each], found[0][1], kind, stated)
     zero = Zero(value, best or shift, load)
     loads = [start.load for _, start in found]
-    same = np.ptp(loads) <= _ALIKE * abs(load)
+    same = np.ptp(loads) <= _SETTINGS.alike * abs(load)
     return tuple(_settled(part, assumption, zero, constant=bool(same)) for part in parts), zero
 
 
@@ -149,7 +161,7 @@ def linear_laws(names: Sequence[str]) -> tuple[str, ...]:
 
 def _decide(explanations: Sequence[tuple[dict[str, _Explanation], float]], start: LoadAtZero,
             kind: TestKind | None, stated: str | None) -> tuple[Assumption, str, float | None]:
-    """The assumption, its value, and the shift of contact by the fit, m."""
+    """Return the assumption, its value, and the fitted shift of contact, m."""
     if start.load < 0 and kind is not None and not kind.can_pull:
         return _against_the_load(start, stated), SENSOR, None
     words = {**_WORDS, PRELOAD: _AGAINST} if start.load < 0 else _WORDS
@@ -164,8 +176,8 @@ def _decide(explanations: Sequence[tuple[dict[str, _Explanation], float]], start
         other = SENSOR if value == PRELOAD else PRELOAD
         ratio = float(np.mean([found[other].modulus / found[value].modulus for found, _ in explanations]))
         shift = float(np.mean([found[PRELOAD].shift for found, _ in explanations]))
-        describes = all(found[better].residual <= _DESCRIBES * noise for found, noise in explanations)
-        decided = describes and max(criteria.values()) - min(criteria.values()) > _DECIDES
+        describes = all(found[better].residual <= _SETTINGS.describes * noise for found, noise in explanations)
+        decided = describes and max(criteria.values()) - min(criteria.values()) > _SETTINGS.decides
         residuals = {each: np.mean([found[each].residual for found, _ in explanations]) for each in _WORDS}
         said = f"residuals of {residuals[value]:.2g} N, with the other explanation {residuals[other]:.2g} N"
         (evidence if criteria[value] <= criteria[other] else against).append(said)

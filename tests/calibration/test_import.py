@@ -12,7 +12,7 @@ import pytest
 
 import calibration
 import tissue_sim as ts
-from calibration import Stated
+from calibration import ColumnHints, ImportOptions
 from calibration.importing.imported import to_json
 from scenes.cli import main
 
@@ -29,7 +29,7 @@ def put(folder, *exports):
 
 
 def wishes(laws=("neo_hooke",), radius=10.0, height=12.0, test=None, **stated):
-    return calibration.Wishes(Stated(**stated), {"radius_mm": radius, "height_mm": height}, test or {}, laws)
+    return ImportOptions(ColumnHints(**stated), {"radius_mm": radius, "height_mm": height}, test or {}, laws)
 
 
 def text(folder, name, content):
@@ -107,7 +107,7 @@ def test_specimens_of_other_sizes_are_other_tests(tmp_path):
         sheets[name]["A1"], sheets[name]["B1"] = "Durchmesser (mm)", diameter
     sheets.save(tmp_path / book.name)
     for files in (sorted(tmp_path.glob("*.csv")), [tmp_path / book.name]):
-        imported = calibration.import_files(files, wishes=calibration.Wishes(specimen={"height_mm": 12.0}))
+        imported = calibration.import_files(files, wishes=ImportOptions(specimen={"height_mm": 12.0}))
         assert imported.complete, (imported.missing, imported.problem)
         assert [lines[1].value for lines in imported.specimens.values()] == [10.0, 11.0]
 
@@ -137,10 +137,10 @@ def test_everything_that_is_missing_is_said_at_once_and_has_a_line(tmp_path, cap
     ("counts", 1e-3, 1e-3), ("mN", 2.0, 2e-3)])
 def test_units_and_scales_of_a_headerless_file(tmp_path, unit, scale, newtons):
     path = text(tmp_path, "run.txt", numbers(WAY, WAY, WAY, delimiter=" "))
-    stated = Stated({"time": "1", "displacement": "B", "force": 3},
+    stated = ColumnHints({"time": "1", "displacement": "B", "force": 3},
                     {"time": "s", "displacement": "mm", "force": unit}, {} if scale is None else {"force": scale},
                     kind="lubricated_compression")
-    imported = calibration.import_files([path], tmp_path / "c.toml", calibration.Wishes(
+    imported = calibration.import_files([path], tmp_path / "c.toml", ImportOptions(
         stated, {"radius_mm": 10.0, "height_mm": 12.0}))
     assert imported.complete, (imported.missing, imported.problem)
     curve, = calibration.read_measured(calibration.load_campaign(imported.output))["run"]
@@ -151,7 +151,7 @@ def test_units_and_scales_of_a_headerless_file(tmp_path, unit, scale, newtons):
 def test_stress_and_strain_are_taken_where_the_size_of_the_specimen_is_not_known(tmp_path):
     path = text(tmp_path, "pull.csv", "Tensile test\nTime (s),Extension (mm),Load (N),Tensile strain (%),Stress (kPa)\n"
                 + numbers(WAY, WAY, WAY, 10 * WAY, 20 * WAY))
-    imported = calibration.import_files([path], wishes=calibration.Wishes())
+    imported = calibration.import_files([path], wishes=ImportOptions())
     assert imported.complete and set(imported.files[0].readings[0].recordings[0].channels) == {
         "time", "stretch", "nominal stress"}
     np.testing.assert_allclose(imported.files[0].readings[0].recordings[0].channel("stretch"), 1 + 0.1 * WAY)
@@ -163,7 +163,7 @@ def test_stress_and_strain_are_taken_where_the_size_of_the_specimen_is_not_known
 def test_a_stated_sign_is_not_turned(tmp_path, sign, smallest):
     """A strain that is positive in compression becomes a stretch below 1, unless a person says that it is not."""
     path = text(tmp_path, "c.csv", "Compressive strain (%),Stress (kPa)\n" + numbers(10 * WAY, 20 * WAY))
-    reading, = calibration.import_files([path], wishes=calibration.Wishes(Stated(signs=sign))).files[0].readings
+    reading, = calibration.import_files([path], wishes=ImportOptions(ColumnHints(signs=sign))).files[0].readings
     assert reading.kind.kind == "lubricated_compression"
     assert reading.recordings[0].channel("stretch").min() == pytest.approx(smallest)
 
@@ -286,7 +286,7 @@ def test_mutated_exports_are_understood_or_refused_in_one_sentence(tmp_path, mon
             assert "\n" not in str(error) and path.name in str(error) and error.file == path, number
 
 
-def test_blocks_beside_each_other_of_different_length(tmp_path):
+def test_blocks_side_by_side_of_different_length(tmp_path):
     first, second = exponent((1,)), exponent((2,))
     rows = [a.rstrip("\n") + "\t" + (b.rstrip("\n") if i < 60 else "\t\t")
             for i, (a, b) in enumerate(zip(first.content.decode().splitlines(), second.content.decode().splitlines(),
@@ -337,7 +337,7 @@ def test_a_rupture_ends_what_is_fitted(tmp_path):
     stress = np.where(strain <= 0.8, stress, 0.03 * stress) + np.random.default_rng(0).normal(0, 1e-3, strain.size)
     path = text(tmp_path, "strip.csv", "Time (s),Stretch,Nominal stress (kPa)\n"
                 + numbers(10 * strain, 1 + strain, stress))
-    imported = calibration.import_files([path], tmp_path / "c.toml", calibration.Wishes(laws=("neo_hooke",)))
+    imported = calibration.import_files([path], tmp_path / "c.toml", ImportOptions(laws=("neo_hooke",)))
     file, = to_json(imported)["files"]
     assert file["failure"]["mode"] == "rupture" and file["failure"]["at_strain"] == pytest.approx(0.8, abs=0.006)
     assert 'failure = "cut"' in imported.text and "ruptures" in imported.warnings[0]
@@ -387,7 +387,7 @@ def test_every_measured_set_goes_from_raw_files_to_a_report(data_folder, tmp_pat
     files = sorted((data_folder.resolve() / folder).glob(pattern))
     assert files
     # Without the picture, which takes as long as all the rest.
-    imported = calibration.import_files(files, wishes=calibration.Wishes(Stated(**stated), laws=("neo_hooke",)))
+    imported = calibration.import_files(files, wishes=ImportOptions(ColumnHints(**stated), laws=("neo_hooke",)))
     assert imported.complete, (imported.missing, imported.problem)
     text(tmp_path, "set.toml", imported.text)
     result, = calibration.calibrate(["set.toml"], tmp_path / "report", figures=False)
@@ -421,6 +421,6 @@ def test_afm_files_lack_the_specimen_and_the_tip(data_folder, tmp_path):
     folder = data_folder / "afm_formats"
     assert len(calibration.import_files([*folder.glob("fmt-jpk-sr*.jpk-force")]).missing) == 4
     chiaro, = folder.glob("*chiaro*.zip")
-    imported = calibration.import_files([chiaro], wishes=calibration.Wishes(
+    imported = calibration.import_files([chiaro], wishes=ImportOptions(
         specimen={"radius_mm": 0.3, "height_mm": 0.2}))
     assert imported.complete and "tool_radius_mm = 0.0275" in imported.text

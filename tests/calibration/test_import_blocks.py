@@ -25,7 +25,7 @@ def sizes(width_mm=5.0, thickness_mm=2.0, gauge_mm=40.0):
 def imported(folder, text, name="strips.csv"):
     (folder / name).write_text(text)
     return calibration.import_files([folder / name], folder / "c.toml",
-                                    calibration.Wishes(laws=("neo_hooke",)))
+                                    calibration.ImportOptions(laws=("neo_hooke",)))
 
 
 def fitted_modulus(folder):
@@ -69,6 +69,6 @@ def test_files_of_strips_with_different_widths_are_no_replicates_of_one_specimen
     for number, width in enumerate((5.0, 7.5), start=1):
         (tmp_path / f"strip_{number}.csv").write_text(f"Tensile test\n{sizes(width)}\n{block(width)}")
     found = calibration.import_files([tmp_path / "strip_1.csv", tmp_path / "strip_2.csv"], tmp_path / "c.toml",
-                                     calibration.Wishes(laws=("neo_hooke",)))
+                                     calibration.ImportOptions(laws=("neo_hooke",)))
     assert found.complete, found.questions
     assert fitted_modulus(tmp_path) == pytest.approx(MODULUS_PA, rel=1e-3)

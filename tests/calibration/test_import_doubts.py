@@ -28,7 +28,7 @@ def imported(folder, head, columns, **wishes):
     rows = "".join(",".join(f"{value:.5f}" for value in row) + "\n" for row in zip(*columns, strict=True))
     (folder / "test.csv").write_text(head + rows)
     return calibration.import_files([folder / "test.csv"], folder / "c.toml",
-                                    calibration.Wishes(laws=("neo_hooke",), **wishes), overwrite=True)
+                                    calibration.ImportOptions(laws=("neo_hooke",), **wishes), overwrite=True)
 
 
 def fit(folder):

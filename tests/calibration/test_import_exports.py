@@ -12,7 +12,7 @@ import tissue_sim as ts
 sys.path.insert(0, str(Path(__file__).parent))
 from machine_exports import EXPORTS
 
-SIZES = calibration.Wishes(specimen={"radius_mm": 10.0, "height_mm": 12.0})
+SIZES = calibration.ImportOptions(specimen={"radius_mm": 10.0, "height_mm": 12.0})
 
 
 @pytest.mark.slow
@@ -29,7 +29,7 @@ def test_an_export_is_read_and_imported(tmp_path, monkeypatch, name):
     assert imported.complete == (export.kind is not None), (imported.missing, imported.problem)
     if export.kind is None:
         assert imported.missing == ("the kind of test (--kind)",)
-        stated = calibration.Wishes(calibration.Stated(kind="lubricated_compression"), SIZES.specimen)
+        stated = calibration.ImportOptions(calibration.ColumnHints(kind="lubricated_compression"), SIZES.specimen)
         imported = calibration.import_files([path], wishes=stated)
         assert imported.complete, imported.problem
     Path("campaign.toml").write_text(imported.text, encoding="utf-8")

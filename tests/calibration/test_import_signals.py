@@ -40,7 +40,7 @@ def write(folder, way, load, time=TIME, head=HEAD, name="gel.csv"):
 
 
 def wishes(**stated):
-    return calibration.Wishes(laws=("neo_hooke",), **stated)
+    return calibration.ImportOptions(laws=("neo_hooke",), **stated)
 
 
 def imported_and_fitted(folder, path, **stated):

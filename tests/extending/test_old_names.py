@@ -88,3 +88,10 @@ def test_the_new_name_wins_over_the_old_one():
     assert Both().new() == "new"
     with pytest.warns(DeprecationWarning, match=r"Base\.old is renamed to new"):
         assert Both().old() == "new"
+
+
+@pytest.mark.parametrize(("old", "new"), [("Wishes", "ImportOptions"), ("Stated", "ColumnHints")])
+def test_old_names_of_the_import_give_the_new_classes_and_warn(old, new):
+    calibration = import_module("calibration")
+    with pytest.warns(DeprecationWarning, match=rf"^calibration\.{old} is renamed to calibration\.{new}$"):
+        assert getattr(calibration, old) is getattr(calibration, new)

@@ -8,7 +8,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.recording.formats.cell_units import CellUnits, split_quantity, without_cell_units
-from tissue_sim.recording.formats.guesses import Stated
+from tissue_sim.recording.formats.guesses import ColumnHints
 from tissue_sim.recording.formats.number_text import is_number, parse_number
 from tissue_sim.recording.formats.sizes import quantity_in
 from tissue_sim.recording.formats.table import Row
@@ -30,7 +30,7 @@ def quantities(units=("s", "mm", "N"), decimal="."):
 def understood(tmp_path, content, **stated):
     path = tmp_path / "gel.csv"
     path.write_text(content, encoding="utf-8")
-    found = understand(path, Stated(**stated))
+    found = understand(path, ColumnHints(**stated))
     return found.readings[0], path
 
 

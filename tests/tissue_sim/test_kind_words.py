@@ -3,7 +3,7 @@
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.recording.formats.guesses import Stated
+from tissue_sim.recording.formats.guesses import ColumnHints
 from tissue_sim.recording.formats.kind_words import Hint, named_tests, plain_text
 from tissue_sim.recording.formats.understanding import understand
 from tissue_sim.recording.formats.unknown_tests import UNKNOWN_TESTS
@@ -59,7 +59,7 @@ def test_a_file_of_such_a_test_is_refused_until_the_user_states_a_kind(tmp_path,
     path.write_text(above + TABLE.replace("Load", f"{header}Load"), encoding="utf-8")
     with pytest.raises(ts.InputError, match=r"there is no such kind of test\. --kind overrules the word"):
         understand(path)
-    reading, = understand(path, Stated(kind="uniaxial_tension")).readings
+    reading, = understand(path, ColumnHints(kind="uniaxial_tension")).readings
     assert reading.kind.kind == "uniaxial_tension" and "names" in reading.kind.against[0]
     assert "as stated" in reading.remarks[0]
 

@@ -100,7 +100,7 @@ def test_a_cell_that_is_open_where_the_beginning_ends_is_refused_as_ever(tmp_pat
 
 def test_a_piece_ends_with_a_line(tmp_path):
     rows = [f"{i},{i},{i}" for i in range(1000)]
-    with mock.patch.object(long_text, "_PIECE", 100):
+    with mock.patch.object(long_text, "_SETTINGS", long_text.LongTextSettings(chunk_characters=100)):
         at_once, cell_by_cell = both("columns", foreign(rows), tmp_path)
     assert at_once == cell_by_cell and len(at_once[0][0]["time"]) == 1000
 

@@ -1,4 +1,4 @@
-"""A change point in one part of a recording: zero and drift before it, a smooth law after it, by profile likelihood."""
+"""Fit a change point by profile likelihood: zero and drift before the change, a smooth law after it."""
 
 from __future__ import annotations
 
@@ -7,24 +7,44 @@ from functools import cached_property
 
 import numpy as np
 
-#: Samples of a coarse search.
-_COARSE = 300
-#: Correlations of a sample's noise with that before it that are tried first.
+
+@dataclass(frozen=True)
+class ChangePointSettings:
+    """Settings of `ChangePointFit`.
+
+    Attributes:
+        coarse_samples: samples of the coarse search.
+        limit_factor: factor of the likelihood ratio at the ends of the interval. It corrects for the choice of the part
+            from the same data; benchmarks/contact.py determines its value.
+        leading_fraction: least fraction of the force at the end of the part that the leading power contributes. It
+            excludes a line with a large second term as an approximation of a cone.
+        difference_step: step of finite differences: change of the power, and of contact over the length of the part.
+        chunk_numbers: largest number of array elements that are processed together.
+    """
+
+    coarse_samples: int = 300
+    limit_factor: float = 1.15
+    leading_fraction: float = 0.3
+    difference_step: float = 1e-4
+    chunk_numbers: int = 150_000
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = ChangePointSettings()
+#: First trial values of the correlation of the noise between neighbouring samples.
 _CORRELATIONS = np.array([0.0, 0.15, 0.3, 0.5, 0.7, 0.85, 0.95, 0.99])
-#: What choosing the part from the same data costs: the ratio at the ends of the interval is so much higher, which
-#: benchmarks/contact.py finds.
-_CHOSEN = 1.15
-#: Least share of the power alone in the force at the end of the part: a cone is no line with a large second term.
-_LEADING = 0.3
-#: Change of the power, and of contact over the length of the part, for derivatives.
-_MOVED = 1e-4
-#: Numbers that are worked on at once.
-_TOGETHER = 150_000
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Samples before and some after contact: time, displacement, force, (n,); deviation of the sensor's rounding."""
+    """Samples before contact and some after it.
+
+    Attributes:
+        time, displacement, force: s, m and N, shapes (n,).
+        rounding: standard deviation of the rounding of the sensor, N.
+        step: displacement between two samples, m.
+        start: displacement at the start of the motion, m.
+    """
 
     time: np.ndarray
     displacement: np.ndarray
@@ -34,15 +54,16 @@ class Part:
     start: float
 
     def until(self, end: int) -> Part:
+        """Return the samples before index `end`."""
         return Part(self.time[:end], self.displacement[:end], self.force[:end], self.rounding, self.step, self.start)
 
     @cached_property
     def coarse(self) -> Part:
-        """For a coarse search, some 300 samples."""
-        return self.at_most(_COARSE)
+        """Averaged samples for a coarse search."""
+        return self.at_most(_SETTINGS.coarse_samples)
 
     def at_most(self, samples: int) -> Part:
-        """Means of neighbours, of so few that at most `samples` are left."""
+        """Return means of neighbouring samples, at most `samples` of them."""
         each = -(-self.time.size // samples)
         if each == 1:
             return self
@@ -54,7 +75,15 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Least squares at places of the contact, sorted, with their powers."""
+    """Likelihood profile of the displacement of contact.
+
+    Attributes:
+        places: trial displacements of contact, m, sorted, shape (n,).
+        least_squares: smallest sum of squares at each of them, N2, shape (n,).
+        powers: exponent of the law at each of them, shape (n,).
+        variance: variance of the residual, N2.
+        limit: likelihood ratio at the ends of the interval.
+    """
 
     places: np.ndarray
     least_squares: np.ndarray
@@ -64,43 +93,51 @@ class Profile:
 
     @property
     def at(self) -> int:
+        """Index of the best place."""
         return int(np.argmin(self.least_squares))
 
     @property
     def best(self) -> tuple[float, float]:
+        """Displacement of contact, m, and exponent of the best fit."""
         return float(self.places[self.at]), float(self.powers[self.at])
 
     @property
     def least(self) -> float:
+        """Sum of squares of the best fit, N2."""
         return float(self.least_squares[self.at])
 
     @property
     def ratio(self) -> np.ndarray:
+        """Likelihood ratio at each place, shape (n,)."""
         with np.errstate(invalid="ignore", over="ignore"):
             return (self.least_squares - self.least) / self.variance
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Where the ratio crosses its limit; infinite on a side where it does not."""
+        """Displacements, m, at which the ratio crosses its limit; infinite on a side without a crossing."""
         ratio, at = self.ratio, self.at
         below, above = np.flatnonzero(ratio[:at] > self.limit), np.flatnonzero(ratio[at:] > self.limit)
         return (self._crossing(below[-1], below[-1] + 1) if below.size else -np.inf,
                 self._crossing(at + above[0], at + above[0] - 1) if above.size else float(self.places[-1]))
 
     def _crossing(self, out: int, inside: int) -> float:
+        """Interpolate the displacement between two places at which the ratio equals its limit, m."""
         ratio, places = self.ratio, self.places
         if not np.isfinite(ratio[out]):
             return float(places[out])
-        share = (self.limit - ratio[inside]) / (ratio[out] - ratio[inside])
-        return float(places[inside] + share * (places[out] - places[inside]))
+        fraction = (self.limit - ratio[inside]) / (ratio[out] - ratio[inside])
+        return float(places[inside] + fraction * (places[out] - places[inside]))
 
 
 class ChangePointFit:
-    """Least squares of the law to one part, with the noise whitened.
+    """Least-squares fit of the law to one part, with whitened noise.
 
     Args:
-        correlation: of a sample's noise with that before it.
-        half: one more term, a root of the way higher than the power.
+        part: samples that are fitted.
+        terms: terms of the polynomial.
+        exponents: limits of the exponent.
+        correlation: correlation of the noise between neighbouring samples.
+        half: whether the law has one more term, whose exponent is larger by 1/2.
     """
 
     def __init__(self, part: Part, terms: int, exponents: tuple[float, float], correlation: float = 0.0, *,
@@ -116,7 +153,7 @@ class ChangePointFit:
         self.latest = float(part.displacement[-min(terms + 4, t.size)])
 
     def _whiten(self, rows: np.ndarray) -> np.ndarray:
-        """What is new in each sample, shape (..., n); the first one scaled to be worth as much."""
+        """Return the innovations of the autoregressive process, shape (..., n); the first has an equal variance."""
         if not self.correlation:
             return rows
         new = np.empty_like(rows)
@@ -125,24 +162,25 @@ class ChangePointFit:
         return new
 
     def _project(self, rows: np.ndarray) -> np.ndarray:
-        """Less what zero and drift explain."""
+        """Remove the projection on zero and drift from rows, shape (m, n)."""
         return rows - (rows @ self._base) @ self._base.T
 
     def _columns(self, places: np.ndarray, powers: np.ndarray) -> list[np.ndarray]:
-        """Of the law after contact, each of shape (places * powers, n); powers: (places, m)."""
-        way = np.maximum(self.part.displacement - places[:, None], 0.0)[:, None] / self._scale
-        logarithm = np.log(way, where=way > 0, out=np.full(way.shape, -np.inf))
+        """Return the terms of the law after contact, each of shape (places * powers, n); powers: (places, m)."""
+        depth = np.maximum(self.part.displacement - places[:, None], 0.0)[:, None] / self._scale
+        logarithm = np.log(depth, where=depth > 0, out=np.full(depth.shape, -np.inf))
         first = np.exp(powers[:, :, None] * logarithm)
-        columns = [first * way**k for k in range(self.terms)]
-        columns += [first * np.sqrt(way)] if self.half else []
-        return [column.reshape(-1, way.shape[-1]) for column in columns]
+        columns = [first * depth**k for k in range(self.terms)]
+        columns += [first * np.sqrt(depth)] if self.half else []
+        return [column.reshape(-1, depth.shape[-1]) for column in columns]
 
     def squares(self, places: np.ndarray, powers: np.ndarray, *, bounded: bool = True) -> np.ndarray:
-        """Least squares, shape of `powers`, (places, m); infinite where the force would not start upwards.
+        """Return the sums of squares, N2, shape of `powers`, (places, m); infinite if the force does not start upwards.
 
-        A contact before the motion has no air, and its drift and its start cannot be told apart.
+        Before the start of the motion there are no samples in the air, and a drift and a start of the law have the same
+        effect: the condition on the force does not apply there.
         """
-        together = max(1, _TOGETHER // (powers.shape[1] * self._data.size))
+        together = max(1, _SETTINGS.chunk_numbers // (powers.shape[1] * self._data.size))
         if places.size > together:
             return np.concatenate([self.squares(places[k:k + together], powers[k:k + together], bounded=bounded)
                                    for k in range(0, places.size, together)])
@@ -153,11 +191,11 @@ class ChangePointFit:
             end = ((self.part.displacement[-1] - places) / self._scale)[:, None]
             force = sum(coefficients[k].reshape(powers.shape) * end**k for k in range(self.terms))
             after = (places > self.part.start + 2 * self.part.step)[:, None]
-            answer[after & (leading <= _LEADING * np.maximum(force, 0.0))] = np.inf
+            answer[after & (leading <= _SETTINGS.leading_fraction * np.maximum(force, 0.0))] = np.inf
         return answer
 
     def least(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Least squares over the power at each place, and the power; shapes (places,)."""
+        """Return the smallest sum of squares over the exponent at each place, and the exponent; shapes (places,)."""
         low, high = self.exponents
         rows, count = np.arange(places.size), 9 if high > low else 1
         powers = np.broadcast_to(np.linspace(low, high, count), (places.size, count))
@@ -181,14 +219,20 @@ class ChangePointFit:
         return found, best
 
     def search(self) -> tuple[float, float]:
-        """Contact and power on the coarse part, over all of it."""
+        """Return contact, m, and exponent of the best fit of the averaged samples."""
         coarse = ChangePointFit(self.part.coarse, self.terms, self.exponents)
         low, high = coarse.part.start, max(coarse.latest, coarse.part.start + coarse.part.step)
         samples = np.quantile(coarse.part.displacement, np.linspace(0, 1, 22), method="nearest").clip(low, high)
         return coarse.near(None, np.union1d(np.linspace(low, high, 22), samples))
 
     def near(self, best: tuple[float, float] | None, places: np.ndarray | None = None) -> tuple[float, float]:
-        """The best contact and power among places (None: around one), then between its neighbours, twice."""
+        """Return contact, m, and exponent of the best fit near an estimate.
+
+        The best of the trial places is refined twice between its neighbours.
+
+        Args:
+            best: estimate of contact and exponent. places: trial displacements, m; None: around the estimate.
+        """
         if places is None:
             assert best is not None
             step = self.part.coarse.step
@@ -204,7 +248,7 @@ class ChangePointFit:
         return answer
 
     def profile(self, best: tuple[float, float]) -> Profile:
-        """Least squares around the best place, as far as the interval goes, and finely inside."""
+        """Return the likelihood profile around the best fit, fine at the ends of the 95 % interval."""
         from scipy import special
 
         start, latest, step = self.part.start, max(self.latest, self.part.start + self.part.step), self.part.step
@@ -214,7 +258,7 @@ class ChangePointFit:
         for _ in range(14):
             at = int(np.argmin(squares))
             variance = max(squares[at] / self.freedom, self.part.rounding**2, 1e-300)
-            limit = _CHOSEN * float(special.fdtri(1, self.independent, 0.95))
+            limit = _SETTINGS.limit_factor * float(special.fdtri(1, self.independent, 0.95))
             profile = Profile(places, squares, powers, variance, limit)
             near = np.flatnonzero(profile.ratio < 2.3 * profile.limit)
             width, wanted = places[near[-1]] - places[near[0]], []
@@ -225,7 +269,7 @@ class ChangePointFit:
             first, last = max(near[0] - 1, 0), min(near[-1] + 1, places.size - 1)
             gaps = np.diff(places[first:last + 1])
             fine = max(min(step / 6, width / 12), step / 50)
-            # Finely only where the profile crosses its limit and beside the best.
+            # The profile is fine only at the crossings of its limit and next to the best place.
             inside = profile.ratio[first:last + 1] <= profile.limit
             matters = inside[1:] != inside[:-1]
             matters[[k for k in (at - first - 1, at - first) if 0 <= k < gaps.size]] = True
@@ -244,21 +288,21 @@ class ChangePointFit:
 
     @property
     def independent(self) -> float:
-        """Degrees of freedom that correlated samples are worth in the variance of their mean."""
+        """Effective degrees of freedom of correlated samples, from the variance of their mean."""
         return max(self.freedom * (1 - self.correlation) / (1 + self.correlation), 5.0)
 
     def colour(self, place: float, power: float) -> float:
-        """Correlation of the noise, with all that is fitted here counted."""
+        """Estimate the correlation of the noise; all fitted parameters reduce the degrees of freedom."""
         self.coefficients(place, power)
         design = np.vstack([self._design, *self._moved(place, power)]).T
         return _correlation(self.part.force - self.part.force[0], design)
 
     def without_contact(self) -> float:
-        """Sum of squares of zero and drift alone."""
+        """Return the sum of squares of a fit with zero and drift alone, N2."""
         return float(self._data @ self._data)
 
     def coefficients(self, place: float, power: float) -> np.ndarray:
-        """Zero less the first force, drift over the part, and those of the law."""
+        """Return the coefficients: zero less the first force, drift over the part, and terms of the law, N."""
         columns = [column[0] for column in self._columns(np.array([place]), np.array([[power]]))]
         t = (self.part.time - self.part.time[0]) / ((self.part.time[-1] - self.part.time[0]) or 1.0)
         self._design = np.stack([np.ones(t.size), t, *columns])
@@ -266,7 +310,7 @@ class ChangePointFit:
         return np.linalg.lstsq(self._whiten(self._design).T, wanted, rcond=None)[0]
 
     def drift_error(self, place: float, power: float, variance: float) -> float:
-        """Standard error of the drift over the part, N, where contact and power are fitted too.
+        """Return the standard error of the drift over the part, N; contact and exponent are fitted, too.
 
         Args:
             variance: of the whitened residual, N2.
@@ -279,25 +323,28 @@ class ChangePointFit:
         return float(np.sqrt(max(variance * covariance[1, 1], 0.0)) / size[1])
 
     def zero_without_drift(self, place: float, power: float) -> float:
-        """Zero less the first force, N, of the law without a drift."""
+        """Return the zero less the first force, N, of a fit without drift."""
         self.coefficients(place, power)
         design = np.delete(self._design, 1, axis=0)
         wanted = self._whiten(self.part.force - self.part.force[0])
         return float(np.linalg.lstsq(self._whiten(design).T, wanted, rcond=None)[0][0])
 
     def _moved(self, place: float, power: float) -> list[np.ndarray]:
-        """The leading term at a contact and with a power that are slightly different, shapes (n,)."""
-        return [self._columns(np.array([place - _MOVED * self._scale]), np.array([[power]]))[0][0],
-                self._columns(np.array([place]), np.array([[power + _MOVED]]))[0][0]]
+        """Return the leading term with a shifted contact, and with a shifted exponent, shapes (n,)."""
+        return [self._columns(np.array([place - _SETTINGS.difference_step * self._scale]), np.array([[power]]))[0][0],
+                self._columns(np.array([place]), np.array([[power + _SETTINGS.difference_step]]))[0][0]]
 
     def residual(self, place: float, power: float) -> np.ndarray:
-        """Force less the law, not whitened, N, shape (n,)."""
+        """Return the residual of the force without whitening, N, shape (n,)."""
         coefficients = self.coefficients(place, power)
         return self.part.force - self.part.force[0] - coefficients @ self._design
 
 
 def _orthogonal(columns: list[np.ndarray], data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least squares of data (n,) on columns, each (m, n): sums of squares, (m,), and coefficients, (columns, m).
+    """Solve m least-squares problems of data (n,) on columns, each (m, n).
+
+    Returns:
+        Sums of squares, (m,), and coefficients, (columns, m).
 
     Source: Bjorck, BIT 7 (1967) 1, modified Gram-Schmidt.
     """
@@ -321,7 +368,7 @@ def _orthogonal(columns: list[np.ndarray], data: np.ndarray) -> tuple[np.ndarray
 
 
 def _correlation(data: np.ndarray, design: np.ndarray) -> float:
-    """Correlation of a sample's noise with that before it, at least 0, by the restricted likelihood.
+    """Estimate the correlation of the noise of neighbouring samples, at least 0, by the restricted likelihood.
 
     Args:
         data: (n,). design: columns that are fitted to it, (n, k).
@@ -331,14 +378,14 @@ def _correlation(data: np.ndarray, design: np.ndarray) -> float:
     columns = np.column_stack([design / np.linalg.norm(design, axis=0).clip(1e-150), data])
     freedom, known = data.size - design.shape[1], design.shape[1]
 
-    def criterion(share: float) -> float:
-        new = np.vstack([np.sqrt(1 - share**2) * columns[:1], columns[1:] - share * columns[:-1]])
+    def criterion(trial: float) -> float:
+        new = np.vstack([np.sqrt(1 - trial**2) * columns[:1], columns[1:] - trial * columns[:-1]])
         size = np.abs(np.diag(np.linalg.qr(new, mode="r"))).clip(1e-150)
-        return 2 * freedom * np.log(size[-1]) + 2 * float(np.log(size[:known]).sum()) - np.log(1 - share**2)
+        return 2 * freedom * np.log(size[-1]) + 2 * float(np.log(size[:known]).sum()) - np.log(1 - trial**2)
 
-    shares = _CORRELATIONS
+    trials = _CORRELATIONS
     for _ in range(3):
-        at = int(np.argmin([criterion(share) for share in shares]))
-        low, high = shares[max(at - 1, 0)], shares[min(at + 1, shares.size - 1)]
-        shares = np.linspace(low, high, 5)
-    return float(shares[int(np.argmin([criterion(share) for share in shares]))])
+        at = int(np.argmin([criterion(trial) for trial in trials]))
+        low, high = trials[max(at - 1, 0)], trials[min(at + 1, trials.size - 1)]
+        trials = np.linspace(low, high, 5)
+    return float(trials[int(np.argmin([criterion(trial) for trial in trials]))])

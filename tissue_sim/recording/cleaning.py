@@ -14,23 +14,23 @@ from tissue_sim.recording.recording import CHANNELS, MIN_POINTS, Recording
 from tissue_sim.recording.saturation import find_saturation, last_digit
 from tissue_sim.recording.screening import LeftOut, Saturation, Screening
 
-#: Channels of the motion; of these, and of those of the load, the first one that a recording has is examined.
+#: Channels of the motion. The first one in a recording is examined, and so is the first channel of the load.
 MOTIONS = ("displacement", "stretch", "shear strain")
-#: Errors of a product in units of the floating-point spacing.
-_BITS = 4.0
-#: Quantity -> unit and units in one of SI, for sentences.
+#: Error of a product, in units of the floating-point spacing.
+_PRODUCT_ERROR = 4.0
+#: Quantity -> unit for sentences, and factor from SI to this unit.
 _SHOWN = {"length": (" mm", 1e3), "force": (" N", 1.0), "stress": (" kPa", 1e-3), "ratio": ("", 1.0)}
 
 
 def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: Sequence[str] = (),
           controlled: str | None = None) -> tuple[Recording, Screening]:
-    """The recording without outliers and saturated samples, and the findings.
+    """Remove outliers and saturated samples from a recording, and report the findings.
 
     Args:
-        recording: one without a motion or without a load is returned as it is.
+        recording: a recording without a motion or without a load is returned without a change.
         leave_out: numbers of the samples to leave out, from 1; None: outliers are found.
-        zeroed: channels that were counted from the first sample; where that is an outlier, they are counted from the
-            value that the other samples show for it.
+        zeroed: channels that were counted from the first sample. If the first sample is an outlier, they are counted
+            from the value that the other samples predict for it.
         controlled: ``"displacement"`` or ``"force"``, as the user states it: a controlled channel is not saturated, and
             the other one is not held.
 
@@ -79,10 +79,10 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
 
 
 def start_of(recording: Recording, screening: Screening, name: str) -> float | None:
-    """Value of the motion or the load at the first sample; see `tissue_sim.recording.first_sample.first_value`.
+    """Return the motion or the load at the first sample; see `tissue_sim.recording.first_sample.first_value`.
 
     Args:
-        recording: all of its samples. screening: of `clean`.
+        recording: with all samples. screening: findings of `clean`. name: channel.
     """
     partners = LOADS if name in MOTIONS else MOTIONS
     partner = next((each for each in partners if each in recording), None)
@@ -90,7 +90,7 @@ def start_of(recording: Recording, screening: Screening, name: str) -> float | N
 
 
 def _start(recording: Recording, screening: Screening, name: str) -> float:
-    """As `start_of`, for a channel that is counted from its first sample.
+    """Return the value at the first sample for a channel that is counted from it; see `start_of`.
 
     Raises:
         InputError: the samples that are kept do not determine the value.
@@ -106,12 +106,12 @@ def _start(recording: Recording, screening: Screening, name: str) -> float:
 
 
 def counted_from_start(recording: Recording, zeroed: Sequence[str]) -> Recording:
-    """Count channels from their value at the first sample, also where an outlier is in its place.
+    """Count channels from their value at the first sample, also if the first sample is an outlier.
 
-    Where the samples do not show that value, the channels count from the first sample that is kept.
+    If the other samples do not determine this value, the channels count from the first sample that is kept.
 
     Args:
-        recording: all of its samples. zeroed: channels that count from the first sample.
+        recording: with all samples. zeroed: channels that count from the first sample.
     """
     named = [name for name in zeroed if name in recording]
     if not named:
@@ -125,7 +125,7 @@ def counted_from_start(recording: Recording, zeroed: Sequence[str]) -> Recording
 
 def _as_stated(recording: Recording, leave_out: Sequence[int], found: tuple[LeftOut, ...]
                ) -> tuple[tuple[LeftOut, ...], tuple[LeftOut, ...]]:
-    """Samples that the campaign lists, with the reason where they are outliers, and outliers that it does not list."""
+    """Return the samples that the campaign lists, and the outliers that are not listed, with reasons."""
     for number in leave_out:
         if not 1 <= number <= len(recording):
             raise InputError(f"leave_out must list samples from 1 to {len(recording)}; got {number}", field="leave_out")
@@ -138,15 +138,15 @@ def _as_stated(recording: Recording, leave_out: Sequence[int], found: tuple[Left
 
 def _of_channel(recording: Recording, kept: np.ndarray, name: str, other: str, values: np.ndarray | None = None,
                 title: str = "", rounding: float = 0.0, *, is_free: bool = False) -> tuple[Saturation, ...]:
-    """Saturation of a channel.
+    """Find the saturation of a channel.
 
     Args:
-        kept: places of the samples in the recording as the file has it, shape (n,). other: channel that continues.
-        values: another measure of the channel, with its title; None: those of the channel.
+        kept: positions of the samples in the file, from 0, shape (n,). other: channel that continues.
+        values: another measure of the channel, with its title; None: the values of the channel.
         rounding, is_free: see `find_saturation`.
     """
     values = recording.channel(name) if values is None else values
-    goes_on = "motion" if other in MOTIONS else "load"
+    continuing = "motion" if other in MOTIONS else "load"
     found = []
     for run in find_saturation(values, recording.channel(other), _clock(recording), rounding=rounding,
                                is_free=is_free):
@@ -154,14 +154,14 @@ def _of_channel(recording: Recording, kept: np.ndarray, name: str, other: str, v
         samples = tuple((kept[run.first:run.last + 1] + 1).tolist())
         found.append(Saturation(name, level, samples,
                                 f"the {title or name} stays at {in_words(name, level)} over {run.count} samples while "
-                                f"the {goes_on} continues: a saturated sensor; samples {samples[0]} to {samples[-1]} "
-                                "are left out"))
+                                f"the {continuing} continues: a saturated sensor; samples {samples[0]} to "
+                                f"{samples[-1]} are left out"))
     return tuple(found)
 
 
 def _of_measured_load(recording: Recording, kept: np.ndarray, load: str, motion: str, *, is_free: bool
                       ) -> tuple[Saturation, ...]:
-    """Saturation of the load in the measure that the file states, or of the force that this stress implies.
+    """Find the saturation of the load in the measure of the file, or in the nominal stress.
 
     A load cell at its limit gives a constant force, which is the nominal stress times the undeformed area. The true
     stress of such a test still follows the stretch, and the nominal stress is constant to the rounding of the columns.
@@ -172,16 +172,16 @@ def _of_measured_load(recording: Recording, kept: np.ndarray, load: str, motion:
     stretch = recording.channel("stretch")
     stated = measure.invert(recording.channel(load), stretch)
     # A product and its quotient differ in the last bits.
-    bits = _BITS * np.finfo(float).eps * float(np.abs(stated).max())
+    bits = _PRODUCT_ERROR * np.finfo(float).eps * float(np.abs(stated).max())
     return (_of_channel(recording, kept, load, motion, stated, measure.title, bits, is_free=is_free)
             or _of_channel(recording, kept, load, motion, None, f"nominal stress that follows from the {measure.title}",
                            _rounding_of_nominal(recording, measure), is_free=is_free))
 
 
 def _rounding_of_nominal(recording: Recording, measure: Measure) -> float:
-    """Width of the interval of nominal stresses, Pa, that give the same digits in the columns of the file.
+    """Return the width of the interval of nominal stresses, Pa, with the same digits in the columns of the file.
 
-    The last digit of each column, times the derivative of the nominal stress where the stress is large.
+    The width is the last digit of each column times the derivative of the nominal stress, at large stresses.
     """
     stretch, nominal = recording.channel("stretch"), recording.channel("nominal stress")
     large = np.abs(nominal) >= 0.5 * float(np.abs(nominal).max())
@@ -199,10 +199,11 @@ def _rounding_of_nominal(recording: Recording, measure: Measure) -> float:
 
 
 def _clock(recording: Recording) -> np.ndarray | None:
+    """Return the time, s, shape (n,); None for a recording without a time."""
     return recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
 
 
 def in_words(channel: str, value: float) -> str:
-    """A value of a channel with its unit, for sentences: ``"2.35 mm"``."""
+    """Format a value (SI) of a channel with its unit, for sentences: ``"2.35 mm"``."""
     unit, factor = _SHOWN[CHANNELS[channel]]
     return f"{factor * value:.4g}{unit}"

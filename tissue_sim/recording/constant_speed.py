@@ -1,4 +1,4 @@
-"""Time from displacement, or displacement from time, of a test at a constant speed."""
+"""Compute the time from the displacement, or the displacement from the time, of a test at constant speed."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from tissue_sim.recording.recording import Recording
 
 
 def with_constant_speed(recording: Recording, speed: float, path: Path) -> Recording:
-    """The recording with the time that the path length took, or with the displacement since the first sample.
+    """Add the time from the path length, or the displacement since the first sample, to a recording.
 
     Args:
-        recording: lacks the time or the displacement; one that has both is returned as it is.
+        recording: without time or without displacement; a recording with both is returned without a change.
         speed: m/s. path: for messages.
 
     Raises:

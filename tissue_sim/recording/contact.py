@@ -1,7 +1,8 @@
-"""Where a test touches: the change point between air and the first rise of the force, with its interval.
+"""Detect contact as a change point of the force, with a 95 % interval.
 
-Before contact the force is a zero with a drift in time; from contact on a smooth law starts there, a power between 1
-(plates, flat punches) and 2 (cones) times a polynomial. The noise may have a colour: it is taken as autoregressive.
+Before contact the force is a constant zero with a linear drift in time. From contact on, the model adds a power of the
+depth, with an exponent between 1 (plates, flat punches) and 2 (cones), times a polynomial. The noise is modelled as a
+first-order autoregressive process.
 """
 
 from __future__ import annotations
@@ -17,51 +18,86 @@ from tissue_sim.recording.change_point import ChangePointFit, Part, Profile
 from tissue_sim.recording.resolution import rounding_step
 from tissue_sim.recording.segmentation import label_motion
 
-#: Powers with which the force may start: plates and flat punches, balls (3/2), cones.
+#: Limits of the exponent of the force after contact: 1 for plates and flat punches, 3/2 for balls, 2 for cones.
 EXPONENTS = (1.0, 2.0)
-#: Ends of the part that is fitted, as shares of the rise of the force, and least rise in deviations of the noise.
-_RISES, _LEAST_RISE = (1.0, 0.6, 0.35, 0.2, 0.12, 0.07, 0.04, 0.025, 0.015, 0.008, 0.004, 0.002), 15.0
-#: Terms of the polynomial with which a part is judged; one more is fitted, so that what goes unseen is small beside it.
-_TERMS = 1
-#: A part is short enough where three more terms improve it no more than chance does with this probability.
-_ADEQUATE = 0.5
-#: Below this the law does not describe even the shortest part.
-_DOUBTFUL = 1e-3
-#: A shorter part with less than this share of a part's residual is fitted in its place.
-_SMALLER = 0.7
-#: A rise in the air that is steeper than this share of the rise after it, and more than so many deviations of the
-#: noise, is no drift; nor is one of more than a share of the largest force.
-_DRIFT, _DRIFT_RISE, _DRIFT_SHARE = 0.2, 5.0, 0.05
-#: A drift of less than this many standard errors is taken as zero: the few samples in air that show it would be
-#: extrapolated over the whole test.
-_DRIFT_ERRORS = 4.0
-#: Most samples that are worked on; more are averaged.
-_MOST = 4000
-#: Fewest samples of a part, fewest that are not in contact, and fewest in all.
-_FEWEST, _FEWEST_AIR, _FEWEST_ALL = 30, 4, 12
-#: Nothing was touched where chance makes such a rise with this probability.
-_NO_FORCE = 1e-4
-#: The force rises at once where it does so by this many deviations of the noise within the first moves.
-_AT_ONCE = 20.0
-#: Contact that is known no better than to this share of the way is not known.
-_UNKNOWN = 0.3
+
+
+@dataclass(frozen=True)
+class ContactSettings:
+    """Settings of `find_contact`.
+
+    Attributes:
+        rise_fractions: ends of the fitted parts, as fractions of the rise of the force; the longest part first.
+        least_rise: least rise of the force in a part, in standard deviations of the noise.
+        terms: terms of the polynomial that judges a part. The final fit has one more term, so that the terms that are
+            left out are small.
+        adequate: a part is short enough if three more terms improve its fit no more than chance does with this
+            probability.
+        doubtful: probability of a chance misfit below which the law does not describe even the shortest part.
+        smaller_residual: a shorter part replaces a part if the ratio of their residuals is below this value.
+        drift_slope: largest slope of a drift in the air, as a fraction of the slope of the force after contact; a
+            steeper rise belongs to contact.
+        drift_rise: rise of the force in the air, in standard deviations of the noise, below which the rise is not
+            examined.
+        drift_fraction: largest drift in the air, as a fraction of the range of the force.
+        drift_errors: a drift of less than this many standard errors is set to zero, because the few samples in the air
+            would be extrapolated over the whole test.
+        most_samples: largest number of samples in the fit; more samples are averaged in groups.
+        fewest_in_part: fewest samples of a part.
+        fewest_in_air: fewest samples before contact.
+        fewest: fewest samples of a recording.
+        no_contact: probability with which noise alone gives the rise of the force; above this probability there is no
+            contact.
+        immediate_rise: rise of the force within the first moves, in standard deviations of the noise, above which
+            contact precedes the first sample.
+        unclear_interval: width of the 95 % interval, as a fraction of the displacement range, above which contact is
+            unclear.
+    """
+
+    rise_fractions: tuple[float, ...] = (1.0, 0.6, 0.35, 0.2, 0.12, 0.07, 0.04, 0.025, 0.015, 0.008, 0.004, 0.002)
+    least_rise: float = 15.0
+    terms: int = 1
+    adequate: float = 0.5
+    doubtful: float = 1e-3
+    smaller_residual: float = 0.7
+    drift_slope: float = 0.2
+    drift_rise: float = 5.0
+    drift_fraction: float = 0.05
+    drift_errors: float = 4.0
+    most_samples: int = 4000
+    fewest_in_part: int = 30
+    fewest_in_air: int = 4
+    fewest: int = 12
+    no_contact: float = 1e-4
+    immediate_rise: float = 20.0
+    unclear_interval: float = 0.3
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = ContactSettings()
 
 
 @dataclass(frozen=True)
 class Contact:
-    """Where the tool touched, or the slack ended.
+    """Displacement at which the tool touches the specimen, or at which the slack ends.
 
     Attributes:
-        status: ``"found"``; ``"before"``, no air: it touched with or before the first sample, and `interval` ends with
-            the latest place; ``"unclear"``: the interval is wide as a third of the way, or the law describes nothing;
-            ``"none"``: no force.
-        displacement: best estimate, m; NaN where there is none. interval: 95 %, m.
-        force_zero: of the sensor at the first sample, N. drift: N/s (N a sample where there is no time); 0 where it is
-            not significant. drift_error: its standard error, N/s; 0 without a drift.
-        index: of the first sample in contact; 0 where there was no air.
-        exponent: power with which the force starts. noise: standard deviation, N.
-        step: between two samples on the way, m. air, loading: samples before and after contact that it stands on.
-        adequate: whether the law describes these; otherwise (adhesion, a step in the force) the interval may be short.
+        status: ``"found"``; ``"before"``: the tool touches with or before the first sample, and `interval` ends at the
+            largest possible displacement of contact; ``"unclear"``: the interval is wider than 30 % of the range of
+            the displacement, or the law does not describe the force; ``"none"``: the force does not rise.
+        displacement: best estimate, m; NaN without an estimate.
+        interval: 95 % interval of `displacement`, m.
+        force_zero: reading of the unloaded sensor at the first sample, N.
+        drift: slope of the force before contact, N/s (N per sample without time); 0 if it is not significant.
+        drift_error: standard error of the drift, N/s; 0 without a drift.
+        index: number of the first sample in contact, from 0; 0 if no sample is in the air.
+        exponent: exponent of the force after contact.
+        noise: standard deviation of the noise, N.
+        step: displacement between two samples, m.
+        air: number of samples before contact that the estimate uses.
+        loading: number of samples after contact that the estimate uses.
+        adequate: whether the law describes these samples. Otherwise (adhesion, a step in the force) the interval may be
+            too short.
     """
 
     status: str
@@ -80,50 +116,58 @@ class Contact:
 
     @property
     def found(self) -> bool:
-        """Whether there is air, and contact after it."""
+        """Whether samples in the air precede contact."""
         return self.status == "found"
 
     @property
     def sentence(self) -> str:
-        """`in_words`, in mm and N."""
+        """Result as a sentence, in mm and N; see `in_words`."""
         return self.in_words()
 
     def counted_from(self, displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None
                      ) -> tuple[np.ndarray, np.ndarray]:
-        """The displacement from contact on, m, and the force less zero and drift, N, of the recording it was found
-        in, shapes (n,)."""
+        """Return the displacement from contact, m, and the force without zero and drift, N, shapes (n,).
+
+        Args:
+            displacement, force, time: of the recording in which contact was found, m, N and s, shapes (n,).
+        """
         clock = np.arange(force.size, dtype=float) if time is None else time
         return displacement - self.displacement, force - self.force_zero - self.drift * (clock - clock[0])
 
     def in_words(self, *, stressed: bool = False) -> str:
-        """What is known, in mm and N; in strain and kPa where the recording is of stress."""
+        """Describe the result in one sentence.
+
+        Args:
+            stressed: whether the recording has strain and stress: strain and kPa instead of mm and N.
+        """
         scale, unit, load, of = (1.0, "", 1e-3, "kPa") if stressed else (1e3, " mm", 1.0, "N")
         low, high = (scale * end for end in self.interval)
         if self.status == "none":
             return "no contact: the force never leaves its zero by more than its noise"
         if self.status == "before":
-            return ("no air is seen: contact was with the first motion or before it, at "
+            return ("no samples in the air: contact was at the first motion or before it, at "
                     f"{high:.4g}{unit} at the latest")
-        stands = (f"it stands on {self.air} samples before and {self.loading} after, noise {load * self.noise:.2g} "
-                  f"{of}, zero {load * self.force_zero:.4g} {of}")
+        basis = (f"estimated from {self.air} samples before and {self.loading} after, noise {load * self.noise:.2g} "
+                 f"{of}, zero {load * self.force_zero:.4g} {of}")
         if self.status == "unclear":
             reach = f"up to {high:.4g}{unit}" if np.isneginf(low) else f"from {low:.4g} to {high:.4g}{unit}"
-            return f"contact cannot be told, it may be anywhere {reach}; {stands}"
+            return f"contact is unclear, it may be anywhere {reach}; {basis}"
         doubt = "" if self.adequate else "; the rise after it is not smooth (adhesion?), so the interval may be short"
         return (f"contact at {scale * self.displacement:.4g}{unit} (95 %: {low:.4g} to {high:.4g}{unit}); "
-                f"{stands}{doubt}")
+                f"{basis}{doubt}")
 
 
 def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None, *,
                  exponents: tuple[float, float] = EXPONENTS) -> Contact:
-    """Find where the first loading touches.
+    """Find contact in the first loading.
 
-    Only the way in to the first stop under load is looked at, and of it as much after contact as the law describes.
+    The search uses the loading up to the first hold under load, and after contact only the part that the law describes.
 
     Args:
         displacement, force: m and N (or strain and stress), positive under load, in the order of time, shape (n,).
         time: s; None: even steps.
-        exponents: between which the force starts; narrower where the tool is known: (1.5, 1.5) for a ball.
+        exponents: limits of the exponent of the force after contact. A known tool has narrower limits: (1.5, 1.5) for
+            a ball.
 
     Raises:
         InputError: fewer than 12 samples, arrays of different length.
@@ -135,25 +179,26 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     if not displacement.shape == force.shape == time.shape:
         raise InputError(f"displacement {displacement.shape}, force {force.shape} and time {time.shape} differ in "
                          "shape; give one of each for every sample", field="force")
-    if displacement.size < _FEWEST_ALL:
-        raise InputError(f"{displacement.size} samples; contact needs at least {_FEWEST_ALL}", field="force")
-    way = _WayIn.of(time, displacement, force)
+    if displacement.size < _SETTINGS.fewest:
+        raise InputError(f"{displacement.size} samples; contact needs at least {_SETTINGS.fewest}", field="force")
+    way = _Loading.of(time, displacement, force)
     if (latest := way.rises_at_once()) is not None:
         return Contact("before", way.start, (-np.inf, latest), way.zero, noise=way.noise, step=way.step)
     recorded, way = way, way.fewer
-    part, terms, chance = way.whole, _TERMS, 0.0
+    part, terms, chance = way.whole, _SETTINGS.terms, 0.0
     parts = way.parts()
     judged = None
     for number, part in enumerate(parts):
         chance, noise = judged or _judge(part, terms, exponents)
-        judged = _judge(parts[number + 1], terms, exponents) if chance > _ADEQUATE and part is not parts[-1] else None
-        # A law that misses something slowly varying makes it look like a coloured noise, which a shorter part has not.
-        if chance > _ADEQUATE and (judged is None or judged[1] > _SMALLER * noise):
+        has_shorter = chance > _SETTINGS.adequate and part is not parts[-1]
+        judged = _judge(parts[number + 1], terms, exponents) if has_shorter else None
+        # A slow misfit of the law looks like correlated noise, and a shorter part has a smaller misfit.
+        if chance > _SETTINGS.adequate and (judged is None or judged[1] > _SETTINGS.smaller_residual * noise):
             break
     fitted = ChangePointFit(part, terms + 1, exponents)
     best = fitted.near(fitted.search())
     fitted = ChangePointFit(part, terms + 1, exponents, fitted.colour(*best))
-    found = _answer(way, fitted, fitted.profile(best), adequate=chance > _DOUBTFUL)
+    found = _contact(way, fitted, fitted.profile(best), adequate=chance > _SETTINGS.doubtful)
     each = round(way.step / recorded.step)
     index = int(np.argmax(displacement > found.displacement)) if found.index else 0
     return replace(found, index=index, step=recorded.step, air=each * found.air, loading=each * found.loading,
@@ -161,7 +206,7 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
 
 
 def _judge(part: Part, terms: int, exponents: tuple[float, float]) -> tuple[float, float]:
-    """The probability that the misfit of a part is chance, and the deviation of its residual, N."""
+    """Return the probability that the misfit of a part is chance, and the standard deviation of its residual, N."""
     from scipy import special
 
     part = part.coarse
@@ -176,7 +221,8 @@ def _judge(part: Part, terms: int, exponents: tuple[float, float]) -> tuple[floa
     return float(special.fdtrc(3, larger.freedom, ratio)), float(np.std(fitted.residual(*best)))
 
 
-def _answer(way: _WayIn, fitted: ChangePointFit, profile: Profile, adequate: bool) -> Contact:
+def _contact(way: _Loading, fitted: ChangePointFit, profile: Profile, adequate: bool) -> Contact:
+    """Return contact with its status from the fit of one part and the likelihood profile."""
     from scipy import special
 
     part, (place, power) = fitted.part, profile.best
@@ -189,37 +235,46 @@ def _answer(way: _WayIn, fitted: ChangePointFit, profile: Profile, adequate: boo
     span = (part.time[-1] - part.time[0]) or 1.0
     zero, drift = float(coefficients[0] + part.force[0]), float(coefficients[1] / span)
     error = fitted.drift_error(place, power, profile.variance) / span
-    if abs(drift) < _DRIFT_ERRORS * error:
+    if abs(drift) < _SETTINGS.drift_errors * error:
         zero, drift, error = fitted.zero_without_drift(place, power) + float(part.force[0]), 0.0, 0.0
     found = Contact("found", float(place), (float(low), float(high)), zero, drift,
                     int(np.argmax(way.whole.displacement > place)), float(power), deviation, way.step, first,
                     part.displacement.size - first, adequate, error)
-    if special.fdtrc(fitted.terms + 2, freedom, ratio) > _NO_FORCE:
-        rises = float(way.smooth.max()) - way.zero > _LEAST_RISE * max(way.noise, deviation)
+    if special.fdtrc(fitted.terms + 2, freedom, ratio) > _SETTINGS.no_contact:
+        rises = float(way.smooth.max()) - way.zero > _SETTINGS.least_rise * max(way.noise, deviation)
         latest = float(way.whole.displacement.max()) if rises else np.inf
         return replace(found, status="unclear" if rises else "none", displacement=np.nan, interval=(-np.inf, latest),
                        index=0, exponent=np.nan)
     reach = float(np.ptp(way.whole.displacement))
     # A drift and a law together can bend where there is air: only a clear rise bounds a contact without air.
-    risen = way.smooth - way.zero > _DRIFT_RISE * max(way.noise, deviation)
+    risen = way.smooth - way.zero > _SETTINGS.drift_rise * max(way.noise, deviation)
     latest = way.whole.displacement[min(int(np.flatnonzero(~risen).max(initial=-1)) + 1, risen.size - 1)]
     no_air = replace(found, status="before", interval=(-np.inf, max(float(high), float(latest))), index=0)
     in_air, after = place - way.start, part.displacement[-1] - place
     rise = coefficients[1] * (part.time[min(first, part.time.size - 1)] - part.time[0]) / span
     gain = float(np.mean(part.force[-3:])) - part.force[0] - coefficients[0] - rise
-    steep = in_air > 0 and after > 0 and rise / in_air > _DRIFT * gain / after
-    if rise > _DRIFT_RISE * deviation and (steep or rise > _DRIFT_SHARE * float(np.ptp(way.smooth))):
+    steep = in_air > 0 and after > 0 and rise / in_air > _SETTINGS.drift_slope * gain / after
+    if rise > _SETTINGS.drift_rise * deviation and (
+            steep or rise > _SETTINGS.drift_fraction * float(np.ptp(way.smooth))):
         found = replace(no_air, displacement=way.start, drift=0.0, drift_error=0.0, exponent=np.nan)
-    elif np.isneginf(low) or first < _FEWEST_AIR:
+    elif np.isneginf(low) or first < _SETTINGS.fewest_in_air:
         found = no_air
     low, high = found.interval
-    unclear = high - (low if found.found else way.start) > _UNKNOWN * reach or not (found.found or adequate)
+    width = high - (low if found.found else way.start)
+    unclear = width > _SETTINGS.unclear_interval * reach or not (found.found or adequate)
     return replace(found, status="unclear") if unclear else found
 
 
 @dataclass(frozen=True, eq=False)
-class _WayIn:
-    """The way in to the first stop under load. start: of the motion, m. zero, noise: first guesses, N."""
+class _Loading:
+    """Loading up to the first hold under load.
+
+    Attributes:
+        whole: all samples of the loading.
+        smooth: running mean of three forces, N, shape (n,).
+        zero: first estimate of the zero of the force, N.
+        noise: first estimate of the standard deviation of the noise, N.
+    """
 
     whole: Part
     smooth: np.ndarray
@@ -235,7 +290,8 @@ class _WayIn:
         return self.whole.start
 
     @classmethod
-    def of(cls, time: np.ndarray, displacement: np.ndarray, force: np.ndarray) -> _WayIn:
+    def of(cls, time: np.ndarray, displacement: np.ndarray, force: np.ndarray) -> _Loading:
+        """Return the loading of a recording in s, m and N, shapes (n,)."""
         labels = label_motion(time, displacement)
         rounding = rounding_step(force) / np.sqrt(12.0)
         bend = (force[1:-1] - 0.5 * (force[:-2] + force[2:])) / np.sqrt(1.5)
@@ -244,9 +300,9 @@ class _WayIn:
         zero = float(np.median(force[:max(3, min(8, force.size // 20))]))
         edges = np.append(np.flatnonzero(np.append(True, labels[1:] != labels[:-1])), labels.size)
         ramps = np.flatnonzero(labels == "ramp")
-        # What follows a stop under load has relaxed.
-        end = next((int(last) for first, last in pairwise(edges) if labels[first] == "ramp" and last >= _FEWEST_ALL
-                    and smooth[last - 1] - zero > 2 * _LEAST_RISE * noise and last - first > 8), labels.size)
+        # After a hold under load the specimen is relaxed, and the law does not hold.
+        end = next((int(last) for first, last in pairwise(edges) if labels[first] == "ramp" and last >= _SETTINGS.fewest
+                    and smooth[last - 1] - zero > 2 * _SETTINGS.least_rise * noise and last - first > 8), labels.size)
         steps = np.abs(np.diff(displacement[:end]))
         moved = steps[steps > 0.2 * np.median(steps[steps > 0])] if np.any(steps > 0) else np.ones(1)
         start = displacement[ramps[0] if ramps.size and ramps[0] < end else 0]
@@ -254,28 +310,29 @@ class _WayIn:
         return cls(whole, smooth[:end], zero, noise)
 
     @cached_property
-    def fewer(self) -> _WayIn:
-        """The same in no more samples than take a moment."""
-        part = self.whole.at_most(_MOST)
+    def fewer(self) -> _Loading:
+        """The same loading, averaged to at most `ContactSettings.most_samples` samples."""
+        part = self.whole.at_most(_SETTINGS.most_samples)
         share = np.sqrt(part.time.size / self.whole.time.size)
         smooth = np.convolve(np.pad(part.force, 1, mode="edge"), np.full(3, 1 / 3), "valid")
-        return self if part is self.whole else _WayIn(part, smooth, self.zero, max(self.noise * share, part.rounding))
+        return self if part is self.whole else _Loading(part, smooth, self.zero, max(self.noise * share, part.rounding))
 
     def rises_at_once(self) -> float | None:
-        """Displacement where the force has clearly risen, m, where that is within the first moves; else None."""
+        """Return the displacement, m, of a clear rise of the force within the first moves; None without such a rise."""
         first = int(np.argmax(self.whole.displacement > self.start)) - 1
-        risen = self.whole.force[max(first, 0):][:_FEWEST_AIR + 1] - np.median(self.whole.force[:max(first, 0) + 1])
-        clear = risen > _AT_ONCE * self.noise
+        before = np.median(self.whole.force[:max(first, 0) + 1])
+        risen = self.whole.force[max(first, 0):][:_SETTINGS.fewest_in_air + 1] - before
+        clear = risen > _SETTINGS.immediate_rise * self.noise
         return float(self.whole.displacement[max(first, 0) + int(np.argmax(clear))]) if clear[-2:].all() else None
 
     def parts(self) -> list[Part]:
-        """From the whole to the shortest that holds a clear rise."""
+        """Return parts of the loading, from all of it to the shortest one with a clear rise of the force."""
         rise, parts = float(self.smooth.max()) - self.zero, [self.whole]
-        for share in _RISES[1:]:
-            if share * rise < _LEAST_RISE * self.noise:
+        for share in _SETTINGS.rise_fractions[1:]:
+            if share * rise < _SETTINGS.least_rise * self.noise:
                 break
             end = int(np.argmax(self.smooth - self.zero >= share * rise)) + 1
-            if end < _FEWEST:
+            if end < _SETTINGS.fewest_in_part:
                 break
             if end < parts[-1].time.size:
                 parts.append(self.whole.until(end))

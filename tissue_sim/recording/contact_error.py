@@ -1,4 +1,4 @@
-"""Error of a modulus by the uncertainty of contact: its place and the drift of the force before it."""
+"""Estimate the error of a modulus by the uncertainty of contact: its displacement, and the drift of the force."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import numpy as np
 
 from tissue_sim.recording.contact import Contact
 
-#: Half width of an interval of 95 % in standard deviations.
+#: Half width of a 95 % interval in standard deviations of a normal distribution.
 INTERVAL_DEVIATIONS = 1.96
 
 
 def contact_error(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None, contact: Contact) -> float:
-    """Relative half width of the 95 % interval of a modulus, as far as contact determines it.
+    """Return the relative half width of the 95 % interval of a modulus that the uncertainty of contact causes.
 
     A model force k f(x) is fitted by least squares to F(x). A contact that is d farther changes the model by -d F'(x)
     and the factor k by d <F, F'> / <F, F>, where the integral of F F' over the displacement is half of the change of
@@ -19,7 +19,7 @@ def contact_error(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None,
 
     Args:
         motion, load: of the fitted samples, positive under load, from contact, shape (n,). time: s, or None.
-        contact: that was found. Others give 0.
+        contact: result of `find_contact`; a status other than ``"found"`` gives 0.
     """
     if not contact.found or motion.size < 2:
         return 0.0

@@ -1,4 +1,4 @@
-"""Where a specimen failed: the force drops, or stops to rise, while the tool still goes on."""
+"""Detect the failure of a specimen: the force drops or softens while the displacement still grows."""
 
 from __future__ import annotations
 
@@ -11,31 +11,54 @@ from tissue_sim.errors import InputError
 from tissue_sim.recording.resolution import rounding_step
 from tissue_sim.recording.segmentation import STRAIGHT, corners_of, label_motion
 
-#: Least share of the force that is lost, and least loss in deviations of the noise.
-LEAST_DROP, _LEAST_NOISE = 0.05, 8.0
-#: A failure happens at a force that has risen by at least this share of the test's range: no snap into contact.
-_RISEN = 0.03
-#: Slower than this share of the speed before, a tissue that relaxes loses force and is intact.
-_SAME_SPEED = 0.7
-#: Samples before, whose speed is compared at least.
-_BEFORE = 4
-#: A sudden drop takes so many samples, and is so many times the loss of as many samples before.
-_SUDDEN, _FASTER = 3, 4.0
-#: A loss that takes more than this share of the way is gradual; a force that loses more than half is a rupture.
-_GRADUAL, _RUPTURE = 0.02, 0.5
-#: Samples over which the noise is told from the curve.
-_SMOOTH = 31
+
+@dataclass(frozen=True)
+class FailureSettings:
+    """Settings of `find_failure`.
+
+    Attributes:
+        least_drop: least fraction of the force that is lost in a failure.
+        least_noise: least loss of force, in standard deviations of the noise.
+        least_rise: least force before a failure, as a fraction of the range of the test. A smaller loss may be a snap
+            into contact.
+        same_speed: ratio of the speed to the speed before, below which a loss of force may be relaxation.
+        samples_before: fewest samples before the loss that give the speed before.
+        sudden_samples: samples in which a sudden drop takes place.
+        sudden_ratio: least ratio of a sudden loss to the loss in the same number of samples before.
+        gradual: displacement in which half of the loss takes place, as a fraction of the range; above this value the
+            loss is gradual (softening).
+        rupture: fraction of the force that is lost, above which the failure is a rupture.
+        smooth_samples: samples of the cubic polynomial from which the noise is estimated.
+    """
+
+    least_drop: float = 0.05
+    least_noise: float = 8.0
+    least_rise: float = 0.03
+    same_speed: float = 0.7
+    samples_before: int = 4
+    sudden_samples: int = 3
+    sudden_ratio: float = 4.0
+    gradual: float = 0.02
+    rupture: float = 0.5
+    smooth_samples: int = 31
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = FailureSettings()
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Where a specimen failed.
+    """Failure of a specimen.
 
     Attributes:
-        mode: ``"rupture"`` (more than half of the force is lost, and does not come back), ``"drop"`` (a sudden part of
-            it: a tear, a slip, a puncture) or ``"softening"`` (the tangent is lost little by little).
-        index: of the last sample before the loss, where the force was largest. displacement: m, and force: N, there.
-        lost: share of the force. recovered: whether the force later rises beyond it.
+        mode: ``"rupture"`` (more than half of the force is lost for good), ``"drop"`` (a sudden loss: a tear, a slip, a
+            puncture) or ``"softening"`` (the tangent decreases gradually).
+        index: number of the last sample before the loss, from 0, at the peak of the force.
+        displacement: displacement at the peak, m.
+        force: force at the peak, N.
+        lost: fraction of the force that is lost.
+        recovered: whether the force later exceeds the peak.
     """
 
     mode: str
@@ -47,13 +70,17 @@ class Failure:
 
     @property
     def sentence(self) -> str:
-        """`in_words`, in mm and N."""
+        """Result as a sentence, in mm and N; see `in_words`."""
         return self.in_words()
 
     def in_words(self, *, stressed: bool = False) -> str:
-        """What happened, in mm and N; in strain and kPa where the recording is of stress."""
+        """Describe the failure in one sentence.
+
+        Args:
+            stressed: whether the recording has strain and stress: strain and kPa instead of mm and N.
+        """
         words = {"rupture": "the specimen ruptures", "drop": "the force drops (a tear, a slip or a puncture)",
-                 "softening": "the tangent is lost, the force falls while the motion goes on"}[self.mode]
+                 "softening": "the tangent is lost, the force falls while the motion continues"}[self.mode]
         after = ", and rises beyond it later" if self.recovered else ""
         place = f"strain {self.displacement:.4g} and {1e-3 * self.force:.4g} kPa" if stressed else \
             f"{1e3 * self.displacement:.4g} mm and {self.force:.4g} N"
@@ -61,14 +88,17 @@ class Failure:
 
 
 def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None, *,
-                 least_drop: float = LEAST_DROP) -> Failure | None:
-    """The first failure of a test in tension, compression or indentation; None where it stays intact.
+                 least_drop: float = _SETTINGS.least_drop) -> Failure | None:
+    """Find the first failure of a test in tension, compression or indentation.
 
-    Unloading, relaxation in a hold or after a ramp that becomes slower, and noise are none.
+    Unloading, relaxation in a hold or after a ramp that becomes slower, and noise do not count as failures.
 
     Args:
         displacement, force: m and N (or strain and stress), positive under load, in the order of time, shape (n,).
-        time: s; None: even steps. least_drop: share of the force that must be lost.
+        time: s; None: even steps. least_drop: least fraction of the force that is lost.
+
+    Returns:
+        The failure; None for an intact specimen.
 
     Raises:
         InputError: arrays of different length.
@@ -85,14 +115,14 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     labels = label_motion(time, displacement)
     edges = np.append(np.flatnonzero(np.append(True, labels[1:] != labels[:-1])), labels.size)
     speed = _speeds(time, displacement) if timed else np.ones(force.size)
-    # What relaxes pulls at its tool at the end of a return, which is no zero of the cycles after it.
-    way_in = int(np.argmax(labels == "unload")) if np.any(labels == "unload") else force.size
+    # A relaxed specimen can pull at the tool at the end of an unloading: only the first loading shows the zero.
+    first_unloading = int(np.argmax(labels == "unload")) if np.any(labels == "unload") else force.size
     for first, last in pairwise(edges.tolist()):
-        zero = float(force[:min(first, way_in) + 1].min())
+        zero = float(force[:min(first, first_unloading) + 1].min())
         while first < last and labels[first] != "unload":
-            test = _Stretch(displacement[first:last], force[first:last], speed[first:last],
-                            speed[max(first - _BEFORE, 0):first], zero, float(np.ptp(force)), noise, least_drop,
-                            STRAIGHT * float(np.ptp(displacement)))
+            test = _Part(displacement[first:last], force[first:last], speed[first:last],
+                         speed[max(first - _SETTINGS.samples_before, 0):first], zero, float(np.ptp(force)), noise,
+                         least_drop, STRAIGHT * float(np.ptp(displacement)))
             peaks = [peak for peak in (test.peak_of_ramp() if labels[first] == "ramp" else None, test.sudden()) if
                      peak is not None]
             if not peaks:
@@ -100,17 +130,25 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
             failure, after = _describe(displacement, force, first + min(peaks), zero, labels)
             if not (failure.recovered and failure.mode == "softening"):
                 return failure
-            # A tissue that relaxes on the plateau of its law loses force for a while and is intact.
+            # A tissue that relaxes on a plateau of its law loses force for a while without a failure.
             first = after
     return None
 
 
 @dataclass(frozen=True, eq=False)
-class _Stretch:
+class _Part:
     """A ramp or a hold.
 
-    speed: m/s; 1 where it is not known. before: of the samples before. zero: least force before, N. range: of the whole
-    test, N. least: share that must be lost. tremble: of the motion, m.
+    Attributes:
+        displacement: m, shape (n,).
+        force: N, shape (n,).
+        speed: m/s, shape (n,); 1 without a time.
+        before: speed in the samples before, m/s.
+        zero: least force before, N.
+        range: range of the force of the whole test, N.
+        noise: standard deviation of the noise, N.
+        least: least fraction of the force that is lost.
+        tremor: largest displacement of a motion at rest, m.
     """
 
     displacement: np.ndarray
@@ -121,16 +159,16 @@ class _Stretch:
     range: float
     noise: float
     least: float
-    tremble: float
+    tremor: float
 
     def _enough(self, peak: np.ndarray) -> np.ndarray:
-        """Force that must be lost from a peak, N; infinite where that is nothing yet."""
+        """Return the least loss of force after each peak, N; infinite for a peak that is too low."""
         risen = peak - min(self.zero, float(self.force[0]))
-        return np.where(risen > max(_RISEN * self.range, 2 * _LEAST_NOISE * self.noise),
-                        np.maximum(self.least * risen, _LEAST_NOISE * self.noise), np.inf)
+        return np.where(risen > max(_SETTINGS.least_rise * self.range, 2 * _SETTINGS.least_noise * self.noise),
+                        np.maximum(self.least * risen, _SETTINGS.least_noise * self.noise), np.inf)
 
     def peak_of_ramp(self) -> int | None:
-        """The sample with the largest force before one that is lower, farther in and reached as fast; None: none."""
+        """Return the peak before a sample with lower force, larger displacement and the same speed; None: no peak."""
         if self.force.size < 4:
             return None
         smooth = _median_of_three(self.force)
@@ -140,74 +178,79 @@ class _Stretch:
         speed = np.append(self.before, self.speed)
         for place in np.flatnonzero(lower).tolist():
             last = self.before.size + peak[place]
-            before = speed[max(last - max(peak[place] // 5, _BEFORE), 0):last + 1]
-            if self.speed[place] >= _SAME_SPEED * np.median(before):
+            before = speed[max(last - max(peak[place] // 5, _SETTINGS.samples_before), 0):last + 1]
+            if self.speed[place] >= _SETTINGS.same_speed * np.median(before):
                 return int(max(range(max(peak[place] - 1, 0), min(peak[place] + 2, place)),
                                key=lambda k: self.force[k], default=peak[place]))
         return None
 
     def sudden(self) -> int | None:
-        """The sample before the first drop within three samples that no relaxation makes: its rate rises."""
+        """Return the sample before the first sudden drop; None without a drop.
+
+        A sudden drop is faster than the loss before; the rate of a relaxation decreases.
+        """
         n = self.force.size
-        if n < 2 * _SUDDEN + 2:
+        if n < 2 * _SETTINGS.sudden_samples + 2:
             return None
-        at = np.arange(_SUDDEN + 1, n - _SUDDEN)
-        lost = self.force[at] - self.force[at + _SUDDEN]
-        before = np.maximum(self.force[at - _SUDDEN] - self.force[at], 0.0)
-        forward = self.displacement[at + _SUDDEN] >= self.displacement[at] - self.tremble
-        # Where the motion slows down, a tissue that relaxes loses force at once.
-        after, speed = self.speed[at + _SUDDEN], self.speed[at - _SUDDEN]
-        forward &= (after >= _SAME_SPEED * speed) | (speed <= 0)
+        at = np.arange(_SETTINGS.sudden_samples + 1, n - _SETTINGS.sudden_samples)
+        lost = self.force[at] - self.force[at + _SETTINGS.sudden_samples]
+        before = np.maximum(self.force[at - _SETTINGS.sudden_samples] - self.force[at], 0.0)
+        forward = self.displacement[at + _SETTINGS.sudden_samples] >= self.displacement[at] - self.tremor
+        # A tissue that relaxes loses force as soon as the motion slows down.
+        after, speed = self.speed[at + _SETTINGS.sudden_samples], self.speed[at - _SETTINGS.sudden_samples]
+        forward &= (after >= _SETTINGS.same_speed * speed) | (speed <= 0)
         drops = np.flatnonzero((lost > self._enough(self.force[at])) & forward
-                               & (lost > _FASTER * before + _LEAST_NOISE * self.noise))
+                               & (lost > _SETTINGS.sudden_ratio * before + _SETTINGS.least_noise * self.noise))
         if not drops.size:
             return None
-        near = at[drops[0]] + np.arange(_SUDDEN + 1)
+        near = at[drops[0]] + np.arange(_SETTINGS.sudden_samples + 1)
         steps = np.diff(self.force[near])
         return int(near[int(np.argmin(steps))])
 
 
 def _describe(displacement: np.ndarray, force: np.ndarray, index: int, zero: float, labels: np.ndarray
               ) -> tuple[Failure, int]:
-    """What happens after the sample `index`, and where the force has come back, if it does."""
+    """Return the failure after the sample `index`, and the sample at which the force exceeds the peak again."""
     after = np.flatnonzero(labels[index:] == "unload")
     end = index + (after[0] if after.size else labels.size - index)
     risen = force[index] - zero
     rest = force[index:end]
     beyond = force[index:] > force[index] + 0.02 * risen
     recovered = bool(np.any(beyond))
-    # Until the force begins to rise again.
+    # The loss ends where the force rises again.
     low = np.minimum.accumulate(rest)
     again = np.flatnonzero(rest > low + 0.1 * risen)
     bottom = int(np.argmin(rest[:again[0]] if again.size else rest))
     lost = float((force[index] - rest[bottom]) / risen)
     half = int(np.argmax(rest < force[index] - 0.5 * lost * risen))
-    way = displacement[index + half] - displacement[index]
-    gradual = half > 2 * _SUDDEN and way > _GRADUAL * float(np.ptp(displacement))
-    mode = "softening" if gradual else "rupture" if lost > _RUPTURE and not recovered else "drop"
+    travel = displacement[index + half] - displacement[index]
+    gradual = half > 2 * _SETTINGS.sudden_samples and travel > _SETTINGS.gradual * float(np.ptp(displacement))
+    mode = "softening" if gradual else "rupture" if lost > _SETTINGS.rupture and not recovered else "drop"
     return Failure(mode, index, float(displacement[index]), float(force[index]), min(lost, 1.0), recovered), \
         index + int(np.argmax(beyond))
 
 
 def _noise_of(force: np.ndarray) -> float:
-    """Deviation of the noise from smooth curves, also of one with a colour, and of the rounding of the sensor, N."""
+    """Return the standard deviation of the noise, N: white noise, correlated noise or rounding, the largest of them."""
     bend = (force[1:-1] - 0.5 * (force[:-2] + force[2:])) / np.sqrt(1.5)
     deviations = [np.median(np.abs(bend)) / 0.6745, rounding_step(force) / np.sqrt(12.0)]
-    if force.size > 2 * _SMOOTH:
-        # The middle of a cubic through its neighbours: Savitzky and Golay, Anal. Chem. 36 (1964) 1627.
-        around = np.vander(np.arange(_SMOOTH) - _SMOOTH // 2, 4)
-        rest = force[_SMOOTH // 2:-(_SMOOTH // 2)] - np.convolve(force, np.linalg.pinv(around)[-1], "valid")
-        deviations.append(np.median(np.abs(rest)) / 0.6745)
+    if force.size > 2 * _SETTINGS.smooth_samples:
+        # Value of a cubic through the neighbours: Savitzky and Golay, Anal. Chem. 36 (1964) 1627.
+        around = np.vander(np.arange(_SETTINGS.smooth_samples) - _SETTINGS.smooth_samples // 2, 4)
+        half = _SETTINGS.smooth_samples // 2
+        residual = force[half:-half] - np.convolve(force, np.linalg.pinv(around)[-1], "valid")
+        deviations.append(np.median(np.abs(residual)) / 0.6745)
     return float(max(*deviations, 1e-9 * np.abs(force).max(), 1e-300))
 
 
 def _median_of_three(values: np.ndarray) -> np.ndarray:
+    """Return the running median of three values, shape (n,)."""
     padded = np.pad(values, 1, mode="edge")
     return np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
 
 
 def _speeds(time: np.ndarray, displacement: np.ndarray) -> np.ndarray:
-    """Of the straight parts of a motion, at each sample, m/s."""
+    """Return the speed at each sample, m/s: the mean speed of its straight part of the motion."""
     corners = corners_of(time, displacement, STRAIGHT * float(np.ptp(displacement)))
     duration = np.diff(time[corners])
     speed = np.diff(displacement[corners]) / np.where(duration > 0, duration, 1.0)

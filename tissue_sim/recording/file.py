@@ -1,4 +1,4 @@
-"""Recordings as files: a CSV and, beside it, a JSON sidecar with everything that is not a column."""
+"""Read and write recordings: a CSV file with the columns, and a JSON sidecar with the metadata."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from tissue_sim.recording.formats import FORMATS
 from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
 from tissue_sim.units import to_si
 
+#: Quantity -> unit in the CSV file.
 _FILE_UNITS = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "Pa", "ratio": "-",
                "temperature": "degC"}
 
@@ -35,11 +36,11 @@ def read_recording(path: str | Path, *, format: str = "native", columns: Mapping
     """Read one replicate; SI inside.
 
     Args:
-        path: the file. ``NAME.json`` beside ``NAME.csv`` is merged into the metadata.
+        path: the file. ``NAME.json`` in the folder of ``NAME.csv`` is merged into the metadata.
         format: name in `tissue_sim.recording.formats.FORMATS`.
         columns: channel -> column, for any other CSV and for spreadsheets; see
             `tissue_sim.recording.formats.columns.read_columns`.
-        skip_lines: lines at the top that are not looked at; with `columns` only.
+        skip_lines: number of lines at the top that are ignored; with `columns` only.
         delimiter: one character between the cells; with `columns` only. None: found.
         speed: constant speed, m/s; makes the time from the displacement where the file has no time, and the
             displacement from the time where it has force and no motion.
@@ -64,27 +65,27 @@ def read_recording(path: str | Path, *, format: str = "native", columns: Mapping
 def read_recordings(path: str | Path, *, format: str = "native", columns: Mapping[str, Any] | None = None,
                     skip_lines: int = 0, delimiter: str | None = None, speed: float | None = None,
                     kind: str | None = None, **options) -> tuple[Recording, ...]:
-    """All replicates that one file holds: the curves of an AFM file, one of most others; otherwise as `read_recording`.
+    """Read all replicates of one file, such as the curves of an AFM file; see `read_recording` for the arguments.
 
-    Of several, each is called after the file and its number: ``cells_3``.
+    Several recordings are named after the file and their numbers: ``cells_3``.
     """
     path = Path(path)
     reader = FORMATS.find(format, "format")
     if kind is not None:
         KINDS.find(kind, "kind")
-    takes = inspect.signature(reader).parameters
-    if columns is not None and "columns" not in takes:
+    parameters = inspect.signature(reader).parameters
+    if columns is not None and "columns" not in parameters:
         raise InputError(f"give either format = {format!r} or columns, not both", field="columns")
     for key, value in (("skip_lines", skip_lines), ("delimiter", delimiter)):
         if value and columns is None:
-            raise InputError(f"{key} counts only where columns are named; give columns too", field=key)
+            raise InputError(f"{key} requires columns; give columns too", field=key)
     if columns is not None:
         options |= {"columns": columns} | ({"skip_lines": skip_lines} if skip_lines else {}) | (
             {"delimiter": delimiter} if delimiter is not None else {})
     for key in options:
-        if key not in takes:
+        if key not in parameters:
             raise InputError(f"files of format {format!r} have no {key}; leave it out", field=key)
-    with open_file(path, "a recording"):  # a folder, pipe or device is no matter for a reader
+    with open_file(path, "a recording"):  # refuses a folder, a pipe or a device before the reader starts
         pass
     answer = bounded(partial(reader, path, **options), file=path)
     several = answer if isinstance(answer, tuple) else (answer,)
@@ -95,8 +96,11 @@ def read_recordings(path: str | Path, *, format: str = "native", columns: Mappin
 
 
 def _finish(recording: Recording, path: Path, speed: float | None, kind: str | None) -> Recording:
-    """The recording with time or displacement from the speed, its channels checked, and name, source, SHA-256 and
-    sidecar in the metadata."""
+    """Add time or displacement from the speed, and name, source, SHA-256 and sidecar to the metadata.
+
+    Raises:
+        InputError: the kind of test requires other channels.
+    """
     strained = not {"stretch", "shear strain"}.isdisjoint(recording.channels)
     if speed is not None and not (strained and "time" in recording):
         recording = with_constant_speed(recording, speed, path)
@@ -110,11 +114,11 @@ def _finish(recording: Recording, path: Path, speed: float | None, kind: str | N
 def write_recording(recording: Recording, path: str | Path) -> None:
     """Write ``NAME.csv`` with every digit, and ``NAME.json`` with the metadata and the SHA-256 of the CSV.
 
-    Metadata ``source`` is left out: it is the place of another file.
+    Metadata ``source`` is omitted, because it is the path of another file.
 
     Raises:
         InputError: a name that does not end in ``.csv``, a label or metadata that a file cannot hold, a ``NAME.json``
-            that is no sidecar of a recording, or a place that cannot be written; nothing is written then.
+            that is not the sidecar of a recording, or a path that cannot be written; then no file is written.
     """
     path = Path(path)
     if path.suffix.lower() != ".csv":
@@ -136,10 +140,10 @@ def write_recording(recording: Recording, path: str | Path) -> None:
 
 
 def require_sidecar_place(path: Path) -> None:
-    """Refuse to write the sidecar of ``NAME.csv`` over a ``NAME.json`` that is none: it holds no ``sha256``.
+    """Refuse to overwrite a ``NAME.json`` that is not the sidecar of a recording, that is, without ``sha256``.
 
     Raises:
-        InputError: such a file is there.
+        InputError: such a file exists.
     """
     sidecar = path.with_suffix(".json")
     if not sidecar.exists():
@@ -154,6 +158,7 @@ def require_sidecar_place(path: Path) -> None:
 
 
 def _as_csv(recording: Recording, path: Path) -> str:
+    """Return the text of the CSV file, with units of `_FILE_UNITS` and all digits."""
     header: list[str] = []
     cells: list[Iterable[str]] = []
     for name in (name for name in CHANNELS if name in recording):
@@ -180,6 +185,11 @@ def _as_csv(recording: Recording, path: Path) -> str:
 
 
 def _read_sidecar(path: Path, digest: str) -> dict[str, Any]:
+    """Return the metadata of the sidecar; empty without a sidecar.
+
+    Args:
+        digest: SHA-256 of the CSV file, which the sidecar must state.
+    """
     sidecar = path.with_suffix(".json")
     if path.suffix.lower() != ".csv" or not sidecar.exists():
         return {}
@@ -194,6 +204,7 @@ def _read_sidecar(path: Path, digest: str) -> dict[str, Any]:
 
 
 def _require_channels(recording: Recording, kind: str | None, path: Path) -> None:
+    """Raise an `InputError` for a recording without a motion or a load, or without the channels of its kind."""
     has = ", ".join(recording.channels)
     if kind is not None:
         KINDS.find(kind, "kind").require_channels(recording.channels, f"this file has {has}", file=path)

@@ -18,7 +18,7 @@ from tissue_sim.errors import InputError, nearest
 from tissue_sim.recording.recording import Recording
 
 ENGINEERING = "engineering"
-#: Logarithmic strain above which a unit is wrong: a stretch of 148.
+#: Largest plausible logarithmic strain (a stretch of 148); a larger one has a wrong unit.
 _LARGEST_LOGARITHMIC = 5.0
 
 
@@ -27,11 +27,12 @@ class Measure:
     """A measure of strain or stress.
 
     Attributes:
-        channel: of a recording that the values become. title: for people.
-        words: pattern of the words by which a header names it, lower case.
-        convert: values, SI -> those of the channel; a stress takes the stretch as second argument.
-        formula: of the conversion, for people.
-        invert: values of the channel -> those of the measure, SI; a stress takes the stretch as second argument.
+        channel: channel of a recording that results from the conversion.
+        title: name in sentences.
+        words: pattern of the words of a header that name the measure, lower case.
+        convert: converts values of the measure, SI, to the channel; a stress takes the stretch as second argument.
+        formula: formula of the conversion in sentences.
+        invert: converts values of the channel, SI, to the measure; a stress takes the stretch as second argument.
     """
 
     channel: str
@@ -93,10 +94,10 @@ _CHANNEL_OF_ROLE = {"strain": "stretch", "stretch": "stretch", "shear strain": "
 
 
 def measure_of(words: str, role: str) -> str | None:
-    """Name of the measure that a header states, `ENGINEERING` included; None: no word for a measure.
+    """Return the name of the measure in a header, `ENGINEERING` included; None: no word for a measure.
 
     Args:
-        words: of the header, lower case, separated by single blanks. role: of the column.
+        words: words of the header, lower case, separated by single blanks. role: role of the column.
     """
     channel = _CHANNEL_OF_ROLE.get(role)
     if channel is None:
@@ -111,8 +112,11 @@ def measure_of(words: str, role: str) -> str | None:
 
 
 def other_measures(words: str, role: str) -> tuple[str, ...]:
-    """Measures that the same words also name: a Lagrangian strain is that of Green-Lagrange or the engineering strain,
-    a Piola-Kirchhoff stress the first (nominal) or the second."""
+    """Return other measures that the same words name.
+
+    A Lagrangian strain is the Green-Lagrange strain or the engineering strain. A Piola-Kirchhoff stress is the first
+    (nominal) or the second one.
+    """
     channel, parts = _CHANNEL_OF_ROLE.get(role), words.split()
     if channel == "stretch" and any(part.startswith("lagrang") for part in parts) and "green" not in parts:
         return (ENGINEERING,)
@@ -138,10 +142,10 @@ def check_measure(measure: object, channel: str, channels: Mapping[str, object],
 
 
 def convert_measures(recording: Recording, measures: Mapping[str, str]) -> Recording:
-    """The recording with stretch and nominal stress in place of other measures, which its metadata name (``measures``).
+    """Convert other measures to stretch and nominal stress, and add the measures to the metadata (``measures``).
 
     Args:
-        recording: values of other measures stand in the channels that they become.
+        recording: its channels ``stretch`` and ``nominal stress`` hold values of the measures.
         measures: channel -> name in `MEASURES`.
 
     Raises:
@@ -168,7 +172,7 @@ def convert_measures(recording: Recording, measures: Mapping[str, str]) -> Recor
 
 
 def stated_measures(recording: Recording) -> dict[str, Measure]:
-    """Channel -> measure from which `convert_measures` made it."""
+    """Return channel -> measure from which `convert_measures` converted the channel."""
     stated = recording.metadata.get("measures")
     return {channel: MEASURES[name] for channel, name in (stated.items() if isinstance(stated, Mapping) else ())
             if channel in recording and name in MEASURES and MEASURES[name].channel == channel}

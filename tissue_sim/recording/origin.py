@@ -1,4 +1,4 @@
-"""What a recording says of where it comes from."""
+"""Compare the tool and the kind of test in the metadata of a recording with the expected ones."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from math import isclose
 
 from tissue_sim.recording.recording import Recording
 
-#: Radii that differ by no more than this share are one radius.
-_SAME = 0.01
+#: Largest relative difference of equal radii.
+_RADIUS_TOLERANCE = 0.01
 
 
 def other_tool(recording: Recording, shape: str, radius: float | None) -> str:
-    """With which tool it was measured, where its metadata say another shape or radius than these (m); else empty."""
-    said = recording.metadata.get("tool")
-    if not isinstance(said, Mapping) or "shape" not in said:
+    """Return the tool in the metadata if it differs from the expected shape or radius (m); else an empty text."""
+    stated = recording.metadata.get("tool")
+    if not isinstance(stated, Mapping) or "shape" not in stated:
         return ""
-    measured = said.get("radius_mm")
-    tool, other = str(said["shape"]), said["shape"] != shape
+    measured = stated.get("radius_mm")
+    tool, other = str(stated["shape"]), stated["shape"] != shape
     if isinstance(measured, (int, float)):
         tool += f" of {measured:g} mm radius"
-        other |= radius is not None and not isclose(measured, radius * 1e3, rel_tol=_SAME)
+        other |= radius is not None and not isclose(measured, radius * 1e3, rel_tol=_RADIUS_TOLERANCE)
     return tool if other else ""
 
 
 def other_kind(recording: Recording, kind: str) -> str:
-    """Of which kind of test its metadata say that it is, where that is not this one; else empty."""
-    said = recording.metadata.get("kind", kind)
-    return "" if said == kind else str(said)
+    """Return the kind of test in the metadata if it differs from the expected kind; else an empty text."""
+    stated = recording.metadata.get("kind", kind)
+    return "" if stated == kind else str(stated)

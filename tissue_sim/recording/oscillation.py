@@ -1,4 +1,4 @@
-"""Oscillations in a recording: several periods of equal amplitude around an offset, with the loss factor."""
+"""Detect oscillations in a recording: several periods of equal amplitude around an offset, with the loss factor."""
 
 from __future__ import annotations
 
@@ -8,31 +8,47 @@ import numpy as np
 
 from tissue_sim.recording.segmentation import Reversals
 
-#: Least hysteresis of a reversal, as a fraction of the range of the motion, and in deviations of its noise.
-_HYSTERESIS_RANGE = 0.004
-_HYSTERESIS_NOISE = 6.0
-#: Half periods that make an oscillation at least.
-_FEWEST = 4
-#: Largest relative difference of amplitude and duration of a half period from the median.
-_ALIKE = 0.25
-#: Cycles whose lowest point is nearer to rest than this fraction of their height return to rest.
-_RETURNS = 0.25
-#: The motion after an oscillation exceeds it by no more than this fraction of the range.
-_BEYOND = 0.05
-#: Most samples that are examined; others are skipped evenly.
-_MOST = 20_000
-#: Half width and number of the frequencies that are tried around the mean one.
-_FREQUENCY_WIDTH = 0.05
-_FREQUENCIES = 41
+
+@dataclass(frozen=True)
+class OscillationSettings:
+    """Settings of `find_oscillation`.
+
+    Attributes:
+        hysteresis_range: least hysteresis of a reversal, as a fraction of the range of the motion.
+        hysteresis_noise: least hysteresis of a reversal, in standard deviations of the noise.
+        fewest: fewest half periods of an oscillation.
+        alike: largest relative difference of the amplitude and of the duration of a half period from the median.
+        returns: largest distance of the lowest point of a cycle from rest, as a fraction of the height of the cycle,
+            for a cycle that returns to rest.
+        beyond: largest motion beyond the oscillation after its end, as a fraction of the range.
+        most_samples: largest number of samples that are examined; a longer recording is thinned evenly.
+        frequency_width: half width of the interval of trial frequencies, relative to the mean frequency.
+        frequencies: number of trial frequencies.
+    """
+
+    hysteresis_range: float = 0.004
+    hysteresis_noise: float = 6.0
+    fewest: int = 4
+    alike: float = 0.25
+    returns: float = 0.25
+    beyond: float = 0.05
+    most_samples: int = 20_000
+    frequency_width: float = 0.05
+    frequencies: int = 41
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = OscillationSettings()
 
 
 @dataclass(frozen=True)
 class Oscillation:
-    """Periods of a motion of equal amplitude.
+    """Oscillation of the motion with constant amplitude.
 
     Attributes:
         first, last: samples from 0, both included. frequency: Hz (1 / samples without time).
-        mean, amplitude: of the motion. returns: whether each cycle comes back to rest.
+        mean, amplitude: of the motion, in its unit.
+        returns: whether each cycle returns to rest.
         loss_factor: tangent of the phase by which the load leads; None where the load has no phase.
     """
 
@@ -46,19 +62,19 @@ class Oscillation:
 
 
 def find_oscillation(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None = None) -> Oscillation | None:
-    """Find the oscillation with which a recording ends; None where it has none.
+    """Find the oscillation at the end of a recording; None without an oscillation.
 
     Args:
         motion, load: in the order of time, any unit and sign, shape (n,). time: s, shape (n,); None: even steps.
     """
     reach = float(np.ptp(motion))
-    if motion.size < 3 * _FEWEST or not reach > 0:
+    if motion.size < 3 * _SETTINGS.fewest or not reach > 0:
         return None
-    every = -(-motion.size // _MOST)
+    every = -(-motion.size // _SETTINGS.most_samples)
     places = np.arange(0, motion.size, every)
     bend = motion[places][1:-1] - 0.5 * (motion[places][:-2] + motion[places][2:])
     noise = float(np.median(np.abs(bend))) / (0.6745 * np.sqrt(1.5))
-    reversals = Reversals(min(max(_HYSTERESIS_RANGE * reach, _HYSTERESIS_NOISE * noise), 0.3 * reach))
+    reversals = Reversals(min(max(_SETTINGS.hysteresis_range * reach, _SETTINGS.hysteresis_noise * noise), 0.3 * reach))
     for index, value in zip(places.tolist(), motion[places].tolist(), strict=True):
         reversals.add(index, value)
     window = _alike(np.array([*reversals.starts, motion.size - 1]), motion, time)
@@ -67,41 +83,42 @@ def find_oscillation(motion: np.ndarray, load: np.ndarray, time: np.ndarray | No
     first, last, period = window
     inside = motion[first:last + 1]
     low, high = float(np.quantile(inside, 0.02)), float(np.quantile(inside, 0.98))
-    if float(motion[last:].max()) > high + _BEYOND * reach or float(motion[last:].min()) < low - reach:
+    if float(motion[last:].max()) > high + _SETTINGS.beyond * reach or float(motion[last:].min()) < low - reach:
         return None
     mean, amplitude = 0.5 * (low + high), 0.5 * (high - low)
     # A recording that leads to its oscillation by a ramp starts at rest.
     rest = float(motion[0]) if not low - 0.1 * amplitude <= motion[0] <= high + 0.1 * amplitude else 0.0
-    near = 2 * _RETURNS * amplitude
-    returns = low - near <= rest <= high + near and abs(mean - rest) > _RETURNS * amplitude
+    near = 2 * _SETTINGS.returns * amplitude
+    returns = low - near <= rest <= high + near and abs(mean - rest) > _SETTINGS.returns * amplitude
     frequency, loss = _loss_factor(motion, load, time, first, last, period)
     return Oscillation(first, last, frequency, mean, amplitude, returns, loss)
 
 
 def _alike(turns: np.ndarray, motion: np.ndarray, time: np.ndarray | None) -> tuple[int, int, float] | None:
-    """First and last sample of the last half periods that are alike, and the period; None: there are too few.
+    """Return the first and last sample of the last equal half periods, and the period; None: too few half periods.
 
     Args:
-        turns: samples at which the motion turns round, the last of which is the end of the recording.
+        turns: samples at which the motion reverses; the last one is the end of the recording.
     """
     clock = np.arange(motion.size, dtype=float) if time is None else time
     heights, durations = np.abs(np.diff(motion[turns])), np.diff(clock[turns])
     # The first and the last branch may be incomplete.
-    if heights.size < _FEWEST + 2:
+    if heights.size < _SETTINGS.fewest + 2:
         return None
     heights, durations = heights[1:-1], durations[1:-1]
-    height, duration = float(np.median(heights[-_FEWEST:])), float(np.median(durations[-_FEWEST:]))
-    alike = (np.abs(heights - height) <= _ALIKE * height) & (np.abs(durations - duration) <= _ALIKE * duration)
+    height, duration = float(np.median(heights[-_SETTINGS.fewest:])), float(np.median(durations[-_SETTINGS.fewest:]))
+    alike = ((np.abs(heights - height) <= _SETTINGS.alike * height)
+             & (np.abs(durations - duration) <= _SETTINGS.alike * duration))
     different = np.flatnonzero(~alike)
     begin = int(different[-1]) + 1 if different.size else 0
-    if heights.size - begin < _FEWEST:
+    if heights.size - begin < _SETTINGS.fewest:
         return None
     return int(turns[begin + 1]), int(turns[-2]), 2.0 * float(np.mean(durations[begin:]))
 
 
 def _loss_factor(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None, first: int, last: int,
                  period: float) -> tuple[float, float | None]:
-    """Frequency and tangent of the phase angle, by least squares of two harmonics and a drift."""
+    """Return the frequency and the tangent of the phase angle, by least squares of two harmonics and a drift."""
     every = -(-(last - first) // 4000)
     inside = slice(first, last + 1, every)
     clock = (np.arange(motion.size, dtype=float) if time is None else time)[inside]
@@ -114,7 +131,7 @@ def _loss_factor(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None, 
         coefficients = np.linalg.lstsq(design, values, rcond=None)[0]
         return coefficients, float(np.sum((values - design @ coefficients)**2))
 
-    tried = (1 + np.linspace(-_FREQUENCY_WIDTH, _FREQUENCY_WIDTH, _FREQUENCIES)) / period
+    tried = (1 + np.linspace(-_SETTINGS.frequency_width, _SETTINGS.frequency_width, _SETTINGS.frequencies)) / period
     frequency = float(min(tried, key=lambda each: fitted(each, motion[inside])[1]))
     (of_motion, _), (of_load, squares) = (fitted(frequency, values[inside]) for values in (motion, load))
     ratio = complex(of_load[2], -of_load[3]) / complex(of_motion[2], -of_motion[3])

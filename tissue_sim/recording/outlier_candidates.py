@@ -1,4 +1,4 @@
-"""Candidates for outliers in one channel of a recording, and the values that their neighbours predict.
+"""Find candidates for outliers in one channel, and predict their values from their neighbours.
 
 A running median of seven samples and a median of short linear predictions mark candidates. A candidate is contradicted
 if a polynomial through its neighbours on both sides (a line on one side at the ends, and on each side of a step)
@@ -62,16 +62,30 @@ class OutlierSettings:
 
 
 SETTINGS = OutlierSettings()
-#: Samples of the running median.
-_WINDOW = 7
-#: Samples of a block in which the noise and the steps are estimated.
-_BLOCK = 32
-#: Median of the distances from a running median of seven, in deviations of Gaussian noise.
-_MEDIAN_DISTANCE = 0.52
+
+
+@dataclass(frozen=True)
+class ScaleSettings:
+    """Settings of the running median and of the scale estimates.
+
+    Attributes:
+        window: samples of the running median.
+        block: samples of a block in which the noise and the steps are estimated.
+        median_distance: median of the distances from a running median of seven, in standard deviations of Gaussian
+            noise.
+    """
+
+    window: int = 7
+    block: int = 32
+    median_distance: float = 0.52
+
+
+#: Settings that the functions of this module use.
+_SCALE = ScaleSettings()
 
 
 class Channel:
-    """One channel with its noise, steps and candidates, shape (n,)."""
+    """One channel with its noise, its steps and its candidates for outliers, each of shape (n,)."""
 
     def __init__(self, values: np.ndarray, settings: OutlierSettings, *, is_counted: bool = False):
         self.values, self.settings, self.is_counted = values, settings, is_counted
@@ -89,18 +103,18 @@ class Channel:
             positive = np.abs(np.diff(self.smooth))
             positive = positive[positive > least]
         self.resolution = float(positive.min()) if positive.size else 0.0
-        self.noise = _local_scale(away) / _MEDIAN_DISTANCE
+        self.noise = _local_scale(away) / _SCALE.median_distance
         self.steps = _local_scale(np.append(steps, steps[-1]))
         least = np.maximum(settings.of_range * self.range, settings.of_resolution * self.resolution)
         self.least = np.maximum(least, settings.of_noise * self.noise)
-        noise = np.maximum(self.noise, _local_scale(local) / _MEDIAN_DISTANCE)
+        noise = np.maximum(self.noise, _local_scale(local) / _SCALE.median_distance)
         self.groups = (away > np.maximum(self.least, settings.of_steps * self.steps)) & (self.range > 0)
         # Predictions that use a group of outliers are wrong: they find only single samples far from groups.
-        near = np.convolve(self.groups, np.ones(_WINDOW), "same") > 0
+        near = np.convolve(self.groups, np.ones(_SCALE.window), "same") > 0
         self.singles = (local > np.maximum(least, settings.of_noise * noise)) & ~near & (self.range > 0)
 
     def outliers(self) -> Iterator[tuple[tuple[int, ...], float]]:
-        """Groups of samples that their neighbours contradict, and the value that these predict for the first one."""
+        """Yield groups of samples that contradict their neighbours, with the value predicted for the first sample."""
         for candidates in (self.groups, self.singles):
             edges = np.flatnonzero(np.diff(np.concatenate([[False], candidates, [False]]).astype(int)))
             runs = [self._core(*run) for run in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
@@ -122,15 +136,18 @@ class Channel:
                     yield tuple(range(first, last)), predicted
 
     def _core(self, first: int, last: int) -> tuple[int, int]:
-        """The samples of a run that are far away: next to three outliers the running median is off by several steps."""
+        """Return first sample and end of the part of a run that is far from the running median.
+
+        Next to three outliers the running median is wrong by several steps.
+        """
         far = first + np.flatnonzero(self.away[first:last] >= self.settings.core * self.away[first:last].max())
         return int(far[0]), int(far[-1]) + 1
 
     def _contradicted(self, first: int, last: int, good: np.ndarray) -> float | None:
-        """Prediction for sample `first` if all samples up to `last` (not included) lie far from theirs; else None.
+        """Return the prediction for sample `first` if samples `first` to `last` (not included) are outliers; else None.
 
         Args:
-            good: samples that are no candidates, sorted.
+            good: samples that are not candidates, sorted.
         """
         setting, place = self.settings, int(np.searchsorted(good, first))
         before, after = good[max(place - setting.one_sided, 0):place], good[place:place + setting.one_sided]
@@ -158,9 +175,11 @@ class Channel:
         return float(predicted[0]) if abs(predicted[0]) > 1e-9 * self.range else 0.0
 
     def _beyond_step(self, group: np.ndarray, around: np.ndarray) -> float | None:
-        """Prediction for a group near a step, from lines through the samples before and after the largest jump of its
-        neighbours, if the group lies far from the line of its side, or between the sides far outside of the interval of
-        both lines, as no sample of a step does; else None.
+        """Return the prediction for a group of outliers near a step; None if the group belongs to the step.
+
+        A line is fitted to the neighbours before, and one to the neighbours after their largest jump. A group on one
+        side is an outlier far from the line of its side. A group between the sides is an outlier far outside of the
+        interval between both lines.
         """
         split = int(np.argmax(np.abs(np.diff(self.values[around])))) + 1
         sides = [side for side in (around[:split], around[split:])
@@ -181,7 +200,7 @@ class Channel:
         return float(high[0]) if np.all(values > high + max(limits)) else None
 
     def jump(self, first: int, last: int) -> float:
-        """Change of the values across samples `first` to `last` (not included); at an end the step next to them."""
+        """Return the change across samples `first` to `last` (not included); at an end the step next to them."""
         before, after = first - 1, last
         if first == 0:
             before = last - 1
@@ -190,14 +209,14 @@ class Channel:
         return float(self.values[after] - self.values[before])
 
     def largest_step(self, first: int, last: int) -> float:
-        """Largest step between the neighbours on one side of samples `first` to `last` (not included)."""
+        """Return the largest step between neighbours on one side of samples `first` to `last` (not included)."""
         count = self.settings.neighbours
         sides = self.values[max(first - count, 0):first], self.values[last:last + count]
         return max((float(np.abs(np.diff(side)).max()) for side in sides if side.size > 1), default=0.0)
 
 
 def _line(values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Line through the first samples, at other places; one half of the samples may be wrong.
+    """Evaluate a robust line through the samples at positions `at`; up to half of the samples may be wrong.
 
     Source: Siegel, Biometrika 69 (1982) 242, repeated medians.
     """
@@ -210,9 +229,9 @@ def _line(values: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 
 def _running_median(padded: np.ndarray) -> np.ndarray:
-    """Median of seven samples around each one; `padded` has three more at each end."""
-    rows = [padded[k:padded.size - _WINDOW + 1 + k] for k in range(_WINDOW)]
-    # Exchanges that bring the median of seven into the fourth place: Devillard, Fast median search (1998).
+    """Return the median of seven samples around each sample; `padded` has three more samples at each end."""
+    rows = [padded[k:padded.size - _SCALE.window + 1 + k] for k in range(_SCALE.window)]
+    # Exchanges that move the median of seven to the fourth position: Devillard, Fast median search (1998).
     for low, high in ((0, 5), (0, 3), (1, 6), (2, 4), (0, 1), (3, 5), (2, 6), (2, 3), (3, 6), (4, 5), (1, 4), (1, 3),
                       (3, 4)):
         rows[low], rows[high] = np.minimum(rows[low], rows[high]), np.maximum(rows[low], rows[high])
@@ -220,9 +239,9 @@ def _running_median(padded: np.ndarray) -> np.ndarray:
 
 
 def _interpolated(padded: np.ndarray) -> np.ndarray:
-    """Median of five linear predictions of each sample from its neighbours; `padded` has three more at each end."""
-    size = padded.size - _WINDOW + 1
-    by = [padded[k:k + size] for k in range(_WINDOW)]
+    """Return the median of five linear predictions of each sample; `padded` has three more samples at each end."""
+    size = padded.size - _SCALE.window + 1
+    by = [padded[k:k + size] for k in range(_SCALE.window)]
     rows = [0.5 * (by[2] + by[4]), 0.5 * (by[1] + by[5]), 0.5 * (by[0] + by[6]), 2 * by[2] - by[1], 2 * by[4] - by[5]]
     for low, high in ((0, 1), (3, 4), (0, 3), (1, 4), (1, 2), (2, 3), (1, 2)):
         rows[low], rows[high] = np.minimum(rows[low], rows[high]), np.maximum(rows[low], rows[high])
@@ -230,10 +249,10 @@ def _interpolated(padded: np.ndarray) -> np.ndarray:
 
 
 def _local_scale(values: np.ndarray) -> np.ndarray:
-    """Median of blocks of neighbours, or of all values where that is larger, at each sample, shape (n,)."""
-    blocks = max(values.size // _BLOCK, 1)
-    whole = values[:blocks * _BLOCK].reshape(blocks, -1) if values.size >= _BLOCK else values[None]
+    """Return at each sample the larger of the medians of neighbouring blocks and of all values, shape (n,)."""
+    blocks = max(values.size // _SCALE.block, 1)
+    whole = values[:blocks * _SCALE.block].reshape(blocks, -1) if values.size >= _SCALE.block else values[None]
     scale = np.median(whole, axis=1)
     near = np.max([np.append(scale[:1], scale[:-1]), scale, np.append(scale[1:], scale[-1:])], axis=0)
     everywhere = float(np.median(values))
-    return np.maximum(near, everywhere)[np.minimum(np.arange(values.size) // _BLOCK, blocks - 1)]
+    return np.maximum(near, everywhere)[np.minimum(np.arange(values.size) // _SCALE.block, blocks - 1)]

@@ -1,4 +1,4 @@
-"""Outliers: single samples, or groups of up to three, that lie far from the values that their neighbours predict.
+"""Find outliers: up to three adjacent samples far from the values that their neighbours predict.
 
 Candidates of `tissue_sim.recording.outlier_candidates` are outliers unless they belong to the test: a peak of the load
 where the motion steps, a start from rest, a last step.
@@ -57,11 +57,11 @@ def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSetting
 
 def left_out(outliers: tuple[tuple[str, tuple[int, ...], float], ...], channels: Mapping[str, np.ndarray],
              words: Callable[[str, float], str]) -> tuple[LeftOut, ...]:
-    """Outliers with a reason in words, one for each channel that is wrong in a group of samples.
+    """Describe outliers, one entry for each channel and group of samples.
 
     Args:
-        outliers: of `find_outliers`. channels: name of the channel of motion and load, in this order -> values.
-        words: a value of a channel in words.
+        outliers: result of `find_outliers`. channels: name of motion and of load, in this order -> values.
+        words: formats a value (SI) of a channel.
 
     Raises:
         InputError: more than a tenth of the samples are outliers.
@@ -88,13 +88,14 @@ def left_out(outliers: tuple[tuple[str, tuple[int, ...], float], ...], channels:
 
 
 def _at_the_end(which: str, group: tuple[int, ...], total: int, values: np.ndarray, predicted: float) -> str:
+    """Return the possible reason of a load that falls at the end of a recording; else an empty text."""
     falls = which == "load" and group[-1] == total - 1 and bool(np.all(np.abs(values) < 0.5 * abs(predicted)))
     return " (a rupture at the end, or lost values)" if falls else ""
 
 
 @dataclass(frozen=True, eq=False)
 class _Start:
-    """A start from rest whose first load is lost, so that only the motion shows that its first samples are right.
+    """A start from rest with a wrong first load, so that only the motion shows that the first samples are valid.
 
     Attributes:
         motion: value of the motion in the first sample, where that sample is already left out for its load, shape (1,).
@@ -105,8 +106,10 @@ class _Start:
     is_candidate: bool
 
     def includes(self, group: tuple[int, ...], channels: Mapping[str, Channel], settings: OutlierSettings) -> bool:
-        """Whether a group at the start is the loading from rest: the motion rises from rest through all of its
-        samples, and the load from the second sample on grows away from zero."""
+        """Return whether a group at the start is the loading from rest.
+
+        The motion rises from rest through all samples of the group, and the load grows from the second sample on.
+        """
         if group[0] != 0 or (self.motion is None and not self.is_candidate):
             return False
         end = group[-1] + 2
@@ -119,13 +122,13 @@ class _Start:
             motion, settings, is_counted=channels["motion"].is_counted)
 
     def wrong(self, name: str) -> tuple[int, ...]:
-        """Samples of the group that are wrong: the first one of the load, unless it is already left out."""
+        """Return the wrong samples of the group: the first load, unless it is already left out."""
         return (0,) if name == "load" and self.motion is None else ()
 
 
 def _belongs_to_test(name: str, group: tuple[int, ...], channels: Mapping[str, Channel],
                      settings: OutlierSettings) -> bool:
-    """Whether a candidate is an event of the test: a peak of the load where the motion steps, a start from rest."""
+    """Return whether a candidate belongs to the test: a peak of the load at a motion step, or a start from rest."""
     first, last = group[0], group[-1] + 1
     motion, load = channels["motion"], channels["load"]
     at_end = first == 0 or last == motion.values.size
@@ -148,11 +151,11 @@ def _belongs_to_test(name: str, group: tuple[int, ...], channels: Mapping[str, C
 
 
 def _follows_motion(group: tuple[int, ...], channels: Mapping[str, Channel], settings: OutlierSettings) -> bool:
-    """Whether the load of a group inside leaves its neighbours in the direction in which the motion steps there, and by
-    no more than a material can.
+    """Return whether the load of a group inside the recording follows a step of the motion.
 
     The load overshoots in a step of the motion, and relaxes afterwards. A load on the other side of both neighbours is
-    no answer of the specimen. Where motion and load are hardly correlated the direction is not known.
+    not a response of the specimen, and neither is an overshoot beyond `OutlierSettings.overshoot`. The direction is
+    unknown if motion and load are hardly correlated.
     """
     correlation = _correlation(channels)
     motion, load = channels["motion"], channels["load"].values
@@ -168,13 +171,13 @@ def _follows_motion(group: tuple[int, ...], channels: Mapping[str, Channel], set
 
 
 def _correlation(channels: Mapping[str, Channel]) -> float:
-    """Correlation of motion and load without their outliers."""
+    """Return the correlation of motion and load without their outliers."""
     away = [channels[name].smooth - channels[name].smooth.mean() for name in ("motion", "load")]
     return float(np.sum(away[0] * away[1])) / (float(np.sqrt(np.sum(away[0]**2) * np.sum(away[1]**2))) or 1.0)
 
 
 def _steps_together(sample: int, next_one: int, motion: Channel, load: Channel, settings: OutlierSettings) -> bool:
-    """Whether motion and load step together: from rest, as under a dead weight, or in the last step.
+    """Return whether motion and load step together: from rest, as under a dead weight, or in the last step.
 
     Args:
         sample: at an end of the recording. next_one: its neighbour inside.
@@ -191,7 +194,7 @@ def _steps_together(sample: int, next_one: int, motion: Channel, load: Channel, 
     rests = [abs(one.values[sample]) <= settings.rest * most for one, most in zip((motion, load), largest, strict=True)]
     is_plausible = abs(motion.values[sample]) <= settings.plausible * largest[0] and (
         rests[1] or sample > next_one or abs(load.values[sample]) <= abs(load.values[next_one]))
-    # Where motion and load go on, the step has a stiffness like that of the whole test.
+    # If motion and load continue, the stiffness of the step is similar to that of the whole test.
     comparable = all(one.range > 0.3 * abs(jump) for one, jump in zip((motion, load), jumps, strict=True))
     if comparable:
         stiffness = abs(jumps[1] / jumps[0]) * motion.range / load.range
@@ -202,9 +205,9 @@ def _steps_together(sample: int, next_one: int, motion: Channel, load: Channel, 
 
 
 def _rises_from_rest(values: np.ndarray, settings: OutlierSettings, *, is_counted: bool) -> bool:
-    """Whether the first samples rise steadily, to one side, from rest, as in the loading before creep.
+    """Return whether the first samples rise steadily to one side from rest, as in the loading before creep.
 
-    Of a channel that counts from the first sample, the first step must be like the following ones.
+    In a channel that counts from the first sample, the first step must be similar to the following ones.
     """
     steps = np.diff(values)
     if not np.all(steps * steps[0] > 0):
@@ -215,6 +218,6 @@ def _rises_from_rest(values: np.ndarray, settings: OutlierSettings, *, is_counte
 
 
 def _relaxes(values: np.ndarray, following: float) -> bool:
-    """Whether the first loads are up to twice the following one, as where a recording starts at the peak of a step."""
+    """Return whether the first loads are up to twice the next one, as after a start at the peak of a step."""
     return bool(np.all(values * following > 0) and np.all(np.abs(values) > abs(following))
                 and np.all(np.abs(values) < 2.0 * abs(following)))

@@ -1,4 +1,4 @@
-"""A recording: one replicate of one test. A measurement and a simulation are the same type."""
+"""Recordings of tests; measurements and simulations have the same type."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ CHANNELS: dict[str, str] = {
     "temperature": "temperature",
     "Fx": "force", "Fy": "force", "Fz": "force", "Tx": "torque", "Ty": "torque", "Tz": "torque",
 }
-#: Labels, not numbers.
+#: Names of the labels of samples.
 LABELS = ("segment", "cycle")
+#: Fewest samples of a recording.
 MIN_POINTS = 5
 
 
@@ -49,7 +50,7 @@ class Recording:
         for name, values in self.channels.items():
             if name not in CHANNELS:
                 raise InputError(f"unknown channel{nearest(name, CHANNELS)}", field=name)
-            # What nobody can change is kept, not copied: recordings are large, and made of each other.
+            # Read-only arrays are shared, not copied, because recordings are large and share their channels.
             array = values if _is_frozen(values) else np.array(values, dtype=float)
             array.flags.writeable = False
             if array.ndim != 1 or length not in (None, array.size):
@@ -79,7 +80,7 @@ class Recording:
         object.__setattr__(self, "metadata", read_only(self.metadata))
 
     def __reduce__(self):
-        # By its constructor: arrays from another process would not be read-only.
+        # The constructor makes the arrays of another process read-only.
         return type(self), (dict(self.channels), dict(self.labels), dict(self.metadata), self.fields)
 
     def __len__(self) -> int:
@@ -101,7 +102,7 @@ class Recording:
 
     @property
     def time(self) -> np.ndarray:
-        """s."""
+        """Time, s, shape (n,)."""
         return self.channel("time")
 
     @property
@@ -116,22 +117,24 @@ class Recording:
 
     @property
     def name(self) -> str:
+        """Name in the metadata; empty without a name."""
         return str(self.metadata.get("name", ""))
 
     def with_channels(self, **channels) -> Recording:
-        """The same recording with some channels replaced or added (SI)."""
+        """Return a copy with channels replaced or added (SI)."""
         return replace(self, channels={**self.channels, **channels})
 
     def with_metadata(self, **metadata) -> Recording:
-        """The same recording with more metadata."""
+        """Return a copy with metadata replaced or added."""
         return replace(self, metadata={**self.metadata, **metadata})
 
     def select(self, samples) -> Recording:
-        """The samples of a boolean mask, slice or index array."""
+        """Return a recording of the samples of a boolean mask, slice or index array."""
         return replace(self, channels={name: values[samples] for name, values in self.channels.items()},
                        labels={name: values[samples] for name, values in self.labels.items()}, fields=None)
 
 
 def _is_frozen(values: Any) -> bool:
+    """Return whether values are a read-only array of float that owns its memory."""
     return (isinstance(values, np.ndarray) and values.dtype == float and values.base is None
             and not values.flags.writeable)

@@ -1,19 +1,34 @@
-"""Step of a coarse sensor."""
+"""Estimate the step of a coarse sensor."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from tissue_sim.recording.saturation import last_digit
 
-#: Largest difference of a step from a whole multiple of the step of the sensor, as a fraction of that step.
-_WHOLE = 1e-3
-#: Last digit of the numbers in the file, in steps, up to which the steps may differ by this digit.
-_FINE = 0.1
+
+@dataclass(frozen=True)
+class ResolutionSettings:
+    """Settings of `rounding_step`.
+
+    Attributes:
+        whole: largest difference of a step from a whole multiple of the step of the sensor, as a fraction of that step.
+        fine_digit: largest last digit of the numbers in the file, in steps of the sensor, by which the steps may
+            differ.
+    """
+
+    whole: float = 1e-3
+    fine_digit: float = 0.1
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = ResolutionSettings()
 
 
 def rounding_step(values: np.ndarray) -> float:
-    """Step of a sensor that shows few different values; 0 where there is none.
+    """Return the step of a sensor with few different values; 0 for a fine sensor.
 
     The numbers of a file are rounded, too: steps may differ from whole multiples by the last digit of the numbers.
 
@@ -28,5 +43,5 @@ def rounding_step(values: np.ndarray) -> float:
     counts = np.round(steps / steps.min())
     step = float(steps.sum() / counts.sum())
     digit = last_digit(values)
-    allowed = max(_WHOLE * step, 1.5 * digit if digit < _FINE * step else 0.0)
+    allowed = max(_SETTINGS.whole * step, 1.5 * digit if digit < _SETTINGS.fine_digit * step else 0.0)
     return step if np.abs(steps - counts * step).max() <= allowed else 0.0

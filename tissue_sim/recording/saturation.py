@@ -1,4 +1,4 @@
-"""Saturated sensors: a channel that keeps its extreme value, to the last digit, while the other one continues."""
+"""Detect saturated sensors: a channel keeps its extreme value to the last digit while the other channel continues."""
 
 from __future__ import annotations
 
@@ -40,12 +40,25 @@ class SaturationSettings:
 
 
 SETTINGS = SaturationSettings()
-#: Error of a difference in units of the floating-point spacing of the largest value.
-_EXACT = 4.0
-#: Step below which values have no last digit, as a fraction of the largest value.
-_FINEST = 1e-9
-#: A remainder in units of its error, above which it is not zero.
-_SURE = 4.0
+
+
+@dataclass(frozen=True)
+class DigitSettings:
+    """Settings of `last_digit`.
+
+    Attributes:
+        exact: error of a difference, in units of the floating-point spacing of the largest value.
+        finest: step below which values have no last digit, as a fraction of the largest value.
+        sure: least remainder that counts as nonzero, in units of its error.
+    """
+
+    exact: float = 4.0
+    finest: float = 1e-9
+    sure: float = 4.0
+
+
+#: Settings that the functions of this module use.
+_DIGITS = DigitSettings()
 
 
 @dataclass(frozen=True)
@@ -59,12 +72,12 @@ class SaturatedRun:
 
 def find_saturation(values: np.ndarray, other: np.ndarray, time: np.ndarray | None = None, *, rounding: float = 0.0,
                     is_free: bool = False, settings: SaturationSettings = SETTINGS) -> tuple[SaturatedRun, ...]:
-    """Find where a channel is cut off at its largest or smallest value.
+    """Find the samples at which a channel is cut off at its largest or smallest value.
 
     A run of equal extreme values is saturation if the other channel continues in its direction at no less than half of
     its rate before, and the channel would have changed clearly at its rate before. Holds, coarse sensors, air, creep at
-    a constant force and ruptures are none. Where the channel has a noise of several digits before the run, equal values
-    are no measurement, and the other channel needs only continue.
+    a constant force and ruptures are not saturation. If the channel has a noise of several digits before the run, equal
+    values are not a measurement, and it is sufficient that the other channel continues.
 
     Args:
         values: of the channel in the order of time, any unit and sign, shape (n,).
@@ -99,24 +112,24 @@ def find_saturation(values: np.ndarray, other: np.ndarray, time: np.ndarray | No
 
 
 def _is_noisy_before(run: SaturatedRun, values: np.ndarray, rounding: float, settings: SaturationSettings) -> bool:
-    """Whether the samples before a run scatter by several of their last digits, or widths of the rounding."""
+    """Return whether the samples before a run scatter by several of their last digits, or widths of the rounding."""
     if run.first < settings.noise_from:
         return False
     before = values[:run.first]
     digit = max(last_digit(values), rounding)
-    # Curves and steps bend, too: the third differences of a smooth curve are small.
+    # The third differences of a smooth curve are small, so that they show the noise alone.
     noise = float(np.median(np.abs(np.diff(before, 3)))) / (0.6745 * np.sqrt(20.0))
     return 0.0 < settings.noisy * digit <= noise
 
 
 def _continues(run: SaturatedRun, other: np.ndarray, travel: float) -> bool:
-    """Whether the other channel changes more than `travel` along a run, away from its start."""
+    """Return whether the other channel changes by more than `travel` along a run, away from its start."""
     along = other[run.first:run.last + 1] - other[run.first]
     return bool(abs(along[-1]) > travel and abs(along[-1]) >= 0.5 * float(np.ptp(along)))
 
 
 def _smooth_maximum(count: int, settings: SaturationSettings) -> float:
-    """Change that a channel with a smooth maximum seems to lack, in its last digits.
+    """Return the apparent missing change of a channel with a smooth maximum, in its last digits.
 
     Around the maximum P - c x^2, with samples at the distance h, `count` samples within one digit d of P span
     2 x0 = 2 sqrt(d / c) >= (count - 1) h. Along that span the mean rate of the `before` samples in front of it,
@@ -126,39 +139,39 @@ def _smooth_maximum(count: int, settings: SaturationSettings) -> float:
 
 
 def last_digit(values: np.ndarray) -> float:
-    """The largest step of which all differences of the values are whole multiples within the precision of doubles.
+    """Return the largest step of which all differences of the values are whole multiples, in double precision.
 
-    Euclid's algorithm for the greatest common divisor of the differences of neighbours. Values that were printed with a
-    fixed number of decimals have such a step in any unit. Values without a last digit give a step far below their
-    range, or 0; equal values give 0.
+    The method is Euclid's algorithm for the greatest common divisor of the differences of neighbours. Values that were
+    printed with a fixed number of decimals have such a step in any unit. Values without a last digit give a step far
+    below their range, or 0; equal values give 0.
 
     Args:
         values: shape (n,).
     """
     largest = float(np.abs(values).max())
     differences = np.abs(np.diff(values))
-    exact = _EXACT * float(np.finfo(float).eps) * largest
+    exact = _DIGITS.exact * float(np.finfo(float).eps) * largest
     if not np.any(differences > exact):
         return 0.0
     step, error = float(differences[differences > exact].min()), exact
-    while step > max(_FINEST * largest, _SURE * error):
+    while step > max(_DIGITS.finest * largest, _DIGITS.sure * error):
         multiples = np.rint(differences / step)
         left, errors = np.abs(differences - step * multiples), exact + error * multiples
-        if not np.any(left > _SURE * errors):
+        if not np.any(left > _DIGITS.sure * errors):
             return step
-        place = int(np.argmin(np.where(left > _SURE * errors, left, np.inf)))
+        place = int(np.argmin(np.where(left > _DIGITS.sure * errors, left, np.inf)))
         step, error = float(left[place]), float(errors[place])
     return 0.0
 
 
 def _noise(values: np.ndarray) -> float:
-    """Deviation of the noise. Equal values of a saturated sensor have none: their bends do not count."""
+    """Return the standard deviation of the noise, without the equal values of a saturated sensor."""
     bend = np.abs(np.diff(values, 2))
     return float(np.median(bend[bend > 0])) / (0.6745 * np.sqrt(6.0)) if np.any(bend > 0) else 0.0
 
 
 def _runs(places: np.ndarray, settings: SaturationSettings) -> list[SaturatedRun]:
-    """Runs of samples at the extreme value, of at least the fewest."""
+    """Return runs of at least `SaturationSettings.fewest` samples at the extreme value."""
     if places.size < settings.fewest:
         return []
     parts = np.split(places, np.flatnonzero(np.diff(places) > settings.gap + 1) + 1)
@@ -167,7 +180,7 @@ def _runs(places: np.ndarray, settings: SaturationSettings) -> list[SaturatedRun
 
 def _is_saturated(run: SaturatedRun, values: np.ndarray, other: np.ndarray, clock: np.ndarray, missing: float,
                   travel: float, settings: SaturationSettings) -> bool:
-    """Whether the channel, positive towards its extreme value, would have continued.
+    """Return whether the channel, positive towards its extreme value, would have continued to change.
 
     Args:
         missing: least change of the channel that is missing. travel: least progress of the other channel.
@@ -185,7 +198,7 @@ def _is_saturated(run: SaturatedRun, values: np.ndarray, other: np.ndarray, cloc
     duration = clock[run.first + farthest] - clock[run.first]
     if farthest < settings.fewest - 1 or not duration > 0 or along[farthest] <= travel:
         return False
-    goes_on = along[farthest] / duration >= settings.speed * abs(rate_of_other)
-    # At the peak of a cycle the other channel may lead, so that its rate alone says little.
+    is_fast = along[farthest] / duration >= settings.speed * abs(rate_of_other)
+    # At the peak of a cycle the other channel may lead, so that its rate alone is not sufficient evidence.
     expected = min(rate * duration, rate / abs(rate_of_other) * along[farthest])
-    return bool(goes_on and expected > missing)
+    return bool(is_fast and expected > missing)

@@ -1,4 +1,4 @@
-"""Findings about the signals of one recording that a fit must respect: outliers, saturation, preload, control."""
+"""Findings about the signals of one recording: outliers, saturation, preload and controlled quantity."""
 
 from __future__ import annotations
 
@@ -6,14 +6,27 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-#: Fraction of the force that is lost in a hold, above which the material relaxes.
-RELAXES = 0.05
-#: Fraction of the displacement that is gained at constant force, above which the material creeps.
-CREEPS = 0.02
-#: Loss factor (tangent of the phase angle) of an oscillation, above which the material dissipates.
-LOSES = 0.05
-#: Estimated relative error of an elastic modulus by relaxation or creep during the loading, above which it is wrong.
-RATE_ERROR = 0.05
+
+@dataclass(frozen=True)
+class ScreeningSettings:
+    """Thresholds above which an elastic law does not describe a test.
+
+    Attributes:
+        relaxation: fraction of the force that is lost in a hold, above which the material relaxes.
+        creep: fraction of the displacement that is gained at constant force, above which the material creeps.
+        loss_factor: loss factor (tangent of the phase angle) of an oscillation, above which the material dissipates.
+        rate_error: estimated relative error of an elastic modulus by relaxation or creep during the loading, above
+            which the modulus is wrong.
+    """
+
+    relaxation: float = 0.05
+    creep: float = 0.02
+    loss_factor: float = 0.05
+    rate_error: float = 0.05
+
+
+#: Thresholds of `Control`.
+SCREENING = ScreeningSettings()
 #: A load without noise, in words; {} is the number of its samples.
 EQUAL_LOAD = "the load is equal to the last digit in {} samples while the displacement grows"
 #: The remedy where a material relaxes, creeps or dissipates.
@@ -59,7 +72,7 @@ class Saturation:
 
 @dataclass(frozen=True)
 class Preload:
-    """A load that is there at the first displacement, where the test has no air before contact.
+    """A load at zero displacement in a test without air before contact.
 
     Attributes:
         force: at zero displacement, N (Pa where stress was recorded), positive under load.
@@ -122,7 +135,7 @@ class Control:
     @property
     def dissipates(self) -> bool:
         """Whether the force of an oscillation is out of phase."""
-        return self.loss_factor is not None and abs(self.loss_factor) > LOSES
+        return self.loss_factor is not None and abs(self.loss_factor) > SCREENING.loss_factor
 
     @property
     def is_elastic(self) -> bool:
@@ -131,7 +144,8 @@ class Control:
         The estimate of a creep test is a lower bound, because the creep during the loading and after the end of the
         recording is not seen: half of the limit applies.
         """
-        return not self.dissipates and self.rate_error <= (0.5 if self.pattern == "creep" else 1.0) * RATE_ERROR
+        limit = (0.5 if self.pattern == "creep" else 1.0) * SCREENING.rate_error
+        return not self.dissipates and self.rate_error <= limit
 
     @property
     def doubt(self) -> str:
@@ -142,18 +156,18 @@ class Control:
 
     @property
     def sentence(self) -> str:
-        """What an elastic law cannot describe, and the remedy; empty where there is nothing."""
+        """Behaviour that an elastic law cannot describe, and the remedy; empty without such behaviour."""
         if self.dissipates:
             return (f"oscillation at {self.frequency:.3g} Hz with the loss factor {self.loss_factor:.2f}: the force is "
                     "out of phase, and an elastic law cannot describe it; measure the relaxation in a hold, and "
                     f"{VISCOELASTIC_REMEDY}")
-        if self.creep > CREEPS:
+        if self.creep > SCREENING.creep:
             return (f"the force is held and the displacement creeps by {100 * self.creep:.0f} %: an elastic law cannot "
                     f"describe it; {VISCOELASTIC_REMEDY}")
-        if self.relaxation > RELAXES and not self.is_elastic:
+        if self.relaxation > SCREENING.relaxation and not self.is_elastic:
             return (f"the force relaxes in holds by up to {100 * self.relaxation:.0f} %: an elastic law gives neither "
                     f"the modulus at once nor that at equilibrium; {VISCOELASTIC_REMEDY}")
-        if self.relaxation > RELAXES:
+        if self.relaxation > SCREENING.relaxation:
             return (f"the force relaxes in holds by up to {100 * self.relaxation:.0f} %, which an elastic law leaves "
                     f"out; to fit it, {VISCOELASTIC_REMEDY}")
         return ""
@@ -214,7 +228,7 @@ class Screening:
 
 
 def numbered(samples: tuple[int, ...]) -> str:
-    """``sample 61``, ``samples 3 and 4`` or ``samples 40 to 80``."""
+    """Format numbers of samples: ``sample 61``, ``samples 3 and 4`` or ``samples 40 to 80``."""
     if len(samples) == 1:
         return f"sample {samples[0]}"
     if len(samples) > 2 and samples[-1] - samples[0] == len(samples) - 1:

@@ -1,8 +1,8 @@
-"""Segments of a motion, measured or simulated: where it goes in, holds, goes out, and turns round.
+"""Divide a measured or simulated motion into loading, hold and unloading.
 
-One definition for all: a way of no more than the hysteresis is none. A motion turns round where it comes back farther
-than that (`Reversals`, which can be fed sample by sample); between, it is made of straight lines within half of it
-(`corners_of`), and one of them that gets no farther is a hold (`label_motion`).
+A displacement of no more than the hysteresis is ignored. A motion reverses when it returns by more than the hysteresis
+(`Reversals`, sample by sample). Between reversals the motion is a polyline within half of the hysteresis
+(`corners_of`), and a line with no displacement beyond the hysteresis is a hold (`label_motion`).
 """
 
 from __future__ import annotations
@@ -11,21 +11,26 @@ import numpy as np
 
 from tissue_sim.recording.recording import Recording
 
-#: Hysteresis of a hand, m, which trembles less, and how long it stays where it is to hold, s.
-HYSTERESIS, HOLD_TIME = 0.05e-3, 1.0
-#: The motion of a machine is made of straight lines within this share of its travel.
+#: Hysteresis of a motion by hand, m; larger than the tremor of a hand.
+HYSTERESIS = 0.05e-3
+#: Least duration of a hold of a motion by hand, s.
+HOLD_TIME = 1.0
+#: Largest distance of the motion of a machine from its polyline, as a fraction of the travel.
 STRAIGHT = 3e-3
-#: Hysteresis of a motion that nobody describes, as a share of its travel, where that is more than `HYSTERESIS`.
-_NOISE_SHARE = 0.01
-_IN, _OUT = ("approach", "ramp", "load"), ("unload", "retract")
+#: Hysteresis of a motion of unknown origin, as a fraction of the travel, if it is larger than `HYSTERESIS`.
+_HYSTERESIS_FRACTION = 0.01
+#: Labels of segments that load.
+_LOADING_LABELS = ("approach", "ramp", "load")
+#: Labels of segments that unload.
+_UNLOADING_LABELS = ("unload", "retract")
 
 
 class Reversals:
-    """Where a motion turns round, as it comes: a way back of no more than `hysteresis` (m) is none.
+    """Find the reversals of a motion sample by sample; a return of no more than `hysteresis` (m) is ignored.
 
     Attributes:
-        starts: index of the first point of each branch, in order; each branch but the last ends where the next begins.
-        direction: of the last branch: 1 loads, -1 unloads, 0 before the first motion.
+        starts: index of the first point of each branch, in order. Each branch ends at the first point of the next one.
+        direction: direction of the last branch: 1 loads, -1 unloads, 0 before the first motion.
     """
 
     def __init__(self, hysteresis: float = HYSTERESIS):
@@ -35,7 +40,7 @@ class Reversals:
         self._low = self._high = (np.nan, 0)
 
     def add(self, index: int, depth: float) -> None:
-        """Take in the next point."""
+        """Add the next point: its index and its depth, m."""
         # The first comparison with NaN is false: the first point is both extremes.
         if not depth >= self._low[0]:
             self._low = (depth, index)
@@ -52,21 +57,21 @@ class Reversals:
         self._low = self._high = here
 
     def forget_before(self, first: int) -> None:
-        """Points before index `first` are gone."""
+        """Forget the points before index `first`."""
         while len(self.starts) > 1 and self.starts[1] <= first:
             del self.starts[0]
         if self.starts:
             self.starts[0] = max(self.starts[0], first)
 
     def branches(self, end: int) -> list[tuple[int, int, int]]:
-        """(direction, first, last) of every branch up to index `end`, both ends included."""
+        """Return (direction, first, last) of each branch up to index `end`, both ends included."""
         edges = [*self.starts, end]
         newest = len(self.starts) - 1
         return [(self.direction * (-1) ** (newest - i), edges[i], edges[i + 1]) for i in range(newest + 1)]
 
 
 def corners_of(time: np.ndarray, displacement: np.ndarray, tolerance: float) -> np.ndarray:
-    """Samples between which the motion is straight within `tolerance`, m.
+    """Return the samples between which the motion is straight within `tolerance`, m.
 
     Source: Douglas and Peucker, Cartographica 10 (1973) 112.
     """
@@ -89,12 +94,12 @@ def corners_of(time: np.ndarray, displacement: np.ndarray, tolerance: float) -> 
 
 def label_motion(time: np.ndarray, displacement: np.ndarray, tolerance: float | None = None, *,
                  shortest_hold: float = 0.0) -> np.ndarray:
-    """Names of the segments of a motion, one a sample: ``ramp``, ``hold``, ``unload``; shapes (n,).
+    """Label each sample of a motion as ``ramp``, ``hold`` or ``unload``, shape (n,).
 
     Args:
         time, displacement: s and m.
-        tolerance: half of the hysteresis, m; None: `STRAIGHT` of the travel, of a machine.
-        shortest_hold: s; what holds for less belongs to the segment before it.
+        tolerance: half of the hysteresis, m; None: the fraction `STRAIGHT` of the travel, for a machine.
+        shortest_hold: s; a shorter hold belongs to the segment before it.
     """
     tolerance = STRAIGHT * np.ptp(displacement) if tolerance is None else tolerance
     corners = corners_of(time, displacement, tolerance)
@@ -108,15 +113,18 @@ def label_motion(time: np.ndarray, displacement: np.ndarray, tolerance: float | 
 
 
 def _stays(time: np.ndarray, displacement: np.ndarray, first: int, last: int, reach: float) -> float:
-    """How long a motion stays within `reach` (m) of where it is from sample `first` to `last`, s."""
+    """Return how long a motion stays within `reach` (m) of its value at sample `first`, around `first` to `last`, s."""
     away = np.flatnonzero(np.abs(displacement - displacement[first]) > reach)
     before, after = away[away < first], away[away > last]
     return time[after[0] - 1 if after.size else -1] - time[before[-1] + 1 if before.size else 0]
 
 
 def count_cycles(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Labels of `label_motion` with ``reload`` for each ramp after an unloading, and the number of the cycle, from 1,
-    which begins there; shapes (n,)."""
+    """Return the labels with ``reload`` for each ramp after an unloading, and the numbers of the cycles, shapes (n,).
+
+    Args:
+        labels: of `label_motion`, shape (n,). A cycle, numbered from 1, begins at each reload.
+    """
     labels, cycles = np.array(labels, dtype="U6"), np.ones(labels.size, dtype=int)
     begins = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))
     number, withdrawn = 1, False
@@ -132,8 +140,7 @@ def count_cycles(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def number_runs(labels: np.ndarray) -> np.ndarray:
-    """Labels of samples, shape (n,), with a number behind each that comes again after another: ``ramp``, ``unload``,
-    ``ramp 2``."""
+    """Return the labels with a number for each repeated run: ``ramp``, ``unload``, ``ramp 2``; shape (n,)."""
     begins = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))
     seen: dict[str, int] = {}
     names = []
@@ -144,23 +151,23 @@ def number_runs(labels: np.ndarray) -> np.ndarray:
 
 
 def load_and_unload(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of the samples of the first way in and of the first way out after it, without holds.
+    """Return the indices of the samples of the first loading and of the first unloading after it, without holds.
 
-    By the labels where there are segments, else by where the displacement turns round.
+    Labels of segments determine both; without labels, the reversals of the displacement do.
 
     Returns:
-        Two arrays; the second is empty where the tool never comes out.
+        Two arrays; the second one is empty without an unloading.
     """
     depth = recording.displacement
     load, unload = _labelled(recording.labels["segment"]) if "segment" in recording.labels else _turned(depth)
-    if not load.size:  # labels in words of somebody else
+    if not load.size:  # labels of another vocabulary
         load, unload = _turned(depth)
     return load[one_way(depth[load], 1)], unload[one_way(depth[unload], -1)]
 
 
 def _labelled(segment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Samples of the first run of segments that go in, and of the first run of those that go out."""
-    kinds = np.where(np.isin(segment, _IN), 1, np.where(np.isin(segment, _OUT), -1, 0))
+    """Return the samples of the first run of loading segments, and of the first run of unloading segments."""
+    kinds = np.where(np.isin(segment, _LOADING_LABELS), 1, np.where(np.isin(segment, _UNLOADING_LABELS), -1, 0))
     kinds[segment == "reload"] = 2
     out = np.flatnonzero(kinds == -1)
     first_out = out[0] if out.size else kinds.size
@@ -168,15 +175,15 @@ def _labelled(segment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     again = np.flatnonzero(kinds[first_out:] > 0)
     last_out = first_out + (again[0] if again.size else kinds.size - first_out)
     unload = np.flatnonzero(kinds[first_out:last_out] == -1) + first_out
-    # A sample where two segments meet belongs to the first of them.
+    # The sample at which two segments meet belongs to the first of them.
     return load, np.concatenate([[unload[0] - 1], unload]) if unload.size and unload[0] > 0 else unload
 
 
 def _turned(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Samples of the first branch that goes in, and of the one after it."""
+    """Return the samples of the first branch that loads, and of the next branch."""
     reach = float(depth.max() - depth.min())
-    # Trembling as that of a hand, less where the whole test is small.
-    reversals = Reversals(min(max(HYSTERESIS, _NOISE_SHARE * reach), 0.1 * reach))
+    # The tremor is at most that of a hand, and smaller in a small test.
+    reversals = Reversals(min(max(HYSTERESIS, _HYSTERESIS_FRACTION * reach), 0.1 * reach))
     for index, value in enumerate(depth.tolist()):
         reversals.add(index, value)
     branches = reversals.branches(depth.size - 1)
@@ -187,14 +194,14 @@ def _turned(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def one_way(depth: np.ndarray, direction: int) -> np.ndarray:
-    """Indices of samples of a branch between which depth is strictly monotone; trembling drops out, and so does
-    standing still at either end.
+    """Return the indices of samples of a branch between which the depth is strictly monotone.
 
-    In the first half of the way that is the last sample at each depth, in the second half the first one.
+    Samples of tremor and of rest at both ends are omitted. The first half of the branch keeps the last sample at each
+    depth, the second half keeps the first one.
 
     Args:
         depth: m, shape (n,), in the order of time.
-        direction: 1 in, -1 out.
+        direction: 1 loads, -1 unloads.
     """
     if not len(depth):
         return np.arange(0)

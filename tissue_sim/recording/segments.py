@@ -1,4 +1,4 @@
-"""The segments of a whole test: approach, contact, preload, preconditioning, ramps, holds, returns, failure."""
+"""Divide a test into segments: approach, preload, preconditioning, ramps, holds, unloadings and failure."""
 
 from __future__ import annotations
 
@@ -18,28 +18,44 @@ from tissue_sim.recording.segmentation import count_cycles, label_motion
 
 #: Names of segments, in the order of a test.
 SEGMENTS = ("approach", "preload", "preconditioning", "ramp", "hold", "unload", "reload", "failure")
-#: A stop is a preload up to these shares of the largest force and of the way from contact to the farthest.
-_PRELOAD_FORCE, _PRELOAD_WAY = 0.05, 0.15
-#: Cycles are alike, and precondition what comes after them, within this share of the way.
-_ALIKE = 0.05
-#: Fewest cycles alike that precondition.
-_FEWEST_ALIKE = 2
-#: Fewest samples of which structure is asked.
-_FEWEST = 12
+
+
+@dataclass(frozen=True)
+class SegmentSettings:
+    """Settings of `segments_of`.
+
+    Attributes:
+        preload_force: largest force of a preload, as a fraction of the largest force.
+        preload_displacement: largest displacement of a preload from contact, as a fraction of the largest one.
+        equal_peaks: largest difference of the peaks of cycles that precondition the specimen, as a fraction of the
+            range of the displacement.
+        fewest_cycles: fewest cycles with equal peaks that precondition the specimen.
+        fewest_samples: fewest samples of a recording in which contact and failure are searched.
+    """
+
+    preload_force: float = 0.05
+    preload_displacement: float = 0.15
+    equal_peaks: float = 0.05
+    fewest_cycles: int = 2
+    fewest_samples: int = 12
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = SegmentSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """What a test is made of.
+    """Segments of a test.
 
     Attributes:
-        labels: name of the segment of each sample, in `SEGMENTS` or in the words of its file, shape (n,).
+        labels: name of the segment of each sample, in `SEGMENTS` or a label of the file, shape (n,).
         cycles: number of the cycle, from 1, shape (n,).
-        contact: where it touches; None where the recording does not tell (both sides of zero, few samples).
-        failure: of the specimen; None: intact.
-        stated: whether the labels are those of the recording, not found.
-        stressed: whether it was recorded as strain and stress.
-        warnings: sentences on what a user should look at.
+        contact: contact of the tool; None for a recording on both sides of zero, or with few samples.
+        failure: failure of the specimen; None: intact.
+        stated: whether the labels are those of the file.
+        stressed: whether the recording has strain and stress.
+        warnings: sentences for the user.
     """
 
     labels: np.ndarray
@@ -52,7 +68,7 @@ class Segmentation:
 
     @property
     def has_air(self) -> bool:
-        """Whether contact comes after the first samples."""
+        """Whether samples in the air precede contact."""
         return self.contact is not None and self.contact.found
 
     def runs(self) -> Iterator[tuple[str, int, int]]:
@@ -63,15 +79,15 @@ class Segmentation:
 
 
 def find_segments(recording: Recording, kind: TestKind | str | None = None) -> Segmentation:
-    """The segments of a recording, measured or simulated.
+    """Find the segments of a measured or simulated recording.
 
-    Labels that the recording has are kept; else they are those of its motion, its contact and its failure. What is
-    before contact is approach. A preload is a stop at little force on the way in, or under load before the first
-    motion. Two cycles or more that go as far as each other precondition what comes after them.
+    Labels of the recording are kept. Without labels, the motion, the contact and the failure give the segments. Samples
+    before contact are the approach. A preload is a hold under a small force during the first loading, or a hold under
+    load before the first motion. Two or more cycles with equal peaks precondition the specimen for the following ones.
 
     Args:
         recording: with displacement and force, or stretch or shear strain and nominal stress.
-        kind: of test, which tells the sign of strain and stress; None: they load where they are largest.
+        kind: kind of test, which determines the sign of strain and stress; None: the largest strain is a loading.
 
     Raises:
         InputError: an unknown kind, a recording without motion and load.
@@ -85,14 +101,21 @@ def find_segments(recording: Recording, kind: TestKind | str | None = None) -> S
 
 def segments_of(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None,
                 labels: np.ndarray | None = None, *, stressed: bool = False) -> Segmentation:
-    """As `find_segments`, of displacement and force, positive under load, m and N (strain and Pa: `stressed`)."""
+    """Find the segments of arrays; see `find_segments`.
+
+    Args:
+        displacement, force: positive under load, m and N, shapes (n,); strain and Pa if `stressed`.
+        time: s, shape (n,); None: even steps.
+        labels: segments of the file, shape (n,); None: they are found.
+        stressed: whether the arrays are strain and stress.
+    """
     clock = np.arange(displacement.size, dtype=float) if time is None else time
     warnings: list[str] = []
     ordered = _is_ordered(displacement, force, time)
     contact = failure = None
-    if ordered and displacement.size >= _FEWEST and np.ptp(displacement) > 0:
+    if ordered and displacement.size >= _SETTINGS.fewest_samples and np.ptp(displacement) > 0:
         failure = find_failure(displacement, force, time)
-        end = max(displacement.size if failure is None else failure.index + 1, _FEWEST)
+        end = max(displacement.size if failure is None else failure.index + 1, _SETTINGS.fewest_samples)
         contact = find_contact(displacement[:end], force[:end], None if time is None else time[:end])
     if contact is not None and contact.status != "before":
         warnings.append(contact.in_words(stressed=stressed))
@@ -110,10 +133,10 @@ def segments_of(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | 
         labels = labels.astype("U15")
         if contact is not None and contact.status != "none":
             _label_preload(labels, displacement, force, contact, warnings, stressed)
-        if cycles.max() > _FEWEST_ALIKE and not _oscillates(displacement, force, time):
+        if cycles.max() > _SETTINGS.fewest_cycles and not _oscillates(displacement, force, time):
             _label_preconditioning(labels, cycles, displacement, warnings)
         if contact is not None and contact.found:
-            # A later cycle comes through air again.
+            # Later cycles pass through air again.
             in_air = (cycles > 1) & (displacement < contact.displacement)
             labels[np.isin(labels, ("ramp", "reload")) & in_air] = "approach"
     if failure is not None:
@@ -126,13 +149,13 @@ def segments_of(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | 
 
 
 def _oscillates(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None) -> bool:
-    """Whether the cycles are an oscillation around an offset, which does not precondition."""
+    """Return whether the cycles are an oscillation around an offset, which does not precondition."""
     found = find_oscillation(displacement, force, time)
     return found is not None and not found.returns
 
 
 def _is_ordered(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None) -> bool:
-    """Whether samples are in the order of time, and load to one side."""
+    """Return whether the samples are in the order of time, and the specimen is loaded to one side."""
     reach, least = float(np.abs(displacement).max()) or 1.0, int(np.argmin(displacement))
     both_sides = displacement[least] < -0.2 * reach and force[least] < -0.2 * float(np.abs(force).max())
     table = time is None and (displacement[-1] < displacement[0] or
@@ -141,7 +164,7 @@ def _is_ordered(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | 
 
 
 def loading_of(recording: Recording, kind: TestKind | None) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Motion and load, positive under load, and whether they are strain and stress."""
+    """Return motion and load, positive under load, shapes (n,), and whether they are strain and stress."""
     pairs = [*(kind.channels if kind is not None else ())] or [
         pair for one in KINDS.values() for pair in one.channels]
     pair = next((pair for pair in pairs if all(name in recording for name in pair)), pairs[0])
@@ -155,7 +178,7 @@ def loading_of(recording: Recording, kind: TestKind | None) -> tuple[np.ndarray,
 
 def _label_preload(labels: np.ndarray, displacement: np.ndarray, force: np.ndarray, contact: Contact,
                    warnings: list[str], stressed: bool) -> None:
-    """Names what is before contact, and a stop under little load, in place."""
+    """Label the approach and the preload, in place."""
     largest = float(force.max())
     first_motion = int(np.argmax(labels != "hold")) if np.any(labels != "hold") else labels.size
     start = contact.index if contact.found else 0
@@ -165,15 +188,17 @@ def _label_preload(labels: np.ndarray, displacement: np.ndarray, force: np.ndarr
         labels[:first_motion] = "preload"
         load = f"{1e-3 * np.median(force[:first_motion]):.3g} kPa" if stressed else \
             f"{np.median(force[:first_motion]):.3g} N"
-        warnings.append(f"the recording begins at rest under {load}, and no air tells the zero of the force: a settled "
-                        "preload, and contact was before it; state where with contact, or record some air")
+        warnings.append(f"the recording begins at rest under {load}, and no samples in the air show the zero of the "
+                        "force: a settled preload, and contact was before it; state its displacement with contact, or "
+                        "record some air")
     edges = np.append(np.flatnonzero(np.append(True, labels[1:] != labels[:-1])), labels.size)
     runs = list(pairwise(edges.tolist()))
-    way = float(displacement.max()) - float(displacement[start])
+    travel = float(displacement.max()) - float(displacement[start])
     for (first, last), following in pairwise(runs):
         stops = labels[first] == "hold" and labels[following[0]] == "ramp" and first > start
-        little = np.median(force[first:last]) - contact.force_zero < _PRELOAD_FORCE * (largest - contact.force_zero)
-        if stops and little and displacement[first] - displacement[start] < _PRELOAD_WAY * way:
+        limit = _SETTINGS.preload_force * (largest - contact.force_zero)
+        little = np.median(force[first:last]) - contact.force_zero < limit
+        if stops and little and displacement[first] - displacement[start] < _SETTINGS.preload_displacement * travel:
             labels[start:last] = "preload"
             return
         if labels[first] == "unload":
@@ -182,16 +207,16 @@ def _label_preload(labels: np.ndarray, displacement: np.ndarray, force: np.ndarr
 
 def _label_preconditioning(labels: np.ndarray, cycles: np.ndarray, displacement: np.ndarray,
                            warnings: list[str]) -> None:
-    """Names cycles that go as far as each other before another one, in place."""
+    """Label cycles with equal peaks before a last cycle as preconditioning, in place."""
     count = int(cycles.max())
     peaks = np.array([displacement[cycles == number].max() for number in range(1, count + 1)])
-    alike = np.abs(peaks - peaks[0]) <= _ALIKE * np.ptp(displacement)
+    alike = np.abs(peaks - peaks[0]) <= _SETTINGS.equal_peaks * np.ptp(displacement)
     before = int(np.argmin(alike)) if not alike.all() else count - 1
-    if before < _FEWEST_ALIKE:
+    if before < _SETTINGS.fewest_cycles:
         return
     samples = (cycles <= before) & ~np.isin(labels, ("approach", "preload"))
     labels[samples] = "preconditioning"
     labels[(cycles == before + 1) & (labels == "reload")] = "ramp"
-    kind = "goes as far" if alike.all() else "goes farther" if peaks[before] > peaks[0] else "goes less far"
-    warnings.append(f"cycles 1 to {before} go as far as each other and are taken as preconditioning of cycle "
-                    f"{before + 1}, which {kind}")
+    kind = "an equal" if alike.all() else "a higher" if peaks[before] > peaks[0] else "a lower"
+    warnings.append(f"cycles 1 to {before} have equal peaks and are taken as preconditioning of cycle "
+                    f"{before + 1}, which has {kind} peak")

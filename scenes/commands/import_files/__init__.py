@@ -122,10 +122,10 @@ def _import_options(arguments):
     Raises:
         InputError: an unknown channel, unit, format or law, or contradictory flags.
     """
-    from calibration.importing.imported import Wishes
+    from calibration.importing.imported import ImportOptions
     from tissue_sim.laws import LAWS
     from tissue_sim.recording.formats import FORMATS
-    from tissue_sim.recording.formats.guesses import Stated
+    from tissue_sim.recording.formats.guesses import ColumnHints
     from tissue_sim.units import to_si
 
     units, scales = _channel_values(arguments.unit, "--unit"), _channel_values(arguments.scale, "--scale")
@@ -146,7 +146,7 @@ def _import_options(arguments):
         LAWS.find(law, "--laws")
     if arguments.radius_mm is not None and arguments.area_mm2 is not None:
         raise InputError("cannot be combined with --radius-mm. Give one of them", field="--area-mm2")
-    hints = Stated(_channel_values(arguments.column, "--column"), units,
+    hints = ColumnHints(_channel_values(arguments.column, "--column"), units,
                     {channel: _to_positive(text) for channel, text in scales.items()},
                     {channel: int(sign) for channel, sign in signs.items()}, arguments.kind, arguments.format,
                     _sheets(arguments.sheet), arguments.delimiter, arguments.skip_lines,
@@ -154,7 +154,7 @@ def _import_options(arguments):
                     curve=arguments.curve, one_material=arguments.one_material)
     specimen = _specimen_keys(arguments)
     test = {key: value for key in _TEST_KEYS if (value := getattr(arguments, key)) is not None}
-    return Wishes(hints, specimen, test, laws, arguments.zero)
+    return ImportOptions(hints, specimen, test, laws, arguments.zero)
 
 
 def _shapes() -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Blocks of numbers in a table: replicates beside or below each other, with their rows of names and units."""
+"""Find blocks of numbers in a table: replicates side by side or below each other, with rows of names and units."""
 
 from __future__ import annotations
 
@@ -17,10 +17,24 @@ from tissue_sim.units import known_unit, loose_header
 _WORD = re.compile(r"[^\W\d_]{2}")
 #: A cell as short as a unit.
 _SHORT = re.compile(r"^\S{1,8}$")
-#: Rows by which columns of numbers are told from others.
-_EXAMINED = 50
-#: Steps of the first column between the rows above and below a row of text in one table.
-_LARGEST_GAP = 5.0
+
+
+@dataclass(frozen=True)
+class BlockSettings:
+    """Settings of the search for blocks.
+
+    Attributes:
+        examined_rows: rows that decide whether a column has numbers.
+        largest_gap: largest step of the first column across a row of text within one table, in steps of the rows
+            before.
+    """
+
+    examined_rows: int = 50
+    largest_gap: float = 5.0
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = BlockSettings()
 
 
 @dataclass(frozen=True)
@@ -28,11 +42,11 @@ class Block:
     """One table of numbers.
 
     Attributes:
-        header: the row of names; the first row of numbers where nothing is named.
-        units: the row below it that holds units; None: there is none.
-        rows: of numbers.
-        places: from 0, of the wanted columns, in the order in which they were asked for.
-        below: whether it stands below another one, in the same columns.
+        header: row of names; without names the first row of numbers.
+        units: row of units below the names; None: no such row.
+        rows: rows of numbers.
+        places: positions of the requested columns, from 0, in the order of the request.
+        below: whether the block is below another block in the same columns.
     """
 
     header: Row
@@ -42,25 +56,28 @@ class Block:
     below: bool = False
 
     def unit(self, place: int) -> str | None:
-        """In the row of units."""
+        """Return the unit of a column (from 0) in the row of units; None without a unit."""
         return None if self.units is None or place >= len(self.units.cells) else known_unit(self.units.cells[place])
 
 
 def named_blocks(tables: Iterable[Table], names: Sequence[str], *, also: Sequence[int] = (),
                  file: Path) -> tuple[Table, list[Block]]:
-    """The first table with a row that has all the names, and its blocks.
+    """Return the first table with a row that has all names, and its blocks.
 
-    Each such row begins blocks: as many side by side as it has each name. A block ends above the first row of
-    text; a row of units below the names is no part of the numbers.
+    Each such row starts one block for each repetition of the names. A block ends before the first row of text. A row of
+    units below the names is not a row of numbers.
 
     Args:
-        tables: to look through. names: of columns. also: places from 0 of further columns. file: for messages.
+        tables: tables that are searched.
+        names: names of columns.
+        also: positions of further columns, from 0.
+        file: path for messages.
 
     Raises:
-        InputError: no such row.
+        InputError: no row has all names.
     """
     table, header, below = find_header(tables, names, file=file)
-    # A row of names has none of the numbers: most rows are done with at one look.
+    # A row of names has no number in the first column: this test excludes most rows fast.
     place = matches(header.cells, names[0])[0]
     headers = [header, *(row for row in below if not _numbers(row, (place,))
                          and all(matches(row.cells, name) for name in names))]
@@ -76,10 +93,12 @@ def named_blocks(tables: Iterable[Table], names: Sequence[str], *, also: Sequenc
 
 
 def placed_blocks(tables: Iterable[Table], places: Sequence[int], *, file: Path) -> tuple[Table, list[Block]]:
-    """The first table with a row that has a number at each place, and its blocks: rows without any number end one.
+    """Return the first table with a row of numbers in the given columns, and its blocks.
+
+    A row without any number ends a block.
 
     Raises:
-        InputError: no such row.
+        InputError: no row has numbers in all columns.
     """
     table, header, rows = find_numbers(tables, places, file=file)
     runs = [run for run in _runs(rows, places) if any(_numbers(row, places) == len(places) for row in run)]
@@ -88,17 +107,19 @@ def placed_blocks(tables: Iterable[Table], places: Sequence[int], *, file: Path)
 
 
 def unread_columns(blocks: Sequence[Block], used: Collection[int]) -> tuple[str, ...]:
-    """Names (numbers from 1, where there is none) of the columns of numbers that no recording of a table reads.
+    """Return the names of the columns of numbers that no recording of a table reads.
 
-    A column that repeats one value and is named after a size states that size.
+    A column without a name has its number, from 1. A column that repeats one value and is named after a size states
+    the size, and is omitted.
 
     Args:
-        blocks: of the table. used: places from 0 of the columns that are read.
+        blocks: blocks of the table. used: positions of the columns that are read, from 0.
     """
     header, rows = blocks[0].header, blocks[0].rows
     found = []
     for place, name in enumerate(header.cells):
-        cells = [row.cells[place] for row in rows[:_EXAMINED] if place < len(row.cells) and row.cells[place]]
+        cells = [row.cells[place] for row in rows[:_SETTINGS.examined_rows]
+                 if place < len(row.cells) and row.cells[place]]
         is_size = size_class(loose_header(name)[0]) is not None and len(set(cells)) == 1
         if place not in used and cells and 2 * sum(map(is_number, cells)) > len(cells) and not is_size:
             found.append(str(place + 1) if not name or is_number(name) else name)
@@ -106,27 +127,27 @@ def unread_columns(blocks: Sequence[Block], used: Collection[int]) -> tuple[str,
 
 
 def _below_header(rows: list[Row], places: Sequence[int]) -> tuple[Row | None, list[Row]]:
-    """The row of units, and the rows of numbers."""
+    """Return the row of units (None without one), and the rows of numbers."""
     first = next((i for i, row in enumerate(rows) if _numbers(row, places)), len(rows))
     units = next((row for row in rows[:first] if is_unit_row(row, places)), None)
-    # Words alone in the first row are a typing error as in any other; a second row of names is not.
+    # Words alone in the first row are a damaged cell, as in any other row; a second row of names is not.
     return units, _until_text(rows[first:] if first < len(rows) else rows, places)
 
 
 def _until_text(rows: list[Row], places: Sequence[int]) -> list[Row]:
-    """The rows above the first row of text that ends the table.
+    """Return the rows above the first row of text that ends the table.
 
-    A row of text with more rows of the same table below it stays: it is refused where it is read.
+    A row of text with more rows of the same table below is kept; the reader of its cells reports an error.
     """
     labelled = bool(rows) and begins_with_word(rows[0])
     for i, row in enumerate(rows):
-        if i and is_text_row(row, places, labelled=labelled) and not _goes_on(rows, i, places):
+        if i and is_text_row(row, places, labelled=labelled) and not _continues(rows, i, places):
             return rows[:i]
     return rows
 
 
 def is_text_row(row: Row, places: Sequence[int], *, labelled: bool = False) -> bool:
-    """Whether a row is text rather than a row of numbers with a damaged cell.
+    """Return whether a row is text, and not a row of numbers with a damaged cell.
 
     Args:
         row: below the first row of numbers. places: from 0, of the columns of numbers.
@@ -142,15 +163,15 @@ def is_text_row(row: Row, places: Sequence[int], *, labelled: bool = False) -> b
 
 
 def begins_with_word(row: Row) -> bool:
-    """Whether the first cell that is not empty is a word."""
+    """Return whether the first cell with content is a word."""
     first = next((cell for cell in row.cells if cell), "")
     return _WORD.search(first) is not None and not is_number(first)
 
 
-def _goes_on(rows: Sequence[Row], text: int, places: Sequence[int]) -> bool:
-    """Whether rows of the same table stand below the row of text at `text`.
+def _continues(rows: Sequence[Row], text: int, places: Sequence[int]) -> bool:
+    """Return whether rows of the same table follow the row of text with index `text`.
 
-    Rows of numbers below a second row of names are of another table, unless their first column continues evenly.
+    Rows of numbers below a second row of names belong to another table, unless their first column continues evenly.
     """
     named = False
     for row in rows[text:]:
@@ -162,22 +183,22 @@ def _goes_on(rows: Sequence[Row], text: int, places: Sequence[int]) -> bool:
 
 
 def _follows(before: Sequence[Row], row: Row, place: int) -> bool:
-    """Whether the number at `place` continues the rows before by at most `_LARGEST_GAP` of their steps."""
+    """Return whether a number at `place` continues the rows, within `BlockSettings.largest_gap` of their steps."""
     values = [any_number(each.cells[place]) for each in (*before, row) if place < len(each.cells)]
     if len(values) < 3:
         return False
     step, gap = values[-2] - values[-3], values[-1] - values[-2]
-    return step != 0 and 0 < gap / step <= _LARGEST_GAP
+    return step != 0 and 0 < gap / step <= _SETTINGS.largest_gap
 
 
 def is_unit_row(row: Row, places: Sequence[int]) -> bool:
-    """Whether cells at the places hold units, all of them that hold anything; a bracket says so of any word."""
+    """Return whether all cells with content in the given columns are units; a word in brackets is a unit."""
     cells = [row.cells[place] for place in places if place < len(row.cells) and row.cells[place]]
     return bool(cells) and all(known_unit(cell) or cell[0] in "[(" for cell in cells)
 
 
 def is_mostly_units(row: Row, places: Sequence[int]) -> bool:
-    """Whether at least two cells at the places, and half of them, hold units, and the others a short word."""
+    """Return whether at least two cells at the places, and half of them, hold units, and the others a short word."""
     cells = [row.cells[place] for place in places if place < len(row.cells) and row.cells[place]]
     known = sum(known_unit(cell) is not None for cell in cells)
     return known >= max(2, 0.5 * len(cells)) and all(_SHORT.match(cell) and not is_number(cell) for cell in cells)

@@ -17,7 +17,7 @@ _QUANTITY = re.compile(r"(?P<number>[-+\u2212]?[\d.,](?:[\d.,'\u2019\u00a0\u202f
 
 
 class CellUnits(Row):
-    """A row of units that the cells below it had behind their numbers."""
+    """Row of units that were removed from the cells below."""
 
     __slots__ = ()
 
@@ -57,7 +57,7 @@ def without_cell_units(rows: list[Row], text: str | None = None) -> list[Row]:
 
 
 def _is_of_quantities(row: Row, *, begun: bool) -> bool:
-    """Whether most cells are numbers, at least one with a unit; a later row of a table may have lost its numbers."""
+    """Return whether most cells are numbers, and at least one has a unit; `begun` rows may have lost their units."""
     filled = [cell for cell in row.cells if cell]
     united = sum(split_quantity(cell) is not None for cell in filled)
     numbers = united + sum(map(is_number, filled))
@@ -65,7 +65,7 @@ def _is_of_quantities(row: Row, *, begun: bool) -> bool:
 
 
 def _plain(run: Sequence[Row]) -> Iterable[Row]:
-    """The rows of one table of quantities, below a row of units; as they are where no column has one unit."""
+    """Return the rows of one table with plain numbers below a row of units; unchanged without a common unit."""
     width = max((len(row.cells) for row in run), default=0)
     units = [_unit_of(run, place) for place in range(width)]
     if len(run) < MIN_POINTS or not any(units):
@@ -78,7 +78,7 @@ def _plain(run: Sequence[Row]) -> Iterable[Row]:
 
 
 def _unit_of(run: Sequence[Row], place: int) -> str:
-    """The unit of all numbers of a column; empty where they have none, or different ones."""
+    """Return the common unit of all numbers of a column; empty without a common unit."""
     units = set()
     for row in run:
         cell = row.cells[place] if place < len(row.cells) else ""

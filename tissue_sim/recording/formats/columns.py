@@ -1,5 +1,4 @@
-"""Foreign tables, text, spreadsheet or container, by a map of channels to columns: by name under a header, or by place.
-"""
+"""Read tables of texts, spreadsheets and containers by a map from channels to columns: names or positions."""
 
 from __future__ import annotations
 
@@ -35,8 +34,9 @@ from tissue_sim.recording.measures import check_measure, convert_measures
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
 from tissue_sim.units import loose_header, split_header
 
+#: Keys of an entry of ``columns``.
 _KEYS = ("name", "column", "unit", "sign", "scale", "offset", "measure")
-#: More than any table has.
+#: Largest column number that is accepted.
 _MOST_COLUMNS = 1_000_000
 #: The last column of a spreadsheet is XFD.
 _LETTERS = re.compile(r"[A-Za-z]{1,3}")
@@ -46,11 +46,13 @@ Curves = int | Sequence[int]
 
 @dataclass(frozen=True)
 class MarkedRecording:
-    """A recording of a table.
+    """Recording of a table with the spelling of its numbers.
 
     Attributes:
-        recording: SI. marks: decimal mark and thousands separator of its numbers.
-        line: of the header. sheet: name of the sheet; empty in a text.
+        recording: recording in SI.
+        marks: decimal mark and thousands separator of the numbers.
+        line: line of the header.
+        sheet: name of the sheet; empty in a text.
     """
 
     recording: Recording
@@ -61,10 +63,10 @@ class MarkedRecording:
 
 def read_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0, delimiter: str | None = None,
                  sheet: Sheets | None = None, metadata: Mapping[str, Any] | None = None) -> Recording:
-    """The only recording that `read_blocks` finds.
+    """Read a file with exactly one recording; see `read_blocks` for the arguments.
 
     Raises:
-        InputError: there are several; and as there.
+        InputError: several recordings, or an error of `read_blocks`.
     """
     found = read_blocks(path, columns, skip_lines=skip_lines, delimiter=delimiter, sheet=sheet, metadata=metadata)
     if len(found) > 1:
@@ -75,11 +77,11 @@ def read_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: in
 def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0, delimiter: str | None = None,
                 sheet: Sheets | None = None, curve: Curves | None = None, decimal: str | None = None,
                 metadata: Mapping[str, Any] | None = None) -> tuple[Recording, ...]:
-    """Recordings from chosen columns of any delimited text file, spreadsheet or container of arrays.
+    """Read recordings from chosen columns of a delimited text, a spreadsheet or a container of arrays.
 
     Columns by name: the header is the first row that contains every named column. A column matches by its whole header
     (``"Load (N)"``) or by the part before the unit (``"Load"``), whatever the case. A header that comes again, below or
-    in the same row, begins another recording; one below it whose time goes on is the same one. Columns by place only:
+    in the same row, begins another recording; one below it whose time continues is the same one. Columns by place only:
     the table begins with the first row that has a number in each of them.
 
     Delimiter of a text: comma, semicolon or tab, whichever has such a row, unless it is stated. Rows of text below the
@@ -94,7 +96,7 @@ def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int
             the value is (sign * scale * cell + offset) units. An offset ``"start"`` counts from the first sample.
             ``measure`` of a stretch or nominal stress, a name in `tissue_sim.recording.measures.MEASURES`:
             the value is of that measure and is converted for an incompressible specimen.
-        skip_lines: lines (rows) at the top of the file that are not looked at.
+        skip_lines: number of lines (rows) at the top of the file that are ignored.
         delimiter: one character; a blank stands for any number of blanks. None: found. Text only.
         sheet: name or number (from 1) of a spreadsheet's sheet, or of a container's table, or a list of them, which
             are replicates. None: the only one that holds anything.
@@ -120,7 +122,7 @@ def read_marked_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lin
                        delimiter: str | None = None, sheet: Sheets | None = None, curve: Curves | None = None,
                        decimal: str | None = None, metadata: Mapping[str, Any] | None = None
                        ) -> tuple[MarkedRecording, ...]:
-    """Recordings as of `read_blocks`, each with the marks of its numbers, where these are open too."""
+    """Read recordings like `read_blocks`, each with the marks of its numbers; ambiguous marks are not an error."""
     path = Path(path)
     if decimal is not None:
         check_decimal(decimal)
@@ -152,7 +154,7 @@ def read_marked_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lin
 
 
 def check_decimal(decimal: Any, field: str = "decimal") -> str:
-    """The decimal mark, if it is one.
+    """Return the decimal mark if it is valid.
 
     Raises:
         InputError: neither point nor comma; with the field.
@@ -191,14 +193,14 @@ def _sheets(path: Path, sheet: Sheets | None) -> Sequence[Sheet]:
 
 def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, metadata: Mapping[str, Any] | None,
                 decimal: str | None, *, alone: bool = False, end: PlainEnd | None = None) -> list[MarkedRecording]:
-    """The recordings of the first of the tables that has the columns; with a plain end the only one."""
+    """Return the recordings of the first table with the columns; a table with a plain end has one recording."""
     names = [entry["name"] for entry in wanted.values() if "name" in entry]
     places = [entry["column"] - 1 for entry in wanted.values() if "column" in entry]
     table: Table
     blocks: list[Block]
     table, blocks = (named_blocks(tables, names, also=places, file=path) if names
                      else placed_blocks(tables, places, file=path))
-    # The end goes on from the last row; what is above that is another block.
+    # The plain end continues the last row; rows above belong to another block.
     if end is not None and (len(blocks) > 1 or not blocks[0].rows or blocks[0].rows[-1].line != table.rows[-1].line):
         raise NotPlainError
     # A summary has the names of its table, too.
@@ -236,7 +238,7 @@ def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, met
 
 def _marks(blocks: Sequence[Block], chosen: Sequence[Sequence[Column]], delimiter: str | None,
            decimal: str | None) -> NumberMarks:
-    """Decimal mark of all blocks together: the columns that are read decide, then the others."""
+    """Return the common decimal mark of all blocks; columns that are read decide before other columns."""
     used = [cells for block, columns in zip(blocks, chosen, strict=True) for cells in cells_of(block.rows, columns)]
     places = {column.index for columns in chosen for column in columns}
 
@@ -252,7 +254,7 @@ def _marks(blocks: Sequence[Block], chosen: Sequence[Sequence[Column]], delimite
 
 
 def _goes_on(first: Recording, second: Recording) -> bool:
-    """Whether the second is a later part of the same test: its clock goes on."""
+    """Return whether the second recording is a later part of the same test, with a continuing clock."""
     return ("time" in first and "time" in second and first.labels.keys() == second.labels.keys()
             and second.time[0] >= first.time[-1] > first.time[0])
 
@@ -265,7 +267,7 @@ def _joined(first: Recording, second: Recording) -> Recording:
 
 def _choose(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int], block: Block, named: bool,
             path: Path) -> list[Column]:
-    """Where each channel stands under the header (the first row of numbers where nothing is named)."""
+    """Return the column of each channel under the header (without names: the first row of numbers)."""
     chosen: list[Column] = []
     faults: list[InputError] = []
     header = block.header
@@ -295,21 +297,21 @@ def _choose(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int], 
         added = 0.0 if isinstance(stated, str) else stated * factor / entry.get("scale", 1.0)
         chosen.append(Column(channel, index, cell, sign * factor, sign * offset + added))
     if faults:
-        # All at once: a person mends them in one go.
+        # One error lists all faults, so that the user can correct them together.
         raise InputError("; ".join(fault.problem for fault in faults), file=path, line=header.line,
                          field=faults[0].field if len(faults) == 1 else "columns")
     return chosen
 
 
 def _narrow(rows: Sequence[Row], chosen: Sequence[Column]) -> tuple[list[Row], list[Column]]:
-    """The chosen columns alone, and the rows that have something in them: a sheet holds other things beside a table."""
+    """Select the chosen columns, and the rows with content in them; a sheet may have other content around a table."""
     return (narrow(rows, [column.index for column in chosen]),
             [Column(column.channel, i, column.header, column.factor, column.offset)
              for i, column in enumerate(chosen)])
 
 
 def check_delimiter(delimiter: Any, field: str = "delimiter") -> str:
-    """The delimiter, if it is one.
+    """Return the delimiter if it is valid.
 
     Raises:
         InputError: not one character, or one that numbers and quoted cells are made of; with the field.
@@ -321,7 +323,7 @@ def check_delimiter(delimiter: Any, field: str = "delimiter") -> str:
 
 
 def check_columns(columns: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """The map with every entry as a mapping with ``name`` or ``column`` (from 1); the other keys only where given.
+    """Return the map with each entry as a mapping with ``name`` or ``column`` (from 1), and the other given keys.
 
     Raises:
         InputError: unknown channel or key, wrong type; with the field, such as ``columns.force.sign``.
@@ -365,7 +367,7 @@ def check_columns(columns: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def column_number(column: Any, field: str = "column") -> int:
-    """The number of a column, from 1, of a number or of a spreadsheet's letters: ``"AB"`` is 28.
+    """Return the number of a column, from 1, for a number or for letters of a spreadsheet: ``"AB"`` gives 28.
 
     Raises:
         InputError: neither; with the field.

@@ -1,7 +1,7 @@
-"""Arrays in files of other programs as tables: MATLAB (.mat), LabVIEW (.tdms), HDF5 (.h5).
+"""Read arrays in MATLAB (.mat), LabVIEW (.tdms) and HDF5 (.h5) files as tables.
 
-What stands together, the vectors of one length in a struct or group, is a table with their names above; a matrix is a
-table without names. So they are read as the sheets of a spreadsheet.
+The vectors of equal length in a struct or group form a table with the names of the vectors as header. A matrix is a
+table without a header. Each table is read like a sheet of a spreadsheet.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import io
 import logging
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,21 +25,40 @@ from tissue_sim.recording.formats.workbook import Sheet
 from tissue_sim.recording.recording import MIN_POINTS
 
 EXPECTED = "arrays of MATLAB, LabVIEW or HDF5 (.mat, .tdms, .h5)"
-_HDF5, _MATLAB, _TDMS = b"\x89HDF", b"MATL", b"TDSm"
+#: First bytes of an HDF5 file.
+_HDF5 = b"\x89HDF"
+#: First bytes of a MATLAB file.
+_MATLAB = b"MATL"
+#: First bytes of a LabVIEW file.
+_TDMS = b"TDSm"
+#: Suffixes of containers.
 _SUFFIXES = (".mat", ".tdms", ".h5", ".hdf5", ".hdf")
-#: A matrix with more columns than this is a picture.
-_WIDEST = 64
-#: Numbers of a dataset.
-_MOST_NUMBERS = 50_000_000
+
+
+@dataclass(frozen=True)
+class ContainerSettings:
+    """Limits for arrays in a container.
+
+    Attributes:
+        most_columns: largest number of columns of a table; a wider matrix is a picture.
+        most_numbers: largest number of values of a dataset.
+    """
+
+    most_columns: int = 64
+    most_numbers: int = 50_000_000
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = ContainerSettings()
 
 
 def is_container(path: Path) -> bool:
-    """Whether the file is meant as one: by its first bytes or, failing these, by its name."""
+    """Return whether a file is a container, by its first bytes or by its suffix."""
     return first_bytes(path, 4) in (_HDF5, _MATLAB, _TDMS) or path.suffix.lower() in _SUFFIXES
 
 
 def read_container(path: Path, table: str | int | Sequence[str | int] | None = None) -> tuple[Sheet, ...]:
-    """The tables in a file, each as a sheet with its place (``run.force``) as its name.
+    """Read the tables of a container, each as a sheet that is named after its path (``run.force``).
 
     Args:
         path: the file.
@@ -96,7 +116,7 @@ def _hdf5(group: Any) -> dict[str, Any]:
             continue
         unit = item.attrs.get("units", item.attrs.get("unit"))
         unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
-        if item.size is not None and item.size > _MOST_NUMBERS:
+        if item.size is not None and item.size > _SETTINGS.most_numbers:
             raise ValueError(f"{name} has {item.size:g} numbers")
         value = item[()]
         if getattr(value, "dtype", None) is not None and value.dtype.names:
@@ -140,7 +160,7 @@ def _tables(tree: Mapping[str, Any], place: str) -> Iterator[tuple[str, tuple[Ro
             continue
         if array.ndim == 1 and array.size >= MIN_POINTS:
             vectors.setdefault(array.size, {})[str(name)] = array
-        elif array.ndim == 2 and max(array.shape) >= MIN_POINTS and min(array.shape) <= _WIDEST:
+        elif array.ndim == 2 and max(array.shape) >= MIN_POINTS and min(array.shape) <= _SETTINGS.most_columns:
             yield below, _rows([], array if array.shape[0] >= array.shape[1] else array.T)
     for size, columns in vectors.items():
         suffix = "" if len(vectors) == 1 else f" ({size})"

@@ -13,24 +13,41 @@ import numpy as np
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
 from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, ExactNumber, parse_number, thousands_separator
 
-#: Cells that may contradict an interpretation of a column, as one damaged cell in a hundred does.
-_DAMAGED_FRACTION = 0.01
-#: Ratio of the roughness of two readings of a column above which the smoother one is taken.
-_ROUGHNESS_RATIO = 2.0
-#: Roughness of a reading (sum of second differences over range) that shows at least one jump.
-_JUMP_ROUGHNESS = 1.0
-#: Log-likelihood ratio above which the number of digits decides (1 : 100).
-_DIGITS_DECIDE = math.log(100.0)
-#: Log-likelihood of one more value with exactly three decimals where trailing zeros are left out (9 of 10 are).
-_THREE_DECIMALS = -math.log(0.9)
-#: Log-likelihood ratio of a value without mark among values that all have three decimals (1 of 1000).
-_NO_MARK = math.log(1000.0)
-#: The same of a zero, which some programs write without decimals.
-_ZERO_WITHOUT_MARK = math.log(10.0)
-#: Values with three decimals from which one with fewer decimals is unlikely where trailing zeros are left out.
-_MOST_SHORT = 30
-#: Fewest values with a mark from which the number of digits decides.
-_FEWEST_MARKED = 3
+
+@dataclass(frozen=True)
+class DecimalMarkSettings:
+    """Settings of `find_marks`.
+
+    Attributes:
+        damaged_fraction: largest fraction of the cells of a column that may contradict an interpretation: one damaged
+            cell in a hundred.
+        roughness_ratio: ratio of the roughness of two interpretations of a column, above which the smoother one is
+            used.
+        jump_roughness: roughness of an interpretation (sum of second differences over range) with at least one jump.
+        digits_decide: log-likelihood ratio above which the number of digits decides (1 : 100).
+        three_decimals: log-likelihood of one more value with exactly three decimals if trailing zeros are omitted (9 of
+            10 values have three).
+        no_mark: log-likelihood ratio of a value without a mark among values that all have three decimals (1 of 1000).
+        zero_without_mark: log-likelihood ratio of a zero without a mark, because some programs write zeros without
+            decimals.
+        most_short: number of values with three decimals from which one with fewer decimals is unlikely if trailing
+            zeros are omitted.
+        fewest_marked: fewest values with a mark for which the number of digits decides.
+    """
+
+    damaged_fraction: float = 0.01
+    roughness_ratio: float = 2.0
+    jump_roughness: float = 1.0
+    digits_decide: float = math.log(100.0)
+    three_decimals: float = -math.log(0.9)
+    no_mark: float = math.log(1000.0)
+    zero_without_mark: float = math.log(10.0)
+    most_short: int = 30
+    fewest_marked: int = 3
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = DecimalMarkSettings()
 #: Decimal mark -> words of the messages.
 DECIMAL_WORDS = {".": "a decimal point", ",": "a decimal comma"}
 _SEPARATORS = {" ": "a blank", "'": "an apostrophe", ",": "a comma", ".": "a point"}
@@ -43,7 +60,7 @@ _QUANTITY = re.compile(r"(?<![\d.,])\d+(?P<mark>[.,])(?!\d{3}\b)\d+\s*[\[(]?(mm|
 
 @dataclass(frozen=True)
 class NumberMarks:
-    """How the numbers of a table are written.
+    """Spelling of the numbers of a table.
 
     Attributes:
         decimal: decimal mark, ``"."`` or ``","``.
@@ -95,7 +112,7 @@ class NumberMarks:
 
 @dataclass(frozen=True)
 class _Vote:
-    """The decimal mark that the values of a column show (None: both fit), and why."""
+    """Decimal mark that the values of a column support (None: both), with the evidence."""
 
     decimal: str | None
     reason: str = ""
@@ -105,7 +122,7 @@ class _Vote:
 
 def find_marks(used: Iterable[Sequence[str]], others: Iterable[Sequence[str]] = (), *, delimiter: str | None = None,
                stated: str | None = None) -> NumberMarks:
-    """The decimal mark of a table.
+    """Find the decimal mark of a table.
 
     Args:
         used: cells of the columns that are read, one sequence a column. others: cells of the other columns of numbers,
@@ -140,8 +157,8 @@ def find_marks(used: Iterable[Sequence[str]], others: Iterable[Sequence[str]] = 
     return _with_separators(found, columns)
 
 
-def marks_beside(marks: NumberMarks, text: str) -> NumberMarks:
-    """Open marks, decided by quantities with units in the text outside of the table, where these have one mark."""
+def marks_with_text(marks: NumberMarks, text: str) -> NumberMarks:
+    """Decide open marks by quantities with units in the text outside of the table, if these have a single mark."""
     found = {match["mark"]: match[0] for match in _QUANTITY.finditer(text)}
     if len(found) != 1:
         return marks
@@ -161,7 +178,7 @@ def _contradiction(votes: Sequence[_Vote], example: str) -> NumberMarks:
 
 
 def _with_separators(marks: NumberMarks, columns: Iterable[Sequence[str]]) -> NumberMarks:
-    """The marks with the thousands separators that occur in the columns."""
+    """Add the thousands separators that occur in the columns to the marks."""
     seen: dict[str, str] = {}
     for cells in columns:
         text = "\n".join(cells)
@@ -181,7 +198,7 @@ def _first_example(columns: Iterable[Sequence[str]]) -> str:
 
 
 def _differs(cell: str) -> bool:
-    """Whether the two decimal marks give two numbers."""
+    """Return whether the two decimal marks give two numbers."""
     if isinstance(cell, ExactNumber) or not ("." in cell or "," in cell):
         return False
     point, comma = parse_number(cell, "."), parse_number(cell, ",")
@@ -189,7 +206,7 @@ def _differs(cell: str) -> bool:
 
 
 def _vote(cells: Sequence[str]) -> _Vote | None:
-    """What the values of one column show; None: no value has a point or comma."""
+    """Return the evidence of the values of one column; None: no value has a point or comma."""
     text = "\n".join(cell for cell in cells if not isinstance(cell, ExactNumber))
     marks = [mark for mark in DECIMAL_MARKS if mark in text]
     if not marks:
@@ -208,7 +225,7 @@ def _vote(cells: Sequence[str]) -> _Vote | None:
 
 
 def _most_damaged(count: int) -> float:
-    return max(1.0, _DAMAGED_FRACTION * count) if count > _FEWEST_MARKED else 0.0
+    return max(1.0, _SETTINGS.damaged_fraction * count) if count > _SETTINGS.fewest_marked else 0.0
 
 
 def _cell_at(text: str, place: int) -> str:
@@ -216,7 +233,7 @@ def _cell_at(text: str, place: int) -> str:
 
 
 def _detailed_vote(cells: Sequence[str]) -> _Vote | None:
-    """What the values of one column show, by each value and by the jumps between them."""
+    """Return the evidence of the values of one column, from each value and from the jumps between values."""
     cells = [cell for cell in cells if cell]
     readings = {mark: np.array([parse_number(cell, mark) for cell in cells]) for mark in DECIMAL_MARKS}
     marked = np.array([not isinstance(cell, ExactNumber) and ("." in cell or "," in cell) for cell in cells])
@@ -245,9 +262,9 @@ def _other(mark: str) -> str:
 
 
 def _is_damage(cells: Sequence[str], refused: np.ndarray, count: int) -> bool:
-    """Whether the few refused cells may be damaged, and prove nothing: none of them begins with a zero."""
+    """Return whether the few refused cells may be damaged, and prove nothing: none of them begins with a zero."""
     odd = [cell for cell, is_odd in zip(cells, refused.tolist(), strict=True) if is_odd]
-    return len(odd) <= _DAMAGED_FRACTION * count + 1 and count > _MOST_SHORT and not any(
+    return len(odd) <= _SETTINGS.damaged_fraction * count + 1 and count > _SETTINGS.most_short and not any(
         cell.lstrip("+-").startswith("0") for cell in odd)
 
 
@@ -267,9 +284,9 @@ def _by_digits(cells: Sequence[str], marked: np.ndarray, readings: dict[str, np.
         return _Vote(mark, f"{large!r} has no thousands separator", False, example)
     plain = plain[np.isfinite(plain)]
     zeros = int((plain == 0.0).sum())
-    evidence = (count * _THREE_DECIMALS + (_NO_MARK if plain.size > zeros else 0.0)
-                + (_ZERO_WITHOUT_MARK if zeros else 0.0))
-    if plain.size and count >= _FEWEST_MARKED and evidence > _DIGITS_DECIDE:
+    evidence = (count * _SETTINGS.three_decimals + (_SETTINGS.no_mark if plain.size > zeros else 0.0)
+                + (_SETTINGS.zero_without_mark if zeros else 0.0))
+    if plain.size and count >= _SETTINGS.fewest_marked and evidence > _SETTINGS.digits_decide:
         return _Vote(_other(mark), f"all {count} values from 1000 have exactly three digits behind each "
                      f"mark, and {plain.size} smaller {'value has' if plain.size == 1 else 'values have'} no mark",
                      False, example)
@@ -277,10 +294,10 @@ def _by_digits(cells: Sequence[str], marked: np.ndarray, readings: dict[str, np.
 
 
 def _smoother(readings: dict[str, np.ndarray], known: np.ndarray) -> str | None:
-    """The decimal mark that makes the column smooth where the other one makes it jump; None: neither does."""
+    """Return the decimal mark with smooth values if the other mark gives a jump; None: no mark is smoother."""
     rough = {mark: _roughness(values[known]) for mark, values in readings.items()}
     smooth, other = sorted(rough, key=lambda mark: rough[mark])
-    if rough[other] >= _JUMP_ROUGHNESS and rough[other] > _ROUGHNESS_RATIO * rough[smooth]:
+    if rough[other] >= _SETTINGS.jump_roughness and rough[other] > _SETTINGS.roughness_ratio * rough[smooth]:
         return smooth
     return None
 
@@ -292,7 +309,7 @@ def _roughness(values: np.ndarray) -> float:
 
 
 def _where_it_jumps(cells: Sequence[str], readings: dict[str, np.ndarray], smoother: str) -> str:
-    """The largest jump of the other reading, as the cells have it."""
+    """Return the largest jump of the other interpretation, in the spelling of the cells."""
     rough = readings[_other(smoother)]
     steps = np.abs(np.diff(rough))
     place = int(np.nanargmax(steps)) if np.isfinite(steps).any() else 0

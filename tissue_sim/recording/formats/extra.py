@@ -11,7 +11,7 @@ from tissue_sim.errors import InputError
 
 
 def require(package: str, file: Path) -> ModuleType:
-    """The package, imported.
+    """Import an optional package.
 
     Raises:
         InputError: it is not installed; names the extra to install.

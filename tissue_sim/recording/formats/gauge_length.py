@@ -1,11 +1,11 @@
-"""Columns that the gauge length turns into others: a strain into a displacement, a displacement into a stretch."""
+"""Convert columns by the gauge length: strain to displacement, or displacement to stretch."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from tissue_sim.recording.formats.guesses import ColumnGuess, Stated
+from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints
 from tissue_sim.recording.formats.kind_hints import title_hints
 from tissue_sim.recording.formats.kind_words import named_tests
 from tissue_sim.recording.formats.sizes import find_sizes
@@ -13,7 +13,7 @@ from tissue_sim.recording.formats.sources import Numbers
 from tissue_sim.units import to_si
 
 
-def gauge_length(numbers: Numbers, statements: Mapping[str, str], stated: Stated) -> tuple[float, str] | None:
+def gauge_length(numbers: Numbers, statements: Mapping[str, str], stated: ColumnHints) -> tuple[float, str] | None:
     """Length to which strains refer, m, and its source: stated by the user, or in the file; None: not known.
 
     Args:
@@ -45,16 +45,16 @@ def stretch_of_displacement(column: ColumnGuess, gauge: tuple[float, str]) -> Co
 
 
 def _first(column: ColumnGuess) -> str:
-    """The reason of a column without the conversion that is replaced."""
+    """Return the reason of a column without the replaced conversion."""
     return column.reason.split("; a strain, ")[0]
 
 
 def is_derived(column: ColumnGuess) -> bool:
-    """Whether the gauge length makes the channel of a column from another quantity."""
+    """Return whether the gauge length makes the channel of a column from another quantity."""
     return (column.channel, column.role) in (("displacement", "strain"), ("displacement", "shear strain"),
                                              ("stretch", "displacement"))
 
 
 def uses_gauge_length(columns: Sequence[ColumnGuess]) -> bool:
-    """Whether one of the columns is derived."""
+    """Return whether one of the columns is derived."""
     return any(is_derived(column) for column in columns)

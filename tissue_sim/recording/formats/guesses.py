@@ -1,4 +1,4 @@
-"""What a file is taken for: guesses with their reasons, and what a person states over them."""
+"""Interpretation of a file: guesses with their reasons, and hints of the user that override them."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from tissue_sim.frozen_mapping import read_only
+from tissue_sim.public_names import old_names
 from tissue_sim.recording.formats.assumption import Assumption
 from tissue_sim.recording.formats.columns import Curves, Sheets
 from tissue_sim.recording.formats.kind_words import NamedTest
 from tissue_sim.recording.recording import CHANNELS, Recording
 from tissue_sim.units import UNITS, quantity_of
+
+__getattr__ = old_names(__name__, {"Stated": "ColumnHints"})
 
 
 @dataclass(frozen=True)
@@ -20,11 +23,13 @@ class KindGuess:
     """The kind of test of a table, and the evidence.
 
     Attributes:
-        kind: name in `KINDS`; None: unknown. reason: evidence in one sentence.
-        against: evidence against it. alternatives: names of kinds that other words of the file name.
-        is_stated: whether the user stated it.
-        refused: word for a test without a kind, for which no kind may be taken.
-        is_weak: whether only the name of the file says it.
+        kind: name in `KINDS`; None: unknown.
+        reason: evidence in one sentence.
+        against: evidence against the kind.
+        alternatives: names of kinds that other words in the file name.
+        is_stated: whether the user states the kind.
+        refused: test without a registered kind that the file names; no kind may be assumed then.
+        is_weak: whether the name of the file is the only evidence.
     """
 
     kind: str | None
@@ -38,17 +43,20 @@ class KindGuess:
 
 @dataclass(frozen=True)
 class ColumnGuess:
-    """One column and what it is taken for.
+    """One column and its interpretation.
 
     Attributes:
-        channel: of the recording. header: of the column, empty where it has none. place: from 1.
-        unit: None: not known. sign, scale, offset, measure: as in ``columns`` of a campaign; None: not stated there.
-        by_name: whether the header tells it from all others.
-        reason: why, for people.
-        role: what the header says: a strain is read as a stretch.
-        rank: of `tissue_sim.recording.formats.vocabulary.role_of`; the lowest of a role is read.
-        other_unit: unit in the row of units, where it contradicts that of the header.
-        strain_unit: unit in the file of a strain that the gauge length makes a displacement; None: no such column.
+        channel: channel of the recording.
+        header: header of the column; empty without a header.
+        place: position of the column, from 1.
+        unit: unit of the numbers; None: unknown.
+        sign, scale, offset, measure: as in ``columns`` of a campaign; None: not stated in the campaign.
+        by_name: whether the header is unique in its table.
+        reason: evidence in one sentence.
+        role: quantity that the header names, such as ``strain``, which is read as a stretch.
+        rank: rank of `tissue_sim.recording.formats.vocabulary.role_of`; the column with the lowest rank is read.
+        other_unit: unit in the row of units that contradicts the unit in the header; None: no contradiction.
+        strain_unit: unit of a strain that the gauge length converts to a displacement; None: no such column.
     """
 
     channel: str
@@ -67,7 +75,7 @@ class ColumnGuess:
     strain_unit: str | None = None
 
     def entry(self) -> dict[str, Any]:
-        """As it stands in ``columns`` of a campaign."""
+        """Return the entry of the column in ``columns`` of a campaign."""
         entry: dict[str, Any] = {"name": self.header} if self.by_name else {"column": self.place}
         stated = {"unit": self.unit, "sign": self.sign if self.sign != 1 else None, "scale": self.scale,
                   "offset": self.offset, "measure": self.measure}
@@ -75,7 +83,7 @@ class ColumnGuess:
 
     @property
     def missing(self) -> str | None:
-        """What only a person can say of it; None: nothing."""
+        """Missing information that only the user knows, in words; None: complete."""
         name = repr(self.header) if self.header else str(self.place)
         if self.unit is None and self.scale is None and CHANNELS[self.channel] != "ratio":
             return f"the unit of column {name} ({self.channel})"
@@ -88,20 +96,22 @@ class ColumnGuess:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Tables of a file that are read alike.
+    """Tables of a file that are read with the same options.
 
     Attributes:
-        name: what tells it from other tables of the file; empty where it is the only one.
-        columns: what is read. others: headers of what is left.
-        options: of `tissue_sim.read_recordings`, ``columns`` included.
-        recordings: what they give, SI; where a unit or scale is missing the numbers of the file.
-        kind: of test, as far as it shows.
-        line: of the header, or of the first numbers. sheets: names of those that are read.
-        stated: key -> value of what stands above the numbers. remarks: sentences on what was left out.
-        specimen: key of ``[[specimen]]`` -> value, as the sidecar of the recording states them.
-        assumptions: about these tables: columns, units, kind of test, sizes.
-        unused: headers (places, where there is none) of the columns that are not read.
-        speed: constant speed that makes the displacement from the time, m/s, and its source; None: not needed.
+        name: name that distinguishes the tables from others of the file; empty without others.
+        columns: columns that are read. others: headers of the other columns.
+        options: options of `tissue_sim.read_recordings`, including ``columns``.
+        recordings: recordings in SI; if a unit or scale is missing, in the numbers of the file.
+        kind: kind of test.
+        line: line of the header, or of the first numbers.
+        sheets: names of the sheets that are read.
+        stated: key -> value of the statements in the file.
+        remarks: sentences on omitted parts.
+        specimen: key of ``[[specimen]]`` -> value in the sidecar of the recording.
+        assumptions: assumptions about these tables: columns, units, kind of test, sizes.
+        unused: headers (positions, without a header) of the columns that are not read.
+        speed: constant speed that gives the displacement from the time, m/s, and its source; None: not needed.
     """
 
     name: str
@@ -121,21 +131,22 @@ class Reading:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """What only a person can say of its columns."""
+        """Missing information about the columns that only the user knows."""
         return tuple(column.missing for column in self.columns if column.missing)
 
 
 @dataclass(frozen=True, eq=False)
 class Understanding:
-    """What a file is taken for.
+    """Interpretation of a file.
 
     Attributes:
-        file: it. format: name of the machine, ``native``, ``afm``, or ``table`` for no machine that is known.
+        file: path.
+        format: name of the machine, ``native``, ``afm``, or ``table`` for an unknown machine.
         kind_of_file: ``text``, ``workbook``, ``container`` or ``afm``.
-        delimiter, decimal_mark, encoding: of a text, else None.
-        readings: at least one.
-        warnings: sentences.
-        assumptions: about the whole file: format, separators.
+        delimiter, decimal_mark, encoding: properties of a text; else None.
+        readings: readings of the tables, at least one.
+        warnings: sentences for the user.
+        assumptions: assumptions about the complete file: format, separators.
     """
 
     file: Path
@@ -150,21 +161,27 @@ class Understanding:
 
 
 @dataclass(frozen=True)
-class Stated:
-    """What a person says of a file, over what it shows.
+class ColumnHints:
+    """Hints of the user about the columns of a file, which override the detected ones.
 
     Attributes:
-        columns: channel (or ``strain``) -> header, or place as a number or letter.
-        units, scales, signs: channel -> it.
-        kind: of test. format: of a machine. sheet, delimiter, skip_lines: where the table is.
-        direct: whether stress and strain are read where a file has force and displacement, too.
+        columns: channel (or ``strain``) -> header, or position as a number from 1 or a letter.
+        units: channel -> unit.
+        scales: channel -> SI units in one unit of the file.
+        signs: channel -> 1 or -1.
+        kind: kind of test.
+        format: format of a machine.
+        sheet: name or number of the sheet of a spreadsheet, or a list of them.
+        delimiter: character between the cells of a text.
+        skip_lines: number of lines at the top that are ignored.
+        direct: whether stress and strain are read from a file that also has force and displacement.
         measures: channel (or ``strain``) -> measure of strain or stress, ``engineering`` or a name in
             `tissue_sim.recording.measures.MEASURES`.
-        any_test: whether tables of tests without a kind are read too: only their numbers are wanted.
-        height: of the specimen, m: the gauge length by which a strain becomes a displacement; None: not stated.
+        any_test: whether tables of tests without a registered kind are read, too, for their numbers alone.
+        height: height of the specimen, m: the gauge length that converts a strain to a displacement; None: not stated.
         speed: constant speed of the test, m/s, for a file without a clock or without a motion; None: not stated.
         decimal: decimal mark of the numbers, ``"."`` or ``","``; None: found.
-        curve: number from 1, or numbers, of the recordings of each file that are read; None: all.
+        curve: number, or numbers, from 1, of the recordings of each file that are read; None: all.
         one_material: whether titled blocks of one file are replicates of one material whatever their names.
     """
 

@@ -1,4 +1,4 @@
-"""Where a table begins: the row that names its columns, or its first row of numbers."""
+"""Find the start of a table: the row of names, or the first row of numbers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DELIMITERS_OF_NUMBERS = ("\t", ";", ",")
 
 def text_tables(text: str, *, file: Path, skip_lines: int = 0,
                 delimiters: Sequence[str] = DELIMITERS) -> Iterator[Table]:
-    """The text split at each delimiter in turn; lines that are skipped keep the line numbers right."""
+    """Yield the table of a text for each delimiter; skipped lines count in the line numbers."""
     content = list(io.StringIO(text, newline=None))
     kept = "\n" * min(skip_lines, len(content)) + "".join(content[skip_lines:])
     for delimiter in delimiters:
@@ -30,7 +30,7 @@ def text_tables(text: str, *, file: Path, skip_lines: int = 0,
 
 
 def find_header(tables: Iterable[Table], names: Sequence[str], *, file: Path) -> tuple[Table, Row, list[Row]]:
-    """The first table that has all the named columns, its header row and its data rows.
+    """Return the first table with all named columns, its header row and its data rows.
 
     Raises:
         InputError: no such row; names the missing column and the nearest one in the file.
@@ -59,7 +59,7 @@ def find_header(tables: Iterable[Table], names: Sequence[str], *, file: Path) ->
 
 
 def find_numbers(tables: Iterable[Table], places: Sequence[int], *, file: Path) -> tuple[Table, Row, list[Row]]:
-    """The first table with a row that has a number in all `places` (from 0), that row, and it with all below it.
+    """Return the first table with numbers in all `places` (from 0), the first such row, and all rows from it.
 
     Raises:
         InputError: no such row; names the columns.
@@ -74,10 +74,10 @@ def find_numbers(tables: Iterable[Table], places: Sequence[int], *, file: Path) 
 
 
 def places_of(row: Row, names: Sequence[str], *, file: Path) -> list[list[int]]:
-    """Places of each name in a row that has them all, as many of each: those of replicates beside each other.
+    """Return the positions of each name in a row with all names: one for each of the replicates side by side.
 
     Raises:
-        InputError: one of them stands there more often than another.
+        InputError: a name occurs more often than another one.
     """
     found = [matches(row.cells, name) for name in names]
     for name, places in zip(names, found, strict=True):
@@ -99,7 +99,7 @@ def matches(cells: Sequence[str], name: str) -> list[int]:
 
 
 def without_empty_end(cells: tuple[str, ...]) -> tuple[str, ...]:
-    """The cells up to the last one that holds something."""
+    """Return the cells up to the last one with content."""
     while cells and not cells[-1]:
         cells = cells[:-1]
     return cells

@@ -1,9 +1,9 @@
-"""Assumptions on the columns of a table, and the alternatives that the evidence does not exclude."""
+"""List the assumptions about the columns of a table, and alternatives that the evidence does not exclude."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
 from tissue_sim.recording.formats.comparison import shared_values
 from tissue_sim.recording.formats.gauge_length import is_derived
-from tissue_sim.recording.formats.guesses import ColumnGuess, Stated
+from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints
 from tissue_sim.recording.formats.pairing import with_measure
 from tissue_sim.recording.formats.vocabulary import Machine, plain, source_of
 from tissue_sim.recording.measures import ENGINEERING, MEASURES, measure_of, other_measures
@@ -20,35 +20,51 @@ from tissue_sim.units import UNITS, loose_header
 
 #: Columns -> recordings of the table.
 Read = Callable[[Sequence[ColumnGuess]], tuple[Recording, ...]]
-#: Strain above which numbers may be in %, without a unit or under that of a ratio, such as mm/mm: specimens of soft
-#: tissue fail before.
-_LARGEST_STRAIN = 2.0
-#: The same of a shear strain, of a stretch, and of a column that the user names: elastomers reach 10.
-_LARGEST_CERTAIN = 12.0
-#: Relative difference of two strains that counts as agreement.
-_AGREEMENT = 0.02
-#: The same of a strain and of a displacement over the gauge length, which includes the compliance of the frame.
-_SAME_UNIT = 0.5
-#: Relative difference above which two columns of the same quantity are reported.
-_NOTED_DIFFERENCE = 0.01
-#: Relative difference above which equally sure columns of the same quantity are a question.
-_DECISIVE_DIFFERENCE = 0.05
-#: Correlation below which a column does not measure the same quantity.
-_CORRELATION = 0.9
-#: Relative range below which the sensor of a column is not connected.
-_CONNECTED = 0.02
+
+
+@dataclass(frozen=True)
+class ComparisonSettings:
+    """Thresholds for the comparison of columns.
+
+    Attributes:
+        largest_strain: strain above which numbers may be in % if their unit is missing or is a ratio, such as mm/mm.
+            Specimens of soft tissue fail at smaller strains.
+        largest_certain_strain: the same threshold for a shear strain, a stretch and a column that the user names;
+            elastomers reach 10.
+        agreement: largest relative difference of two strains that agree.
+        same_unit: largest relative difference of a strain and of a displacement over the gauge length that agree; the
+            displacement includes the compliance of the frame.
+        noted_difference: relative difference above which two columns of the same quantity are reported.
+        decisive_difference: relative difference above which equally plausible columns of the same quantity are a
+            question to the user.
+        correlation: correlation below which a column does not measure the same quantity.
+        connected_range: relative range below which the sensor of a column is not connected.
+    """
+
+    largest_strain: float = 2.0
+    largest_certain_strain: float = 12.0
+    agreement: float = 0.02
+    same_unit: float = 0.5
+    noted_difference: float = 0.01
+    decisive_difference: float = 0.05
+    correlation: float = 0.9
+    connected_range: float = 0.02
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = ComparisonSettings()
 #: Channel -> why its sign is turned.
 _TURNED = {"displacement": "falls under load", "force": "against the motion", "nominal stress": "against the motion",
            "stretch": "positive in compression"}
 
 
 def flag_name(channel: str) -> str:
-    """A channel as the command line names it."""
+    """Return the name of a channel on the command line."""
     return {"nominal stress": "stress"}.get(channel, channel.replace(" ", "_"))
 
 
-def format_assumption(machine: Machine | None, stated: Stated) -> Assumption:
-    """The machine whose words and units count."""
+def format_assumption(machine: Machine | None, stated: ColumnHints) -> Assumption:
+    """Return the assumption about the machine that wrote the file."""
     if machine is None:
         return Assumption("format", "table", ("no mark of a known machine",), flag="--format table",
                           is_stated=stated.format == "table")
@@ -57,8 +73,8 @@ def format_assumption(machine: Machine | None, stated: Stated) -> Assumption:
 
 
 def column_assumptions(read: Read, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
-                       others: Sequence[ColumnGuess], stated: Stated) -> Iterator[Assumption]:
-    """Role, unit, sign and measure of each column.
+                       others: Sequence[ColumnGuess], stated: ColumnHints) -> Iterator[Assumption]:
+    """Yield the assumptions about role, unit, sign and measure of each column.
 
     Args:
         read: reads the table with other columns. columns: that are read. recordings: of them.
@@ -83,13 +99,13 @@ def column_assumptions(read: Read, columns: Sequence[ColumnGuess], recordings: S
 
 
 def speed_assumption(speed: tuple[float, str], recordings: Sequence[Recording]) -> Assumption:
-    """The displacement of a table of time and force, at a constant speed up to the last sample."""
+    """Return the assumption of a constant speed for a table of time and force without a displacement."""
     value, source = speed
     against = []
     for recording in recordings:
         force = np.abs(recording.force)
         peak = int(np.argmax(force))
-        if force[-1] < (1.0 - _DECISIVE_DIFFERENCE) * force[peak]:
+        if force[-1] < (1.0 - _SETTINGS.decisive_difference) * force[peak]:
             against = [f"the force falls after {recording.time[peak]:.4g} s: if the motion stopped or turned there, "
                        "only the part before counts"]
     return Assumption("displacement", f"{1e3 * value:.6g} mm/s x time from the first sample",
@@ -125,20 +141,20 @@ def settle_rivals(read: Read, columns: tuple[ColumnGuess, ...], recordings: tupl
         own, its = (np.concatenate([pair[which] - pair[which][0] for pair in pairs]) for which in (0, 1))
         if np.ptp(its) == 0:
             continue
-        if np.ptp(own) < _CONNECTED * np.ptp(its) and rival.rank > column.rank:
+        if np.ptp(own) < _SETTINGS.connected_range * np.ptp(its) and rival.rank > column.rank:
             remarks.append(f"column {column.header!r} does not move, so that {rival.header!r} is read in its place")
             columns, recordings = swapped, other
             continue
-        if np.ptp(own) == 0 or abs(np.corrcoef(own, its)[0, 1]) < _CORRELATION:
+        if np.ptp(own) == 0 or abs(np.corrcoef(own, its)[0, 1]) < _SETTINGS.correlation:
             continue
         ratio = float(np.ptp(its) / np.ptp(own))
-        if abs(ratio - 1.0) <= _NOTED_DIFFERENCE:
+        if abs(ratio - 1.0) <= _SETTINGS.noted_difference:
             continue
         means = f" ({rival.reason.split('; ')[-1]})" if is_derived(rival) else ""
         said = (f"{rival.header!r} has {abs(100 * (ratio - 1)):.0f} % {'more' if ratio > 1 else 'less'} "
                 f"{column.channel} than {column.header!r}{means}")
         modulus = ratio if CHANNELS[column.channel] in ("force", "stress") else 1.0 / ratio
-        is_question = rival.rank == column.rank and abs(ratio - 1.0) > _DECISIVE_DIFFERENCE
+        is_question = rival.rank == column.rank and abs(ratio - 1.0) > _SETTINGS.decisive_difference
         alternatives = (Alternative(rival.header, modulus, _all_columns(swapped)),) if is_question else ()
         if source_of(plain(column.header)) == "specimen":
             said += "; the height must be the gauge length of this sensor"
@@ -151,7 +167,7 @@ def settle_rivals(read: Read, columns: tuple[ColumnGuess, ...], recordings: tupl
 
 
 def _all_columns(columns: Sequence[ColumnGuess]) -> str:
-    """Flags that name all columns: a named column is read with the other named ones only."""
+    """Return flags that name all columns, because a named column is read only with other named columns."""
     return " ".join(f"--column {flag_name(each.role if is_derived(each) else each.channel)}="
                     f"{_quoted(each.header or str(each.place))}" for each in columns)
 
@@ -161,7 +177,7 @@ def _quoted(text: str) -> str:
 
 
 def _unit(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
-          others: Sequence[ColumnGuess], stated: Stated, flag: str) -> Assumption:
+          others: Sequence[ColumnGuess], stated: ColumnHints, flag: str) -> Assumption:
     channel, subject = column.channel, f"unit of {column.channel}"
     is_stated = not (stated.units.keys() | stated.scales.keys()).isdisjoint({channel, column.role})
     alternatives = () if is_stated or not _is_ratio(column) else _percent(
@@ -195,12 +211,12 @@ def _unit(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], recor
 
 
 def _has_cell_units(column: ColumnGuess) -> bool:
-    """Whether the cells of a column have units behind their numbers."""
+    """Return whether the cells of a column have units behind their numbers."""
     return "unit behind each number" in column.reason
 
 
 def _is_ratio(column: ColumnGuess) -> bool:
-    """Whether the numbers of a column count as strains or stretches as they are, without a unit or under mm/mm."""
+    """Return whether the numbers of a column, without a unit or in mm/mm, are strains or stretches without a factor."""
     if column.strain_unit is not None:
         return UNITS.get(column.strain_unit) == UNITS["-"]
     return CHANNELS[column.channel] == "ratio" and column.scale is None and (
@@ -215,7 +231,7 @@ def _percent(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], re
     length = 1e-3 * (column.scale or 1e3)
     largest = float(np.abs(values - (column.channel == "stretch" and column.role == "strain")).max()) / length
     is_sure = column.role != "strain" or is_named
-    if column.measure or largest <= (_LARGEST_CERTAIN if is_sure else _LARGEST_STRAIN):
+    if column.measure or largest <= (_SETTINGS.largest_certain_strain if is_sure else _SETTINGS.largest_strain):
         return ()
     for other in others:
         same = other.measure == column.measure and is_derived(other) == is_derived(column)
@@ -226,7 +242,7 @@ def _percent(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], re
         except InputError:
             continue
         pairs = [pair for pair in shared_values(recordings, rival, column.channel) if pair[0].size]
-        limit = (_AGREEMENT if other.measure != column.measure else _SAME_UNIT) * largest * length
+        limit = (_SETTINGS.agreement if other.measure != column.measure else _SETTINGS.same_unit) * largest * length
         if pairs and max(float(np.abs(its - own).max()) for own, its in pairs) <= limit:
             return ()
     percent = replace(column, scale=0.01 * (column.scale or 1.0)) if is_derived(column) else replace(
@@ -235,8 +251,8 @@ def _percent(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], re
 
 
 def _measure(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
-             stated: Stated, flag: str) -> Assumption:
-    """The measure of a strain or stress, with those that the other columns suggest."""
+             stated: ColumnHints, flag: str) -> Assumption:
+    """Return the assumption about the measure of a strain or stress, with measures that other columns suggest."""
     words = plain(column.header)
     named = measure_of(words, column.role)
     is_stated = not stated.measures.keys().isdisjoint({column.channel, column.role, flag})
@@ -266,8 +282,10 @@ def _measure(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], re
 
 def _ratio_of_strains(read: Read, column: ColumnGuess, changed: ColumnGuess, columns: Sequence[ColumnGuess],
                       recordings: Sequence[Recording]) -> float | None:
-    """Shear modulus with the changed column of strain over that with the column, inverse to the strain as in a small
-    deformation; None: the column cannot be read so."""
+    """Return the ratio of the shear moduli with the changed and with the original column of strain.
+
+    The modulus of a small deformation is inverse to the strain. None: the column cannot be read with the change.
+    """
     try:
         other = read([changed if each is column else each for each in columns])
     except InputError:
@@ -280,7 +298,7 @@ def _ratio_of_strains(read: Read, column: ColumnGuess, changed: ColumnGuess, col
 
 def _ratio(read: Read, column: ColumnGuess, changed: ColumnGuess, recordings: Sequence[Recording],
            columns: Sequence[ColumnGuess]) -> float | None:
-    """Shear modulus with the changed column over that with the column; None: it cannot be read so."""
+    """Return the ratio of the shear moduli with the changed and with the original column; None: not readable."""
     try:
         other = read([changed if each is column else each for each in columns])
     except InputError:
@@ -290,8 +308,10 @@ def _ratio(read: Read, column: ColumnGuess, changed: ColumnGuess, recordings: Se
 
 
 def _shear_moduli(first: Sequence[Recording], second: Sequence[Recording]) -> tuple[float | None, float | None]:
-    """Least-squares shear modulus of a neo-Hookean specimen, P = mu (l - l^-2), Pa, of two readings of a table; None:
-    no stretch and stress."""
+    """Return the least-squares shear moduli, Pa, of a neo-Hookean specimen for two readings of a table.
+
+    The law is P = mu (l - l^-2). None: the readings have no stretch and stress.
+    """
     if not all({"stretch", "nominal stress"} <= set(each.channels) for each in (*first, *second)):
         return None, None
     parts = [shared_values(first, second, name) for name in ("stretch", "nominal stress")]
@@ -303,7 +323,7 @@ def _shear_moduli(first: Sequence[Recording], second: Sequence[Recording]) -> tu
 
 
 def _shear_modulus(stretch: np.ndarray, stress: np.ndarray) -> float | None:
-    """Least-squares shear modulus, Pa; None: it has no value."""
+    """Return the least-squares shear modulus, Pa; None without a finite value."""
     if not stretch.size or stretch.min() <= 0:
         return None
     shape = stretch - stretch**-2

@@ -87,7 +87,7 @@ def kind_assumption(guess: KindGuess) -> Assumption:
 
 
 def _against(kind: str, named: Sequence[NamedTest]) -> tuple[str, ...]:
-    """What the words of the file say against a kind that the user states."""
+    """Return the evidence in the words of the file against a kind that the user states."""
     found = []
     for each in named:
         if each.unknown is not None:

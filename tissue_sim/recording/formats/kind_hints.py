@@ -1,40 +1,56 @@
-"""Where a file may name its test: headers, titles, names of sheets, columns of labels, and the name of the file."""
+"""Collect texts that may name a test: headers, titles, names of sheets, columns of labels, and the name of the file."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.kind_words import Hint, named_tests
 from tissue_sim.recording.formats.sources import Numbers, Source
 
-#: Rows above a table that are searched.
-_TITLE_ROWS = 40
-#: Rows of a sheet without numbers that are searched.
-_SHEET_ROWS = 60
-#: Different labels of a column; one with more holds no names of tests.
-_MOST_LABELS = 20
+
+@dataclass(frozen=True)
+class HintSettings:
+    """Limits of the search for names of tests.
+
+    Attributes:
+        title_rows: rows above a table that are searched.
+        sheet_rows: rows of a sheet without numbers that are searched.
+        most_labels: largest number of different labels of a column that names tests.
+    """
+
+    title_rows: int = 40
+    sheet_rows: int = 60
+    most_labels: int = 20
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = HintSettings()
 
 
 def title_hints(numbers: Numbers) -> list[Hint]:
-    """The text above a table, and the name of its sheet."""
-    above = "\n".join(" ".join(row.cells) for row in numbers.above[-_TITLE_ROWS:])
+    """Return the text above a table, and the name of its sheet."""
+    above = "\n".join(" ".join(row.cells) for row in numbers.above[-_SETTINGS.title_rows:])
     return [Hint(above, "above the numbers"), Hint(numbers.table.name, "in the name of the sheet")]
 
 
 def file_hints(source: Source, found: Sequence[Numbers]) -> list[Hint]:
-    """The text at the top of the file, and in sheets without numbers."""
+    """Return the text at the top of the file, and in sheets without numbers."""
     first = found[0]
-    hints = [Hint("\n".join(" ".join(row.cells) for row in first.above[:_TITLE_ROWS]), "at the top of the file")
-             ] if not first.table.name else []
+    top = "\n".join(" ".join(row.cells) for row in first.above[:_SETTINGS.title_rows])
+    hints = [Hint(top, "at the top of the file")] if not first.table.name else []
     with_numbers = {id(numbers.table) for numbers in found}
-    return hints + [Hint("\n".join(" ".join(row.cells) for row in table.rows[:_SHEET_ROWS]), f"in sheet {table.name!r}")
+    return hints + [Hint("\n".join(" ".join(row.cells) for row in table.rows[:_SETTINGS.sheet_rows]),
+                         f"in sheet {table.name!r}")
                     for table in source.tables if id(table) not in with_numbers]
 
 
 def header_hint(own: Sequence[str], others: Sequence[str]) -> Hint:
-    """Headers of the columns that are read, and of the others as far as they name no test without a kind: a column of
-    bending strain that is not read says nothing of the test."""
+    """Return the headers of the columns that are read, and harmless headers of other columns.
+
+    A header of a column that is not read is omitted if it names a test without a kind, such as a bending strain.
+    """
     where = "in the headers"
     harmless = [name for name in others if all(each.unknown is None for each in named_tests([Hint(name, where)]))]
     return Hint(" ".join((*own, *harmless)), where)
@@ -51,7 +67,7 @@ def label_hints(numbers: Numbers) -> list[Hint]:
     for place in (place for place in range(width) if place not in numbers.columns):
         labels = list(dict.fromkeys(row.cells[place] for row in numbers.rows if place < len(row.cells)
                                     and row.cells[place]))
-        if not 1 <= len(labels) <= _MOST_LABELS:
+        if not 1 <= len(labels) <= _SETTINGS.most_labels:
             continue
         where = f"in column {numbers.name(place) or place + 1!r}"
         named = [named_tests([Hint(label, where)]) for label in labels]

@@ -14,7 +14,7 @@ from tissue_sim.recording.formats.unknown_tests import UNKNOWN_TESTS, UnknownTes
 
 #: Kind -> abbreviations that count in the name of a file only.
 _SHORT = {"simple_shear": ("ss",), "uniaxial_tension": ("ut",), "lubricated_compression": ("uc",)}
-#: Characters of a line that are searched.
+#: Number of characters of a line that are searched.
 _LONGEST_LINE = 2000
 #: Entries above a table whose value is the name of a person, a company, a program or a machine.
 _PEOPLE = re.compile(r"^\W*(operator|tester|user|author|customer|company|client|laboratory|lab|prufer|bearbeiter|kunde|"
@@ -63,7 +63,7 @@ class NamedTest:
         return " " in self.word
 
     def refusal(self) -> InputError:
-        """Why no registered kind is taken for the unknown test.
+        """Return the error for a test without a registered kind.
 
         Raises:
             ValueError: the test has a kind.
@@ -85,7 +85,7 @@ def plain_text(text: str) -> str:
 
 
 def named_tests(hints: Iterable[Hint]) -> tuple[NamedTest, ...]:
-    """The tests that texts name, in order; of words that overlap the longest, a registered kind's before others."""
+    """Return the tests that texts name, in order; of overlapping words the longest, and registered kinds first."""
     return tuple(named for hint in hints for line in hint.text.splitlines() if not _PEOPLE.match(plain_text(line))
                  for named in _in_line(line, hint))
 

@@ -1,5 +1,7 @@
-"""Long texts: their beginning is looked at cell by cell; their end, where it is numbers and nothing else, is read at
-once, in a tenth of the time and memory."""
+"""Read long texts fast: the beginning cell by cell, and an end of numbers alone as one array.
+
+Reading the end as an array takes a tenth of the time and memory.
+"""
 
 from __future__ import annotations
 
@@ -12,33 +14,47 @@ import numpy as np
 
 from tissue_sim.recording.formats.number_text import with_plain_marks
 
-#: Lines of the beginning; a text of fewer is looked at cell by cell from end to end.
+#: Number of lines of the beginning; a shorter text is read cell by cell completely.
 BEGINNING = 2000
-#: Characters of the end that are worked on together.
-_PIECE = 4_000_000
+
+
+@dataclass(frozen=True)
+class LongTextSettings:
+    """Settings of `split_long`.
+
+    Attributes:
+        chunk_characters: characters that are processed together.
+        group_digits: digits of a group of thousands.
+    """
+
+    chunk_characters: int = 4_000_000
+    group_digits: int = 3
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = LongTextSettings()
 _DELIMITERS = "\t;|,"
 _AT_EDGES = tuple(pair for edge in (b"\t", b";", b"|", b",", b"\n") for pair in (b" " + edge, edge + b" "))
 _BLANKS = re.compile(rb" *([\t;|,\n]) *")
 _PLAIN = b"+-.0123456789eEdD\n"
 #: Marks that may separate thousands, in the spelling of `tissue_sim.recording.formats.number_text`.
 _SEPARATORS = b" ',"
-#: Digits of a group of thousands.
-_GROUP = 3
 
 
 class NotPlainError(Exception):
-    """Not all of the text can be read in this way: it is to be looked at cell by cell."""
+    """The text must be read cell by cell, because a part of it is not plain numbers."""
 
 
 @dataclass(frozen=True)
 class PlainEnd:
-    """Lines of as many cells each, none of them empty, none of more than digits, signs, marks and exponents.
+    """Lines with an equal number of cells, each a number of digits, signs, marks and exponents.
 
     Attributes:
-        text, place: the whole, and where the end begins in it.
-        delimiter: between the cells.
-        cells: of each line.
-        marks: those of ``.``, ``,``, blank and apostrophe that stand in the numbers.
+        text: the complete text.
+        place: position in the text at which the end begins.
+        delimiter: character between the cells.
+        cells: number of cells in each line.
+        marks: marks in the numbers, of ``.``, ``,``, blank and apostrophe.
     """
 
     text: str = field(repr=False)
@@ -48,7 +64,7 @@ class PlainEnd:
     marks: str
 
     def numbers(self, places: Sequence[int], decimal: str) -> np.ndarray | None:
-        """The numbers at these places, from 0, of each line, shape (lines, places); None: some cell is none.
+        """Return the numbers in the given columns (from 0), shape (lines, columns); None if a cell is not a number.
 
         Args:
             decimal: decimal mark. All other marks must separate thousands.
@@ -77,27 +93,31 @@ class PlainEnd:
 
 
 def split_long(text: str, skipped: int = 0) -> tuple[str, PlainEnd | None]:
-    """The beginning of a text and its plain end; the whole and None where it is short, or its end is not plain.
+    """Divide a text into its beginning and its plain end.
 
     Args:
         text: with any line ends.
-        skipped: lines at the top that do not count.
+        skipped: number of lines at the top that are ignored.
+
+    Returns:
+        The beginning and the end; the complete text and None if the text is short, or if its end is not plain.
     """
     last = place = 0
     for _ in range(skipped + BEGINNING):
         last, place = place, text.find("\n", place) + 1
         if not place:
             return text, None
-    if '"' in text[last:place]:  # perhaps of a cell that goes on below
+    if '"' in text[last:place]:  # a quoted cell may continue in the next line
         return text, None
     line = text[place:text.find("\n", place) + 1]
-    # Of those in a line the first is the delimiter: a comma beside another one is a decimal comma.
+    # The first delimiter in the list that occurs in a line is used: next to another one, a comma is decimal.
     delimiter = next((each for each in _DELIMITERS if each in line), None)
     end = None if delimiter is None else _plain_end(text, place, delimiter)
     return (text, None) if end is None else (text[:place], end)
 
 
 def _plain_end(text: str, place: int, delimiter: str) -> PlainEnd | None:
+    """Return the end of a text from a position on; None if the end is not plain."""
     sign, found, cells = delimiter.encode(), set(), 0
     marks = (b"." + _SEPARATORS).replace(sign, b"")
     for piece in _pieces(text, place):
@@ -108,43 +128,45 @@ def _plain_end(text: str, place: int, delimiter: str) -> PlainEnd | None:
         between = np.flatnonzero((letters == sign[0]) | (letters == ord("\n")))
         ends = np.flatnonzero(letters[between] == ord("\n"))
         cells = cells or int(ends[0]) + 1
-        # Of two beside each other the cell between is empty.
+        # The cell between two adjacent delimiters is empty.
         if between[0] == 0 or (np.diff(between) == 1).any() or (np.diff(ends, prepend=-1) != cells).any():
             return None
     return PlainEnd(text, place, delimiter, cells, "".join(sorted(found))) if cells >= 2 else None
 
 
 def _without_groups(piece: bytes, separator: str, decimal: str, delimiter: str) -> bytes | None:
-    """The lines without a thousands separator; None where one of them does not separate groups of three digits.
+    """Remove a thousands separator from lines; None if a separator is not between groups of three digits.
 
-    As in `tissue_sim.recording.formats.number_text.parse_number` a number begins with one to three digits, of which the
-    first is not zero, and all further groups have three digits up to the decimal mark or the end of the cell.
+    As in `tissue_sim.recording.formats.number_text.parse_number`, a number begins with one to three digits. The
+    first digit is not zero, and all further groups have three digits up to the decimal mark or the end of the cell.
     """
-    edge = b"\n" * (_GROUP + 1)
+    edge = b"\n" * (_SETTINGS.group_digits + 1)
     letters = np.frombuffer(edge + piece + edge, dtype=np.uint8)
     is_digit = (letters >= ord("0")) & (letters <= ord("9"))
     at = np.flatnonzero(letters == ord(separator))
     if not at.size:
         return piece
-    # Digits in front of each separator, up to one more than a group has.
-    before = np.cumprod([is_digit[at - i] for i in range(1, _GROUP + 2)], axis=0).sum(axis=0)
+    # Number of digits before each separator, counted up to one more than the digits of a group.
+    before = np.cumprod([is_digit[at - i] for i in range(1, _SETTINGS.group_digits + 2)], axis=0).sum(axis=0)
     start = letters[at - before - 1]
     follows = start == ord(separator)
     begins = np.isin(start, np.frombuffer(f"\n+-{delimiter}".encode(), dtype=np.uint8))
-    is_first = begins & (before >= 1) & (before <= _GROUP) & (letters[at - before] != ord("0"))
-    after = np.all([is_digit[at + i] for i in range(1, _GROUP + 1)], axis=0)
-    end = np.isin(letters[at + _GROUP + 1], np.frombuffer(f"\n{delimiter}{decimal}{separator}".encode(),
+    is_first = begins & (before >= 1) & (before <= _SETTINGS.group_digits) & (letters[at - before] != ord("0"))
+    after = np.all([is_digit[at + i] for i in range(1, _SETTINGS.group_digits + 1)], axis=0)
+    end = np.isin(letters[at + _SETTINGS.group_digits + 1], np.frombuffer(f"\n{delimiter}{decimal}{separator}".encode(),
                                                           dtype=np.uint8))
-    if not np.all((is_first | (follows & (before == _GROUP))) & after & end):
+    if not np.all((is_first | (follows & (before == _SETTINGS.group_digits))) & after & end):
         return None
     return piece.replace(separator.encode(), b"")
 
 
 def _pieces(text: str, place: int) -> Iterator[bytes]:
-    """Whole lines from a place on, with plain ends and no blanks about cells. Blanks, apostrophes and minus signs have
-    their ASCII spelling; what else ASCII lacks becomes a question mark."""
+    """Yield complete lines from a position on, with ``\\n`` at their ends and without blanks around cells.
+
+    Blanks, apostrophes and minus signs are converted to ASCII; any other character becomes a question mark.
+    """
     while place < len(text):
-        end = text.find("\n", place + _PIECE) + 1 or len(text)
+        end = text.find("\n", place + _SETTINGS.chunk_characters) + 1 or len(text)
         content = text[place:end]
         if not content.isascii():
             content = with_plain_marks(content)

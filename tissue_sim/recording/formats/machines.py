@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.columns import Sheets
-from tissue_sim.recording.formats.guesses import Stated
+from tissue_sim.recording.formats.guesses import ColumnHints
 from tissue_sim.recording.formats.kind_guess import KIND_OF_TEST
 from tissue_sim.recording.formats.understanding import understand
 from tissue_sim.recording.formats.vocabulary import MACHINES
@@ -16,7 +16,7 @@ from tissue_sim.recording.recording import Recording
 
 
 def read_table(path: str | Path, *, sheet: Sheets | None = None, curve: int | None = None) -> tuple[Recording, ...]:
-    """The recordings in a text, spreadsheet or container of whatever machine.
+    """Read the recordings in a text, spreadsheet or container of any machine.
 
     What each column is taken for stands in the metadata of the recordings, under ``understood``: header, unit, sign and
     the reason.
@@ -43,7 +43,7 @@ def _reader(machine: str) -> Callable[..., tuple[Recording, ...]]:
 
 def _read(path: str | Path, machine: str | None, sheet: Sheets | None, curve: int | None) -> tuple[Recording, ...]:
     path = Path(path)
-    understood = understand(path, Stated(format=machine, sheet=sheet, any_test=True))
+    understood = understand(path, ColumnHints(format=machine, sheet=sheet, any_test=True))
     missing = [what for reading in understood.readings for what in reading.missing]
     if missing:
         raise InputError(f"does not state {', nor '.join(missing)}; give columns with unit, or scale, in place of the "

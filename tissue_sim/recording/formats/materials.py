@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
-from tissue_sim.recording.formats.guesses import Reading, Stated
+from tissue_sim.recording.formats.guesses import ColumnHints, Reading
 from tissue_sim.recording.formats.pairing import Group
 from tissue_sim.recording.formats.sizes import size_signature
 from tissue_sim.recording.formats.statements import Statements
@@ -18,13 +18,13 @@ _SUBJECT = "titles of the tables"
 
 
 def by_material(reading: Reading, groups: Sequence[Group], places: Sequence[tuple[str, int]],
-                stated: Stated) -> list[Reading]:
+                stated: ColumnHints) -> list[Reading]:
     """One reading for each material that the titles of the tables name, and for each size of the specimen.
 
     Args:
         reading: of all the tables. groups: the tables, in the order of the file.
         places: (sheet, line of the header) of each recording.
-        stated: `Stated.one_material` keeps the tables together.
+        stated: `ColumnHints.one_material` keeps the tables together.
     """
     tables = _tables(groups, places)
     # A repeated header continues a recording, whose sizes may be stated below any of its parts. A statement about one
@@ -54,7 +54,7 @@ def by_material(reading: Reading, groups: Sequence[Group], places: Sequence[tupl
     return found
 
 
-def with_different_titles(readings: Sequence[Reading], tables: Sequence[Sequence[Group]], stated: Stated
+def with_different_titles(readings: Sequence[Reading], tables: Sequence[Sequence[Group]], stated: ColumnHints
                           ) -> tuple[Reading, ...]:
     """The readings with a question where tables of one kind of test differ in columns or units, and their titles name
     different materials.
@@ -90,7 +90,7 @@ def _all_statements(groups: Sequence[Group]) -> dict[str, str]:
 
 def _question(different: Sequence[str], titles: Sequence[str], materials: Sequence[str], numbers: Sequence[int]
               ) -> tuple[Assumption, ...]:
-    """Whether tables with different names are of one material."""
+    """Return whether tables with different names are of one material."""
     flags = {each: " ".join(f"--curve {number}" for number, material in zip(numbers, materials, strict=True)
                             if material == each) for each in different}
     listed = ", ".join(f"{titles[materials.index(each)]!r} ({flags[each]})" for each in different)

@@ -49,7 +49,7 @@ def read_native(path: str | Path, *, columns: Mapping[str, Any] | None = None, s
 
 
 def native_recording(rows: Sequence[Row], path: Path, end: PlainEnd | None = None) -> Recording:
-    """The recording in rows of which the first is the header, whatever file they come from, and in a plain end.
+    """Return the recording in rows (the first one is the header) and in a plain end.
 
     Raises:
         InputError: as `read_native`. NotPlainError: of an end.

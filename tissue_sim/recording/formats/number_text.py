@@ -76,7 +76,7 @@ def thousands_separator(cell: str, decimal: str) -> str:
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell is a number with one of the two decimal marks, with or without thousands separators."""
+    """Return whether a cell is a number with one of the two decimal marks, with or without thousands separators."""
     try:
         float(cell.replace(",", "."))
     except ValueError:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,15 +11,28 @@ from tissue_sim.recording.formats.guesses import ColumnGuess
 from tissue_sim.recording.oscillation import find_oscillation
 from tissue_sim.recording.recording import Recording
 
-#: A travel that begins farther from zero than this share of itself counts from a zero of the machine.
-_AWAY = 0.02
-#: Motion up to which the specimen is at rest, as a fraction of the largest motion.
-_FROM_REST = 0.05
+
+@dataclass(frozen=True)
+class OrientationSettings:
+    """Settings of `oriented`.
+
+    Attributes:
+        start_offset: largest first displacement, as a fraction of the travel, of a displacement that counts from zero;
+            a larger one counts from a zero of the machine.
+        at_rest: largest motion of a specimen at rest, as a fraction of the largest motion.
+    """
+
+    start_offset: float = 0.02
+    at_rest: float = 0.05
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = OrientationSettings()
 
 
 def oriented(columns: Sequence[ColumnGuess], recordings: Sequence[Recording], starts: Sequence[float | None],
              kind: str | None, stated: Collection[str]) -> tuple[ColumnGuess, ...]:
-    """Columns with signs and zeros by which travel and force grow under load, and stretch and stress carry their sign.
+    """Set signs and zeros of columns: travel and force grow under load, stretch and stress have their sign.
 
     Args:
         columns: as the file has them. recordings: read so, without outliers.
@@ -53,7 +66,7 @@ def _travel(column: ColumnGuess, recordings: Sequence[Recording], starts: Sequen
     if "displacement" not in stated and _most(largest_excursion(way) < 0 for way in ways):
         column = replace(column, sign=-1, reason=f"{column.reason}; it falls under load, so turned")
     begins = [float(way[0]) if start is None else start for way, start in zip(ways, starts, strict=True)]
-    if any(abs(start) > _AWAY * np.ptp(way) for way, start in zip(ways, begins, strict=True)):
+    if any(abs(start) > _SETTINGS.start_offset * np.ptp(way) for way, start in zip(ways, begins, strict=True)):
         column = replace(column, offset="start", reason=f"{column.reason}; begins away from zero, so counted from the "
                                                         "first sample")
     return column
@@ -90,7 +103,7 @@ def _load(column: ColumnGuess, recordings: Sequence[Recording], starts: Sequence
         # A recording that begins far from rest, or at an unknown place, after a lost first sample does not show its
         # load at rest.
         is_known = start is not None or motion in rest
-        shows_rest = is_known and abs(way[nearest]) <= _FROM_REST * float(np.abs(way).max())
+        shows_rest = is_known and abs(way[nearest]) <= _SETTINGS.at_rest * float(np.abs(way).max())
         at_rest = float(load[nearest]) if shows_rest else 0.0
         return float(np.sum(way * (load - at_rest))) < 0
 
@@ -105,6 +118,6 @@ def _most(answers: Iterable[bool]) -> bool:
 
 
 def largest_excursion(values: np.ndarray) -> float:
-    """The value farthest from the first one, less that."""
+    """Return the largest deviation from the first value, with its sign."""
     away = values - values[0]
     return float(away[np.argmax(np.abs(away))])

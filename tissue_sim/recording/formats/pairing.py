@@ -1,4 +1,4 @@
-"""Columns that belong together: the motion, the load and the time of a recording in a run of numbers."""
+"""Find columns of one recording: the motion, the load and the time in a run of numbers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.cell_units import CellUnits, split_quantity
 from tissue_sim.recording.formats.columns import column_number
 from tissue_sim.recording.formats.gauge_length import displacement_of_strain, gauge_length, stretch_of_displacement
-from tissue_sim.recording.formats.guesses import ColumnGuess, Stated
+from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints
 from tissue_sim.recording.formats.header import matches
 from tissue_sim.recording.formats.kind_hints import title_hints
 from tissue_sim.recording.formats.kind_words import named_tests
@@ -29,18 +29,18 @@ from tissue_sim.units import UNITS, known_unit
 _CHANNEL = {"time": "time", "displacement": "displacement", "force": "force", "stretch": "stretch",
             "strain": "stretch", "shear strain": "shear strain", "stress": "nominal stress",
             "temperature": "temperature"}
-#: Relative difference up to which a stated speed agrees with that in the file.
-_SAME_SPEED = 0.01
+#: Largest relative difference of a stated speed from the speed in the file.
+_SPEED_TOLERANCE = 0.01
 #: A shear strain keeps the measure that its header names, which has no conversion.
 _CHANNEL_OF_MEASURE = {"shear strain": "stretch"}
 
 
 class KnownColumn(NamedTuple):
-    """A column whose header says its role.
+    """A column whose header determines its role.
 
     Attributes:
-        place: from 0. role, rank: see `role_of`. variant: where it is measured and which measure it has; two columns
-            of a role and different variants belong to one recording.
+        place: position, from 0. role, rank: see `role_of`. variant: source and measure of the column; two columns
+            of a role with different variants belong to one recording.
     """
 
     place: int
@@ -54,9 +54,9 @@ class Group:
     """Columns of one recording in a run of numbers.
 
     Attributes:
-        numbers: the run. columns: that are read. others: headers of further columns with a role.
-        rivals: columns that measure the same as one of those that are read, the surest first. Strains of another
-            measure count as the same.
+        numbers: the run. columns: columns that are read. others: headers of further columns with a role.
+        rivals: columns of the same quantity as a column that is read, in the order of their ranks. Strains of other
+            measures are the same quantity.
         speed: constant speed that replaces a column of the motion, m/s, and its source; None: not needed.
         stated: key -> value with unit, as the file states them about these numbers.
     """
@@ -75,7 +75,7 @@ class Group:
 
     @property
     def signature(self) -> tuple:
-        """The same for tables that are replicates, as far as columns, sizes and words for a test show."""
+        """Key of columns, sizes and words for a test, which is equal for tables that are replicates."""
         sheet = self.numbers.table.name
         sizes = size_signature(self.stated) if sheet else ()
         tests = sorted({each.title for each in named_tests(title_hints(self.numbers))}) if sheet else ()
@@ -83,9 +83,9 @@ class Group:
                 *((each.channel, each.header or each.place, each.unit) for each in self.columns))
 
 
-def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated, statements: Mapping[str, str]
+def find_groups(numbers: Numbers, machine: Machine | None, stated: ColumnHints, statements: Mapping[str, str]
                 ) -> list[Group]:
-    """The recordings in adjacent columns: a motion, a load, and the time where there is one.
+    """Return the recordings in adjacent columns: a motion, a load, and optionally the time.
 
     Args:
         statements: key -> value with unit, as the file states them about these numbers.
@@ -100,7 +100,7 @@ def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated, state
              if place not in sizes and (known := role_of(numbers.bare_name(place), numbers.unit(place), machine))]
     groups: list[Group] = []
     time = None
-    for part in _beside(roles):
+    for part in _adjacent(roles):
         chosen = _best(part)
         speed, gauge = None, None
         pair: tuple[str, ...] | None = _pair(chosen, stated)
@@ -136,7 +136,7 @@ def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated, state
     return groups
 
 
-def _stated_group(numbers: Numbers, named: Sequence[ColumnGuess], stated: Stated,
+def _stated_group(numbers: Numbers, named: Sequence[ColumnGuess], stated: ColumnHints,
                   statements: Mapping[str, str]) -> Group:
     """The recording of the columns that the user names."""
     roles = {column.role: column for column in named}
@@ -166,7 +166,7 @@ def _derived_pair(part: Sequence[KnownColumn], chosen: Mapping[str, int], pair: 
 
 
 def _with_gauge_length(column: ColumnGuess, motion: str, gauge: tuple[float, str]) -> ColumnGuess:
-    """The column of the motion as the other quantity; any other column as it is."""
+    """Convert the column of the motion by the gauge length; other columns are unchanged."""
     if column.role != motion or column.missing:
         return column
     convert = stretch_of_displacement if motion == "displacement" else displacement_of_strain
@@ -178,14 +178,14 @@ def _variant(numbers: Numbers, place: int, role: str) -> tuple[str, str]:
     return source_of(words), measure_of(words, role) or ""
 
 
-def _speed_for(roles: Collection[str], numbers: Numbers, stated: Stated) -> tuple[float, str] | None:
+def _speed_for(roles: Collection[str], numbers: Numbers, stated: ColumnHints) -> tuple[float, str] | None:
     """The constant speed of a table of time and force without a motion, m/s, and its source; None: not such a table, or
     no speed is known."""
     if not {"time", "force"} <= set(roles) or set(roles) & {"displacement", "stretch", "strain", "shear strain"}:
         return None
     speeds = speeds_in((*numbers.above, *numbers.below))
     if stated.speed is not None:
-        if speeds and not any(abs(speed / stated.speed - 1.0) <= _SAME_SPEED for speed in speeds):
+        if speeds and not any(abs(speed / stated.speed - 1.0) <= _SPEED_TOLERANCE for speed in speeds):
             lines = "; ".join(speeds.values())
             raise InputError(f"speed of {1e3 * stated.speed:g} mm/s contradicts the file ({lines}); leave the flag "
                              "out, or that line (--skip-lines)", field="--speed-mm-s")
@@ -193,7 +193,7 @@ def _speed_for(roles: Collection[str], numbers: Numbers, stated: Stated) -> tupl
     return next(((speed, f"in the file: {line}") for speed, line in speeds.items()), None) if len(speeds) == 1 else None
 
 
-def _beside(roles: Sequence[KnownColumn]) -> list[list[KnownColumn]]:
+def _adjacent(roles: Sequence[KnownColumn]) -> list[list[KnownColumn]]:
     """Columns of adjacent recordings: a new one begins where a role is repeated in the same variant and as
     surely, if the columns before have a motion and a load, and the columns from there on have them too."""
     parts: list[list[KnownColumn]] = [[]]
@@ -233,7 +233,7 @@ def _best(part: Sequence[KnownColumn]) -> dict[str, int]:
     return {role: each.place for role, each in best.items()}
 
 
-def _pair(chosen: Mapping[str, int], stated: Stated) -> tuple[str, str] | None:
+def _pair(chosen: Mapping[str, int], stated: ColumnHints) -> tuple[str, str] | None:
     """Roles of the motion and the load that belong together; what the load frame measured before what is derived."""
     sheared = stated.kind == "simple_shear" or "shear strain" in chosen
     mechanical = [("displacement", "force")]
@@ -242,7 +242,7 @@ def _pair(chosen: Mapping[str, int], stated: Stated) -> tuple[str, str] | None:
     return next((pair for pair in pairs if set(pair) <= set(chosen)), None)
 
 
-def _column(numbers: Numbers, place: int, role: str, machine: Machine | None, stated: Stated, *,
+def _column(numbers: Numbers, place: int, role: str, machine: Machine | None, stated: ColumnHints, *,
             is_named: bool = False) -> ColumnGuess:
     channel = _CHANNEL[role]
     unit, header = numbers.unit(place), numbers.name(place)
@@ -300,8 +300,8 @@ def with_measure(column: ColumnGuess, stated: str | None = None) -> ColumnGuess:
     return replace(column, reason=reason)
 
 
-def _stated_column(numbers: Numbers, channel: str, name: str | int, stated: Stated) -> ColumnGuess | None:
-    """The column that a person names; None: this table has none of that name."""
+def _stated_column(numbers: Numbers, channel: str, name: str | int, stated: ColumnHints) -> ColumnGuess | None:
+    """Return the column that the user names; None: this table has no such column."""
     place = _place(numbers, name)
     if place is None or place not in numbers.columns:
         return None
@@ -321,9 +321,9 @@ def _place(numbers: Numbers, name: str | int) -> int | None:
     return place if place < numbers.width else None
 
 
-def no_pair(found: Sequence[Numbers], machine: Machine | None, stated: Stated,
+def no_pair(found: Sequence[Numbers], machine: Machine | None, stated: ColumnHints,
             statements: Callable[[Numbers], Mapping[str, str]]) -> str:
-    """Why no table is a recording, everything that is missing in one sentence.
+    """Return the message for a file without a recording, which lists all missing information.
 
     Args:
         statements: table -> key and value with unit, as the file states them about it.

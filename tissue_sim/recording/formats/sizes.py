@@ -46,8 +46,8 @@ class Size:
 
 
 @dataclass(frozen=True)
-class _Stated:
-    """A size as a file states it: m or m2, and its relative rounding."""
+class _StatedSize:
+    """Size in a file, m or m2, with its relative rounding."""
 
     key: str
     value: float
@@ -72,7 +72,7 @@ def find_sizes(stated: Mapping[str, str], kind: str | None) -> dict[str, Size]:
 def stated_sizes(stated: Mapping[str, str], kind: str | None) -> dict[str, tuple[Size, ...]]:
     """``radius_mm`` or ``area_mm2``, and ``height_mm`` -> the sizes that a file states for it, more than
     `CONTRADICTION` apart; the first one counts."""
-    known: dict[str, list[_Stated]] = {}
+    known: dict[str, list[_StatedSize]] = {}
     for key, text in stated.items():
         name = size_class(key)
         one = None if name is None else _area(key, text) if name == "area" else _length(key, text)
@@ -99,7 +99,7 @@ def stated_sizes(stated: Mapping[str, str], kind: str | None) -> dict[str, tuple
     return found
 
 
-def _rectangles(known: Mapping[str, Sequence[_Stated]], kind: str | None, height: str | None
+def _rectangles(known: Mapping[str, Sequence[_StatedSize]], kind: str | None, height: str | None
                 ) -> list[_Candidate]:
     """Width times thickness, mm2; of a sheared or compressed block width times length."""
     second = {"simple_shear": ("length",), "uniaxial_tension": ("thickness",)}.get(
@@ -117,14 +117,14 @@ def _rectangles(known: Mapping[str, Sequence[_Stated]], kind: str | None, height
 
 def _different(key: str, candidates: Sequence[_Candidate], stated: Mapping[str, str]
                ) -> tuple[Size, ...]:
-    """The first candidate, and each that contradicts all before it."""
+    """Return the first candidate, and each candidate that contradicts all previous ones."""
     # To whole nanometres: 25 mm must not become 25.000000000000004 mm.
     return tuple(Size(key, round(value, 6), "in the file: " + ", ".join(f"{name}: {stated[name]}" for name in keys))
                  for value, _, keys in _distinct(candidates))
 
 
 def _distinct(candidates: Sequence[_Candidate]) -> list[_Candidate]:
-    """The candidates without those that equal an earlier one within rounding."""
+    """Return the candidates that differ from all previous ones by more than the rounding."""
     kept: list[_Candidate] = []
     for value, rounding, keys in candidates:
         if all(abs(value / other - 1.0) > max(CONTRADICTION, rounding + also) for other, also, _ in kept):
@@ -144,35 +144,35 @@ def sizes_without_unit(stated: Mapping[str, str]) -> dict[str, str]:
 
 
 def size_signature(stated: Mapping[str, str], kind: str | None = None) -> tuple[tuple[str, float], ...]:
-    """The same for files, or sheets, that state the same sizes of a specimen for a kind of test."""
+    """Return a key that is equal for files, or sheets, with equal sizes of the specimen for a kind of test."""
     return tuple(sorted((size.key, size.value) for size in find_sizes(stated, kind).values()
                         if size.key != "speed_mm_s"))
 
 
 def quantity_in(text: str) -> tuple[float, str | None] | None:
-    """A number and its unit, ``50mm`` or ``12,5 mm``; None: the text is no such thing."""
+    """Return number and unit of a text such as ``50mm`` or ``12,5 mm``; None for another text."""
     match = _QUANTITY.match(text.strip())
     value = math.nan if match is None else any_number(match["number"].rstrip(",.' "))
     return None if match is None or math.isnan(value) else (value, match["unit"])
 
 
-def _length(key: str, text: str) -> _Stated | None:
+def _length(key: str, text: str) -> _StatedSize | None:
     """m."""
     pair = quantity_in(text)
     unit = None if pair is None or pair[1] is None else known_unit(pair[1])
     if pair is None or unit is None or UNITS[unit][0] != "length" or not 0 < pair[0] < 1e9:
         return None
-    return _Stated(key, pair[0] * UNITS[unit][1], _rounding(text, pair[0]))
+    return _StatedSize(key, pair[0] * UNITS[unit][1], _rounding(text, pair[0]))
 
 
-def _area(key: str, text: str) -> _Stated | None:
+def _area(key: str, text: str) -> _StatedSize | None:
     """m2."""
     number, _, rest = text.strip().partition(" ")
     pair = quantity_in(text) or quantity_in(number)
     match = _SQUARE.match((pair[1] or "") if pair else "") or _SQUARE.match(rest.strip()) or _IN_KEY.search(key)
     if pair is None or match is None or not 0 < pair[0] < 1e9:
         return None
-    return _Stated(key, pair[0] * UNITS[known_unit(match["unit"]) or "mm"][1] ** 2, _rounding(text, pair[0]))
+    return _StatedSize(key, pair[0] * UNITS[known_unit(match["unit"]) or "mm"][1] ** 2, _rounding(text, pair[0]))
 
 
 def _rounding(text: str, value: float) -> float:

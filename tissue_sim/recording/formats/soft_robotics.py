@@ -1,7 +1,7 @@
-"""Tensile tests of the Soft Robotics Materials Database (Marechal et al., Soft Robotics 8, 2021, 284).
+"""Read tensile tests of the Soft Robotics Materials Database (Marechal et al., Soft Robotics 8, 2021, 284).
 
-Semicolons; ``PARAMETER;INFO;URL`` lines, then a header with Time, True Strain, True Stress, Engineering Strain and
-Engineering Stress. One mean curve a material, loading only.
+The delimiter is a semicolon. Lines ``PARAMETER;INFO;URL`` precede a header with Time, True Strain, True Stress,
+Engineering Strain and Engineering Stress. A file has one mean curve of a material, loading only.
 """
 
 from __future__ import annotations
@@ -17,14 +17,19 @@ from tissue_sim.recording.formats.table import Row
 from tissue_sim.recording.recording import Recording
 from tissue_sim.units import split_header
 
-_STRAIN, _STRESS, _TIME = "Engineering Strain", "Engineering Stress", "Time"
+#: Header of the engineering strain.
+_STRAIN = "Engineering Strain"
+#: Header of the nominal stress.
+_STRESS = "Engineering Stress"
+#: Header of the time.
+_TIME = "Time"
 
 
 def read_soft_robotics(path: str | Path) -> Recording:
-    """Stretch (1 + engineering strain) and nominal stress, with time where it is sound.
+    """Read stretch (1 + engineering strain), nominal stress and, if it increases, the time.
 
-    In two files of the database (Ecoflex 00-30 and 00-50) the time counts 40.9, 40.10, 40.11: it is left out there,
-    and the metadata say so under ``time``.
+    In two files of the database (Ecoflex 00-30 and 00-50) the time counts 40.9, 40.10, 40.11. The time is then omitted,
+    and ``time`` in the metadata states the reason.
 
     Raises:
         InputError: no header with Engineering Strain and Engineering Stress, or a bad cell; with file and line.
@@ -45,7 +50,8 @@ def read_soft_robotics(path: str | Path) -> Recording:
 
 
 def _runs_backwards(header: Row, rows: list[Row]) -> bool:
+    """Return whether the time decreases between two rows."""
     index = next(i for i, cell in enumerate(header.cells) if split_header(cell)[0].casefold() == _TIME.casefold())
     cells = [row.cells[index] for row in rows if len(row.cells) > index]
-    # A cell that is no number stays in, so that its line is reported.
+    # A damaged cell keeps the column, so that the reader reports the line of the cell.
     return all(map(is_number, cells)) and any(after < before for before, after in pairwise(map(any_number, cells)))

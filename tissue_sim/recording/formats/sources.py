@@ -1,4 +1,4 @@
-"""What stands in a file of whatever kind, before anybody knows what it means: tables of cells, and numbers in them."""
+"""Read the content of a file of any kind: tables of cells, and runs of rows of numbers in them."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from tissue_sim.recording.recording import MIN_POINTS
 from tissue_sim.units import known_unit, loose_header, split_header
 
 EXPECTED = "a recording (text, spreadsheet, MATLAB, LabVIEW, HDF5 or AFM)"
-#: The first of those that give equally many numbers is taken: a comma may be a decimal comma.
+#: Delimiters in the order of preference; a comma is late, because it may be a decimal comma.
 _DELIMITERS = ("\t", ";", ",", "|", " ")
-#: Lines by which the delimiter is found.
-_SAMPLE = 2000
+#: Number of lines that determine the delimiter.
+_SAMPLE_LINES = 2000
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,9 @@ class Source:
 
     Attributes:
         kind: ``text``, ``workbook`` or ``container``.
-        tables: of a text one, of a long one its beginning where numbers alone follow; of the others one for each sheet.
-        encoding: of a text.
+        file: path.
+        tables: one table of a text (of a long text only the beginning, if numbers alone follow), or one for each sheet.
+        encoding: encoding of a text; else None.
     """
 
     file: Path
@@ -47,15 +48,16 @@ class Source:
 
 @dataclass(frozen=True)
 class Numbers:
-    """Rows of numbers below each other, and what stands above them.
+    """Consecutive rows of numbers with their header and the rows around them.
 
     Attributes:
-        table: in which they stand.
-        rows: consecutive ones.
-        columns: places from 0 with numbers in them.
-        header: the row of names, None: there is none. units: the row of units, above or below the names.
-        above: rows from the numbers before, or the beginning, to the names.
-        below: rows below the last numbers of the table; of the others none.
+        table: table of the rows.
+        rows: rows of numbers.
+        columns: positions of the columns with numbers, from 0.
+        header: row of names; None: no such row.
+        units: row of units above or below the names; None: no such row.
+        above: rows between the previous numbers, or the start of the table, and the header.
+        below: rows below the last numbers of the table; empty for other numbers.
     """
 
     table: Table
@@ -68,25 +70,25 @@ class Numbers:
 
     @property
     def lines(self) -> tuple[Row, ...]:
-        """All rows: above the names, the names and units, the numbers, and below."""
+        """All rows in the order of the file: above, header and units, numbers, below."""
         names = [row for row in (self.header, self.units) if row is not None]
         return (*self.above, *sorted(names, key=lambda row: row.line), *self.rows, *self.below)
 
     @property
     def width(self) -> int:
-        """Number of columns, those without numbers included."""
+        """Number of columns, including columns without numbers."""
         return max(len(row.cells) for row in (self.rows[0], *([self.header] if self.header else [])))
 
     def name(self, place: int) -> str:
-        """The whole header of a column; empty: it has none."""
+        """Return the complete header of a column; empty without a header."""
         return self.header.cells[place].lstrip("# ") if self.header and place < len(self.header.cells) else ""
 
     def bare_name(self, place: int) -> str:
-        """The header without its unit."""
+        """Return the header of a column without the unit."""
         return loose_header(self.name(place))[0]
 
     def unit(self, place: int) -> str | None:
-        """In the header, or in the row of units; one that nobody knows as it stands."""
+        """Return the unit in the header or in the row of units; an unknown unit is returned without a change."""
         header = self.name(place)
         loose = loose_header(header)[1]
         below = self.units.cells[place].strip("[]() ") if self.units and place < len(self.units.cells) else None
@@ -95,14 +97,14 @@ class Numbers:
 
 def open_source(path: Path, *, delimiter: str | None = None, sheet: Sheets | None = None,
                 skip_lines: int = 0) -> Source:
-    """The tables of a file.
+    """Read the tables of a file.
 
     Args:
-        path: the file. delimiter: of a text; None: found. sheet: name, number, or a list of them; None: all.
-        skip_lines: lines at the top that are not looked at.
+        path: the file. delimiter: delimiter of a text; None: found. sheet: name, number, or a list of them; None: all.
+        skip_lines: number of lines at the top that are ignored.
 
     Raises:
-        InputError: no such file, not one that can be read, a text without numbers in columns.
+        InputError: the file does not exist or cannot be read, or a text has no numbers in columns.
     """
     if is_container(path) or is_workbook(path):
         kind = "container" if is_container(path) else "workbook"
@@ -116,7 +118,7 @@ def open_source(path: Path, *, delimiter: str | None = None, sheet: Sheets | Non
         with suppress(InputError):
             table = _text_table(beginning, delimiter, skip_lines, path)
             runs = [*_runs(table)]
-            # One run of numbers in all columns that goes on to the end of the file says nothing new below.
+            # A single run of numbers in all columns, up to the end of the file, needs no further search.
             if table.delimiter == end.delimiter and [columns for _, columns in runs] == [(*range(end.cells),)] and (
                     runs[0][0][-1] is table.rows[-1]):
                 return Source(path, "text", (table,), encoding)
@@ -124,6 +126,7 @@ def open_source(path: Path, *, delimiter: str | None = None, sheet: Sheets | Non
 
 
 def _text_table(text: str, delimiter: str | None, skip_lines: int, path: Path) -> Table:
+    """Return the table of a text; the skipped lines become empty, so that line numbers are preserved."""
     lines = text.splitlines()
     lines[:skip_lines] = [""] * min(skip_lines, len(lines))
     found = _find_delimiter(lines, path) if delimiter is None else delimiter
@@ -131,18 +134,18 @@ def _text_table(text: str, delimiter: str | None, skip_lines: int, path: Path) -
 
 
 def _table(lines: list[str], delimiter: str, path: Path) -> Table:
-    """The lines split at the delimiter, without units behind the numbers."""
+    """Split the lines at the delimiter, and remove units after the numbers."""
     text = "\n".join(lines)
     return Table(without_cell_units(split_rows(text, delimiter, file=path), text), delimiter)
 
 
 def _find_delimiter(lines: list[str], path: Path) -> str:
-    """The delimiter that makes most numbers in columns of the text, and fewest other cells in their rows.
+    """Return the delimiter with the most numbers in columns, and with the fewest other cells in their rows.
 
     Raises:
-        InputError: none makes any.
+        InputError: no delimiter gives numbers in columns.
     """
-    for sample in (lines[:_SAMPLE], lines) if len(lines) > _SAMPLE else (lines,):
+    for sample in (lines[:_SAMPLE_LINES], lines) if len(lines) > _SAMPLE_LINES else (lines,):
         scores = {}
         for delimiter in _DELIMITERS:
             try:
@@ -150,7 +153,7 @@ def _find_delimiter(lines: list[str], path: Path) -> str:
             except InputError:
                 continue
             scores[delimiter] = sum(max(score, 1) for _, _, score in _scored_runs(table))
-            # A blank between digits separates thousands where another delimiter makes a table of the same lines.
+            # A blank between digits is a thousands separator if another delimiter gives a table of the same lines.
             if delimiter == " " and scores[delimiter] > max([0, *scores.values()][:-1]) and any(
                     scores.get(other) and _has_same_rows(sample, other, table, path) for other in _DELIMITERS[:-1]):
                 del scores[delimiter]
@@ -162,7 +165,7 @@ def _find_delimiter(lines: list[str], path: Path) -> str:
 
 
 def _has_same_rows(lines: list[str], delimiter: str, blank: Table, path: Path) -> bool:
-    """Whether a delimiter makes as many rows of numbers as blanks do, and cells with blanks are numbers in them."""
+    """Return whether a delimiter gives at least as many rows of numbers as blanks, with numbers that contain blanks."""
     table = _table(lines, delimiter, path)
     runs, of_blanks = [*_runs(table)], [*_runs(blank)]
     grouped = any(" " in cell and is_number(cell) for run, _ in runs for row in run for cell in row.cells)
@@ -170,11 +173,12 @@ def _has_same_rows(lines: list[str], delimiter: str, blank: Table, path: Path) -
 
 
 def find_numbers(source: Source) -> list[Numbers]:
-    """All runs of rows of numbers in a file."""
-    return [numbers for table in source.tables for numbers in _of_table(table)]
+    """Return all runs of rows of numbers in a file."""
+    return [numbers for table in source.tables for numbers in _numbers_of(table)]
 
 
-def _of_table(table: Table) -> Iterator[Numbers]:
+def _numbers_of(table: Table) -> Iterator[Numbers]:
+    """Yield the runs of rows of numbers in a table."""
     begin = 0
     place = {id(row): i for i, row in enumerate(table.rows)}
     runs = [*_runs(table)]
@@ -188,7 +192,7 @@ def _of_table(table: Table) -> Iterator[Numbers]:
 
 
 def _names(above: list[Row], columns: Sequence[int]) -> tuple[Row | None, Row | None, int]:
-    """Rows of names and units right above the numbers, and how many rows stand above both."""
+    """Return the rows of names and of units directly above the numbers, and the number of rows above both."""
     header, units, rest = None, None, len(above)
     for number, row in enumerate(reversed(above[-3:]), start=1):
         named = [i for i in columns if i < len(row.cells) and row.cells[i] and not is_number(row.cells[i])]
@@ -206,25 +210,25 @@ def _names(above: list[Row], columns: Sequence[int]) -> tuple[Row | None, Row | 
 
 
 def _names_columns(above: Sequence[Row], columns: Sequence[int]) -> bool:
-    """Whether the last row has a name for each of the columns."""
+    """Return whether the last row has a name for each of the columns."""
     return bool(above) and all(i < len(above[-1].cells) and above[-1].cells[i] and not is_number(above[-1].cells[i])
                                for i in columns)
 
 
 def _states_size(row: Row) -> bool:
-    """Whether a row states a size, as ``Height 12 mm`` does, rather than names."""
+    """Return whether a row states a size, such as ``Height 12 mm``, and not names."""
     cells = [cell for cell in row.cells if cell]
     return len(cells) > 1 and is_number(cells[1]) and size_class(cells[0]) is not None
 
 
 def _runs(table: Table) -> Iterator[tuple[list[Row], tuple[int, ...]]]:
-    """Rows that hold two numbers or more and little else, at least `MIN_POINTS` in a row, and their columns."""
+    """Yield runs of at least `MIN_POINTS` rows with two or more numbers and little else, and their columns."""
     for run, columns, _ in _scored_runs(table):
         yield run, columns
 
 
 def _scored_runs(table: Table) -> Iterator[tuple[list[Row], tuple[int, ...], int]]:
-    """As `_runs`, with the number of cells that are numbers less those that are not."""
+    """Yield the runs of `_runs` with a score: cells that are numbers minus other cells."""
     run: list[Row] = []
     counts: dict[int, int] = {}
     score = 0
@@ -237,10 +241,10 @@ def _scored_runs(table: Table) -> Iterator[tuple[list[Row], tuple[int, ...], int
             for i in numeric:
                 counts[i] = counts.get(i, 0) + 1
             continue
-        # Rows such as "Mean, 1.2, 3.4" below the numbers are of a summary.
+        # Rows such as "Mean, 1.2, 3.4" below the numbers are a summary.
         while len(run) > 1 and begins_with_word(run[-1]) and not begins_with_word(run[0]):
             run.pop()
-        # A column that begins late, or ends early, is one too: replicates beside each other differ in length.
+        # A column may start late or end early, because replicates side by side differ in length.
         columns = tuple(sorted(i for i, count in counts.items() if count >= MIN_POINTS))
         if len(run) >= MIN_POINTS and len(columns) >= 2:
             yield run, columns, score

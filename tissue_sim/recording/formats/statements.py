@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 from tissue_sim.recording.formats.blocks import is_unit_row
 from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, is_number, parse_number, thousands_separator
@@ -39,10 +40,23 @@ _UNIT_CELL = re.compile(r"^[\[(]?[^\W\d]{1,10}(\s*(\^2|²|2)|/[^\W\d]{1,5})?[\])
 #: Rows of a small table that summarise others.
 _SUMMARY = re.compile(r"^(mean|average|std|sd|stdev|min|max|median|cv|mittelwert|moyenne|standardabweichung)\b",
                       re.IGNORECASE)
-#: Rows of numbers that are searched for statements outside of the columns of a table.
-_ROWS_BESIDE = 60
-#: Characters of a row that is searched for sentences.
-_LONGEST_SENTENCE = 1000
+
+
+@dataclass(frozen=True)
+class StatementSettings:
+    """Limits of the search for statements.
+
+    Attributes:
+        rows_of_numbers: rows of numbers that are searched for statements outside of the columns of a table.
+        longest_sentence: largest number of characters of a row that is searched for sentences.
+    """
+
+    rows_of_numbers: int = 60
+    longest_sentence: int = 1000
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = StatementSettings()
 
 
 class Statements(dict[str, str]):
@@ -58,7 +72,7 @@ class Statements(dict[str, str]):
 
 def table_statements(numbers: Numbers, used: Sequence[int], *, decimal: str | None, table: int = 0, tables: int = 1
                      ) -> Statements:
-    """What a file states about one table of numbers.
+    """Return the statements of a file about one table of numbers.
 
     Args:
         numbers: the table. used: places from 0 of the columns that are read.
@@ -71,7 +85,7 @@ def table_statements(numbers: Numbers, used: Sequence[int], *, decimal: str | No
     for place, value in constant_columns(numbers):
         if place not in used:
             found.add(numbers.bare_name(place), f"{_canonical(value, decimal)} {numbers.unit(place) or ''}", "column")
-    for row in (*((numbers.header,) if numbers.header else ()), *numbers.rows[:_ROWS_BESIDE]):
+    for row in (*((numbers.header,) if numbers.header else ()), *numbers.rows[:_SETTINGS.rows_of_numbers]):
         others = Row(row.line, tuple(cell for i, cell in enumerate(row.cells) if i not in used))
         for key, value in _pairs(others, decimal):
             if size_class(key) is not None:
@@ -90,7 +104,7 @@ def add_unstated(rows: Sequence[Row], found: Statements, decimal: str | None, ta
 
 
 def states_sizes(rows: Sequence[Row]) -> bool:
-    """Whether rows outside of the numbers state a size of the specimen."""
+    """Return whether rows outside of the numbers state a size of the specimen."""
     found = Statements()
     row_statements(rows, found)
     return any(size_class(key) is not None for key in found)
@@ -224,7 +238,7 @@ def _add_sizes(rows: Sequence[Row], header: int, found: Statements, decimal: str
 def _sentences(row: Row, decimal: str | None) -> Iterator[tuple[str, str]]:
     """Sizes with units in running text."""
     cells: Iterable[str] = [cell for cell in row.cells if cell]
-    if sum(map(len, cells)) > _LONGEST_SENTENCE:
+    if sum(map(len, cells)) > _SETTINGS.longest_sentence:
         return
     # Text that is cut at its blanks is put together again.
     if all(" " not in cell for cell in cells):
@@ -249,7 +263,7 @@ def _sentences(row: Row, decimal: str | None) -> Iterator[tuple[str, str]]:
 
 
 def _same(stated: str, quantity: str) -> bool:
-    """Whether a statement is the same quantity, with a unit."""
+    """Return whether a statement is the same quantity, with a unit."""
     first, second = quantity_in(stated), quantity_in(quantity)
     return first is not None and second is not None and first[1] is not None and first[0] == second[0]
 

@@ -18,8 +18,10 @@ _SWEPT = re.compile(r"\b(angular )?frequenc(y|ies)\b|\b(kreis)?frequenz\b|\bfré
 
 
 def is_sweep(headers: Sequence[str]) -> bool:
-    """Whether a table with these headers holds moduli over frequency or amplitude: two dynamic moduli, or one and the
-    quantity over which it is measured."""
+    """Return whether the headers of a table are those of moduli over frequency or amplitude.
+
+    Such a table has two dynamic moduli, or one modulus and the quantity over which the modulus is measured.
+    """
     names = [" ".join(header.casefold().replace("_", " ").split()) for header in headers]
     moduli = sum(bool(_MODULUS.search(name)) for name in names)
     swept = sum(bool(_SWEPT.search(name)) for name in names)
@@ -28,7 +30,7 @@ def is_sweep(headers: Sequence[str]) -> bool:
 
 
 def sweep_sentence(headers: Sequence[str]) -> str:
-    """Why such a table is not imported."""
+    """Return the reason why a table of a sweep is not imported, in one sentence."""
     named = ", ".join(repr(header) for header in headers if header)
     return (f"moduli over frequency or amplitude are not a recording of a motion (columns {named}); give displacement "
             "and force, or strain and stress, against time")

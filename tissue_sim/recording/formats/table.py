@@ -53,7 +53,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Column:
-    """Where a channel or label stands and how its numbers become SI: value * factor + offset."""
+    """Column of a channel or label, and the conversion of its numbers to SI: value * factor + offset."""
 
     channel: str
     index: int
@@ -93,7 +93,7 @@ def split_rows(text: str, delimiter: str, *, file: Path) -> list[Row]:
 
 
 def narrow(rows: Iterable[Row], places: Sequence[int]) -> list[Row]:
-    """The cells at these places (from 0) alone, in rows that have something in them."""
+    """Select the cells in the given columns (from 0) of rows with content."""
     chosen = (Row(row.line, tuple(row.cells[i] if i < len(row.cells) else "" for i in places)) for row in rows)
     return [row for row in chosen if not row.blank]
 
@@ -145,7 +145,7 @@ def read_recording_table(header: Row, rows: Sequence[Row], columns: Sequence[Col
 
 
 def _split_thousands(row: Row, width: int, delimiter: str) -> str:
-    """A hint that thousands separators may have split numbers into cells; empty if they have not."""
+    """Return a hint if thousands separators may have split numbers into cells; else an empty text."""
     groups = [cell for before, cell in pairwise(row.cells) if _GROUP.fullmatch(cell) and _LEADING.fullmatch(before)]
     if delimiter not in (",", " ") or not 0 < len(row.cells) - width <= len(groups):
         return ""

@@ -16,8 +16,8 @@ from tissue_sim.recording.formats.guesses import ColumnGuess
 from tissue_sim.recording.recording import Recording
 from tissue_sim.units import UNITS
 
-#: Largest value of any channel, SI or in the units of the file; a larger one is a damaged cell.
-_LARGEST = 1e20
+#: Largest value of any channel, in SI or in the unit of the file; a larger value is a damaged cell.
+_LARGEST_VALUE = 1e20
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class TableReader:
     speed: float | None = None
 
     def read(self, columns: Sequence[ColumnGuess]) -> tuple[MarkedRecording, ...]:
-        """The recordings with the marks of their numbers.
+        """Read the recordings with the marks of their numbers.
 
         Raises:
             InputError: a cell without a number, or with a number that no machine measures.
@@ -51,7 +51,7 @@ class TableReader:
         for each in marked:
             for channel, values in each.recording.channels.items():
                 largest = values[np.argmax(np.abs(values))]
-                if abs(largest) > _LARGEST:
+                if abs(largest) > _LARGEST_VALUE:
                     raise InputError(f"{channel} reaches {largest:g}, which no machine measures: a cell is damaged",
                                      file=self.path)
         return marked

@@ -10,7 +10,7 @@ from tissue_sim.units import quantity_of
 
 
 def has_temperature(numbers: Numbers, places: Mapping[str, int]) -> bool:
-    """Whether a table has a temperature that can be read in all its rows.
+    """Return whether a table has a temperature that can be read in all its rows.
 
     Args:
         places: role of a column -> its place, from 0.

@@ -27,8 +27,8 @@ _NAMING = re.compile(r"\b(specimen|sample|probe|probenname|material|werkstoff|ma
 _DATE = re.compile(r"\d{1,2}:\d{2}|\b(19|20)\d{2}\b")
 #: Units that make the number before them a property of the material.
 _UNITS = re.compile(r"^(%|kpa|pa|mpa|mm|um|mg|g|ml|wt|vol|mol|mm/s|°c|degc)$")
-#: Rows above the names in which a title is searched.
-_SEARCHED = 12
+#: Number of rows above the header that are searched for a title.
+_TITLE_ROWS = 12
 
 
 def block_title(numbers: Numbers, places: Sequence[int], *, side_by_side: bool) -> str:
@@ -38,7 +38,7 @@ def block_title(numbers: Numbers, places: Sequence[int], *, side_by_side: bool) 
         numbers: rows of numbers with what stands above them. places: from 0, of the columns of the recording.
         side_by_side: whether other tables share its rows, so that only cells above its own columns count.
     """
-    for row in reversed(numbers.above[-_SEARCHED:]):
+    for row in reversed(numbers.above[-_TITLE_ROWS:]):
         cells = [cell for i, cell in enumerate(row.cells)
                  if cell and (not side_by_side or min(places) <= i <= max(places))]
         title = _title(cells)

@@ -1,4 +1,4 @@
-"""A file of measurements understood from its content: the tables that it holds, and the meaning of their columns.
+"""Interpret a file of measurements from its content: its tables, and the meaning of their columns.
 
 Every finding is an assumption. It becomes an option of `tissue_sim.read_recordings` with its reason, so that a person
 can see and correct it; everything that is missing is reported together.
@@ -15,8 +15,8 @@ from tissue_sim.errors import InputError, located
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.recording.cleaning import clean, counted_from_start, start_of
 from tissue_sim.recording.formats.columns import MarkedRecording
-from tissue_sim.recording.formats.decimal_mark import NumberMarks, find_marks, marks_beside
-from tissue_sim.recording.formats.guesses import ColumnGuess, Reading, Stated, Understanding
+from tissue_sim.recording.formats.decimal_mark import NumberMarks, find_marks, marks_with_text
+from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints, Reading, Understanding
 from tissue_sim.recording.formats.header import matches
 from tissue_sim.recording.formats.interpretation import (
     column_assumptions,
@@ -45,18 +45,21 @@ from tissue_sim.recording.formats.table import Row
 from tissue_sim.recording.formats.table_reader import TableReader
 from tissue_sim.recording.formats.vocabulary import MACHINES, Machine, find_machine
 
-#: Rows of a table from which the decimal mark of the lines around it is taken.
+#: Number of rows of a table that determine the decimal mark of the lines around the table.
 _MARKED_ROWS = 2000
 _NAMING = ("displacement", "stretch", "shear strain", "force", "nominal stress")
 
 
-def understand(path: str | Path, stated: Stated | None = None) -> Understanding:
-    """Content of a text, spreadsheet or container.
+def understand(path: str | Path, stated: ColumnHints | None = None) -> Understanding:
+    """Interpret the content of a text, spreadsheet or container.
+
+    Args:
+        path: the file. stated: hints of the user.
 
     Raises:
-        InputError: no such file, or nothing in it that can be a recording; names everything that is missing.
+        InputError: the file does not exist, or has no recording; lists all missing information.
     """
-    path, stated = Path(path), stated or Stated()
+    path, stated = Path(path), stated or ColumnHints()
     source = open_source(path, delimiter=stated.delimiter, sheet=stated.sheet, skip_lines=stated.skip_lines)
     found = find_numbers(source)
     if not found:
@@ -104,7 +107,7 @@ def _without_sweeps(found: Sequence[Numbers], path: Path) -> tuple[list[Numbers]
             tuple(f"a table is left out: {sweep_sentence(names)}" for names in sweeps[:1]))
 
 
-def _of_known_tests(readings: Sequence[Reading], stated: Stated) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
+def _of_known_tests(readings: Sequence[Reading], stated: ColumnHints) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
     """The readings whose kind of test may be registered, and sentences on the others.
 
     Raises:
@@ -119,7 +122,8 @@ def _of_known_tests(readings: Sequence[Reading], stated: Stated) -> tuple[tuple[
     return kept, tuple(dict.fromkeys(f"a table is left out: {each.problem}" for each in refused))
 
 
-def _with_statements(source: Source, found: Sequence[Numbers], groups: Sequence[Group], stated: Stated) -> list[Group]:
+def _with_statements(source: Source, found: Sequence[Numbers], groups: Sequence[Group], stated: ColumnHints
+                     ) -> list[Group]:
     """The tables with what the file states about each; a table without sizes takes those of the table before it."""
     sheets = {id(numbers.table) for numbers in found}
     elsewhere = [row for table in source.tables if id(table) not in sheets for row in table.rows]
@@ -165,7 +169,7 @@ def _rows_of_blocks(tables: Sequence[Numbers]) -> dict[int, tuple[tuple[Row, ...
     return found
 
 
-def _statements(numbers: Numbers, places: Sequence[int], stated: Stated) -> Mapping[str, str]:
+def _statements(numbers: Numbers, places: Sequence[int], stated: ColumnHints) -> Mapping[str, str]:
     """Key -> value with unit, as the file states them about a table; see `table_statements`.
 
     Args:
@@ -182,9 +186,9 @@ def _probable_mark(numbers: Numbers, places: Sequence[int]) -> str | None:
     return marks.decimal if (marks.evidence or marks.is_certain) and not marks.is_open else None
 
 
-def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: Machine | None,
+def _reading(source: Source, groups: Sequence[Group], stated: ColumnHints, machine: Machine | None,
              titles: Sequence[Hint], unused: tuple[str, ...]) -> tuple[list[Reading], NumberMarks]:
-    """How to read the tables, with columns turned so that a load is positive, and the marks of their numbers.
+    """Return the readings of the tables, with signs for a positive load, and the marks of the numbers.
 
     Tables whose titles name different materials are readings of their own.
     """
@@ -238,7 +242,8 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
     return by_material(reading, groups, [(each.sheet, each.line) for each in marked], stated), marks
 
 
-def _options(source: Source, first: Group, stated: Stated, sheets: Sequence[str], *, by_name: bool) -> dict[str, Any]:
+def _options(source: Source, first: Group, stated: ColumnHints, sheets: Sequence[str], *, by_name: bool
+             ) -> dict[str, Any]:
     """Options of `read_recordings` but for the columns."""
     options: dict[str, Any] = {}
     if sheets and (len(source.tables) > 1 or stated.sheet is not None):
@@ -263,7 +268,7 @@ def _settled(marked: Sequence[MarkedRecording], groups: Sequence[Group]) -> Numb
     if not found.is_open:
         return found
     rows = [row for group in groups for row in (*group.numbers.above, *group.numbers.below)]
-    return marks_beside(found, "\n".join(" ".join(row.cells) for row in rows))
+    return marks_with_text(found, "\n".join(" ".join(row.cells) for row in rows))
 
 
 def _hints(source: Source, first: Group, columns: Sequence[ColumnGuess], titles: Sequence[Hint]) -> list[Hint]:
@@ -275,7 +280,7 @@ def _hints(source: Source, first: Group, columns: Sequence[ColumnGuess], titles:
 
 
 def _is_strain(column: ColumnGuess) -> bool:
-    """Whether a stretch was recorded as a strain or a displacement."""
+    """Return whether a stretch was recorded as a strain or a displacement."""
     return column.channel == "stretch" and column.role != "stretch"
 
 
@@ -299,13 +304,13 @@ def _unused(numbers: Numbers, tables: Sequence[Group]) -> tuple[str, ...]:
 
 
 def _told_apart(groups: Sequence[Group]) -> bool:
-    """Whether the names of the columns find these tables and no other column."""
+    """Return whether the names of the columns find these tables and no other column."""
     for group in groups:
         header = group.numbers.header
         if header is None or not all(column.header for column in group.columns):
             return False
-        beside = sum(other.numbers is group.numbers for other in groups)
-        if any(len(matches(header.cells, column.header)) != beside for column in group.columns):
+        count = sum(other.numbers is group.numbers for other in groups)
+        if any(len(matches(header.cells, column.header)) != count for column in group.columns):
             return False
     return True
 
@@ -334,7 +339,7 @@ def _common_beginning(heads: Sequence[str]) -> str:
 
 
 def _words(numbers: Numbers) -> list[str]:
-    """What stands above the numbers, as lines."""
+    """Return the rows above the numbers as lines of text."""
     rows = [*numbers.above[-40:], *(row for row in (numbers.header, numbers.units) if row is not None)]
     return [" ".join(row.cells) for row in rows]
 

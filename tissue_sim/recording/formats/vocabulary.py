@@ -1,4 +1,4 @@
-"""What the columns of test machines are called, and what is known of single machines: data for one reader of all.
+"""Words in the headers of test machines, and properties of single machines.
 
 Sources: the vendors' manuals and the exports that people publish programs for: Bluehill raw data (``Time``,
 ``Extension``, ``Load`` with ``(s)``, ``(mm)``, ``(N)`` below; load and extension are negative in compression), MTS 793
@@ -16,14 +16,14 @@ from dataclasses import dataclass, field
 from tissue_sim.recording.measures import MEASURES, measure_of
 from tissue_sim.units import quantity_of
 
-#: Columns that are derived, commanded, amplitudes or of another direction: nothing that is fitted.
+#: Words of columns that are not fitted: derived or commanded quantities, amplitudes, other directions.
 _OTHER = re.compile(
     r"\b(amplitude|oscillation|amplitudes|std|stdev|stddev|deviation|sd|error|rate|speed|velocity|geschwindigkeit|energy|work|"
     r"power|arbeit|modulus|modul|setpoint|command|target|demand|soll|torque|moment|index|points?|number|nr|no|frame|"
     r"cycles?|"
     r"zyklus|width|breite|area|querschnitt|angle|storage|loss|viscosity|position [xy]|f[xy]|transverse|"
     r"quer|axial counts)\b")
-#: Role -> patterns, the surest first. Of two columns of a role the one with the earlier pattern is taken.
+#: Role -> patterns in the order of preference; the column of a role with the earliest pattern is read.
 _WORDS: dict[str, tuple[str, ...]] = {
     "time": (r"test time|running time|prüfzeit|elapsed time|total time",
              r"time|zeit|temps|tiempo|tempo|tijd|timestamp|t|sec|seconds", r"step time|segment time"),
@@ -47,25 +47,42 @@ _WORDS: dict[str, tuple[str, ...]] = {
     "temperature": (r"temperature|temp|temperatur|température",),
 }
 _PATTERNS = {role: tuple(re.compile(rf"\b({words})\b") for words in patterns) for role, patterns in _WORDS.items()}
-#: What a role is where the unit is of that quantity.
+#: (Role by the words, quantity of the unit) -> role of the column.
 _BY_UNIT = {
     ("displacement", "ratio"): "strain", ("strain", "length"): "displacement", ("stretch", "length"): "displacement",
     ("force", "stress"): "stress", ("stress", "force"): "force"}
+#: Role -> quantity of its unit.
 _QUANTITY = {"time": "time", "displacement": "length", "force": "force", "stress": "stress", "strain": "ratio",
              "stretch": "ratio", "shear strain": "ratio", "temperature": "temperature"}
-#: Quantity -> role of a column whose name says nothing.
+#: Quantity of the unit -> role of a column without a known word.
 _NAMELESS = {"time": "time", "length": "displacement", "force": "force", "stress": "stress",
              "temperature": "temperature"}
-#: Words of a column that is measured on the specimen, by the machine away from it, and after a correction. The surest
-#: first: the specimen's own extension does not contain that of the machine and the grips.
+#: Source of a column -> its words: measured on the specimen, or by the machine. The extension of the specimen is
+#: preferred, because it does not include the compliance of the machine and the grips.
 _SOURCES = {"specimen": re.compile(r"\b(extensomet\w*|extensomètre|video\w*|vidéo|dic|optical|optisch\w*|optique|laser|"
                                    r"feindehn\w*|clip gauge|clip gage)\b"),
             "machine": re.compile(r"\b(crosshead|traverse|traversenweg|actuator|ram|grips?|machine|maschine|motor|"
                                   r"stage)\b")}
+#: Words of a corrected column.
 _CORRECTED = re.compile(r"\b(corrected|korrigiert\w*|corrigée?|tared|tarred|zeroed|net|compensated|kompensiert\w*)\b")
-#: Added to the rank of a column that is measured by the machine, and of one of another measure than the nominal one.
-_BY_MACHINE, _OTHER_MEASURE = 1, 4
-#: Words of measures that make no sense of a time, a force or a temperature.
+
+
+@dataclass(frozen=True)
+class RankSettings:
+    """Ranks of columns of the same role; the column with the lowest rank is read.
+
+    Attributes:
+        by_machine: addition to the rank of a column that the machine measures, including its own compliance.
+        other_measure: addition to the rank of a column of a measure other than the nominal one.
+    """
+
+    by_machine: int = 1
+    other_measure: int = 4
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = RankSettings()
+#: Words of measures that a time, a force or a temperature cannot have.
 _TRUE = re.compile(r"\b(true|cauchy|wahre[rn]?|vraie?s?)\b")
 _SHEAR = re.compile(r"\b(shear|shr|scher\w*|schub\w*|cisaillement)\b")
 
@@ -75,11 +92,12 @@ class Machine:
     """A machine and the program that writes its files.
 
     Attributes:
-        name: of the format. title: for people.
-        marks: what its files hold above the numbers, a pattern.
-        roles: header, in lower case without unit -> role, where the general words would say another.
-        units: role -> unit, where a file states none.
-        compresses_negative: whether load and displacement of a compression are negative in it.
+        name: name of the format.
+        title: name in sentences.
+        marks: pattern of words above the numbers of its files.
+        roles: header (lower case, without unit) -> role, if the general words give another role.
+        units: role -> unit, for a file without units.
+        compresses_negative: whether load and displacement of a compression are negative in its files.
     """
 
     name: str
@@ -109,23 +127,23 @@ MACHINES: dict[str, Machine] = {machine.name: machine for machine in (
 
 
 def find_machine(text: str) -> Machine | None:
-    """The machine whose marks are in a text, that above the numbers and the names of the columns; None: none known."""
+    """Return the machine whose marks are in the text above the numbers or in the headers; None: unknown machine."""
     return next((machine for machine in MACHINES.values() if re.search(machine.marks, text, re.MULTILINE)), None)
 
 
 def plain(name: str) -> str:
-    """A header in lower case, its words apart by single blanks."""
+    """Return a header in lower case with single blanks between the words."""
     return " ".join(re.sub(r"[^\w%]+|_", " ", name.casefold()).split())
 
 
 def role_of(name: str, unit: str | None, machine: Machine | None = None) -> tuple[str, int] | None:
-    """Role of a column, and its rank among columns of this role: the lowest is taken.
+    """Return the role of a column, and its rank among columns of this role; the column with the lowest rank is read.
 
-    The rank is 0 for the surest name, -1 where it is measured on the specimen or corrected, 4 and more for a measure of
-    stress or strain that is not the nominal one, 9 where the unit alone says the role.
+    The rank is 0 for the preferred name, -1 for a column that is measured on the specimen or corrected, 4 and more for
+    a measure of stress or strain other than the nominal one, and 9 if the unit alone determines the role.
 
     Args:
-        name: header without unit. unit: of it, None: not stated. machine: of the file.
+        name: header without unit. unit: unit of the column; None: not stated. machine: machine of the file.
 
     Returns:
         A role: ``time``, ``displacement``, ``force``, ``stretch``, ``strain``, ``shear strain``, ``stress`` or
@@ -139,7 +157,7 @@ def role_of(name: str, unit: str | None, machine: Machine | None = None) -> tupl
             return None
         hits = [(rank, -_longest(pattern, words), role) for role, patterns in _PATTERNS.items()
                 for rank, pattern in enumerate(patterns) if pattern.search(words)]
-        # The longest words say most: "shear strain" is no strain, "strain (extension)" no extension.
+        # The longest words are the most specific: "shear strain" is no strain, "strain (extension)" no extension.
         hits.sort(key=lambda hit: (hit[1], hit[0]))
         if hits and quantity not in (None, "signal"):
             fitting = [hit for hit in hits if _with_unit(hit[2], quantity)]
@@ -152,27 +170,28 @@ def role_of(name: str, unit: str | None, machine: Machine | None = None) -> tupl
     if role not in _QUANTITY:
         return None
     if role in ("stress", "strain", "shear strain", "stretch"):
-        rank += _OTHER_MEASURE * (measure_of(words, role) in MEASURES)
+        rank += _SETTINGS.other_measure * (measure_of(words, role) in MEASURES)
     elif _TRUE.search(words):
         return None
     source = source_of(words)
     if source in ("specimen", "corrected"):
-        rank = min(rank - 1, -1) if rank < _OTHER_MEASURE else rank - 1
-    return role, rank + _BY_MACHINE * (source == "machine")
+        rank = min(rank - 1, -1) if rank < _SETTINGS.other_measure else rank - 1
+    return role, rank + _SETTINGS.by_machine * (source == "machine")
 
 
 def source_of(words: str) -> str:
-    """Where a column is measured, by its header in lower case: ``specimen``, ``machine``, ``corrected`` or empty."""
+    """Return the source of a column by its header in lower case: ``specimen``, ``machine``, ``corrected`` or empty."""
     if _CORRECTED.search(words):
         return "corrected"
     return next((name for name, pattern in _SOURCES.items() if pattern.search(words)), "")
 
 
 def _with_unit(role: str, quantity: str | None) -> str:
-    """The role of a column with such a unit; empty: none."""
+    """Return the role of a column with a unit of this quantity; empty without a role."""
     role = _BY_UNIT.get((role, quantity or ""), role)
     return role if _QUANTITY.get(role) == quantity else ""
 
 
 def _longest(pattern: re.Pattern[str], words: str) -> int:
+    """Return the length of the longest match, characters; 0 without a match."""
     return max((len(match[0]) for match in pattern.finditer(words)), default=0)

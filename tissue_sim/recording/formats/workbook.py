@@ -30,7 +30,7 @@ SUFFIXES = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 @dataclass(frozen=True)
 class Sheet:
-    """A sheet's rows that hold anything; `Row.line` is the number of the row in the spreadsheet."""
+    """Rows with content of a sheet; `Row.line` is the number of the row in the spreadsheet."""
 
     file: Path
     name: str
@@ -46,7 +46,7 @@ class Sheet:
 
 
 def is_workbook(path: Path) -> bool:
-    """Whether the file is meant as a spreadsheet: by its first bytes or, failing these, by its name."""
+    """Return whether the file is meant as a spreadsheet: by its first bytes or, failing these, by its name."""
     with_name = path.suffix.lower() in SUFFIXES
     return first_bytes(path, len(ZIP_MAGIC)) in (ZIP_MAGIC, OLE_MAGIC) or with_name
 
@@ -86,7 +86,7 @@ def read_sheets(path: Path, sheet: str | int | Sequence[str | int] | None = None
 
 
 def read_sheet(path: Path, sheet: str | int | None = None) -> Sheet:
-    """One sheet; None: the only one that holds anything. Otherwise as `read_sheets`.
+    """Read one sheet; None: the only sheet with content. See `read_sheets` for the arguments.
 
     Raises:
         InputError: several that hold anything.
@@ -99,7 +99,7 @@ def read_sheet(path: Path, sheet: str | int | None = None) -> Sheet:
 
 
 def _sheets(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sheet]:
-    """Of an xlsx or ods."""
+    """Read the sheets of an xlsx or ods file."""
     _check_extent(data, path)
     with calamine.load_workbook(io.BytesIO(data)) as book:
         for name in _chosen(path, wanted, book.sheet_names):
@@ -107,7 +107,7 @@ def _sheets(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sh
 
 
 def _old_sheets(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sheet]:
-    """Of an xls."""
+    """Read the sheets of an xls file."""
     try:
         book = xlrd.open_workbook(file_contents=data, logfile=io.StringIO(), ragged_rows=True)
     except xlrd.XLRDError as error:

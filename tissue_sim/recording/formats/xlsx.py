@@ -1,4 +1,4 @@
-"""Spreadsheets (xlsx, xls, ods): a sheet with the native header, or with chosen columns."""
+"""Read recordings from spreadsheets (xlsx, xls, ods) with the native header or with chosen columns."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from tissue_sim.recording.recording import Recording
 
 def read_xlsx(path: str | Path, *, columns: Mapping[str, Any] | None = None, sheet: Sheets | None = None,
               skip_lines: int = 0) -> Recording | tuple[Recording, ...]:
-    """A recording from a sheet of a spreadsheet.
+    """Read a recording from a sheet of a spreadsheet.
 
     Args:
         path: the file.
         columns: as in `tissue_sim.recording.formats.columns.read_blocks`. None: the sheet's first row is a native
             header, such as ``time [s]``, ``displacement [mm]``, ``force [N]``, each in a cell.
         sheet: name or number (from 1), or a list of them. None: the only sheet that holds anything.
-        skip_lines: rows at the top that are not looked at; with `columns` only.
+        skip_lines: number of rows at the top that are ignored; with `columns` only.
 
     Raises:
         InputError: no spreadsheet, sheet or column of that name, or a bad cell; with file, sheet and row. The extra
@@ -39,6 +39,6 @@ def read_xlsx(path: str | Path, *, columns: Mapping[str, Any] | None = None, she
 def _native(found: Sheet) -> Recording:
     with found.located():
         rows = [row for row in found.rows if not row.cells[0].startswith("#")]
-        # Cells beside the table, in columns without a name, are not part of it.
+        # Columns without a name are not part of the table.
         named = [i for i, cell in enumerate(rows[0].cells) if cell] if rows else []
         return native_recording(narrow(rows, named), found.file)
