@@ -465,7 +465,7 @@ def test_a_smooth_motion_needs_few_further_looks(held):
 @pytest.mark.parametrize(("between_steps", "at_least"), [("nothing", 20), ("one that fails", 1), ("there and back", 1)])
 def test_what_is_not_looked_at_again_is_in_equilibrium(held, between_steps, at_least):
     """A linear solution with a small residual is accepted; here a second solver checks each."""
-    solver, beside = ReducedSolver(held, MATERIAL), ReducedSolver(held, MATERIAL)
+    solver, checker = ReducedSolver(held, MATERIAL), ReducedSolver(held, MATERIAL)
     looks, evaluate = [], solver.elements.evaluate
 
     def looked(*asked):
@@ -494,14 +494,14 @@ def test_what_is_not_looked_at_again_is_in_equilibrium(held, between_steps, at_l
             assert step.residual <= TOLERANCE
             if len(looks) > step.iterations:
                 continue
-            beside.restore(solver.save())
+            checker.restore(solver.save())
             # Pressures follow what the volumes there miss.
-            beside.elements.evaluate(solver.amplitudes, True, 0)
-            pushed, _ = beside._evaluate_contact(solver.amplitudes, frame := Frame(to, solver.datum), True)
-            residual = beside.elements.forces + pushed
+            checker.elements.evaluate(solver.amplitudes, True, 0)
+            pushed, _ = checker._evaluate_contact(solver.amplitudes, frame := Frame(to, solver.datum), True)
+            residual = checker.elements.forces + pushed
             scale = solver._reference_force(np.linalg.norm(residual[:held.lifting]) + np.linalg.norm(pushed))
             believed.append(np.linalg.norm(residual[held.lifting:len(residual) - held.watched]) / scale)
-            wrench = beside.contact.wrench - beside._tool_motion.rates(frame).T @ residual[:held.lifting]
+            wrench = checker.contact.wrench - checker._tool_motion.rates(frame).T @ residual[:held.lifting]
             off.append(np.linalg.norm(np.subtract(step.wrench, wrench)[:3]) / max(np.linalg.norm(wrench[:3]), scale))
     assert len(believed) >= at_least
     assert max(believed) <= TOLERANCE
