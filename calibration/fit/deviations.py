@@ -12,16 +12,28 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.statistics.bands import Scatter
 from calibration.statistics.jitter import Jitter
 
-#: Largest number of modes per segment.
-MODES = 6
-#: Smallest number of samples per mode.
-SAMPLES_PER_MODE = 4
-#: Fraction of a hold's duration from which on its time axis is logarithmic.
-_LOGARITHMIC_FROM = 0.01
-#: Standard deviation of the Gaussian filter that smooths the scatter, as a fraction of the segment.
-_FILTER_WIDTH = 0.1
-#: Largest contact offset and zero that count as scatter, in standard deviations.
-_MAX_SCATTER = 2.0
+
+@dataclass(frozen=True)
+class DeviationSettings:
+    """Settings of `assess_deviations`.
+
+    Attributes:
+        max_modes: largest number of modes per segment. More modes resolve shorter features of the bias.
+        min_samples_per_mode: smallest number of samples per mode. A larger value uses fewer modes on short segments.
+        logarithmic_from: fraction of the duration of a hold from which on its time axis is logarithmic.
+        filter_width: standard deviation of the Gaussian filter that smooths the scatter, as a fraction of the segment.
+        max_scatter: largest contact offset and zero that count as scatter, in standard deviations. Larger offsets count
+            as errors of the model.
+    """
+
+    max_modes: int = 6
+    min_samples_per_mode: int = 4
+    logarithmic_from: float = 0.01
+    filter_width: float = 0.1
+    max_scatter: float = 2.0
+
+
+SETTINGS = DeviationSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +69,8 @@ def assess_deviations(measured: Sequence[MeasuredCurve], gaps: Sequence[np.ndarr
     if scatter is not None:
         own = np.array([_fit_offsets(*each, scatter) for each in zip(gaps, contacts, measured, strict=True)])
         # A common offset, and offsets far beyond the scatter, are errors of the model and stay in the deviations.
-        own = np.clip(own - own.mean(axis=0) if len(own) > 1 else own, -_MAX_SCATTER, _MAX_SCATTER)
+        own = np.clip(own - own.mean(axis=0) if len(own) > 1 else own,
+                      -SETTINGS.max_scatter, SETTINGS.max_scatter)
         gaps = [gap - _columns(contact, scatter) @ weights
                 for gap, contact, weights in zip(gaps, contacts, own, strict=True)]
     segments = [_segments(curve) for curve in measured]
@@ -68,7 +81,7 @@ def assess_deviations(measured: Sequence[MeasuredCurve], gaps: Sequence[np.ndarr
         here = path_segments == name
         parts = [labels == name for labels in segments]
         fewest = min(int(part.sum()) for part in parts)
-        modes = int(np.clip(fewest // SAMPLES_PER_MODE, 1, MODES))
+        modes = int(np.clip(fewest // SETTINGS.min_samples_per_mode, 1, SETTINGS.max_modes))
         amplitudes, squares, freedom, covariance = [], 0.0, 0, np.zeros((modes, modes))
         for curve, gap, part in zip(measured, gaps, parts, strict=True):
             if not part.any():
@@ -91,8 +104,8 @@ def assess_deviations(measured: Sequence[MeasuredCurve], gaps: Sequence[np.ndarr
             by_noise = rest * np.einsum("ni,ij,nj->n", columns, covariance, columns)
             # The variance of few recordings may be small at single points by chance, so it is smoothed. The
             # contribution of the noise is subtracted, since the noise is a separate component.
-            smooth = np.maximum(gaussian_filter1d(variance, _FILTER_WIDTH * variance.size, mode="nearest") - by_noise,
-                                0.0)
+            smooth = np.maximum(gaussian_filter1d(variance, SETTINGS.filter_width * variance.size, mode="nearest")
+                                - by_noise, 0.0)
             factor = np.sqrt(np.divide(smooth, variance, out=np.zeros_like(variance), where=variance > 0))
             spread[here] = difference * factor[:, None]
     if count == 1:
@@ -131,5 +144,5 @@ def _shapes(curve: MeasuredCurve, part: np.ndarray, name: str, count: int) -> np
     along = curve.displacement[part] if curve.segment is None else curve.clock[part]
     position = (along - along.min()) / max(float(np.ptp(along)), 1e-300)
     if name.startswith("hold"):
-        position = np.log1p(position / _LOGARITHMIC_FROM) / np.log1p(1.0 / _LOGARITHMIC_FROM)
+        position = np.log1p(position / SETTINGS.logarithmic_from) / np.log1p(1.0 / SETTINGS.logarithmic_from)
     return np.cos(np.outer(np.arccos(np.clip(1.0 - 2.0 * position, -1.0, 1.0)), np.arange(count)))

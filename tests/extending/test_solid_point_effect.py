@@ -90,7 +90,7 @@ def test_stiffness_and_memory(branch):
 
 
 def test_what_takes_none_says_so(branch):
-    with pytest.raises(ts.InputError, match="a reduced solid takes no effects that are added at the points"):
+    with pytest.raises(ts.InputError, match="a reduced solid does not support effects at quadrature points"):
         require_no_effects(material(branch))
 
     class Branching(branch):

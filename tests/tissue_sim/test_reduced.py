@@ -11,7 +11,7 @@ from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.reduction import forget_strokes, reduce_solid
 from tissue_sim.fem.reduced.sampling import sparse_weights
 from tissue_sim.fem.reduced.solver import TOLERANCE, ReducedSolver
-from tissue_sim.fem.reduced.strokes import stroke
+from tissue_sim.fem.reduced.training_paths import training_path
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.pose import between, turned
@@ -64,14 +64,15 @@ class TestStrokes:
     @pytest.mark.parametrize("holds", [True, False])
     def test_they_stay_in_the_box(self, holds):
         box, start = ts.PoseBox(2e-3, DEPTH, 0.1), ts.Pose((1e-3, 0.0, 0.0))
-        poses = [pose for number in range(20) for pose in stroke(number, box, start, holds=holds, reach=5e-3)]
+        poses = [pose for number in range(20) for pose in training_path(number, box, start, holds=holds, reach=5e-3)]
         assert all(box.holds(pose, start) for pose in poses if holds or pose.depth >= 0.0)
         assert np.ptp([pose.position[0] for pose in poses]) > 3e-3      # and fill it
         assert max(pose.depth for pose in poses) > 0.9 * DEPTH
 
     def test_the_same_on_every_call(self):
         box, start = ts.PoseBox(2e-3, DEPTH), ts.Pose((0.0, 0.0, 0.0))
-        assert stroke(7, box, start, holds=True, reach=5e-3) == stroke(7, box, start, holds=True, reach=5e-3)
+        first, second = (training_path(7, box, start, holds=True, reach=5e-3) for _ in range(2))
+        assert first == second
 
 
     def test_none_knows_of_those_before_it(self, touched):
@@ -195,7 +196,8 @@ class TestForces:
 def followed(held):
     """Poses of two strokes that it was neither made of nor calibrated on, and the whole solid's forces."""
     start = held.model.experiment.tool_pose(0.0)
-    ways = [stroke(training.UNSEEN + number, held.box, start, holds=True, reach=8e-3) for number in (11, 12)]
+    first = training.VERIFICATION.first_test_path
+    ways = [training_path(first + number, held.box, start, holds=True, reach=8e-3) for number in (11, 12)]
     solver = training.whole_solver(held.model, held.mesh)
     return [(way, training.snapshots(solver, way).wrenches[:, :3]) for way in ways]
 
@@ -431,7 +433,7 @@ def test_another_experiment_is_refused(held, changes):
 
 def test_layers_that_it_was_not_made_of_are_refused(held):
     layered = replace(MATERIAL, layers=(ts.Layer(1e-3, 10.0),))
-    with pytest.raises(ts.InputError, match="this one has none"):
+    with pytest.raises(ts.InputError, match="the reduced solid has no layers"):
         ts.Simulator(replace(held.model, material=layered), solver="reduced", mesh=held)
 
 
@@ -463,7 +465,7 @@ def test_a_smooth_motion_needs_few_further_looks(held):
 @pytest.mark.parametrize(("between_steps", "at_least"), [("nothing", 20), ("one that fails", 1), ("there and back", 1)])
 def test_what_is_not_looked_at_again_is_in_equilibrium(held, between_steps, at_least):
     """A linear solution with a small residual is accepted; here a second solver checks each."""
-    solver, beside = ReducedSolver(held, MATERIAL), ReducedSolver(held, MATERIAL)
+    solver, checker = ReducedSolver(held, MATERIAL), ReducedSolver(held, MATERIAL)
     looks, evaluate = [], solver.elements.evaluate
 
     def looked(*asked):
@@ -472,7 +474,8 @@ def test_what_is_not_looked_at_again_is_in_equilibrium(held, between_steps, at_l
 
     solver.elements.evaluate = looked
     start = held.model.experiment.tool_pose(0.0)
-    ways = [stroke(training.UNSEEN + number, held.box, start, holds=True, reach=8e-3)[:20] for number in (5, 6)]
+    first = training.VERIFICATION.first_test_path
+    ways = [training_path(first + number, held.box, start, holds=True, reach=8e-3)[:20] for number in (5, 6)]
     believed, off = [], []
     for pose, elsewhere in zip(*ways, strict=False):
         before = solver.pose
@@ -491,14 +494,14 @@ def test_what_is_not_looked_at_again_is_in_equilibrium(held, between_steps, at_l
             assert step.residual <= TOLERANCE
             if len(looks) > step.iterations:
                 continue
-            beside.restore(solver.save())
+            checker.restore(solver.save())
             # Pressures follow what the volumes there miss.
-            beside.elements.evaluate(solver.amplitudes, True, 0)
-            pushed, _ = beside._press(solver.amplitudes, frame := Frame(to, solver.datum), True)
-            residual = beside.elements.forces + pushed
-            scale = solver._scale(np.linalg.norm(residual[:held.lifting]) + np.linalg.norm(pushed))
+            checker.elements.evaluate(solver.amplitudes, True, 0)
+            pushed, _ = checker._evaluate_contact(solver.amplitudes, frame := Frame(to, solver.datum), True)
+            residual = checker.elements.forces + pushed
+            scale = solver._reference_force(np.linalg.norm(residual[:held.lifting]) + np.linalg.norm(pushed))
             believed.append(np.linalg.norm(residual[held.lifting:len(residual) - held.watched]) / scale)
-            wrench = beside.contact.wrench - beside._lifted.rates(frame).T @ residual[:held.lifting]
+            wrench = checker.contact.wrench - checker._tool_motion.rates(frame).T @ residual[:held.lifting]
             off.append(np.linalg.norm(np.subtract(step.wrench, wrench)[:3]) / max(np.linalg.norm(wrench[:3]), scale))
     assert len(believed) >= at_least
     assert max(believed) <= TOLERANCE

@@ -9,8 +9,8 @@ import tissue_sim as ts
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.acceptance import with_compliance
 from tissue_sim.fem.reduced.compliance_table import ContactCompliance, with_accepted
-from tissue_sim.fem.reduced.strokes import boundary_strokes, stroke
 from tissue_sim.fem.reduced.symmetry import symmetries
+from tissue_sim.fem.reduced.training_paths import boundary_training_paths, training_path
 from tissue_sim.pose import motion
 
 MATERIAL = ts.Material("neo_hooke", {"C10": 2000.0}, ts.Bulk("bulk_ratio", 1e3))
@@ -34,7 +34,7 @@ def central(ball):
     """The same solid of strokes near the middle of the box, as one whose strokes do not reach the corners."""
     reach = ball.model.experiment.contact_radius
     small = ts.PoseBox(0.5e-3, BOX.depth)
-    poses = [stroke(number, small, START, holds=False, reach=reach) for number in range(4)]
+    poses = [training_path(number, small, START, holds=False, reach=reach) for number in range(4)]
     solver = training.whole_solver(ball.model, ball.mesh)
     taken = [training.snapshots(solver, each) for each in poses]
     made = training.assemble(ball.model, ball.mesh, BOX, taken, poses, count=20, tolerance=6e-3,
@@ -71,7 +71,7 @@ class TestStrokes:
     @pytest.mark.parametrize("holds", [True, False])
     def test_they_reach_each_corner_and_edge_at_full_depth(self, holds):
         box = ts.PoseBox(2e-3, 1e-3, 0.1)
-        strokes = boundary_strokes(box, START, holds=holds, reach=5e-3)
+        strokes = boundary_training_paths(box, START, holds=holds, reach=5e-3)
         poses = [pose for each in strokes for pose in each]
         assert len(strokes) == 8 and all(box.holds(pose, START) for pose in poses if pose.depth >= 0.0)
         deepest = {tuple(np.round(pose.position, 6)) for pose in poses if pose.depth > 0.999e-3}
@@ -81,15 +81,15 @@ class TestStrokes:
     def test_images_are_not_followed(self, ball):
         solver = training.whole_solver(ball.model, ball.mesh)
         images = [each.matrix for each in symmetries(solver, START)]
-        assert len(boundary_strokes(BOX, START, holds=False, reach=5e-3, images=images)) == 2
+        assert len(boundary_training_paths(BOX, START, holds=False, reach=5e-3, images=images)) == 2
 
     def test_a_box_without_width_has_one(self):
-        (only,) = boundary_strokes(ts.PoseBox(0.0, 1e-3), START, holds=False, reach=5e-3)
+        (only,) = boundary_training_paths(ts.PoseBox(0.0, 1e-3), START, holds=False, reach=5e-3)
         assert max(pose.depth for pose in only) == 1e-3
 
     def test_a_fraction_stays_inside(self):
         small = ts.PoseBox(0.9 * BOX.sideways, 0.9 * BOX.depth)
-        for each in boundary_strokes(BOX, START, holds=False, reach=5e-3, fraction=0.9):
+        for each in boundary_training_paths(BOX, START, holds=False, reach=5e-3, fraction=0.9):
             assert all(small.holds(pose, START) for pose in each if pose.depth >= 0.0)
 
 

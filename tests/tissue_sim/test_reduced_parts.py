@@ -11,8 +11,8 @@ from scenes.cli import main
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.solver import ReducedSolver
-from tissue_sim.fem.reduced.strokes import stroke
 from tissue_sim.fem.reduced.symmetry import symmetries
+from tissue_sim.fem.reduced.training_paths import training_path
 from tissue_sim.fem.solid.tissue import Tissue, element_layers
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0
@@ -157,14 +157,14 @@ class TestLayers:
             expected = whole_forces(skinned, material, POSES)
             assert off(reduced_forces(made, material, POSES), expected) < 0.008
         assert off(reduced_forces(skinned, material, POSES), expected) > 0.02
-        with pytest.raises(ts.InputError, match="holds strokes of another model"):
+        with pytest.raises(ts.InputError, match="contains training paths of another model"):
             ts.reduce_solid(skinned.model, skinned.box, strokes=9, modes=20, folder=tmp_path)
         thicker = replace(SOFT, layers=(replace(SKIN, thickness=3e-3),))
-        with pytest.raises(ts.InputError, match="keeps its layers where they are"):
+        with pytest.raises(ts.InputError, match="must have the thicknesses of the reduced solid"):
             ts.reduce_solid(skinned.model, skinned.box, strokes=2, also=[thicker])
 
     def test_too_few_strokes_for_several_materials(self, skinned, tmp_path):
-        with pytest.raises(ts.InputError, match="2 strokes are too few for 3 materials") as refused:
+        with pytest.raises(ts.InputError, match="number of materials, 3; got 2") as refused:
             ts.reduce_solid(skinned.model, skinned.box, strokes=2, also=[SOFT, replace(SOFT, layers=(SKIN,))],
                             folder=tmp_path / "strokes")
         assert refused.value.field == "strokes" and not (tmp_path / "strokes").exists(), "what is mended may go on"
@@ -181,12 +181,12 @@ class TestLayers:
         materials = [skinned.model.material, soft]
         for material, number in zip(materials, (0, 1), strict=True):
             solver.set_material(material)
-            way = stroke(number, skinned.box, start, holds=True, reach=6e-3)[::4]
+            way = training_path(number, skinned.box, start, holds=True, reach=6e-3)[::4]
             ways.append(way)
             taken.append(training.snapshots(solver, way))
         looked_at = list(training.samples(taken, ways, materials, [symmetries(solver, start)[0]], start))
         assert sum(sample.material is soft for sample in looked_at) >= 0.3 * len(looked_at)
-        unseen = stroke(training.UNSEEN, skinned.box, start, holds=True, reach=6e-3)
+        unseen = training_path(training.VERIFICATION.first_test_path, skinned.box, start, holds=True, reach=6e-3)
         report, _ = training.verify(skinned, solver, [unseen, unseen], materials=materials)
         of_soft, _ = training.verify(skinned, solver, [unseen], materials=[soft])
         of_stiff, _ = training.verify(skinned, solver, [unseen], materials=materials[:1])
@@ -222,7 +222,7 @@ class TestLayers:
 
     @pytest.mark.parametrize("layers", [(replace(SKIN, thickness=3e-3),), (SKIN, SKIN)], ids=["thicker", "two"])
     def test_layers_stay_where_they_are(self, layers, skinned):
-        with pytest.raises(ts.InputError, match="keeps its layers where they are, from the top down 2 mm"):
+        with pytest.raises(ts.InputError, match="thicknesses of the reduced solid, from the top down 2 mm"):
             ReducedSolver(skinned, replace(SOFT, layers=layers))
 
     def test_colours_know_the_skin(self, skinned):
@@ -264,7 +264,7 @@ class TestSides:
         box = ts.PoseBox(0.0, 1e-3)
         ts.reduce_solid(model, box, strokes=2, modes=4, tried=1, folder=folder)
         again = lopsided(tmp_path / "organ.vtu", middle=0.006)
-        with pytest.raises(ts.InputError, match="holds strokes of another model"):
+        with pytest.raises(ts.InputError, match="contains training paths of another model"):
             ts.reduce_solid(again, box, strokes=2, modes=4, tried=1, folder=folder)
         assert again.experiment.specimen != model.experiment.specimen
         moved = tmp_path / "elsewhere.vtu"

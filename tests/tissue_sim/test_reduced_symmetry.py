@@ -8,8 +8,8 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.reduced import training
-from tissue_sim.fem.reduced.strokes import stroke
 from tissue_sim.fem.reduced.symmetry import parities, symmetries
+from tissue_sim.fem.reduced.training_paths import training_path
 from tissue_sim.pose import motion
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))
@@ -45,7 +45,7 @@ def test_images_are_what_the_solid_does(name):
     whole, box, solver, start = scene(name)
     group = symmetries(solver, start)
     assert len(group) == SCENES[name][3] and group[0].is_identity
-    poses = stroke(3, box, start, holds=whole.experiment.friction == "bonded", reach=8e-3)
+    poses = training_path(3, box, start, holds=whole.experiment.friction == "bonded", reach=8e-3)
     own = training.snapshots(solver, poses, tolerance=1e-10)
     assert np.abs(own.wrenches[:, :2]).max() > 0.02 * np.abs(own.wrenches[:, 2]).max()   # it is dragged
     for symmetry in group[1::3]:
@@ -65,7 +65,7 @@ def test_a_rotation_turns_as_poses_do():
     """An image of an image of a pose is the pose's under both, one after the other."""
     _, _, solver, start = scene("held")
     group = symmetries(solver, start)
-    pose = stroke(5, ts.PoseBox(1e-3, DEPTH, 0.05), start, holds=True, reach=8e-3)[4]
+    pose = training_path(5, ts.PoseBox(1e-3, DEPTH, 0.05), start, holds=True, reach=8e-3)[4]
     for one in group:
         for other in group:
             both = next(each for each in group if (each.matrix == other.matrix @ one.matrix).all())
@@ -145,14 +145,14 @@ def test_images_make_a_reduced_solid_better():
     """Three strokes with their images against the three alone, on one that neither was made of."""
     whole, box, solver, start = scene("held")
     group = symmetries(solver, start)
-    poses = [stroke(number, box, start, holds=True, reach=8e-3) for number in range(3)]
+    poses = [training_path(number, box, start, holds=True, reach=8e-3) for number in range(3)]
     taken = [training.snapshots(solver, each) for each in poses]
     errors = []
     for own in (group[:1], group):
         reduced = training.assemble(whole, solver.mesh, box, taken, poses, count=16, tolerance=6e-3, softness=1e-3,
                                     bulk_ratio=300.0, group=own)
         assert reduced.report["symmetries"] == len(own)
-        unseen = stroke(training.UNSEEN, box, start, holds=True, reach=8e-3)
+        unseen = training_path(training.VERIFICATION.first_test_path, box, start, holds=True, reach=8e-3)
         report, _ = training.verify(reduced, solver, [unseen])
         assert report["not_converged"] == 0.0
         errors.append(report["force_rms_error"])

@@ -161,7 +161,7 @@ def test_what_takes_none_says_so():
     tested = model([0.0, 1e-3], tool=BALL, friction=0.3, base="bonded", adhesion=ts.Adhesion(0.02, 3e-4))
     with pytest.raises(ts.InputError, match="which supports no adhesion"):
         LINEARISATIONS.find("solid")(tested, resolution="realtime")
-    with pytest.raises(ts.InputError, match="reduced solid takes no adhesion"):
+    with pytest.raises(ts.InputError, match="reduced solid does not support adhesion"):
         require_reducible(tested)
     with pytest.raises(ts.InputError, match=r"contact_laws.film: traction\(\) must return a tissue_sim.Traction"):
         class Odd(Film):

@@ -1,4 +1,4 @@
-"""At which missing forces the answers of a reduced solid are right, learned on the strokes that it was made of."""
+"""Calibration of the missing-compliance error estimate on the training paths."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tissue_sim.fem.reduced.compliance import MissingForce, contact_compliance
 from tissue_sim.fem.reduced.compliance_table import with_accepted
 from tissue_sim.fem.reduced.model import ReducedModel
 from tissue_sim.fem.reduced.solver import ReducedSolver
-from tissue_sim.fem.reduced.training import FINER, Snapshots
+from tissue_sim.fem.reduced.training import VERIFICATION, Snapshots
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.material import Material
@@ -19,14 +19,18 @@ from tissue_sim.pose import Pose, between
 
 
 def with_compliance(reduced: ReducedModel, solver: SolidSolver, poses: Sequence[Sequence[Pose]],
-                    taken: Sequence[Snapshots], materials: Sequence[Material]) -> ReducedModel:
-    """A reduced solid that knows the compliance of its contact nodes; one whose tool holds tissue stays as it is.
+                    snapshots: Sequence[Snapshots], materials: Sequence[Material]) -> ReducedModel:
+    """Return a reduced solid with the calibrated compliance table of its contact nodes.
 
-    The strokes are followed by the reduced solid and compared with the whole one, see `with_accepted`.
+    The reduced solid is simulated along the training paths. Its missing force and its true force error give the
+    missing forces that are accepted, see `with_accepted`. A reduced solid with a bonded tool is returned unchanged.
 
     Args:
-        solver: the whole solid, of the model's material; it is at rest afterwards.
-        poses: of each stroke. taken: of the whole solid there. materials: of the solid on each stroke.
+        reduced: the reduced solid.
+        solver: full-order solver with the material of the model; it is at rest afterwards.
+        poses: poses of each training path.
+        snapshots: full-order states on each training path.
+        materials: material on each training path.
     """
     if reduced.lifting:
         return reduced
@@ -35,14 +39,15 @@ def with_compliance(reduced: ReducedModel, solver: SolidSolver, poses: Sequence[
     small = ReducedSolver(replace(reduced, compliance=table), reduced.model.material)
     missing_force = MissingForce(table, small.contact)
     forces, missing, errors = [], [], []
-    for stroke, whole, material in zip(poses, taken, materials, strict=True):
+    for path, full_order, material in zip(poses, snapshots, materials, strict=True):
         if material is not small.material:
             small.set_material(material)
         small.forget()
-        here = stroke[0]
-        for pose, wrench in zip(stroke, whole.wrenches, strict=True):
-            steps = [small.step(between(here, pose, (k + 1) / FINER)) for k in range(FINER)]
-            here = pose
+        last_pose = path[0]
+        substeps = VERIFICATION.substeps
+        for pose, wrench in zip(path, full_order.wrenches, strict=True):
+            steps = [small.step(between(last_pose, pose, (k + 1) / substeps)) for k in range(substeps)]
+            last_pose = pose
             if steps[-1].status is StepStatus.CONVERGED and small.contact.touches:
                 force = np.array(steps[-1].wrench[:3])
                 forces.append(float(np.linalg.norm(force)))

@@ -1,10 +1,11 @@
-"""Compliance of the contact nodes that the modes of a reduced solid do not represent, and the error of the force by it.
+"""A-posteriori error estimate of a reduced solid by the compliance that its contact nodes lack.
 
-A basis represents the displacement under the contact forces of the training strokes. It contains nearly no motion of a
-node that no stroke pressed, so that the reduced solid is too stiff there. The residual on further modes of the same
-strokes cannot show this. The compliance of the contact nodes can: that of the whole solid, G, and that of the reduced
-solid, G_r, are known at rest (residual attachment modes: MacNeal, Computers & Structures 1 (1971) 581; a-posteriori
-error of a reduced basis: Rozza, Huynh and Patera, Arch. Comput. Methods Eng. 15 (2008) 229).
+A reduced basis represents displacements under the contact forces of the training paths. It contains almost no motion of
+a node that no training path loaded, so that the reduced solid is too stiff at this node. The residual on further modes
+of the same training paths cannot show the error. The difference between the nodal compliance G of the full-order solid
+and the compliance G_r = Phi (Phi' K Phi)^-1 Phi' of the reduced solid does (residual attachment modes: MacNeal,
+Computers & Structures 1 (1971) 581; a-posteriori error of a reduced basis: Rozza, Huynh and Patera, Arch. Comput.
+Methods Eng. 15 (2008) 229).
 """
 
 from __future__ import annotations
@@ -23,63 +24,64 @@ from tissue_sim.fem.solid.solver import SolidSolver
 
 
 class MissingForce:
-    """Error of the force of a reduced solid by the compliance that its contact nodes lack.
+    """Estimate of the force error of a reduced solid by missing compliance of its contact nodes.
 
-    Nodes under a given displacement with forces f exert too much where their compliance lacks D = G - G_r: they would
-    move by D f more, and a rigid tool that holds them in place reduces the forces by G^-1 D f. The sum 1' G^-1 D f over
-    the nodes that touch is the missing force. It depends on ratios of compliances, so that it holds for other moduli.
+    With the missing compliance D = G - G_r, contact forces f would displace the nodes by D f more. A rigid tool that
+    prescribes the displacement then needs forces that are smaller by G^-1 D f. The missing force is the sum
+    1' G^-1 D f over the touching nodes. The sum depends on ratios of compliances only, so it holds for other moduli.
 
-    A deformed solid is not as compliant as at rest, so that the missing force is not zero where the answer is right.
-    The error is the excess over the values in right answers on the training strokes (`ContactCompliance.accepted`).
+    The compliance of a deformed solid differs from the compliance at rest, so an accurate force has a missing force
+    above zero. The error estimate is the excess over the missing force of accurate states on the training paths
+    (`ContactCompliance.accepted`).
 
     Args:
         table: compliances of the contact nodes.
-        contact: whose forces are taken; its nodes are those of the table.
+        contact: contact whose nodal forces are used; its nodes are the nodes of the table.
     """
 
     def __init__(self, table: ContactCompliance, contact: LayerContact):
         self._table, self._contact = table, contact
-        #: Nodes for which the weights, missing force per force on each node, are those now.
+        #: Contact state of the nodes, as bytes, for which the weights were computed.
         self._touching = b""
         self._weights = np.zeros((table.nodes.size, 3))
 
     def value(self) -> float:
-        """Missing force at the present contact forces, N."""
+        """Return the missing force at the present contact forces, N."""
         touching = self._contact.touching
         if (key := touching.tobytes()) != self._touching:
             self._touching = key
-            self._weights = self._weights_of(np.flatnonzero(touching))
+            self._weights = self._compute_weights(np.flatnonzero(touching))
         return abs(float(np.vdot(self._weights, self._contact.forces)))
 
     def error(self, force: float) -> float:
-        """Estimated error of a force of this size on the tool, N."""
+        """Return the estimated error, N, of a force on the tool of this norm, N."""
         return max(0.0, self.value() - self._table.accepted_at(force))
 
-    def _weights_of(self, nodes: np.ndarray) -> np.ndarray:
-        """Missing force per force on each node where these touch, shape (n, 3)."""
+    def _compute_weights(self, nodes: np.ndarray) -> np.ndarray:
+        """Return the derivative of the missing force with respect to the nodal forces if these nodes touch, (n, 3)."""
         weights = np.zeros(self._weights.shape)
         if nodes.size:
             block = np.ix_(nodes, nodes)
             _, pressure, failed = lapack.dposv(self._table.whole[block], np.ones(nodes.size))
-            assert not failed, "the compliance of a solid that is held is positive definite"
+            assert not failed, "the compliance of a supported solid is positive definite"
             weights[nodes] = (pressure @ self._table.missing[block])[:, None] * self._table.axis
         return weights
 
 
 def missing_force(reduced: ReducedModel, contact: LayerContact) -> MissingForce | None:
-    """The estimate for a reduced solid; None for a tool that holds tissue."""
+    """Return the estimate for a reduced solid; None for a bonded tool."""
     if reduced.lifting:
         return None
-    return MissingForce(reduced.compliance or compliance_of_older_file(reduced), contact)
+    return MissingForce(reduced.compliance or compute_absent_compliance(reduced), contact)
 
 
 def contact_compliance(reduced: ReducedModel, solver: SolidSolver, nodes: np.ndarray) -> ContactCompliance:
-    """The compliances of contact nodes, at which no answer is yet known to be right.
+    """Compute the compliances of the contact nodes; the table accepts no missing force yet.
 
     Args:
-        reduced: its modes, elements and material.
-        solver: the whole solid of the same material; it is at rest afterwards.
-        nodes: that may meet the tool, shape (n,).
+        reduced: modes, sampled elements and material.
+        solver: full-order solver with the same material; it is at rest afterwards.
+        nodes: numbers of the nodes that may touch the tool, shape (n,).
     """
     axis = np.array(reduced.model.experiment.tool_pose(0.0).rotation)[:, 2]
     whole = node_compliance(solver, nodes, axis)
@@ -91,7 +93,7 @@ def contact_compliance(reduced: ReducedModel, solver: SolidSolver, nodes: np.nda
 
 
 def _resting_stiffness(reduced: ReducedModel) -> np.ndarray:
-    """Stiffness of the sampled elements between the modes where nothing touches them, shape (modes, modes)."""
+    """Return the modal stiffness of the sampled elements at rest, without contact, N/m, shape (modes, modes)."""
     experiment = reduced.model.experiment
     elements = SampledElements(reduced.mesh, reduced.basis, reduced.elements, reduced.shares, rest=reduced.rest,
                                layers=reduced.element_layers, contact_radius=experiment.contact_radius)
@@ -99,16 +101,16 @@ def _resting_stiffness(reduced: ReducedModel) -> np.ndarray:
     elements.settle()
     rest = np.zeros(reduced.basis.shape[1])
     elements.pressures[:] = elements.rest_pressures
-    elements.renew(rest)
+    elements.reset_stiffness(rest)
     elements.evaluate(rest, False, 1)
     return elements.tangent
 
 
 @lru_cache(maxsize=2)
-def compliance_of_older_file(reduced: ReducedModel) -> ContactCompliance:
-    """The compliances of a reduced solid whose file was written before they were kept.
+def compute_absent_compliance(reduced: ReducedModel) -> ContactCompliance:
+    """Compute the compliances of a reduced solid whose file does not contain them (written by an older version).
 
-    At which missing forces its answers are right is not known: all of the missing force counts as error.
+    The table accepts no missing force: all of the missing force counts as error.
     """
     from tissue_sim.fem.solid.discretisation import make_solver
 

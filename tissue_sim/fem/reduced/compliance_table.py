@@ -1,4 +1,4 @@
-"""Compliances of the contact nodes of a reduced solid, and the missing forces at which its answers are right."""
+"""Table of the compliance of the contact nodes of a reduced solid, for the missing-compliance error estimate."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class ContactCompliance:
-    """Displacements of the contact nodes along the tool's axis under unit forces on them along this axis, at rest.
+    """Compliance matrices of the contact nodes along the axis of the tool, for the undeformed or resting solid.
 
     Attributes:
-        nodes: numbers of the nodes, shape (n,).
-        axis: of the tool at its start, shape (3,).
-        whole: of the whole solid, m/N, shape (n, n).
-        missing: `whole` less that of the reduced solid, m/N, shape (n, n).
+        nodes: node numbers, shape (n,).
+        axis: axis of the tool at its start, unit vector, shape (3,).
+        whole: compliance G of the full-order solid, m/N, shape (n, n).
+        missing: compliance G - G_r that the reduced solid lacks, m/N, shape (n, n).
         forces: forces on the tool, N, ascending from 0, shape (k,).
-        accepted: the missing force (`MissingForce`) at which the answer was right at forces up to these, N, shape (k,).
+        accepted: missing force (`MissingForce`) up to which the training paths showed no error, at each of `forces`,
+            N, shape (k,).
     """
 
     nodes: np.ndarray
@@ -30,11 +31,11 @@ class ContactCompliance:
 
     @property
     def accepting_all(self) -> ContactCompliance:
-        """The table of a reduced solid whose error by missing compliance counts as 0."""
+        """Copy of the table that accepts every missing force, so that the error by missing compliance is 0."""
         return replace(self, forces=np.zeros(1), accepted=np.full(1, np.inf))
 
     def accepted_at(self, force: float) -> float:
-        """Missing force, N, at which the answer was right at a force, N; beyond the largest it grows in proportion."""
+        """Return the accepted missing force, N, at a force on the tool, N; proportional beyond the largest force."""
         last = float(self.forces[-1])
         if force > last > 0.0:
             return float(self.accepted[-1]) * force / last
@@ -43,14 +44,17 @@ class ContactCompliance:
 
 def with_accepted(table: ContactCompliance, forces: Sequence[float], missing: Sequence[float],
                   errors: Sequence[float]) -> ContactCompliance:
-    """A table that knows at which missing forces answers were right.
+    """Return a table with the accepted missing forces from a set of compared states.
 
-    In each state the missing force less the true error may be accepted. The value at a force is the largest one at
-    smaller forces, or the largest fraction of the force at larger ones: the fraction falls as more nodes touch.
+    In each state the accepted missing force is max(0, missing force - true error). The value at a force F is the
+    larger of the largest accepted value at forces below F and F times the largest accepted fraction at forces above F:
+    the fraction falls as more nodes touch.
 
     Args:
-        table: of the reduced solid.
-        forces: on the tool, N; missing: missing forces, N; errors: true errors of the force, N; one each for a state.
+        table: table of the reduced solid.
+        forces: force on the tool in each state, N.
+        missing: missing force in each state, N.
+        errors: true error of the force in each state, N.
     """
     order = np.argsort(forces)
     force, accepted = np.asarray(forces)[order], np.maximum(0.0, np.asarray(missing) - np.asarray(errors))[order]

@@ -1,7 +1,8 @@
-"""Contact of a reduced solid's surface with the tool.
+"""Penalty contact of a reduced solid with the tool through a thin elastic layer.
 
-Constraints at nodes would lock: there are as many of them as there are modes. Instead the tool wears a thin elastic
-layer, whose springs are soft enough for the modes and stiff enough for the force.
+Exact contact constraints at the nodes would lock a reduced solid, because the number of constraints reaches the number
+of modes. The penalty stiffness corresponds to a thin elastic layer on the tool: soft enough to avoid locking and stiff
+enough for an accurate force.
 """
 
 from __future__ import annotations
@@ -10,32 +11,37 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tissue_sim.fem.reduced import contact_kernel as kernel
+from tissue_sim.fem.reduced.contact_kernel import LayerResult, LayerSetting, NodeState, contact_kernel
 from tissue_sim.fem.solid.bodies import Body
 from tissue_sim.fem.solid.contact import STICK
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 
-#: Of an interface without slip that can lift off.
+#: Friction coefficient of an interface that cannot slip and can lift off.
 _NO_SLIP = 1e6
-#: What is as near as this to the limit of friction is at it: more than a step leaves unbalanced.
-_AT_LIMIT = 1e-2
+#: A node within this fraction of its friction limit counts as slipping, for the stiffness of continued slip. The
+#: fraction is larger than the relative residual of a step.
+_SLIP_MARGIN = 1e-2
 
 
 class LayerContact:
-    """The nodes that may meet the tool, on the modes of a reduced solid.
+    """Contact forces and their derivatives on the modes of a reduced solid.
+
+    The penalty stiffness per area is mu / (softness reach) with the shear modulus mu at the node.
 
     Args:
-        bodies: who may be met; those that move with the tool count.
-        places: of all nodes, undeformed, m, shape (nodes, 3). areas: that each stands for, m2.
-        basis: what the modes move, shape (freedoms, modes).
-        reach: of the contact, m; the layer's stiffness is stated over it.
-        softness: share of the way by which the layer gives way.
+        bodies: bodies that the nodes may touch; only bodies that move with the tool are used.
+        places: positions of all nodes without contact, m, shape (nodes, 3).
+        areas: tributary areas of all nodes, m2, shape (nodes,).
+        basis: displacements of the modes, m per amplitude, shape (freedoms, modes).
+        reach: contact radius, m.
+        softness: thickness of the layer over the contact radius; a smaller value is stiffer.
 
     Attributes:
-        nodes: numbers, shape (n,). forces: on the tissue, of those that touch, N, shape (n, 3). touched:
-            which of them press.
+        nodes: numbers of the contact nodes, shape (n,).
+        forces: contact forces on the tissue, valid for touching nodes, N, shape (n, 3).
+        touched: which nodes touched the tool in the last committed step, shape (n,).
     """
 
     def __init__(self, bodies: Sequence[Body], places: np.ndarray, areas: np.ndarray, basis: np.ndarray, *,
@@ -51,9 +57,9 @@ class LayerContact:
         self.places = np.ascontiguousarray(places[self.nodes])
         self.areas = areas[self.nodes]
         self._rows = np.ascontiguousarray(basis.reshape(-1, 3, basis.shape[1])[self.nodes].reshape(3 * n, -1))
-        self._settings = np.zeros(kernel.SETTINGS)
+        self._settings = np.zeros(LayerSetting.COUNT)
         profile = moving[0].profile
-        self._settings[kernel.ROUNDING], self._settings[kernel.ZONE] = profile.rounding, softness * reach
+        self._settings[LayerSetting.ROUNDING], self._settings[LayerSetting.ZONE] = profile.rounding, softness * reach
         self._reach, self._softness = reach, softness
         friction = np.array([body.friction for body in own], dtype=float).reshape(n, 2)
         friction[friction == STICK] = _NO_SLIP
@@ -63,9 +69,10 @@ class LayerContact:
         self.anchors, self._new_anchors, self.forces = np.zeros((3, n, 3))
         self._moved = np.zeros((n, 3))
         self._modes = modes = self._rows.shape[1]
-        # As the kernel says; and the products of what touches with how its forces change, shape (modes + 6, modes + 6).
+        # Arrays of the kernel. `_products` is the stiffness between modes and tool, shape (modes + 6, modes + 6).
         self._met, self._answers = np.zeros((2, 3 * n, modes + 6))
-        self._pushes, self._twists, self._report = np.zeros(modes + 6), np.zeros((3, modes)), np.zeros(kernel.REPORT)
+        self._pushes, self._twists = np.zeros(modes + 6), np.zeros((3, modes))
+        self._report = np.zeros(LayerResult.COUNT)
         self._products = np.zeros((modes + 6, modes + 6))
         self._arrays = {
             "settings": self._settings, "vertices": np.ascontiguousarray(profile.vertices),
@@ -77,92 +84,106 @@ class LayerContact:
             "new_anchors": self._new_anchors, "states": self._states, "rows": self._rows, "met": self._met,
             "answers": self._answers, "pushes": self._pushes, "twists": self._twists, "report": self._report}
         with LOCK:
-            self._press = BoundKernel(kernel.contact_kernel(), self._arrays)
+            self._press = BoundKernel(contact_kernel(), self._arrays)
 
     def set_stiffness(self, moduli: np.ndarray) -> float:
-        """A layer for tissue with these shear moduli at all nodes, Pa, shape (nodes,); returns the least of them where
-        it touches."""
+        """Set the penalty stiffness from the shear moduli at all nodes, Pa, shape (nodes,).
+
+        Returns:
+            Smallest shear modulus of the contact nodes, Pa.
+        """
         own = moduli[self.nodes]
         self._springs[:] = own / (self._softness * self._reach) * self.areas
         return float(own.min())
 
     def evaluate(self, amplitudes: np.ndarray, frame: Frame, pressed_in: bool, *, slips_on: bool = False) -> None:
-        """Find forces and their rates at these amplitudes, shape (modes,), under a tool there; `slips_on`: the rates of
-        what is at the limit of friction are those of slip."""
+        """Evaluate the contact forces and their derivatives.
+
+        Args:
+            amplitudes: modal amplitudes, shape (modes,).
+            frame: frame of the tool.
+            pressed_in: whether the tool is at or below the height of first contact.
+            slips_on: whether nodes close to the friction limit have the derivative of slip instead of stick.
+        """
         settings = self._settings
-        settings[kernel.AT_LIMIT] = _AT_LIMIT * slips_on
-        settings[kernel.ROTATION : kernel.ROTATION + 9] = frame.rotation.ravel()
-        settings[kernel.ORIGIN : kernel.ORIGIN + 3] = frame.origin
-        settings[kernel.PRESSED_IN] = pressed_in
+        settings[LayerSetting.SLIP_MARGIN] = _SLIP_MARGIN * slips_on
+        settings[LayerSetting.ROTATION : LayerSetting.ROTATION + 9] = frame.rotation.ravel()
+        settings[LayerSetting.ORIGIN : LayerSetting.ORIGIN + 3] = frame.origin
+        settings[LayerSetting.PRESSED_IN] = pressed_in
         np.dot(self._rows, amplitudes, out=self._moved.reshape(-1))
         with LOCK:
             self._press()
-        rows = 3 * int(self._report[kernel.TOUCHING])
+        rows = 3 * int(self._report[LayerResult.TOUCHING])
         np.dot(self._met[:rows].T, self._answers[:rows], out=self._products)
 
     def on_modes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Forces of the tissue on the tool, on the modes, shape (modes,), and their derivatives, (modes, modes), which
-        stand there until the next evaluation."""
+        """Return minus the modal contact forces on the tissue, (modes,), and their derivative, (modes, modes).
+
+        The derivative is a view, valid until the next evaluation.
+        """
         modes = self._modes
         return -self._pushes[:modes], self._products[:modes, :modes]
 
     @property
     def wrench(self) -> np.ndarray:
-        """On the tool, about its deepest point, N and N m, shape (6,)."""
+        """Wrench on the tool about its deepest point, N and N m, shape (6,)."""
         return -self._pushes[self._modes :]
 
     @property
     def rates_of_modes(self) -> np.ndarray:
-        """How the forces on the modes change as the tool moves and turns and the tissue does not, shape (modes, 6)."""
+        """Derivative of the modal forces with respect to the pose of the tool, at fixed tissue, shape (modes, 6)."""
         modes = self._modes
         return -self._products[:modes, modes:]
 
     def force_of(self, change: np.ndarray) -> np.ndarray:
-        """How the force on the tool, N, shape (3,), changes with the amplitudes, shape (modes,)."""
+        """Return the linear change of the force on the tool, N, shape (3,), for changed amplitudes, (modes,)."""
         modes = self._modes
         return self._products[modes : modes + 3, :modes] @ change
 
-    def stiffness(self, answer: np.ndarray) -> np.ndarray:
-        """Minus the derivative of the wrench with the pose of the tool, (6, 6), where the amplitudes answer it so,
-        shape (modes, 6)."""
+    def stiffness(self, sensitivity: np.ndarray) -> np.ndarray:
+        """Return minus the derivative of the wrench with respect to the pose of the tool, shape (6, 6).
+
+        Args:
+            sensitivity: derivative of the amplitudes with respect to the pose, shape (modes, 6).
+        """
         modes = self._modes
-        stiffness = self._products[modes:, modes:] - self._products[modes:, :modes] @ answer
-        # The levers change, too.
+        stiffness = self._products[modes:, modes:] - self._products[modes:, :modes] @ sensitivity
+        # The lever arms of the forces change with the tool and the nodes.
         x, y, z = self._pushes[modes : modes + 3].tolist()
-        stiffness[3:] += self._twists @ answer
+        stiffness[3:] += self._twists @ sensitivity
         stiffness[3:, :3] += ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0))
         return stiffness
 
     @property
     def touches(self) -> bool:
-        """Whether any node does."""
-        return bool(self._report[kernel.TOUCHING])
+        """Whether any node touched the tool in the last evaluation."""
+        return bool(self._report[LayerResult.TOUCHING])
 
     @property
     def touching(self) -> np.ndarray:
-        """Which nodes touch the tool at the last evaluation, shape (n,)."""
-        return self._states != kernel.FREE
+        """Mask of the nodes that touched the tool in the last evaluation, shape (n,)."""
+        return self._states != NodeState.FREE
 
     @property
     def slipping(self) -> int:
-        """How many nodes slip."""
-        return int(self._report[kernel.SLIPPING])
+        """Number of slipping nodes in the last evaluation."""
+        return int(self._report[LayerResult.SLIPPING])
 
     @property
     def violation(self) -> float:
-        """How far the tissue is in the tool, which is how far the layer gives way, m."""
-        return float(self._report[kernel.DEPTH])
+        """Largest penetration of a node into the tool, m; the compression of the layer."""
+        return float(self._report[LayerResult.DEPTH])
 
     def commit(self) -> None:
-        """After a step that converged."""
+        """Store stick anchors and touching nodes after a converged step."""
         self.anchors[:] = self._new_anchors
-        self.touched[:] = self._states != kernel.FREE
+        self.touched[:] = self._states != NodeState.FREE
 
     def forget(self) -> None:
-        """Nothing touches."""
+        """Mark all nodes as not touching."""
         self.touched[:] = 0
 
     @property
     def kept(self) -> tuple[np.ndarray, ...]:
-        """All that a committed step leaves behind."""
+        """Arrays that belong to the state of the solver; they are saved and restored."""
         return self.anchors, self.touched

@@ -1,54 +1,89 @@
-"""Contact of nodes with a rigid body of revolution through a thin elastic layer, as a Taichi kernel.
+"""Taichi kernel of penalty contact between nodes and a rigid body of revolution with a thin elastic layer.
 
-The nearest place of the body is found as in `tissue_sim.fem.solid.contact.nearest`.
+The closest point of the body is found as in `tissue_sim.fem.solid.contact.nearest`.
 """
 
+from enum import IntEnum
 from functools import cache
 
 from tissue_sim.fem.taichi.runtime import initialise
 
-#: States of a node.
-FREE, STICKS, SLIPS = range(3)
-#: Places in `settings`: rotation of the body, place of its origin, rounding radius of its outline, half of the width of
-#: the zone in which the layer takes hold, m, whether the body is where it touched or deeper, and within which share of
-#: the limit of friction a node counts as slipping.
-ROTATION, ORIGIN, ROUNDING, ZONE, PRESSED_IN, AT_LIMIT, SETTINGS = 0, 9, 12, 13, 14, 15, 16
-#: Places in `report`: how many nodes touch, how many of them slip, and how far the deepest is in the body, m.
-TOUCHING, SLIPPING, DEPTH, REPORT = 0, 1, 2, 3
+
+class NodeState(IntEnum):
+    """Contact state of a node."""
+
+    FREE = 0
+    STICKS = 1
+    SLIPS = 2
+
+
+class LayerSetting(IntEnum):
+    """Columns of the array `settings` of the kernel."""
+
+    #: First of nine entries: rotation matrix of the body, row by row.
+    ROTATION = 0
+    #: First of three entries: position of the origin of the body, m.
+    ORIGIN = 9
+    #: Rounding radius of the outline, m.
+    ROUNDING = 12
+    #: Half width of the gap interval in which the pressure rises quadratically from zero, m.
+    ZONE = 13
+    #: 1 if the body is at or below the height of first contact, else 0.
+    PRESSED_IN = 14
+    #: A node within this fraction of its friction limit counts as slipping.
+    SLIP_MARGIN = 15
+    #: Number of columns.
+    COUNT = 16
+
+
+class LayerResult(IntEnum):
+    """Columns of the array `report` of the kernel."""
+
+    #: Number of touching nodes.
+    TOUCHING = 0
+    #: Number of slipping nodes.
+    SLIPPING = 1
+    #: Largest penetration of a node, m.
+    DEPTH = 2
+    #: Number of columns.
+    COUNT = 3
 
 
 @cache
 def contact_kernel():
-    """Kernel of the forces on nodes, in the frame of the mesh, and of what they and minus their derivatives with the
-    nodes' places are on the modes.
+    """Return the kernel that computes nodal contact forces, their derivatives, and both on the modes.
 
-    A node that is x away from the body is pressed by spring times phi(x): phi is -x where x < -zone, 0 where x > zone
-    and a parabola between them. Along the surface its anchor, which stands in the frame of the body, holds it by the
-    same spring, up to friction times pressure. ``first`` is the first line of the outline that a node may
-    meet, ``closed`` whether a sharp shaft goes on downwards for it.
+    A node with gap g is loaded by the pressure force k phi(g): phi(g) = -g for g < -zone, 0 for g > zone and the
+    parabola (zone - g)^2 / (4 zone) between them. Tangentially the penalty stiffness k acts on the distance from the
+    stick anchor, which is fixed to the body, up to the Coulomb limit mu k phi (return mapping).
 
-    The modes are followed by six ways of the tool: its position and a rotation about its origin. Of the nodes that
-    touch, in their order, ``met`` gets how the modes move them and how they would go with the tool, ``answers`` how the
-    forces change with either; shape (3 nodes, modes + 6). ``pushes`` gets the forces on them, ``twists`` the torque of
-    the forces where the modes move their nodes.
+    Arrays: ``first`` is the first line of the outline that a node may touch. ``closed`` states whether the first line
+    (of a sharp shaft) is extended downwards without end for a node. Behind the modes come six unit motions of the tool,
+    its displacement and its rotation about its origin. For the touching nodes in order, ``met`` receives the
+    displacement of the node in each mode and each unit motion, and ``answers`` minus the change of its force; shape
+    (3 nodes, modes + 6).
+    ``pushes`` receives the generalised forces, shape (modes + 6,), and ``twists`` the derivative of the torque through
+    the lever arms, shape (3, modes). Forces are in the frame of the mesh, N.
     """
     ti = initialise()
     real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
     int1 = ti.types.ndarray(ti.i32, ndim=1)
 
     @ti.func
-    def meet(n, settings: ti.template(), vertices: ti.template(), shaft: ti.template(), places: ti.template(),
+    def compute_force(n, settings: ti.template(), vertices: ti.template(), shaft: ti.template(), places: ti.template(),
              moved: ti.template(), springs: ti.template(), friction: ti.template(), first: ti.template(),
              closed: ti.template(), anchors: ti.template(), touched: ti.template(), forces: ti.template(),
              rates: ti.template(), gaps: ti.template(), new_anchors: ti.template(), states: ti.template()):
-        """Find the force on a node, and minus its derivative with the node's place, in the frame of the mesh."""
-        turn = ti.Matrix([[settings[ROTATION + 3 * i + k] for k in ti.static(range(3))]
+        """Compute the force on a node and minus its derivative with respect to the position of the node."""
+        turn = ti.Matrix([[settings[LayerSetting.ROTATION + 3 * i + k] for k in ti.static(range(3))]
                           for i in ti.static(range(3))])
-        offset = ti.Vector([places[n, i] + moved[n, i] - settings[ORIGIN + i] for i in ti.static(range(3))])
+        offset = ti.Vector([places[n, i] + moved[n, i] - settings[LayerSetting.ORIGIN + i]
+                            for i in ti.static(range(3))])
         at = turn.transpose() @ offset
         r, z = ti.sqrt(at[0] * at[0] + at[1] * at[1]), at[2]
         endless = 0
-        if closed[n] > 0 and settings[PRESSED_IN] > 0.0 and first[n] == shaft[0] and settings[ROUNDING] == 0.0:
+        if (closed[n] > 0 and settings[LayerSetting.PRESSED_IN] > 0.0 and first[n] == shaft[0]
+                and settings[LayerSetting.ROUNDING] == 0.0):
             endless = 1
         best, near, front, beyond, arrow_r, arrow_z, before = -1, 1e30, 0.0, 0, 0.0, 0.0, 0
         for line in range(first[n], vertices.shape[0] - 1):
@@ -63,7 +98,7 @@ def contact_kernel():
             a_r, a_z = r - start_r - share * t_r, z - start_z - share * t_z
             distance = ti.sqrt(a_r * a_r + a_z * a_z)
             ahead = a_r * t_z - a_z * t_r
-            # At a vertex the line decides that the point stands farther in front of.
+            # At a vertex two lines are equally close; the line with the larger signed distance decides.
             if distance < near - 1e-15 or (distance < near + 1e-15 and ti.abs(ahead) > ti.abs(front)):
                 best, near, front, arrow_r, arrow_z = line, distance, ahead, a_r, a_z
                 beyond = 1 if share != along and distance > 0.0 else 0
@@ -75,10 +110,10 @@ def contact_kernel():
         n_r, n_z, bent = way_z / length, -way_r / length, 0.0
         if beyond == 1:
             n_r, n_z, bent = sign * arrow_r / near, sign * arrow_z / near, sign / near
-        gap = sign * near - settings[ROUNDING]
+        gap = sign * near - settings[LayerSetting.ROUNDING]
         gaps[n] = gap
-        zone = settings[ZONE]
-        states[n] = FREE
+        zone = settings[LayerSetting.ZONE]
+        states[n] = NodeState.FREE
         for i in ti.static(range(3)):
             new_anchors[n, i] = at[i]
         if gap < zone:
@@ -99,10 +134,10 @@ def contact_kernel():
             rate = spring * slope * nn - pressure * (bent * meridian.outer_product(meridian)
                                                      + hoop * around.outer_product(around))
             force = pressure * normal
-            states[n] = STICKS
-            on_shaft = 1 if best >= shaft[0] and not (beyond == 1 and settings[ROUNDING] > 0.0) else 0
+            states[n] = NodeState.STICKS
+            on_shaft = 1 if best >= shaft[0] and not (beyond == 1 and settings[LayerSetting.ROUNDING] > 0.0) else 0
             mu = friction[n, on_shaft]
-            # What comes into contact in this step is bound from its end on.
+            # A node that comes into contact in this step gets its anchor at the end of the step.
             if mu > 0.0 and touched[n] > 0:
                 anchor = ti.Vector([anchors[n, i] for i in ti.static(range(3))])
                 slip = at - anchor
@@ -110,8 +145,8 @@ def contact_kernel():
                 size, limit = slip.norm(), mu * pressure
                 tangent = ti.Matrix.identity(ti.f64, 3) - nn
                 share = 1.0
-                if spring * size > (1.0 - settings[AT_LIMIT]) * limit and size > 0.0:
-                    states[n] = SLIPS
+                if spring * size > (1.0 - settings[LayerSetting.SLIP_MARGIN]) * limit and size > 0.0:
+                    states[n] = NodeState.SLIPS
                     share = ti.min(1.0, limit / (spring * size))
                     way = slip / size
                     rate = rate + spring * share * (tangent - way.outer_product(way)) \
@@ -129,14 +164,14 @@ def contact_kernel():
                     rates[n, i, k] = rate[i, k]
 
     @ti.func
-    def note(n, at, settings: ti.template(), places: ti.template(), moved: ti.template(), forces: ti.template(),
+    def add_to_modes(n, at, settings: ti.template(), places: ti.template(), moved: ti.template(), forces: ti.template(),
              rates: ti.template(), rows: ti.template(), met: ti.template(), answers: ti.template(),
              pushes: ti.template(), twists: ti.template()):
-        """Add a node that touches, from this row on, to what is known on the modes."""
+        """Add the force of a touching node and its derivative to the arrays on the modes, from row `at` on."""
         modes = rows.shape[1]
         force = ti.Vector([forces[n, i] for i in ti.static(range(3))])
         rate = ti.Matrix([[rates[n, i, k] for k in ti.static(range(3))] for i in ti.static(range(3))])
-        lever = ti.Vector([places[n, i] + moved[n, i] - settings[ORIGIN + i] for i in ti.static(range(3))])
+        lever = ti.Vector([places[n, i] + moved[n, i] - settings[LayerSetting.ORIGIN + i] for i in ti.static(range(3))])
         for m in range(modes):
             row = ti.Vector([rows[3 * n + i, m] for i in ti.static(range(3))])
             answer = rate @ row
@@ -147,7 +182,7 @@ def contact_kernel():
                 answers[at + i, m] = answer[i]
                 twists[i, m] = twists[i, m] + twist[i]
         for m in ti.static(range(6)):
-            # A turn moves the node, and turns the force that is fixed to the tool.
+            # A rotation of the tool moves the contact point and rotates the force with the tool.
             axis = ti.Vector([float(i == m % 3) for i in ti.static(range(3))])
             way, turned = axis, 0.0 * force
             if ti.static(m >= 3):
@@ -172,14 +207,17 @@ def contact_kernel():
                     twists[i, m] = 0.0
             touching, slipping, depth = 0, 0, 0.0
             for n in range(places.shape[0]):
-                meet(n, settings, vertices, shaft, places, moved, springs, friction, first, closed, anchors, touched,
-                     forces, rates, gaps, new_anchors, states)
-                if states[n] != FREE:
-                    note(n, 3 * touching, settings, places, moved, forces, rates, rows, met, answers, pushes, twists)
+                compute_force(n, settings, vertices, shaft, places, moved, springs, friction, first, closed, anchors,
+                              touched, forces, rates, gaps, new_anchors, states)
+                if states[n] != NodeState.FREE:
+                    add_to_modes(n, 3 * touching, settings, places, moved, forces, rates, rows, met, answers, pushes,
+                                 twists)
                     touching += 1
                     depth = ti.max(depth, -gaps[n])
-                if states[n] == SLIPS:
+                if states[n] == NodeState.SLIPS:
                     slipping += 1
-            report[TOUCHING], report[SLIPPING], report[DEPTH] = touching, slipping, depth
+            report[LayerResult.TOUCHING] = touching
+            report[LayerResult.SLIPPING] = slipping
+            report[LayerResult.DEPTH] = depth
 
     return press

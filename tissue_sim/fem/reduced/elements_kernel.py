@@ -1,5 +1,6 @@
-"""Forces and stiffness of sampled elements at places of their nodes, as a Taichi kernel."""
+"""Taichi kernel of the forces and the stiffness of the sampled elements."""
 
+from enum import IntEnum
 from functools import cache
 
 from tissue_sim.fem.solid.batches import LANES
@@ -8,17 +9,24 @@ from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
-#: Places in `settings` beside those of the elements: whether the pressures follow a motion of the nodes.
-FOLLOWS, SETTINGS = 4, 5
+
+class SampledSettingColumn(IntEnum):
+    """Columns of the settings of this kernel, after the columns of `SettingColumn`."""
+
+    #: Whether the pressures are updated with the linearised volume change of the last motion of the nodes.
+    UPDATES_PRESSURE = 4
+    #: Number of columns.
+    COUNT = 5
 
 
 @cache
 def elements_kernel(element_name: str, energy: KernelEnergy):
-    """Kernel of the forces of the nodes, and of the stiffness of those groups of batches that are wanted.
+    """Return the kernel of the nodal forces and, for requested groups of batches, the element stiffness.
 
-    ``x`` and ``motion`` are displacements of the nodes and their last change, ``residual`` gets their forces,
-    ``blocks`` the stiffness of each lane's element, row by row; ``least`` gets the smallest J. ``standing`` is by how
-    much volumes miss less than they seem to.
+    Arrays: ``x`` and ``motion`` are the nodal displacements and their last change, m. ``residual`` receives the nodal
+    forces, N, ``blocks`` the stiffness matrix of the element in each lane, row by row, and ``least`` the smallest J.
+    ``wanted`` states for each group whether its stiffness is computed. ``standing`` is the residual of the pressure
+    equation at rest under self-weight, which is subtracted.
     """
     ti = initialise()
     element = SOLID_ELEMENTS[element_name]
@@ -32,9 +40,9 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
     vector1 = ti.types.ndarray(vec, ndim=1)
 
     @ti.func
-    def follow(b, kappa, motion: ti.template(), dofs: ti.template(), pressures: ti.template(), moduli: ti.template(),
-               volume_rates: ti.template(), gaps: ti.template()):
-        """Let the pressures of a batch follow a linear solution."""
+    def update_pressures(b, kappa, motion: ti.template(), dofs: ti.template(), pressures: ti.template(),
+                         moduli: ti.template(), volume_rates: ti.template(), gaps: ti.template()):
+        """Update the pressures of a batch with the linearised pressure equation."""
         bulk = kappa * moduli[b]
         for m in range(pressure_modes):
             at = b * pressure_modes + m
@@ -46,11 +54,11 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
             pressures[at] = pressures[at] + bulk * gap
 
     @ti.func
-    def spread(b, stiffness: ti.template(), blocks: ti.template()):
-        """Write the stiffness of a batch element by element."""
+    def scatter(b, stiffness: ti.template(), blocks: ti.template()):
+        """Copy the stiffness of a batch to the element matrices."""
         for c in range(nodes):
             for a in range(c + 1):
-                # The force on a along i for a motion of c along k stands at 3 k + i.
+                # Index 3 k + i: force on node a along i for a displacement of node c along k.
                 pair = 9 * (c * (c + 1) // 2 + a)
                 for l in ti.static(range(LANES)):
                     first = (b * LANES + l) * freedoms * freedoms
@@ -77,8 +85,8 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
                     residual[i] = 0.0
             for b in range(moduli.shape[0]):
                 stiff = wanted[groups[b]]
-                if settings[FOLLOWS] > 0.0:
-                    follow(b, kappa, motion, dofs, pressures, moduli, volume_rates, gaps)
+                if settings[SampledSettingColumn.UPDATES_PRESSURE] > 0.0:
+                    update_pressures(b, kappa, motion, dofs, pressures, moduli, volume_rates, gaps)
                 smallest = integrate(b, kappa, stiff, remembers, x, pressures, dofs, gradient_x, gradient_y,
                                      gradient_z, weights, mode_values, moduli, coefficients, elements, past, inherited,
                                      largest, stresses, energies, volume_rates, gaps, forces)
@@ -96,6 +104,6 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
                         residual[e] = residual[e] + force[l]
                 if stiff > 0.0:
                     stiffen(b, kappa, moduli, gradient_x, gradient_y, gradient_z, stiffness)
-                    spread(b, stiffness, blocks)
+                    scatter(b, stiffness, blocks)
 
     return evaluate

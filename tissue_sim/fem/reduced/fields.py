@@ -1,7 +1,8 @@
-"""Fields of a reduced solid: of all elements, also those that nobody looks at in a step.
+"""Fields of a reduced solid in all elements of the mesh, including elements outside the sample.
 
-Displacements are those of the modes. Their change of volume is that of nearly incompressible tissue to a few percent,
-which the bulk modulus would make pressures of that are wrong several times over: there is no pressure.
+Displacements are linear combinations of the modes. Their volume change is wrong by a few percent of the volume, which
+the bulk modulus of nearly incompressible tissue would turn into pressures several times too large. Pressure is
+therefore not computed.
 """
 
 from __future__ import annotations
@@ -17,20 +18,24 @@ from tissue_sim.fem.solid.tissue import layer_ratios
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 
-#: Kept for so many meshes.
+#: Quadrature data, cached for two meshes.
 _quadrature = lru_cache(maxsize=2)(quadrature)
 
 
 def reduced_fields(mesh: SolidMesh, material: Material, displacements: Sequence[np.ndarray],
                    datum: float, layers: np.ndarray) -> SolidFields | None:
-    """Fields of states of a reduced solid.
+    """Compute the fields of several states of a reduced solid.
 
     Args:
-        mesh: of the whole solid.
-        material: elastic; of one that remembers its past there are none, since most elements remember nothing.
-        displacements: of the nodes, m, each of shape (nodes, 3).
+        mesh: mesh of the full-order solid.
+        material: an elastic material. For a material with history the result is None, because elements outside the
+            sample have no history.
+        displacements: displacements of the nodes, m, each of shape (nodes, 3).
         datum: height at which the tool first touches, m.
-        layers: see `element_layers`.
+        layers: number of the material's layer of each element, see `element_layers`.
+
+    Returns:
+        Fields without pressure, or None for a material with history.
     """
     if material.remembers:
         return None

@@ -1,4 +1,4 @@
-"""Files of reduced solids, ``NAME.reduced.npz``: arrays, and a description in JSON."""
+"""Files of reduced solids, ``NAME.reduced.npz``: arrays and a JSON description."""
 
 from __future__ import annotations
 
@@ -35,25 +35,28 @@ from tissue_sim.parameters import from_keys, to_keys
 from tissue_sim.specimen.mesh import MeshSpecimen
 from tissue_sim.specimen.specimen import Specimen, specimen_of_keys
 
+#: Version of the file format.
 VERSION = 1
-#: Samples of its experiment's protocol, down to the depth of its box.
+#: Number of samples of the experiment's protocol, a ramp to the depth of the box.
 POINTS = 21
 _EXPECTED = "a reduced solid (.npz of `tissue-sim reduce`)"
-#: What the arrays of a specimen's mesh begin with that came from a file.
+#: Prefix of the array names of a specimen mesh that was read from a file.
 _OF_FILE = "of file "
-#: How a solid that weighs stands.
-_REST, _WEIGHT = ("rest displacement", "rest pressures"), ("density", "gravity", "height_is")
-#: Arrays of the compliance of the contact nodes.
+#: Names of the arrays of the equilibrium under self-weight.
+_REST = ("rest displacement", "rest pressures")
+#: Fields of a specimen with self-weight.
+_WEIGHT = ("density", "gravity", "height_is")
+#: Prefix of the array names of the compliance table.
 _COMPLIANCE = "compliance "
 _TABLES = tuple(each.name for each in fields(ContactCompliance))
 _FACES = ("friction", "friction_base", "friction_wall")
 
 
 def write_reduced(reduced: ReducedModel, path: str | Path) -> None:
-    """Write a reduced solid in one step.
+    """Write a reduced solid to a file atomically.
 
     Raises:
-        InputError: a place that cannot be written.
+        InputError: the path cannot be written.
     """
     mesh, specimen = reduced.mesh, reduced.model.experiment.specimen
     arrays = {"nodes": mesh.nodes, "connectivity": mesh.connectivity, "basis": reduced.basis,
@@ -95,7 +98,7 @@ def _description(reduced: ReducedModel) -> dict[str, Any]:
 
 
 def _specimen(specimen: Specimen) -> dict[str, Any]:
-    """What it is made of again, its mesh aside."""
+    """Return the keys from which the specimen is created again, without its mesh."""
     if not isinstance(specimen, MeshSpecimen):
         return dict(specimen.stated)
     mesh = specimen.mesh_of_file
@@ -103,17 +106,17 @@ def _specimen(specimen: Specimen) -> dict[str, Any]:
 
 
 def _tool(tool: Tool) -> dict[str, Any]:
-    """What it is made of again."""
+    """Return the keys from which the tool is created again."""
     if not isinstance(tool, ProfileTool):
         return dict(to_keys(tool))
     return {**to_keys(tool), "profile": Path(tool.profile_file or "").name, "points": tool.outline.tolist()}
 
 
 def load_reduced(path: str | Path) -> ReducedModel:
-    """Read and check a reduced solid.
+    """Read a reduced solid and check it.
 
     Raises:
-        InputError: damaged, of another program or a newer version, or with arrays that do not fit each other.
+        InputError: the file is damaged, has another format or version, or contains inconsistent arrays.
     """
     path = Path(path)
     with open_file(path, _EXPECTED):
@@ -146,12 +149,12 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
         sets, faces, regions, of_file, tables = (
             {name.removeprefix(kind): each for name, each in arrays.items() if name.startswith(kind)}
             for kind in ("set ", "faces ", "region ", _OF_FILE, _COMPLIANCE))
-        # Files of older versions have none.
+        # Files of older versions have no compliance table.
         compliance = ContactCompliance(**tables) if tables else None
         depths, rest = arrays.get("depths"), tuple(arrays[name] for name in _REST if name in arrays)
         lifting, report = description["lifting"], description["report"]
         softness, bulk_ratio = float(description["softness"]), float(description["bulk_ratio"])
-        # Files from before there was an estimate have none.
+        # Files of older versions have no error estimate.
         watched, (changed, own) = description.get("watched", 0), description.get("error_factors", (1.0, 0.0))
         error_factors = float(changed), float(own)
         box = PoseBox(**description["box"])
@@ -182,7 +185,7 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
             and all(np.isfinite(each).all() for each in reals) and bool((shares > 0.0).all())
             and 0.0 < softness < 1.0 and bulk_ratio >= 1.0 and isinstance(report, dict))
     if not (fits and (compliance is None or (lifting == 0 and _is_sound(compliance, len(nodes))))):
-        raise InputError("its arrays do not fit each other; make it again with `tissue-sim reduce`")
+        raise InputError("its arrays do not fit each other. Create it again with `tissue-sim reduce`")
     sets, faces, regions = ({name: each.astype(np.intp) for name, each in group.items()}
                             for group in (sets, faces, regions))
     mesh = SolidMesh(element, nodes, connectivity.astype(np.intp), sets, faces, regions, depths)
@@ -192,7 +195,7 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
 
 
 def _is_sound(table: ContactCompliance, nodes: int) -> bool:
-    """Whether the arrays of a table fit each other and a mesh with this number of nodes."""
+    """Whether the arrays of a compliance table are consistent with each other and with the number of nodes."""
     count = table.nodes.size
     reals = (table.axis, table.whole, table.missing, table.forces, table.accepted)
     return (table.nodes.dtype.kind in "iu" and table.nodes.shape == (count,) and count > 0
@@ -205,7 +208,7 @@ def _is_sound(table: ContactCompliance, nodes: int) -> bool:
 
 
 def _experiment(stated: dict[str, Any], box: PoseBox, of_file: dict[str, np.ndarray]) -> Experiment:
-    """The experiment of a description, and of the arrays of a mesh that came from a file."""
+    """Create the experiment from its description and the arrays of a specimen mesh file."""
     specimen, tool = dict(stated["specimen"]), dict(stated["tool"])
     shape, name, kind = specimen.pop("shape"), specimen.pop("name"), TOOLS.find(tool.pop("shape"), field="tool.shape")
     more: dict[str, Any] = {name: stated["weight"][name] for name in (_WEIGHT if "weight" in stated else ())}

@@ -1,4 +1,4 @@
-"""Linear algebra of a few dozen unknowns, where NumPy's checks take longer than the arithmetic."""
+"""Linear algebra for a few dozen unknowns, where the argument checks of NumPy take longer than the arithmetic."""
 
 from __future__ import annotations
 
@@ -8,25 +8,36 @@ import numpy as np
 from scipy.linalg import lapack
 
 
-def size(vector: np.ndarray) -> float:
-    """Euclidean norm of a vector."""
+def norm(vector: np.ndarray) -> float:
+    """Return the Euclidean norm of a vector."""
     return math.sqrt(vector @ vector)
 
 
-def solution(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Of a linear system with one right-hand side, shape (n,), or several, (n, k).
+def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve a linear system with one right-hand side, shape (n,), or several, shape (n, k).
 
     Raises:
         numpy.linalg.LinAlgError: the matrix is singular.
     """
     _, _, found, info = lapack.dgesv(matrix, right)
     if info:
-        raise np.linalg.LinAlgError("a linear system on the modes is singular")
+        raise np.linalg.LinAlgError("the tangent stiffness of the reduced solid is singular")
     return found
 
 
-def bend(off: np.ndarray, before: float, now: float) -> float:
-    """How far forces may be off after a linear change, N, by how far they were off after the last one; of both the work
-    that they would do, J."""
-    share = math.sqrt(now / before) if now > 0.0 and before > 0.0 else math.inf
-    return size(off) * share * max(1.0, share)
+def estimate_nonlinear_residual(remainder: np.ndarray, previous_work: float, work: float) -> float:
+    """Estimate the residual that a linear step leaves, from the residual that the previous linear step left.
+
+    The remainder of a linearisation grows with the square of the step, at least with its first power. With the work
+    W = du' K du of a step du, the estimate is |r| s max(1, s) with s = sqrt(W / W_previous).
+
+    Args:
+        remainder: difference between the nonlinear and the linear forces after the previous step, N, shape (n,).
+        previous_work: work of the previous step, J.
+        work: work of the present step, J.
+
+    Returns:
+        Estimated norm of the residual, N; infinite if either work is not positive.
+    """
+    ratio = math.sqrt(work / previous_work) if work > 0.0 and previous_work > 0.0 else math.inf
+    return norm(remainder) * ratio * max(1.0, ratio)

@@ -1,4 +1,4 @@
-"""A reduced solid: what is kept of it, and for which motions of the tool it was made."""
+"""Reduced model of a solid: modes, sampled elements, and the box of tool poses for which the model is valid."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from tissue_sim.pose import Pose, motion
 
 @dataclass(frozen=True)
 class PoseBox:
-    """Where a tool may be: its deepest point in a box beside its first touch, its axis within a cone.
+    """Range of the tool poses of a reduced model: a box for the deepest point, and a largest rotation.
 
     Attributes:
-        sideways: from where the experiment's approach begins, along x and y either way, m.
-        depth: m.
-        turn: from the orientation of the experiment's approach, about any axis, rad.
+        sideways: largest distance along x and along y from the start of the experiment's approach, m.
+        depth: largest depth below the start, m.
+        turn: largest rotation about any axis from the orientation of the experiment's approach, rad.
 
     Raises:
-        InputError: a size that is negative or not finite, or no depth.
+        InputError: a size is negative or not finite, or the depth is 0.
     """
 
     sideways: float
@@ -40,15 +40,18 @@ class PoseBox:
         for name in ("sideways", "depth", "turn"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
-                raise InputError(f"{value:g} is no size of a box of poses; give 0 or more", field=f"box.{name}")
+                raise InputError(f"must be finite and at least 0; got {value:g}", field=f"box.{name}")
         if not self.depth > 0.0:
-            raise InputError("a box without depth holds no contact; give a depth", field="box.depth")
+            raise InputError(f"must be positive; got {self.depth:g}. A box without depth contains no contact",
+                             field="box.depth")
 
     def holds(self, pose: Pose, start: Pose, slack: float = 1e-6) -> bool:
-        """Whether a pose lies in the box of a tool that begins at `start`.
+        """Whether a pose is inside the box of a tool that starts at `start`.
 
         Args:
-            slack: share of the sizes that does not count.
+            pose: pose of the tool.
+            start: start of the experiment's approach.
+            slack: tolerance as a fraction of the sizes.
         """
         x, y, z, *turn = motion(start, pose)
         most, little = 1.0 + slack, slack * self.depth
@@ -56,62 +59,66 @@ class PoseBox:
                 and math.hypot(*turn) <= self.turn * most + slack)
 
     def is_under(self, pose: Pose, start: Pose) -> bool:
-        """Whether a pose is over the box of a tool that begins at `start`."""
+        """Whether a pose is above the box of a tool that starts at `start`."""
         (x, y, z), (_, _, top) = pose.position, start.position
         return z > top and self.holds(Pose((x, y, top), pose.orientation), start)
 
 
 def require_reducible(model: Model) -> None:
-    """Refuse what a reduced solid does not take.
+    """Check that a model can be reduced.
 
     Raises:
-        InputError: a plate, a base with friction, laws of contact, effects at the points.
+        InputError: the tool is a plate, the base has friction, or there are contact laws or point effects.
     """
     experiment = model.experiment
     if experiment.tool.is_plate:
-        raise InputError("a reduced solid is one under a needle; a plate moves along one line, for which "
-                         "the axisymmetric solver is fast enough", field="tool")
+        raise InputError("a reduced solid requires a needle; the tool is a plate. Use the axisymmetric solver, which "
+                         "is fast enough for a plate", field="tool")
     if experiment.base_interface not in ("bonded", "frictionless"):
-        raise InputError("a reduced solid stands on a base that is bonded or frictionless; use one of them",
+        raise InputError("a reduced solid requires a bonded or frictionless base. Use one of them",
                          field="friction_base")
     if experiment.acting_laws:
-        raise InputError("a reduced solid takes no adhesion or other laws of contact yet; leave them out",
+        raise InputError("a reduced solid does not support adhesion or other contact laws. Leave them out",
                          field="contact_laws")
     require_no_effects(model.material)
 
 
 def require_no_effects(material: Material) -> None:
-    """Raises InputError: effects at the points."""
+    """Check that a material has no point effects.
+
+    Raises:
+        InputError: the material has point effects.
+    """
     if any(isinstance(effect, PointEffect) for effect in material.effects.values()):
-        raise InputError("a reduced solid takes no effects that are added at the points; leave them out",
+        raise InputError("a reduced solid does not support effects at quadrature points. Leave them out",
                          field="material.effects")
 
 
 def require_same_parts(material: Material, made_of: Material, mesh: SolidMesh) -> None:
-    """Refuse a material that a reduced solid made of another one cannot be of.
+    """Check that a material has the layers and regions of the material of the training.
 
     Raises:
-        InputError: effects at the points, layers that lie elsewhere, a region that the mesh does not have.
+        InputError: the material has point effects, other layer thicknesses, or a region that the mesh does not have.
     """
     require_no_effects(material)
     require_regions(material, mesh)
     stated, kept = ([layer.thickness for layer in each.layers] for each in (material, made_of))
-    # A material without layers is the same everywhere.
+    # A material without layers is uniform and always fits.
     if stated and not (len(stated) == len(kept) and np.allclose(stated, kept, rtol=1e-6, atol=0.0)):
         if not kept:
-            raise InputError("a reduced solid has the layers that it was made with, and this one has none; leave them "
-                             "out, or make another one", field="material.layers")
+            raise InputError("must be empty, because the reduced solid has no layers. Leave the layers out, or reduce "
+                             "a model with layers", field="material.layers")
         layers = " and ".join(f"{1e3 * each:g} mm" for each in kept)
-        raise InputError(f"a reduced solid keeps its layers where they are, from the top down {layers}; take these, or "
-                         "make another one", field="material.layers")
+        raise InputError(f"must have the thicknesses of the reduced solid, from the top down {layers}. Use these, or "
+                         "reduce the model again", field="material.layers")
 
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """How a solid that weighs stands where nobody touches it.
+    """Equilibrium of a solid under self-weight without contact.
 
     Attributes:
-        displacement: of the nodes from where they are as moulded, m, shape (freedoms,).
+        displacement: nodal displacements from the moulded shape, m, shape (freedoms,).
         pressures: amplitudes of the pressure modes of all elements, Pa, shape (elements, pressure modes).
     """
 
@@ -121,28 +128,28 @@ class Rest:
 
 @dataclass(frozen=True, eq=False)
 class ReducedModel:
-    """A solid in some of its motions and elements, for `ts.Simulator(reduced.model, solver="reduced", mesh=reduced)`.
+    """Reduced solid: modes and sampled elements, for `ts.Simulator(reduced.model, solver="reduced", mesh=reduced)`.
 
     Attributes:
-        model: experiment and material that it was made of.
-        mesh: of the whole solid, as moulded.
-        basis: what the modes move from where it stands, m per amplitude, shape (freedoms, modes); after the first
-            `lifting` of them what the tool holds stays where it is.
-        lifting: modes whose amplitudes the tool's pose says: 12 where it holds tissue, else 0.
-        elements: numbers of those that are looked at, shape (n,); shares: how many each stands for.
-        box: of poses.
-        bulk_ratio: bulk modulus at most, over mu0. What is added up of modes changes its volume a little, which a
-            stiffer bulk would make resist; under a softer one the force is too small.
-        softness: share of the contact's reach by which the layer between tool and tissue gives way.
-        watched: the last so many modes are none that it makes: what is unbalanced on them says how far it is off.
-        error_factors: of what the force would change by with what is watched, and of the force itself; their sum
-            estimates how far the force is off, as on motions that it was not made of.
-        rest: how it stands; None: undeformed, as one that does not weigh.
-        compliance: how well the modes represent forces on single nodes (`ContactCompliance`); None of a tool that holds
-            tissue, and in files of older versions.
-        report: how it was made and how good it is: ``freedoms``, ``modes``, ``elements``, ``snapshots``,
-            ``force_rms_error`` and ``force_largest_error`` over the rms force, on motions that it was not made of;
-            ``warnings``, sentences about the force of the whole solid, where there are some.
+        model: experiment and material of the training.
+        mesh: mesh of the full-order solid in its moulded shape.
+        basis: nodal displacements of the modes from rest, m per amplitude, shape (freedoms, modes). Only the first
+            `lifting` modes move the nodes of a bonded face.
+        lifting: number of modes prescribed by the pose of the tool: 12 for a bonded tool, else 0.
+        elements: numbers of the sampled elements, shape (n,).
+        shares: weights of the sampled elements, shape (n,).
+        box: box of the tool poses.
+        bulk_ratio: upper limit of the bulk modulus over mu0. Combinations of modes change the volume slightly; a larger
+            limit makes this change too stiff, a smaller limit makes the tissue too soft.
+        softness: thickness of the contact layer over the contact radius.
+        watched: number of error modes, the last ones. They are no unknowns; their residual estimates the error.
+        error_factors: factors of the force change by the error modes and of the force itself; the sum of both products
+            is the estimated error of the force, calibrated on test paths.
+        rest: equilibrium under self-weight; None: undeformed.
+        compliance: compliance table of the contact nodes for the error estimate; None for a bonded tool and in files of
+            older versions.
+        report: sizes and accuracy: ``freedoms``, ``modes``, ``elements``, ``snapshots``, ``force_rms_error`` and
+            ``force_largest_error`` over the rms force on test paths, and ``warnings`` of the full-order solver if any.
     """
 
     model: Model
@@ -162,13 +169,15 @@ class ReducedModel:
 
     @property
     def places(self) -> np.ndarray:
-        """Of the nodes where nobody touches it, m, shape (nodes, 3)."""
+        """Positions of the nodes at rest without contact, m, shape (nodes, 3)."""
         return self.mesh.nodes if self.rest is None else self.mesh.nodes + self.rest.displacement.reshape(-1, 3)
 
     @cached_property
     def element_layers(self) -> np.ndarray:
-        """Number of the material's layer of each element, see `tissue_sim.fem.solid.tissue.element_layers`: layers are
-        as thick as they are stated where the specimen is as high as it is stated."""
+        """Number of the material's layer of each element, see `tissue_sim.fem.solid.tissue.element_layers`.
+
+        The stated layer thicknesses refer to the stated height of the specimen (moulded or placed).
+        """
         stated, moulded = self.model.experiment.specimen, float(np.ptp(self.mesh.nodes[:, 2]))
         placed = self.rest is not None and stated.height_is == "placed"
         return element_layers(self.mesh.stretched(stated.height / moulded) if placed else self.mesh,
@@ -176,21 +185,21 @@ class ReducedModel:
 
     @property
     def sag(self) -> float:
-        """How much lower the top stands, on the mean of its area, than it was moulded, m."""
+        """Area mean of the settlement of the top under self-weight, m."""
         if self.rest is None:
             return 0.0
         return -float(np.average(self.rest.displacement[2::3], weights=self.mesh.areas("top")))
 
     def require_material(self, material: Material) -> None:
-        """Refuse a material that it cannot be of.
+        """Check that the reduced solid supports a material.
 
         Raises:
-            InputError: see `require_same_parts`; of a solid that weighs, any other one.
+            InputError: see `require_same_parts`; under self-weight, the material differs from that of the training.
         """
         require_same_parts(material, self.model.material, self.mesh)
         own = self.model.material
-        # What it is called, and what does not act here, is another matter.
+        # The name and the properties that have no effect here may differ.
         alike = replace(material, name=own.name, density=own.density, puncture=own.puncture)
         if self.rest is not None and alike != own:
-            raise InputError("a reduced solid that weighs stands as its own material lets it; leave the material as it "
-                             "is, or make another one", field="material")
+            raise InputError("must equal the material of the training, because self-weight deforms the reduced solid. "
+                             "Use this material, or reduce the model again", field="material")

@@ -1,55 +1,72 @@
-"""Where the amplitudes of a reduced solid will be after the tool's next motion."""
+"""Predictor of the modal amplitudes for the next pose of the tool."""
 
 from __future__ import annotations
 
 import numpy as np
 
-#: A tool that gets faster by more than this is predicted as if it did not.
-_MOST_FASTER = 2.0
+#: Largest ratio of the present to the last step of the tool that scales the second-order correction. A tool that
+#: accelerates more is predicted as if it accelerated by this ratio.
+_MAX_STEP_RATIO = 2.0
 
 
 class Prediction:
-    """Amplitudes follow the tool linearly, are moved by what was left unbalanced, and miss what they missed last time.
+    """Second-order extrapolation of the modal amplitudes along the motion of the tool.
+
+    The prediction is du = S dx + c + a^2 e with the sensitivity S, the correction c by the remaining residual, the
+    error e of the last linear prediction and the ratio a of the present to the last step of the tool.
 
     Args:
-        modes: how many.
-        reach: of the contact, m; a rotation counts as the way of a point so far from the axis.
+        modes: number of modes.
+        reach: radius of the contact, m; a rotation is measured by the displacement of a point at this distance.
 
     Attributes:
-        answer: how the amplitudes follow the position and a rotation of the tool at the last equilibrium, (modes, 6).
-        left: what was left unbalanced there would move them by this, shape (modes,).
+        sensitivity: derivative of the amplitudes with respect to position and rotation of the tool at the last
+            equilibrium, shape (modes, 6).
+        correction: change of the amplitudes that would remove the remaining residual, shape (modes,).
     """
 
     def __init__(self, modes: int, reach: float):
-        self.answer = np.zeros((modes, 6))
-        self.left, self._missed, self._way = np.zeros(modes), np.zeros(modes), np.zeros(6)
+        self.sensitivity = np.zeros((modes, 6))
+        self.correction, self._error, self._last_step = np.zeros(modes), np.zeros(modes), np.zeros(6)
         self._weights = np.array([1.0] * 3 + [reach**2] * 3)
 
-    def change(self, way: np.ndarray) -> np.ndarray:
-        """Of the amplitudes as the tool moves by this screw, shape (modes,)."""
-        change = self.answer @ way + self.left
-        last = float(self._weights @ self._way**2)
+    def predict(self, tool_step: np.ndarray) -> np.ndarray:
+        """Predict the change of the amplitudes, shape (modes,).
+
+        Args:
+            tool_step: displacement, m, and rotation vector, rad, of the tool in the next step, shape (6,).
+        """
+        change = self.sensitivity @ tool_step + self.correction
+        last = float(self._weights @ self._last_step**2)
         if last > 0.0:
-            # It is of second order in the way.
-            share = min(max(float(self._weights @ (way * self._way)) / last, 0.0), _MOST_FASTER)
-            change += share**2 * self._missed
+            # The error of a linear prediction is of second order in the step of the tool.
+            ratio = min(max(float(self._weights @ (tool_step * self._last_step)) / last, 0.0), _MAX_STEP_RATIO)
+            change += ratio**2 * self._error
         return change
 
-    def learn(self, way: np.ndarray, change: np.ndarray, answer: np.ndarray, left: np.ndarray) -> None:
-        """After a step by this way, which changed the amplitudes and left `left` to change."""
-        self._missed[:] = change + left - self.left - self.answer @ way
-        self._way[:], self.answer[:], self.left[:] = way, answer, left
+    def update(self, tool_step: np.ndarray, change: np.ndarray, sensitivity: np.ndarray,
+               correction: np.ndarray) -> None:
+        """Record a converged step.
 
-    def forget(self) -> None:
-        """Nothing follows."""
+        Args:
+            tool_step: displacement, m, and rotation vector, rad, of the tool in the step, shape (6,).
+            change: change of the amplitudes in the step, shape (modes,).
+            sensitivity: derivative at the new equilibrium, shape (modes, 6).
+            correction: change of the amplitudes that would remove the remaining residual, shape (modes,).
+        """
+        self._error[:] = change + correction - self.correction - self.sensitivity @ tool_step
+        self._last_step[:], self.sensitivity[:], self.correction[:] = tool_step, sensitivity, correction
+
+    def reset(self) -> None:
+        """Set all predictions to zero."""
         for array in self.kept:
             array[:] = 0.0
 
-    def forget_what_was_missed(self) -> None:
-        """The material is another one."""
-        self.left[:], self._missed[:], self._way[:] = 0.0, 0.0, 0.0
+    def reset_corrections(self) -> None:
+        """Drop the corrections and keep the sensitivity, after a change of the material."""
+        self.correction[:], self._error[:], self._last_step[:] = 0.0, 0.0, 0.0
 
     @property
     def kept(self) -> tuple[np.ndarray, ...]:
-        """All that a committed step leaves behind."""
-        return self.answer, self.left, self._missed, self._way
+        """Arrays that belong to the state of the solver; they are saved and restored."""
+        return self.sensitivity, self.correction, self._error, self._last_step

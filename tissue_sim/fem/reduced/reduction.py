@@ -1,4 +1,4 @@
-"""A solid reduced from its model to its file, stroke by stroke, so that what was killed goes on where it was."""
+"""Model reduction of a solid: training paths, modes, sampled elements and verification, resumable after a stop."""
 
 from __future__ import annotations
 
@@ -18,35 +18,41 @@ from tissue_sim.errors import InputError, located
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.acceptance import with_compliance
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_reducible, require_same_parts
-from tissue_sim.fem.reduced.strokes import boundary_strokes, stroke
 from tissue_sim.fem.reduced.symmetry import symmetries
+from tissue_sim.fem.reduced.training_paths import boundary_training_paths, training_path
 from tissue_sim.files import read_text
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 
-#: Strokes without images, and modes, of a tool that holds tissue and of one that touches it.
-STROKES, MODES = {True: 24, False: 60}, {True: 24, False: 64}
-#: Largest bulk modulus over mu0, of a tool that presses the same nodes all the time, and of one that slides: its modes
-#: change the tissue's volume more.
+#: Number of training paths without symmetry, for a bonded tool (True) and a tool that can lift off (False).
+STROKES = {True: 24, False: 60}
+#: Number of unknown modes, for a bonded tool (True) and a tool that can lift off (False).
+MODES = {True: 24, False: 64}
+#: Upper limit of the bulk modulus over mu0, for a tool that always touches the same nodes (True) and for a tool that
+#: slides (False). The modes of sliding contact change the volume of the tissue more.
 BULK_RATIO = {True: 300.0, False: 50.0}
-#: The smallest and the largest that may be asked for: with stiffer ones steps find no equilibrium.
+#: Smallest and largest permitted value of `bulk_ratio`; above the largest value steps do not converge.
 BULK_RATIOS = (1.0, 1000.0)
-#: Error of the sampled forces, share of the contact's reach by which the layer gives way, and unseen strokes on which
-#: the result is tried.
-SAMPLING, SOFTNESS, TRIED = 6e-3, 1e-3, 3
-#: So many times fewer strokes at most do where each has images; what a tool that rubs does depends on its way, too.
-_SPARED = {True: 4, False: 2}
-#: Number of the first stroke along the boundary of the box, after those of any sequence.
+#: Relative error of the modal forces of the sampled elements.
+SAMPLING = 6e-3
+#: Thickness of the contact layer over the contact radius.
+SOFTNESS = 1e-3
+#: Number of test paths inside the box.
+TRIED = 3
+#: Largest factor by which symmetry reduces the number of training paths, for a bonded tool (True) and a tool that can
+#: lift off (False). The response with friction depends on the path, so that images help less.
+_SYMMETRY_SAVING = {True: 4, False: 2}
+#: Number of the first boundary path in the file names; larger than the number of any path of the sequence.
 _BOUNDARY = 8000
-#: Fraction of the box along whose boundary the result is tried.
+#: Size of the box of the boundary test paths, as a fraction of the box of poses.
 _UNSEEN_FRACTION = 0.93
 
 
 class Progress(Protocol):
-    """Who is told how far a reduction is."""
+    """Callback that receives the progress of a reduction."""
 
     def __call__(self, stage: str, done: int, of: int, *, note: str = "") -> None:
-        """`done` of `of` parts of a stage are done."""
+        """Report that `done` of `of` parts of a stage are finished."""
 
 
 def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", strokes: int | None = None,
@@ -54,30 +60,30 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
                  softness: float = SOFTNESS, also: Sequence[Material] = (), tried: int = TRIED,
                  folder: Path | None = None,
                  progress: Progress | None = None) -> ReducedModel:
-    """Make a solid that is stepped a thousand times a second for a tool that stays in a box.
+    """Reduce a solid for real-time simulation of a tool that stays in a box of poses.
 
     Args:
         model: experiment and material.
-        box: of poses, beside the first one of the experiment's approach.
-        resolution: of the whole solid.
-        strokes: motions on which the whole solid is followed, those of all materials together; each counts with its
-            images by the symmetries of the solid under its tool.
-        modes: motions of the tissue that are kept.
-        sampling: error of the forces of the sampled elements.
-        bulk_ratio: most that the bulk modulus may be, over mu0. A softer one than the tissue's makes forces too small,
-            a stiffer one than what the modes can represent too large.
-        softness: see `ReducedModel`.
-        also: materials that may be put under it and that it shall be good for, too; strokes are followed with each in
-            turn. Layers and regions are those of the model's.
-        tried: strokes that it was not made of, on which it is tried; at least one with each material.
-        folder: where the strokes are kept; one that holds strokes of the same model is gone on with. `forget_strokes`
-            removes them, when what was made of them is safe.
-        progress: told of the stages ``"strokes"``, ``"elements"`` and ``"trial"``.
+        box: box of poses relative to the first pose of the experiment's approach.
+        resolution: named resolution of the full-order mesh.
+        strokes: number of training paths, for all materials together; None: chosen from the symmetry of the solid. Each
+            path also contributes its symmetric images.
+        modes: number of unknown modes; None: chosen by the kind of contact.
+        sampling: relative error of the modal forces of the sampled elements.
+        bulk_ratio: upper limit of the bulk modulus over mu0; None: chosen by the kind of contact. A value below that of
+            the tissue makes forces too small; a value above what the modes can represent makes them too large.
+        softness: thickness of the contact layer over the contact radius, see `ReducedModel`.
+        also: further materials for which the reduced solid must be accurate; the training paths use the materials in
+            turn. Their layers and regions must equal those of the model.
+        tried: number of test paths that are not used for training; at least one for each material.
+        folder: folder of the finished training paths. A folder with paths of the same model is resumed.
+            `forget_strokes` removes the files after the reduced solid is saved.
+        progress: called in the stages ``"strokes"``, ``"elements"`` and ``"trial"``.
 
     Raises:
-        InputError: what a reduced solid does not take, a bulk modulus outside of `BULK_RATIOS`, or a folder of another
-            model.
-        ConvergenceError: the whole solid did not come through a stroke.
+        InputError: a reduced solid does not support the model, `bulk_ratio` is outside `BULK_RATIOS`, or the folder
+            belongs to another model.
+        ConvergenceError: the full-order solver did not converge on a training path.
     """
     experiment = model.experiment
     holds = experiment.friction == "bonded"
@@ -85,7 +91,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     bulk_ratio = BULK_RATIO[not slides] if bulk_ratio is None else bulk_ratio
     low, high = BULK_RATIOS
     if not low <= bulk_ratio <= high:
-        raise InputError(f"{bulk_ratio:g} is no bulk modulus over mu0 of a reduced solid; give {low:g} to {high:g}",
+        raise InputError(f"must be {low:g} to {high:g}; got {bulk_ratio:g}",
                          field="bulk_ratio")
     tell: Callable[..., None] = progress or (lambda *_, **__: None)
     require_reducible(model)
@@ -93,19 +99,19 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     solver = training.whole_solver(model, mesh)
     memory = training.settled_memory(solver)
     if also and experiment.specimen.specific_weight:
-        raise InputError("a solid that weighs stands as its own material lets it, and is of one material; leave the "
-                         "others out, or gravity", field="also")
+        raise InputError("must be empty for a solid with self-weight, which has one material only. Leave the further "
+                         "materials or gravity out", field="also")
     materials = (model.material, *also)
     for number, each in enumerate(also):
         with located(field=f"also[{number}]"):
             require_same_parts(each, model.material, mesh)
             solver.set_material(each)
     solver.set_material(model.material)
-    # Before the folder is labelled, which would refuse what is asked for next.
+    # Checked before the folder is labelled: a wrong label would refuse the corrected request.
     if strokes is not None and strokes < len(materials):
-        raise InputError(f"{strokes} strokes are too few for {len(materials)} materials, each of which is followed on "
-                         "some; give more strokes", field="strokes")
-    # Files may have changed under their names.
+        raise InputError(f"must be at least the number of materials, {len(materials)}; got {strokes}. Use more "
+                         "training paths", field="strokes")
+    # The contents of a file may change under the same name, so the label contains digests.
     digests = f" {experiment.specimen.digest}" if experiment.specimen.from_file else ""
     if experiment.tool.from_file:
         digests += f" {hashlib.sha256(experiment.tool.profile.vertices.tobytes()).hexdigest()}"
@@ -113,21 +119,21 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     store = _Store(folder, f"{label} {tuple(also)!r}" if also else label)
     start, reach = experiment.tool_pose(0.0), experiment.contact_radius
     group = symmetries(solver, start)
-    usual = len(materials) * math.ceil(STROKES[holds] / min(len(group), _SPARED[holds]))
+    usual = len(materials) * math.ceil(STROKES[holds] / min(len(group), _SYMMETRY_SAVING[holds]))
     strokes, modes, tried = strokes or usual, modes or MODES[holds], max(tried, len(materials))
     images = [each.matrix for each in group]
-    poses = [stroke(number, box, start, holds=holds, reach=reach) for number in range(strokes)]
-    poses += boundary_strokes(box, start, holds=holds, reach=reach, images=images)
+    poses = [training_path(number, box, start, holds=holds, reach=reach) for number in range(strokes)]
+    poses += boundary_training_paths(box, start, holds=holds, reach=reach, images=images)
     taken, count = [], len(poses)
     numbers = [*range(strokes), *range(_BOUNDARY, _BOUNDARY + count - strokes)]
-    # The material of each stroke: each in turn, in the box and along its boundary.
+    # The materials take turns, on paths inside the box and along its boundary.
     of_stroke = [materials[number % len(materials)] for number in numbers]
     tell("strokes", 0, count)
-    for number, way, material in zip(numbers, poses, of_stroke, strict=True):
+    for number, path, material in zip(numbers, poses, of_stroke, strict=True):
         done = store.read(number)
-        if done is None or len(done.wrenches) != len(way):
+        if done is None or len(done.wrenches) != len(path):
             solver.set_material(material)
-            done = training.snapshots(solver, way, memory=memory)
+            done = training.snapshots(solver, path, memory=memory)
             store.write(number, done)
         taken.append(done)
         tell("strokes", len(taken), count)
@@ -139,8 +145,9 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
                                               note=f"error {100 * error:.2g} %"))
     solver.set_material(model.material)
     reduced = with_compliance(reduced, solver, poses, taken, of_stroke)
-    unseen = [stroke(training.UNSEEN + number, box, start, holds=holds, reach=reach) for number in range(tried)]
-    along = boundary_strokes(box, start, holds=holds, reach=reach, images=images, fraction=_UNSEEN_FRACTION)
+    first = training.VERIFICATION.first_test_path
+    unseen = [training_path(first + number, box, start, holds=holds, reach=reach) for number in range(tried)]
+    along = boundary_training_paths(box, start, holds=holds, reach=reach, images=images, fraction=_UNSEEN_FRACTION)
     unseen += along[:: max(1, len(along) // 2)]  # a corner and an edge
     report, factors = training.verify(reduced, solver, unseen, lambda done, of: tell("trial", done, of),
                                       materials=materials, memory=memory)
@@ -149,7 +156,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
 
 
 class _Store:
-    """Strokes that are done, a file each; of one model."""
+    """Folder with the finished training paths of one model, one file per path."""
 
     def __init__(self, folder: Path | None, model: str):
         self._folder = folder
@@ -157,7 +164,8 @@ class _Store:
             return
         label = folder / "model.txt"
         if label.exists() and read_text(label, "the model of strokes") != model:
-            raise InputError("holds strokes of another model; remove it, or choose another output", file=folder)
+            raise InputError("contains training paths of another model. Remove the folder, or choose another output",
+                             file=folder)
         write_bytes(label, model.encode())
 
     def read(self, number: int) -> training.Snapshots | None:
@@ -168,7 +176,7 @@ class _Store:
             with np.load(path, allow_pickle=False) as stored:
                 return training.Snapshots(stored["displacements"], stored["wrenches"])
         except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile, zlib.error):
-            return None  # a file that is none of ours is made again
+            return None  # an unreadable file is computed again
 
     def write(self, number: int, snapshots: training.Snapshots) -> None:
         path = self._path(number)
@@ -182,7 +190,7 @@ class _Store:
 
 
 def forget_strokes(folder: Path) -> None:
-    """Remove the strokes that `reduce_solid` has kept in a folder, and the folder where nothing else is in it."""
+    """Remove the training-path files of `reduce_solid` from a folder, and the folder if it is then empty."""
     for path in [*folder.glob("stroke_*.npz"), folder / "model.txt"]:
         path.unlink(missing_ok=True)
     if folder.exists() and not any(folder.iterdir()):

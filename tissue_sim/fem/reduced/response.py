@@ -1,4 +1,4 @@
-"""How a reduced solid at an equilibrium answers small motions of its tool, and how far its force may be off."""
+"""Linear response of a reduced solid at an equilibrium: sensitivity, stiffness of the tool, estimated force error."""
 
 from __future__ import annotations
 
@@ -6,88 +6,92 @@ import numpy as np
 
 from tissue_sim.fem.reduced.compliance import MissingForce
 from tissue_sim.fem.reduced.contact import LayerContact
-from tissue_sim.fem.reduced.linear import size, solution
+from tissue_sim.fem.reduced.linear import norm, solve
 from tissue_sim.fem.reduced.model import PoseBox
 
 
 class Response:
-    """Derivatives at an equilibrium; all of its linear systems are solved at once.
+    """Derivatives at an equilibrium. One factorisation of the tangent solves all linear systems.
 
     Args:
         tangent: stiffness of tissue and contact between the modes, N/m, shape (modes, modes).
-        contact: as it was evaluated there.
-        lifted: how the modes that the tool carries along follow its position and a rotation, shape (held, 6).
-        free: the modes that were solved for; before them are those that the tool carries, behind them those watched.
-        residual: unbalanced forces on the modes, N m per m, shape (modes,).
+        contact: contact, evaluated at the equilibrium.
+        prescribed_rates: derivative of the prescribed amplitudes with respect to position and rotation of the tool,
+            shape (prescribed, 6).
+        free: range of the unknown modes; before it are the modes prescribed by the tool, behind it the error modes.
+        residual: modal residual, N m per m, shape (modes,).
 
     Attributes:
-        answer: how the amplitudes follow the position and a rotation of the tool, shape (modes, 6); none of the
-            watched ones does.
-        left: by how much what was left unbalanced would move them, shape (modes,).
+        sensitivity: derivative of the amplitudes with respect to position and rotation of the tool, shape (modes, 6);
+            zero for the error modes.
+        correction: change of the amplitudes that would remove the residual, shape (modes,).
     """
 
-    def __init__(self, tangent: np.ndarray, contact: LayerContact, lifted: np.ndarray, free: slice,
+    def __init__(self, tangent: np.ndarray, contact: LayerContact, prescribed_rates: np.ndarray, free: slice,
                  residual: np.ndarray):
-        self._tangent, self._contact, self._lifted = tangent, contact, lifted
+        self._tangent, self._contact, self._prescribed_rates = tangent, contact, prescribed_rates
         self._free, self._residual = free, residual
         modes, held = len(residual), free.start
-        watched = slice(free.stop, modes)
+        error_modes = slice(free.stop, modes)
         right = np.empty((free.stop - held, 7 + modes - free.stop), order="F")
         right[:, :6] = contact.rates_of_modes[free]
         if held:
-            right[:, :6] += tangent[free, :held] @ lifted
+            right[:, :6] += tangent[free, :held] @ prescribed_rates
         right[:, 6] = residual[free]
-        right[:, 7:] = tangent[free, watched]
-        found = solution(tangent[free, free], right)
-        answer = np.zeros((modes, 7))
-        answer[:held, :6] = lifted
-        answer[free] = -found[:, :7]
-        self.answer, self.left = answer[:, :6], answer[:, 6]
-        self._followed = found[:, 7:]
+        right[:, 7:] = tangent[free, error_modes]
+        found = solve(tangent[free, free], right)
+        changes = np.zeros((modes, 7))
+        changes[:held, :6] = prescribed_rates
+        changes[free] = -found[:, :7]
+        self.sensitivity, self.correction = changes[:, :6], changes[:, 6]
+        self._static_modes = found[:, 7:]
 
     def force_error(self, factors: tuple[float, float], force: np.ndarray, missing: MissingForce | None = None
                     ) -> float | None:
-        """Estimated error of a force on the tool, N: by missing modes, and by missing compliance of the contact nodes.
+        """Estimate the error of a force on the tool, N: missing modes plus missing compliance of the contact nodes.
 
-        The part by missing modes is a fraction of the force, and of its change if the tissue could make the watched
-        modes (hierarchical estimate: Bank and Weiser, Math. Comp. 44 (1985) 283; calibrated by `training.verify`).
+        The error by missing modes is c_1 |dF| + c_2 |F|. dF is the change of the force F if the error modes were
+        unknowns, too (hierarchical error estimate: Bank and Weiser, Math. Comp. 44 (1985) 283). `training.verify`
+        calibrates the factors.
 
         Args:
-            factors: see `ReducedModel.error_factors`.
-            force: N, shape (3,).
-            missing: of the contact at this equilibrium; None: that part is not known.
+            factors: c_1 and c_2, see `ReducedModel.error_factors`.
+            force: force on the tool, N, shape (3,).
+            missing: missing force of the contact at this equilibrium; None: unknown.
 
         Returns:
-            None if neither part is known.
+            Estimated error, N; None without error modes and without `missing`.
         """
         known = self._modes_error(factors, force) if self._free.stop < len(self._residual) else None
-        return known if missing is None else (known or 0.0) + missing.error(size(force))
+        return known if missing is None else (known or 0.0) + missing.error(norm(force))
 
     def _modes_error(self, factors: tuple[float, float], force: np.ndarray) -> float:
-        """Error by missing modes, N."""
+        """Return the estimated error by missing modes, N."""
         free, held = self._free, self._free.start
         tangent = self._tangent
-        # What the iteration has left on the others says nothing of the modes.
+        # The residual of the unknown modes is an iteration error; only the residual of the error modes counts.
         change = np.zeros(len(self._residual))
-        change[free.stop :] = moved = solution(
-            tangent[free.stop :, free.stop :] - tangent[free.stop :, free] @ self._followed,
+        change[free.stop :] = moved = solve(
+            tangent[free.stop :, free.stop :] - tangent[free.stop :, free] @ self._static_modes,
             -self._residual[free.stop :])
-        change[free] = -self._followed @ moved
+        change[free] = -self._static_modes @ moved
         added = self._contact.force_of(change)
         if held:
-            added = added - (self._lifted.T @ (tangent[:held] @ change))[:3]
+            added = added - (self._prescribed_rates.T @ (tangent[:held] @ change))[:3]
         changed, own = factors
-        return changed * size(added) + own * size(force)
+        return changed * norm(added) + own * norm(force)
 
     def stiffness(self, box: PoseBox) -> np.ndarray:
-        """Minus the derivative of the wrench with the tool's pose, shape (6, 6); nothing along what the box does not
-        hold."""
-        held, contact, answer = self._free.start, self._contact, self.answer
-        stiffness = contact.stiffness(answer)
+        """Return minus the derivative of the wrench with respect to the pose of the tool, shape (6, 6).
+
+        The entries of directions in which the box has no size are 0.
+        """
+        held, contact, sensitivity = self._free.start, self._contact, self.sensitivity
+        stiffness = contact.stiffness(sensitivity)
         if held:
-            # Of the contact only what the lifted modes move beside the held face is in the residual.
-            forces = self._tangent[:held] @ answer + contact.rates_of_modes[:held]
-            return stiffness + answer[:held].T @ forces
-        # Where the box has no size the modes know no answer: what would be left is the layer.
+            # The prescribed modes move nodes outside the bonded face, whose contact forces are part of the residual.
+            forces = self._tangent[:held] @ sensitivity + contact.rates_of_modes[:held]
+            return stiffness + sensitivity[:held].T @ forces
+        # In directions without training data the modes have no response; the result would be the layer stiffness.
         known = np.array([box.sideways > 0.0] * 2 + [True] + [box.turn > 0.0] * 3)
         return np.where(known[:, None] & known, stiffness, 0.0)

@@ -1,8 +1,10 @@
-"""Which elements stand for all of a solid: energy-conserving sampling and weighting.
+"""Hyper-reduction by energy-conserving sampling and weighting (ECSW).
 
-Source: Farhat, Avery, Chapman and Cortial, Int. J. Numer. Meth. Engng 98 (2014) 625; the sparse solution of the
-non-negative least squares is that of Lawson and Hanson, ended early (Chapman et al., Int. J. Numer. Meth. Engng 109
-(2017) 1623).
+The reduced forces Phi' f = sum over all elements of Phi_e' f_e are approximated by a weighted sum over few elements,
+sum of w_e Phi_e' f_e with w_e >= 0, which keeps the stiffness symmetric and the energy consistent (Farhat, Avery,
+Chapman and Cortial, Int. J. Numer. Meth. Engng 98 (2014) 625). The sparse weights are a non-negative least-squares
+solution by the active-set method of Lawson and Hanson with early termination (Chapman et al., Int. J. Numer. Meth.
+Engng 109 (2017) 1623).
 """
 
 from __future__ import annotations
@@ -11,19 +13,19 @@ from collections.abc import Callable
 
 import numpy as np
 
-#: Most passes of the inner loop for one element that comes in.
-_MOST_LEAVING = 1000
+#: Maximum number of passes of the inner loop per element that enters the active set.
+_MAX_INNER_PASSES = 1000
 
 
 def sparse_weights(contributions: np.ndarray, tolerance: float, most: int | None = None,
                    progress: Callable[[int, float], None] | None = None) -> np.ndarray:
-    """Non-negative weights of few elements whose weighted contributions add up to those of all.
+    """Compute sparse non-negative weights w that satisfy |G w - G 1| <= tolerance |G 1|.
 
     Args:
-        contributions: of each element to each thing that has to be right, shape (things, elements).
-        tolerance: norm of the error over that of the sum.
-        most: elements at most.
-        progress: called with the number of elements and the error so far.
+        contributions: matrix G, contribution of each element to each reduced force, shape (forces, elements).
+        tolerance: relative error of the weighted sum.
+        most: maximum number of elements with a positive weight; None: no limit.
+        progress: called with the number of chosen elements and the relative error after each iteration.
 
     Returns:
         Weights, mostly 0, shape (elements,).
@@ -34,7 +36,7 @@ def sparse_weights(contributions: np.ndarray, tolerance: float, most: int | None
     scale = float(np.linalg.norm(goal))
     if scale == 0.0:
         return np.ones(count)
-    # Normal equations: the tolerance is far above what they lose.
+    # The normal equations lose half of the digits; the tolerance is far above this loss.
     gram, right = contributions.T @ contributions, contributions.T @ goal
     weights, chosen = np.zeros(count), np.zeros(count, dtype=bool)
     while True:
@@ -47,20 +49,20 @@ def sparse_weights(contributions: np.ndarray, tolerance: float, most: int | None
         if error <= tolerance or chosen.sum() >= most or not slope[best] > 0.0:
             return weights
         chosen[best] = True
-        for _ in range(_MOST_LEAVING):
-            places = np.flatnonzero(chosen)
-            block = gram[np.ix_(places, places)]
-            solution = np.linalg.lstsq(block, right[places], rcond=1e-12)[0] if len(places) < 3 else (
-                np.linalg.solve(block + 1e-12 * np.trace(block) / len(places) * np.eye(len(places)), right[places]))
+        for _ in range(_MAX_INNER_PASSES):
+            active = np.flatnonzero(chosen)
+            block = gram[np.ix_(active, active)]
+            solution = np.linalg.lstsq(block, right[active], rcond=1e-12)[0] if len(active) < 3 else (
+                np.linalg.solve(block + 1e-12 * np.trace(block) / len(active) * np.eye(len(active)), right[active]))
             if (solution > 0.0).all():
                 weights[:] = 0.0
-                weights[places] = solution
+                weights[active] = solution
                 break
-            # As far towards it as all stay positive; those that reach zero leave.
-            now, falls = weights[places], solution <= 0.0
-            share = float(np.min(now[falls] / np.maximum(now[falls] - solution[falls], 1e-300)))
-            weights[places] = now + share * (solution - now)
-            leaves = places[weights[places] <= 1e-14 * weights.max(initial=1e-300)]
-            weights[leaves], chosen[leaves] = 0.0, False
-            if not leaves.size:
+            # Go towards the solution until the first weight reaches zero; its element leaves the active set.
+            now, falls = weights[active], solution <= 0.0
+            step = float(np.min(now[falls] / np.maximum(now[falls] - solution[falls], 1e-300)))
+            weights[active] = now + step * (solution - now)
+            leaving = active[weights[active] <= 1e-14 * weights.max(initial=1e-300)]
+            weights[leaving], chosen[leaving] = 0.0, False
+            if not leaving.size:
                 break

@@ -1,4 +1,4 @@
-"""A reduced solid, stepped from pose to pose of a tool a thousand times a second."""
+"""Real-time quasi-static solver of a reduced solid (Galerkin projection on modes, sampled elements, layer contact)."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from tissue_sim.fem.reduced.compliance import missing_force
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.fields import reduced_fields
-from tissue_sim.fem.reduced.lifting import Lifting
-from tissue_sim.fem.reduced.linear import bend, size, solution
+from tissue_sim.fem.reduced.linear import estimate_nonlinear_residual, norm, solve
 from tissue_sim.fem.reduced.model import ReducedModel
 from tissue_sim.fem.reduced.placement import PlacedReduced
 from tissue_sim.fem.reduced.prediction import Prediction
 from tissue_sim.fem.reduced.response import Response
+from tissue_sim.fem.reduced.settings import ReducedNewtonSettings
+from tissue_sim.fem.reduced.tool_motion import ToolMotionBasis
 from tissue_sim.fem.solid.discretisation import tool_contact
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.state import SavedState
@@ -30,40 +31,28 @@ from tissue_sim.model import Model
 from tissue_sim.pose import Pose, Screw, motion
 from tissue_sim.tool_force import Matrix
 
-#: Unbalanced over balanced forces on the modes; a smaller tolerance would be far below the error of the reduction.
+#: Relative residual of the modal forces at which a step has converged. The error of the reduction is far larger.
 TOLERANCE = 5e-4
-#: Unbalanced forces are measured against those of the contact, but at least this share of the largest so far.
-_FLOOR_SHARE = 0.02
-#: A linear solution is halved where it does not make the unbalanced forces smaller by this share of itself.
-_DESCENT, _MOST_HALVINGS = 0.1, 5
-#: The contact is solved on linear tissue to this share of the tolerance, in so many solutions at most.
-_INNER, _MOST_SOLVES = 0.3, 12
-#: Groups of elements whose stiffness is computed at one time; an iteration after the first computes no stiffness while
-#: the unbalanced forces shrink to this fraction each time.
-_GROUPS, _FAST = 8, 0.3
-#: Groups that are computed anew in a slow iteration, and iterations from which on all are.
-_OLDEST, _PATIENT = 2, 4
-#: Tissue bends away from its tangent by less than so many times what its last change lets expect: of 5700 that were
-#: looked at, none by more than 8 times, and none of those that five times would have let pass. Not where some of the
-#: tangent is that of a step which failed, nor in further iterations, whose changes go elsewhere: there up to 17 times.
-_DOUBT = 5.0
-#: Smallest J of an element that is not about to turn inside out.
-_LEAST = 0.02
+#: Settings of the modified Newton method.
+SETTINGS = ReducedNewtonSettings()
 
 
 class ReducedSolver(PlacedReduced):
-    """Newton's iteration on the modes of a reduced solid; see `ReducedModel`.
+    """Modified Newton method for the modal equilibrium Phi' f(u + Phi a) + Phi' f_contact = 0 of a `ReducedModel`.
+
+    A step first solves the contact on tissue that is linear about the last evaluated state. The sampled elements are
+    evaluated only if the estimated residual of this linear step exceeds the tolerance.
 
     Args:
-        reduced: what was kept of the solid.
-        material: law, parameters, bulk response; may differ from the one that it was made of.
+        reduced: the reduced solid.
+        material: law, parameters and bulk response; may differ from the material of the training.
 
     Attributes:
-        least_tolerance: to which a step is solved, whatever smaller one it asks for.
+        least_tolerance: smallest tolerance of a step; smaller requested values are raised to it.
 
     Raises:
-        InputError: what it does not take of a material.
-        MissingBackendError: Taichi is not there.
+        InputError: the reduced solid does not support the material.
+        MissingBackendError: Taichi is not installed.
     """
 
     highest_order = 1
@@ -77,280 +66,293 @@ class ReducedSolver(PlacedReduced):
         bodies, self.datum = tool_contact(experiment, mesh, bonded, reduced.places)
         self._make_placement(bodies)
         self.elements = SampledElements(
-            mesh, reduced.basis, reduced.elements, reduced.shares, groups=_GROUPS, rest=reduced.rest,
+            mesh, reduced.basis, reduced.elements, reduced.shares, groups=SETTINGS.stiffness_groups, rest=reduced.rest,
             layers=reduced.element_layers, contact_radius=experiment.contact_radius)
         self._reach = experiment.contact_radius
         self.contact = LayerContact(bodies, reduced.places, mesh.node_areas, reduced.basis, reach=self._reach,
                                     softness=reduced.softness)
         self.missing_force = missing_force(reduced, self.contact)
-        self._lifted = Lifting(reduced.lifting, Frame(self._start, self.datum))
+        self._tool_motion = ToolMotionBasis(reduced.lifting, Frame(self._start, self.datum))
         modes = reduced.basis.shape[1]
-        #: How many modes the tool says, and those that are solved for.
         self._lifting, self._free = reduced.lifting, slice(reduced.lifting, modes - reduced.watched)
         self.amplitudes = np.zeros(modes)
         self._prediction = Prediction(modes, self._reach)
         self._committed = self.amplitudes.copy(), self.elements.rest_pressures.copy()
-        #: Of the elements on the modes there; and steps in which stiffness was computed since it came to rest.
-        self._forces, self._known, self._rested, self._largest_force = np.zeros(modes), self.amplitudes, 0, 0.0
-        #: Groups whose stiffness may be that of a step which failed.
-        self._strange = 0
-        self._asked = False
+        #: Last evaluated state: amplitudes, and modal forces of the elements.
+        self._evaluated_at, self._forces = self.amplitudes, np.zeros(modes)
+        self._groups_at_rest = 0
+        #: Largest modal force since the last change of the material.
+        self._largest_force = 0.0
+        #: Number of groups whose stiffness may belong to a failed step.
+        self._suspect_groups = 0
+        self._returns_stiffness = False
         reduced.require_material(material)
         self.elements.set_material(material, reduced.bulk_ratio)
         self.elements.settle()
         self.set_material(material)
 
     def set_material(self, material: Material) -> None:
-        """Change parameters, bulk response or law; the state is kept. See `Solver.set_material`."""
+        """Set parameters, bulk response or law and keep the state. See `Solver.set_material`."""
         self.reduced.require_material(material)
         stiffer = self.elements.set_material(material, self.reduced.bulk_ratio)
         self.material = material
         for pressures in (self._committed[1], self.elements.pressures):
             pressures *= stiffer
         softest = self.contact.set_stiffness(node_moduli(material, self.mesh, self.reduced.element_layers))
-        self._prediction.forget_what_was_missed()
+        self._prediction.reset_corrections()
         self._floor = 1e-3 * softest * self._reach**2
         self._largest_force = 0.0
-        self._renew()
+        self._reset_stiffness()
 
     @property
     def pose(self) -> Pose:
-        """Of the tool at the last committed state."""
+        """Pose of the tool in the last committed state."""
         return self._pose
 
     def ask_for_stiffness(self) -> None:
-        """Let every step answer its stiffness matrix from now on."""
-        self._asked = True
+        """Compute the stiffness matrix in every following step."""
+        self._returns_stiffness = True
 
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = TOLERANCE, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
              own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
-        """Move the tool to a pose and find equilibrium; see `Solver.step`. There is no mass."""
+        """Move the tool to a pose and solve for static equilibrium; see `Solver.step`. Inertia is neglected."""
         elements, contact = self.elements, self.contact
         if not resumes:
-            self._go_back()
+            self._reset_to_committed()
         frame = Frame(pose, self.datum)
-        pressed_in = bool(frame.origin[2] <= self._lifted.first.origin[2])
-        inside, clear = self._where(pose, frame)
+        pressed_in = bool(frame.origin[2] <= self._tool_motion.first.origin[2])
+        inside, clear = self._classify_pose(pose, frame)
         if not (inside or clear):
             return Step(StepStatus.OUTSIDE, 0, 0.0, (0.0,) * 6)
-        if not inside:  # it touches nothing: near to where it rests
+        if not inside:  # without contact the tissue is close to rest
             self.amplitudes[:], elements.pressures[:] = 0.0, elements.rest_pressures
-            if not elements.remember:
-                return self._rest(pose)
+            if not elements.has_history:
+                return self._step_without_contact(pose)
         elements.prepare(dt)
         held, free = self._lifting, self._free
-        # It begins by going with the tool as it would if the contact did not change, or where the last step ended.
+        # The initial guess is the linear response with unchanged contact, or the end of the last step.
         predicts = predictor_order and inside and not resumes
-        way = np.array(motion(self._pose, pose)) if predicts else np.zeros(6)
-        # What touches is balanced below, from the forces that were left.
-        here = self.amplitudes + (self._prediction.change(way) if held and predicts else self._prediction.answer @ way)
-        here[:held] = self._lifted.amplitudes(frame)
+        tool_step = np.array(motion(self._pose, pose)) if predicts else np.zeros(6)
+        # For a tool that can lift off `_balance` removes the remaining residual, so the corrections are not needed.
+        here = self.amplitudes + (self._prediction.predict(tool_step) if held and predicts else
+                                  self._prediction.sensitivity @ tool_step)
+        here[:held] = self._tool_motion.amplitudes(frame)
         iterations, ratio, last, halvings, status = 0, 0.0, np.inf, 0, None
-        anew = _OLDEST if self._strange else 1
-        # Where the elements were looked at last, and their forces there.
-        base, forces = (self._known, elements.pressures.copy()), self._forces
+        groups_to_compute = SETTINGS.groups_per_update if self._suspect_groups else 1
+        # State in which the elements were evaluated last, and their forces.
+        base, forces = (self._evaluated_at, elements.pressures.copy()), self._forces
         if resumes:
             base, forces = (self.amplitudes.copy(), base[1]), elements.forces.copy()
-        if elements.are_known and inside and not (held or resumes):
-            # First the contact on the tissue as the last step left it: lift-off, touch and friction are what changes.
-            here, pushed, rates = self._balance(here, base[0], forces, frame, pressed_in, tolerance)
+        if elements.has_complete_stiffness and inside and not (held or resumes):
+            # Solve the contact on linear tissue first: most of a step is a change of contact and friction.
+            here, contact_forces, contact_rates = self._balance(here, base[0], forces, frame, pressed_in, tolerance)
         else:
-            pushed, rates = self._press(here, frame, pressed_in)
-        follows = inside and np.array_equal(elements.at, base[0])
+            contact_forces, contact_rates = self._evaluate_contact(here, frame, pressed_in)
+        updates_pressure = inside and np.array_equal(elements.at, base[0])
         while status is None:
             change = here - base[0]
-            drawn = elements.tangent @ change
-            went, foreseen, is_foreseen = float(change @ drawn), forces + drawn, elements.are_known and follows
-            elements.evaluate(here, follows, anew)
-            forces, looked = elements.forces.copy(), here
-            residual = forces + pushed
-            unbalanced = size(residual[free])
-            balanced = self._balanced(pushed, forces)
-            ratio = unbalanced / self._scale(balanced)
-            bad = not (elements.least > _LEAST and np.isfinite(ratio))
-            if ratio <= max(tolerance, self.least_tolerance) and not bad:
+            linear_change = elements.tangent @ change
+            previous_work, linear_forces = float(change @ linear_change), forces + linear_change
+            has_linear_forces = elements.has_complete_stiffness and updates_pressure
+            elements.evaluate(here, updates_pressure, groups_to_compute)
+            forces, evaluated_at = elements.forces.copy(), here
+            residual = forces + contact_forces
+            residual_norm = norm(residual[free])
+            force_norm = self._force_norm(contact_forces, forces)
+            ratio = residual_norm / self._reference_force(force_norm)
+            is_invalid = not (elements.smallest_volume_ratio > SETTINGS.min_volume_ratio and np.isfinite(ratio))
+            if ratio <= max(tolerance, self.least_tolerance) and not is_invalid:
                 status = StepStatus.CONVERGED
                 break
-            if (bad or unbalanced > (1.0 - _DESCENT) * last) and halvings < _MOST_HALVINGS and (iterations or bad):
+            if ((is_invalid or residual_norm > (1.0 - SETTINGS.sufficient_decrease) * last)
+                    and halvings < SETTINGS.max_halvings and (iterations or is_invalid)):
                 halvings += 1
                 here = 0.5 * (here + base[0])
-                here[:held] = self._lifted.amplitudes(frame)
+                here[:held] = self._tool_motion.amplitudes(frame)
                 elements.pressures[:] = 0.5 * (elements.pressures + base[1])
-                follows = False
-                pushed, rates = self._press(here, frame, pressed_in)
+                updates_pressure = False
+                contact_forces, contact_rates = self._evaluate_contact(here, frame, pressed_in)
                 continue
-            if bad:
+            if is_invalid:
                 status = StepStatus.INVERTED
             elif iterations >= max_iterations:
                 status = StepStatus.SLOW
             if status is not None:
                 break
-            if iterations and (unbalanced > _FAST * last or halvings):
-                # The stiffness is that of other states: the oldest of it, or all where it led astray.
-                elements.evaluate(here, False, _GROUPS if halvings > 1 or iterations > _PATIENT else _OLDEST)
-            last, halvings, base = unbalanced, 0, (here, elements.pressures.copy())
-            here, pushed, rates = self._balance(here, here, forces, frame, pressed_in, tolerance)
-            follows, anew = True, 0
+            if iterations and (residual_norm > SETTINGS.fast_convergence * last or halvings):
+                # Slow convergence: update the oldest groups of the stiffness, or all after several failures.
+                updates_all = halvings > 1 or iterations > SETTINGS.max_partial_updates
+                elements.evaluate(here, False, SETTINGS.stiffness_groups if updates_all else SETTINGS.groups_per_update)
+            last, halvings, base = residual_norm, 0, (here, elements.pressures.copy())
+            here, contact_forces, contact_rates = self._balance(here, here, forces, frame, pressed_in, tolerance)
+            updates_pressure, groups_to_compute = True, 0
             iterations += 1
-            if is_foreseen and iterations == 1 and not (self._strange or elements.remember):
-                # Tissue bends away from its tangent as it just has, or less, where it goes less far.
+            if has_linear_forces and iterations == 1 and not (self._suspect_groups or elements.has_history):
+                # Estimate the residual of this linear step from the nonlinearity of the previous one; if small, accept.
                 change = here - base[0]
                 added = elements.tangent @ change
-                residual, balanced = forces + added + pushed, self._balanced(pushed, forces + added)
-                doubt = _DOUBT * bend((forces - foreseen)[free], went, float(change @ added))
-                ratio = (size(residual[free]) + doubt) / self._scale(balanced)
+                residual = forces + added + contact_forces
+                force_norm = self._force_norm(contact_forces, forces + added)
+                nonlinear_residual = SETTINGS.residual_safety * estimate_nonlinear_residual(
+                    (forces - linear_forces)[free], previous_work, float(change @ added))
+                ratio = (norm(residual[free]) + nonlinear_residual) / self._reference_force(force_norm)
                 if ratio <= max(tolerance, self.least_tolerance):
                     status = StepStatus.CONVERGED
         self.amplitudes[:] = here
-        self._strange = max(0, self._strange - _OLDEST) if status is StepStatus.CONVERGED else _GROUPS
+        self._suspect_groups = (max(0, self._suspect_groups - SETTINGS.groups_per_update)
+                                if status is StepStatus.CONVERGED else SETTINGS.stiffness_groups)
         stiffness, error, wrench, stiffness_age = None, None, np.zeros(6), 0.0
         if status is StepStatus.CONVERGED:
-            lifted = self._lifted.rates(frame)
-            wrench = contact.wrench - lifted.T @ residual[:held]
-            if self._asked and contact.has_friction and pose == self._pose:
-                # What has slipped would slip on, as while the tool went.
-                _, rates = self._press(here, frame, pressed_in, slips_on=True)
-            response = Response(elements.tangent + rates, contact, lifted, free, residual)
-            self._prediction.learn(np.array(motion(self._pose, pose)), here - self._committed[0], response.answer,
-                                   response.left)
+            prescribed_rates = self._tool_motion.rates(frame)
+            wrench = contact.wrench - prescribed_rates.T @ residual[:held]
+            if self._returns_stiffness and contact.has_friction and pose == self._pose:
+                # Slipping nodes continue to slip, as in the step that led to this pose.
+                _, contact_rates = self._evaluate_contact(here, frame, pressed_in, slips_on=True)
+            response = Response(elements.tangent + contact_rates, contact, prescribed_rates, free, residual)
+            self._prediction.update(np.array(motion(self._pose, pose)), here - self._committed[0], response.sensitivity,
+                                    response.correction)
             error = response.force_error(self.reduced.error_factors, wrench[:3], self.missing_force)
-            if self._asked:
+            if self._returns_stiffness:
                 age = elements.stiffness_age(here)
                 if age == 0.0:
-                    # No time passed, so no age would state that the stiffness is that of another state.
-                    elements.evaluate(here, not np.array_equal(here, looked), _GROUPS)
-                    looked, forces = here, elements.forces.copy()
-                    response = Response(elements.tangent + rates, contact, lifted, free, residual)
+                    # Without elapsed time the age would not reveal an outdated stiffness, so compute the stiffness now.
+                    elements.evaluate(here, not np.array_equal(here, evaluated_at), SETTINGS.stiffness_groups)
+                    evaluated_at, forces = here, elements.forces.copy()
+                    response = Response(elements.tangent + contact_rates, contact, prescribed_rates, free, residual)
                 stiffness, stiffness_age = response.stiffness(self.reduced.box), age or 0.0
             contact.commit()
             elements.commit()
-            self._committed, self._known, self._forces = (here.copy(), elements.pressures.copy()), looked, forces
+            self._committed = here.copy(), elements.pressures.copy()
+            self._evaluated_at, self._forces = evaluated_at, forces
             self._pose = pose
-            self._largest_force = max(self._largest_force, balanced)
+            self._largest_force = max(self._largest_force, force_norm)
         return Step(status, iterations, ratio, cast("Screw", tuple(wrench.tolist())),
                     None if stiffness is None else cast("Matrix", tuple(map(tuple, stiffness.tolist()))),
                     contact.violation, contact.slipping, force_error=error, stiffness_age=stiffness_age)
 
-    def _rest(self, pose: Pose) -> Step:
-        """Elastic tissue that nothing touches, in a tick that has time to compute some of the stiffness at rest."""
+    def _step_without_contact(self, pose: Pose) -> Step:
+        """Set elastic tissue to rest, and use the free time of the step to compute one stiffness group at rest."""
         if self._committed[0].any():
-            self._rested = 0
-        if self._rested < _GROUPS:
-            self._rested += 1
+            self._groups_at_rest = 0
+        if self._groups_at_rest < SETTINGS.stiffness_groups:
+            self._groups_at_rest += 1
             self.elements.evaluate(self.amplitudes, False, 1)
         self._committed, self._forces = (self.amplitudes.copy(), self.elements.pressures.copy()), 0.0 * self._forces
-        self._known, self._pose = self.amplitudes.copy(), pose
-        self._prediction.forget()
+        self._evaluated_at, self._pose = self.amplitudes.copy(), pose
+        self._prediction.reset()
         self.contact.forget()
-        stiffness = ((0.0,) * 6,) * 6 if self._asked else None
+        stiffness = ((0.0,) * 6,) * 6 if self._returns_stiffness else None
         return Step(StepStatus.CONVERGED, 0, 0.0, (0.0,) * 6, stiffness)
 
     @property
     def is_at_rest(self) -> bool:
         """See `PlacedReduced.is_at_rest`."""
-        return self._rested >= _GROUPS and not self._committed[0].any()
+        return self._groups_at_rest >= SETTINGS.stiffness_groups and not self._committed[0].any()
 
-    def _press(self, amplitudes: np.ndarray, frame: Frame, pressed_in: bool, *, slips_on: bool = False
+    def _evaluate_contact(self, amplitudes: np.ndarray, frame: Frame, pressed_in: bool, *, slips_on: bool = False
                ) -> tuple[np.ndarray, np.ndarray]:
-        """The contact's forces on the modes, and their derivatives."""
+        """Return the modal contact forces and their derivatives."""
         self.contact.evaluate(amplitudes, frame, pressed_in, slips_on=slips_on)
         return self.contact.on_modes()
 
-    def _balanced(self, pushed: np.ndarray, forces: np.ndarray) -> float:
-        """Force on the modes of the contact and, by the forces of the elements, of the held face."""
-        return size(pushed) + size(forces[: self._lifting])
+    def _force_norm(self, contact_forces: np.ndarray, forces: np.ndarray) -> float:
+        """Return the norm of the modal contact forces plus the norm of the forces on the bonded face."""
+        return norm(contact_forces) + norm(forces[: self._lifting])
 
-    def _scale(self, balanced: float) -> float:
-        """Force by which unbalanced forces are divided."""
-        return max(balanced, self._floor, _FLOOR_SHARE * self._largest_force)
+    def _reference_force(self, force_norm: float) -> float:
+        """Return the force by which the residual norm is divided."""
+        return max(force_norm, self._floor, SETTINGS.min_reference_force * self._largest_force)
 
-    def _balance(self, guess: np.ndarray, known: np.ndarray, forces: np.ndarray, frame: Frame, pressed_in: bool,
+    def _balance(self, guess: np.ndarray, reference: np.ndarray, forces: np.ndarray, frame: Frame, pressed_in: bool,
                  tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Solve the contact on tissue whose forces grow linearly from a state where they are known.
+        """Solve the contact on linear tissue, f(a) = f_0 + K (a - a_0), by Newton's method with step halving.
 
         Args:
-            guess: amplitudes to begin with; their first ones, which the tool's pose says, stay.
-            known: amplitudes at which the elements have these forces on the modes, shape (modes,).
+            guess: initial amplitudes; the amplitudes prescribed by the tool stay fixed.
+            reference: amplitudes a_0 of the linearisation, shape (modes,).
+            forces: modal forces f_0 of the elements, shape (modes,).
+            frame, pressed_in, tolerance: see `LayerContact.evaluate` and `step`.
 
         Returns:
-            Amplitudes, the contact's forces there, and their derivatives.
+            Amplitudes, modal contact forces and their derivatives.
         """
         free, tangent = self._free, self.elements.tangent
-        goal = _INNER * max(tolerance, self.least_tolerance)
+        goal = SETTINGS.contact_tolerance * max(tolerance, self.least_tolerance)
         at, before, last, halvings, solves = guess, guess, np.inf, 0, 0
         while True:
-            pushed, rates = self._press(at, frame, pressed_in)
-            resisted = forces + tangent @ (at - known)
-            residual = (resisted + pushed)[free]
-            unbalanced = size(residual)
-            if unbalanced <= goal * self._scale(self._balanced(pushed, resisted)) or solves >= _MOST_SOLVES:
-                return at, pushed, rates
-            if unbalanced > (1.0 - _DESCENT) * last and halvings < _MOST_HALVINGS:
+            contact_forces, contact_rates = self._evaluate_contact(at, frame, pressed_in)
+            tissue_forces = forces + tangent @ (at - reference)
+            residual = (tissue_forces + contact_forces)[free]
+            residual_norm = norm(residual)
+            reference_force = self._reference_force(self._force_norm(contact_forces, tissue_forces))
+            if residual_norm <= goal * reference_force or solves >= SETTINGS.max_contact_solves:
+                return at, contact_forces, contact_rates
+            if residual_norm > (1.0 - SETTINGS.sufficient_decrease) * last and halvings < SETTINGS.max_halvings:
                 at, halvings = 0.5 * (at + before), halvings + 1
                 continue
-            before, last, halvings = at, unbalanced, 0
+            before, last, halvings = at, residual_norm, 0
             at = at.copy()
-            at[free] -= solution((tangent + rates)[free, free], residual)
+            at[free] -= solve((tangent + contact_rates)[free, free], residual)
             solves += 1
 
     def accepts_pose(self, pose: Pose) -> bool:
-        """See `Solver.accepts_pose`: in the box, or where it touches nothing."""
-        return any(self._where(pose, Frame(pose, self.datum)))
+        """See `Solver.accepts_pose`. Accepted are poses inside the box and poses without contact."""
+        return any(self._classify_pose(pose, Frame(pose, self.datum)))
 
-    def _where(self, pose: Pose, frame: Frame) -> tuple[bool, bool]:
-        """Whether a tool there is in the box, and whether it touches nothing outside of it."""
+    def _classify_pose(self, pose: Pose, frame: Frame) -> tuple[bool, bool]:
+        """Return whether the pose is inside the box, and whether it is outside and without contact."""
         box, start = self.reduced.box, self._start
         inside = box.holds(pose, start)
         clear = not inside and self._is_clear_of(frame)
-        # A tool that goes up out of the box takes leave of the tissue within the width of the layer.
+        # A tool that leaves the box upwards may still touch within the thickness of the layer.
         return inside or (not (clear or self._lifting) and box.is_under(pose, start)), clear
 
-    def _renew(self) -> None:
-        """Another state has been put in place: its volumes, and all of its stiffness."""
-        self._rested = self._strange = 0
-        self._go_back()
-        self.elements.renew(self.amplitudes)
-        self._known, self._forces = self.amplitudes.copy(), self.elements.forces.copy()
+    def _reset_stiffness(self) -> None:
+        """Evaluate the committed state and mark all stiffness as invalid, after a change of state or material."""
+        self._groups_at_rest = self._suspect_groups = 0
+        self._reset_to_committed()
+        self.elements.reset_stiffness(self.amplitudes)
+        self._evaluated_at, self._forces = self.amplitudes.copy(), self.elements.forces.copy()
 
-    def _go_back(self) -> None:
-        """To the last committed state."""
+    def _reset_to_committed(self) -> None:
+        """Restore amplitudes and pressures of the last committed state."""
         self.amplitudes[:], self.elements.pressures[:] = self._committed
 
     def lift_off(self) -> None:
-        """Take the tool away at once; see `Solver.lift_off`."""
+        """Remove the tool and unload the tissue; see `Solver.lift_off`."""
         self._committed[0][:], self._committed[1][:] = 0.0, self.elements.rest_pressures
-        self._prediction.forget()
+        self._prediction.reset()
         self.contact.forget()
         self._pose, self._largest_force = self._start, 0.0
-        self._renew()
+        self._reset_stiffness()
 
     def forget(self) -> None:
-        """Become tissue that nobody has touched."""
+        """Reset the solver to tissue without loading history."""
         self.elements.forget()
         self.lift_off()
 
     def save(self) -> SavedState:
-        """All that a committed step leaves behind, for `restore`."""
+        """Return a copy of the committed state, for `restore`."""
         return SavedState(tuple(array.copy() for array in self._kept), self._pose, self._largest_force, self._landed)
 
     def restore(self, saved: SavedState) -> None:
-        """Go back to where `save` was called."""
+        """Restore a state that was returned by `save`."""
         self.place_tool(saved.start or self._start)
         for array, before in zip(self._kept, saved.arrays, strict=True):
             array[:] = before
         self._pose, self._largest_force = saved.pose, saved.largest_force
-        self._renew()
+        self._reset_stiffness()
 
     @property
     def _kept(self) -> tuple[np.ndarray, ...]:
         return (*self._committed, *self._prediction.kept, *self.contact.kept, *self.elements.kept)
 
     def displacement(self) -> np.ndarray:
-        """Of all nodes at the last committed state, m, shape (nodes, 3)."""
+        """Return the displacement of all nodes in the last committed state, m, shape (nodes, 3)."""
         return (self.reduced.basis @ self._committed[0]).reshape(-1, 3) + self.reduced.places - self.mesh.nodes
 
-    #: What `fields` needs of the last committed state.
+    #: The sample of a state that `fields` needs is the displacement.
     sample = displacement
 
     def fields(self, samples: Sequence[Any]) -> Fields | None:
@@ -358,7 +360,7 @@ class ReducedSolver(PlacedReduced):
         return reduced_fields(self.mesh, self.material, samples, self.datum, self.reduced.element_layers)
 
     def surface(self) -> SolidSurface:
-        """The surface at the last committed state."""
+        """Return the surface of the tissue in the last committed state."""
         return SolidSurface(self.mesh, self.displacement(), self.datum)
 
     def report(self) -> dict[str, Any]:
@@ -377,24 +379,22 @@ class ReducedSolver(PlacedReduced):
 
 def make_solver(model: Model, *, resolution: str = "realtime", mesh: SolidMesh | ReducedModel | None = None,
                 topology: Model | None = None) -> ReducedSolver:
-    """The solver of a reduced model; see `tissue_sim.fem.solver.SolverMaker`.
+    """Create the solver of a reduced model; see `tissue_sim.fem.solver.SolverMaker`.
 
     Args:
-        model: the experiment of the reduced model, and a material.
-        resolution, topology: not supported; `topology` must be None.
-        mesh: the `ReducedModel`.
+        model: a material, and the same experiment as that of the reduced model.
+        resolution, mesh, topology: ignored; the `ReducedModel`; must be None.
 
     Raises:
-        InputError: no reduced model, or the experiment of another one.
+        InputError: `mesh` is not a reduced model, or the experiments differ.
     """
     if not isinstance(mesh, ReducedModel):
-        raise InputError("must be a ReducedModel, as `tissue-sim reduce` writes it", field="mesh")
+        raise InputError("must be a ReducedModel. Load the file of `tissue-sim reduce`", field="mesh")
     if topology is not None:
-        raise InputError("a reduced model has the geometry that it was made of; leave the topology out",
-                         field="topology")
+        raise InputError("must be None for a reduced model. Leave it out", field="topology")
     made_of = mesh.model.experiment
     for name in ("specimen", "tool", "friction", "friction_base", "friction_wall", "approach"):
         if getattr(model.experiment, name) != getattr(made_of, name):
-            raise InputError("a reduced solid has the one that it was made of; take that, or make another one",
+            raise InputError("must equal that of the reduced model. Use the same one, or reduce the model again",
                              field=f"experiment.{name}")
     return ReducedSolver(mesh, model.material)

@@ -1,7 +1,8 @@
-"""Symmetries of a solid under its tool: what it does on a stroke, it does on the stroke's image.
+"""Symmetries of a solid and its tool, which multiply the training data: the image of a solution is a solution.
 
-Looked for among the eight symmetries of a square about the vertical through the tool's first touch, which are those
-that keep the box of poses: an upright cylinder has all of them, one beside whose axis the tool comes down has one.
+The candidates are the eight symmetries of a square about the vertical line through the first contact point (the
+dihedral group D4), which map the box of poses onto itself. An upright cylinder under a central tool has all eight; with
+an off-centre tool it has one mirror symmetry.
 """
 
 from __future__ import annotations
@@ -17,17 +18,17 @@ from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose, Screw, motion, turned
 
-#: Nodes lie on each other within this share of the mesh's size; directions are the same to this.
-_SAME = 1e-9
+#: Relative tolerance for equal positions (times the size of the mesh) and equal directions.
+_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Symmetry:
-    """A rotation or reflection of the mesh onto itself, about the vertical through a point.
+    """A rotation or reflection that maps the mesh onto itself, about a vertical line.
 
     Attributes:
-        matrix: of directions, orthogonal, shape (3, 3).
-        nodes: on which node each one comes to lie, shape (nodes,).
+        matrix: orthogonal matrix that maps directions, shape (3, 3).
+        nodes: number of the image of each node, shape (nodes,).
     """
 
     matrix: np.ndarray
@@ -35,45 +36,49 @@ class Symmetry:
 
     @property
     def is_identity(self) -> bool:
-        """Whether everything stays where it is."""
+        """Whether the symmetry is the identity."""
         return bool((self.matrix == np.eye(3)).all())
 
     def displacements(self, states: np.ndarray) -> np.ndarray:
-        """Images of displacements, m, shape (states, freedoms)."""
+        """Return the images of displacements, m, shape (states, freedoms)."""
         states = np.asarray(states)
         images = np.empty((len(states), self.nodes.size, 3))
         images[:, self.nodes] = states.reshape(len(states), -1, 3) @ self.matrix.T
         return images.reshape(states.shape)
 
     def pose(self, pose: Pose, start: Pose) -> Pose:
-        """Image of a pose of a tool of revolution that begins at `start`."""
+        """Return the image of a pose of a tool of revolution whose motion begins at `start`."""
         x, y, z, *turn = motion(start, pose)
-        way = self.matrix @ (x, y, z)
-        # Rotations are axial: a reflection turns them round.
+        offset = self.matrix @ (x, y, z)
+        # A rotation vector is an axial vector: a reflection reverses its sign.
         rotation = np.linalg.det(self.matrix) * self.matrix @ turn
         x0, y0, z0 = start.position
-        return turned(Pose((x0 + way[0], y0 + way[1], z0 + way[2]), start.orientation), tuple(rotation.tolist()))
+        position = (x0 + offset[0], y0 + offset[1], z0 + offset[2])
+        return turned(Pose(position, start.orientation), tuple(rotation.tolist()))
 
     def wrench(self, wrench: Screw | np.ndarray) -> np.ndarray:
-        """Image of a force and a torque, N and N m, shape (6,)."""
+        """Return the image of a wrench (force, N, and torque, N m), shape (6,)."""
         force, torque = np.asarray(wrench[:3]), np.asarray(wrench[3:])
         return np.concatenate([self.matrix @ force, np.linalg.det(self.matrix) * self.matrix @ torque])
 
 
 def symmetries(solver: SolidSolver, start: Pose) -> list[Symmetry]:
-    """Those of a solid under a tool that begins at `start`: the identity first, a group together.
+    """Find the symmetries of a solid under a tool that begins at `start`.
 
-    Mesh, named sets and what holds the solid are mapped onto themselves, and the tool's axis at the start.
+    A symmetry maps the mesh, its named sets, regions, supports and the initial axis of the tool onto themselves.
+
+    Returns:
+        The symmetry group, the identity first.
     """
     found = []
-    for matrix in _square():
+    for matrix in _square_symmetries():
         axis = np.array(start.rotation)[:, 2]
-        if np.abs(matrix @ axis - axis).max() > _SAME:
+        if np.abs(matrix @ axis - axis).max() > _TOLERANCE:
             continue
-        nodes = _images(solver.mesh, matrix, np.array([*start.position[:2], 0.0]))
-        if nodes is None or not _maps(solver.mesh, nodes):
+        nodes = _map_nodes(solver.mesh, matrix, np.array([*start.position[:2], 0.0]))
+        if nodes is None or not _maps_elements(solver.mesh, nodes):
             continue
-        # What is held along an axis is held along its image.
+        # A support along an axis must have an image that is a support along the image of the axis.
         held, image = held_freedoms(solver), np.empty((nodes.size, 3), dtype=bool)
         image[nodes] = held @ (np.abs(matrix.T) > 0.5)
         if (image == held).all():
@@ -82,8 +87,13 @@ def symmetries(solver: SolidSolver, start: Pose) -> list[Symmetry]:
 
 
 def parities(group: Sequence[Symmetry]) -> tuple[list[Symmetry], list[Symmetry]]:
-    """Of a group, commuting ones that are their own inverses, none a product of others; and one of each of the rest's
-    cosets, the identity first: all of the group are products of one of the latter and some of the former."""
+    """Split a symmetry group into an abelian subgroup of involutions and representatives of its cosets.
+
+    Returns:
+        Independent generators of the subgroup (commuting, each its own inverse, none a product of the others), and one
+        representative of each coset, the identity first. Every element of the group is the product of a representative
+        and some of the generators.
+    """
     commuting: list[Symmetry] = []
     made = [np.eye(3)]
     for each in group:
@@ -99,8 +109,8 @@ def parities(group: Sequence[Symmetry]) -> tuple[list[Symmetry], list[Symmetry]]
     return commuting, cosets
 
 
-def _square() -> list[np.ndarray]:
-    """The symmetries of a square in the plane of x and y, mirrors along the axes right after the identity."""
+def _square_symmetries() -> list[np.ndarray]:
+    """Return the eight symmetries of a square in the plane of x and y: the identity, the axis mirrors, the others."""
     matrices = []
     for swapped, (x, y) in product((False, True), product((1.0, -1.0), repeat=2)):
         matrix = np.diag([x, y, 1.0])
@@ -108,26 +118,26 @@ def _square() -> list[np.ndarray]:
     return matrices
 
 
-def _images(mesh: SolidMesh, matrix: np.ndarray, centre: np.ndarray) -> np.ndarray | None:
-    """On which node each one comes to lie, shape (nodes,); None where one lies on none."""
+def _map_nodes(mesh: SolidMesh, matrix: np.ndarray, centre: np.ndarray) -> np.ndarray | None:
+    """Return the number of the image of each node, shape (nodes,); None if an image is not a node."""
     from scipy.spatial import cKDTree
 
     size = float(np.ptp(mesh.nodes, axis=0).max())
     distances, nodes = cKDTree(mesh.nodes).query((mesh.nodes - centre) @ matrix.T + centre)
-    if distances.max() > _SAME * size or np.unique(nodes).size != nodes.size:
+    if distances.max() > _TOLERANCE * size or np.unique(nodes).size != nodes.size:
         return None
     return nodes
 
 
-def _maps(mesh: SolidMesh, nodes: np.ndarray) -> bool:
+def _maps_elements(mesh: SolidMesh, nodes: np.ndarray) -> bool:
     """Whether a permutation of the nodes maps elements, named sets, regions and depths onto themselves."""
     if any((np.sort(nodes[each]) != np.sort(each)).any() for each in mesh.sets.values()):
         return False
-    # What tells elements apart beside their nodes: the region, and how deep they count as.
+    # Elements with the same nodes up to symmetry must also have the same region and depth (for layers).
     region = np.zeros(len(mesh.connectivity), dtype=np.intp)
     for number, elements in enumerate(mesh.regions.values(), 1):
         region[elements] = number
-    depth = np.round(mesh.element_depths / (_SAME * float(np.ptp(mesh.nodes, axis=0).max()))).astype(np.int64)
+    depth = np.round(mesh.element_depths / (_TOLERANCE * float(np.ptp(mesh.nodes, axis=0).max()))).astype(np.int64)
     before, after = (np.sort(each, axis=1) for each in (mesh.connectivity, nodes[mesh.connectivity]))
     before, after = before[order := np.lexsort(before.T)], after[image := np.lexsort(after.T)]
     return bool((before == after).all() and (region[order] == region[image]).all()

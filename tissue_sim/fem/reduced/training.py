@@ -1,8 +1,8 @@
-"""Making a reduced solid: what the whole one does, the modes in it, and the elements that stand for all.
+"""Training of a reduced solid: full-order snapshots, modes, sampled elements and verification.
 
-Modes are the left singular vectors of displacements (proper orthogonal decomposition; Sirovich, Quart. Appl. Math. 45
-(1987) 561). What a tool holds is lifted into the solid by the elastic solutions for its twelve motions (three ways, and
-the nine entries of a rotation), so that the modes need not know them.
+The modes are the leading left singular vectors of the snapshot matrix (proper orthogonal decomposition; Sirovich,
+Quart. Appl. Math. 45 (1987) 561). For a bonded tool, twelve linear elastic solutions extend the motions of the bonded
+nodes (three displacements and nine entries of the rotation matrix) into the solid; the modes represent the remainder.
 """
 
 from __future__ import annotations
@@ -18,51 +18,32 @@ import numpy as np
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, Rest
 from tissue_sim.fem.reduced.sampling import sparse_weights
+from tissue_sim.fem.reduced.settings import TrainingSettings, VerificationSettings
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.symmetry import Symmetry, parities, symmetries
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
 from tissue_sim.fem.solid.elastic import element_forces, held_places, lifted_amplitudes, linear_response
 from tissue_sim.fem.solid.solver import SolidSolver
-from tissue_sim.fem.solver import StepStatus
+from tissue_sim.fem.solver import Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, between
 
-#: Motions of what a tool holds: three ways, and the nine entries of a rotation.
+#: Number of modes of a bonded tool: three displacements and the nine entries of the rotation matrix.
 LIFTING = 12
-#: Linear solves of a step of the whole solid, and parts that it is cut into where it does not come through.
-_MOST_SOLVES, _CUTS = 40, 3
-#: States whose forces are less than this share of the largest are left out where elements are chosen, and so many of
-#: the others are looked at.
-_LEAST_FORCE, _LOOKED_AT = 0.02, 240
-#: Elements are sampled with a bulk modulus over mu0 of at least this: with a softer one more are taken (195 in place of
-#: 169), and the force is no better.
-_SAMPLED_AT = 100.0
-#: Of the way to the edge of the top, how far elements are as fine as under the tool, at most.
-_ROOM = 0.9
-#: States are solved to 1e-7 of their forces: modes below this share of the strongest are noise, which nothing resists.
-_NOISE = 1e-6
-#: Motions that are watched beside the modes, for the estimate of the error; an even number of them.
-WATCHED = 4
-#: Steps of the reduced solid on the way of one of the whole.
-FINER = 8
-#: Fraction of the states of the trial strokes whose error is within the estimate.
-COVERAGE = 0.95
-#: Error of the force over the rms force that needs no estimate.
-NEGLIGIBLE = 0.01
-#: Strokes on which a reduced solid is tried are those from here on.
-UNSEEN = 5000
+TRAINING = TrainingSettings()
+VERIFICATION = VerificationSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshots:
-    """What the whole solid did on a stroke.
+    """Full-order states on a training path.
 
     Attributes:
-        displacements: of all freedoms at each pose, from where nobody touches it, m, shape (poses, freedoms).
-        wrenches: on the tool, N and N m, shape (poses, 6).
-        doubts: see `Solver.warnings`, where the force is largest; not kept in files.
+        displacements: nodal displacements from rest at each pose, m, shape (poses, freedoms).
+        wrenches: wrench on the tool at each pose, N and N m, shape (poses, 6).
+        doubts: warnings of the solver (`Solver.warnings`) at the largest force; not stored in files.
     """
 
     displacements: np.ndarray
@@ -71,35 +52,36 @@ class Snapshots:
 
 
 def whole_solver(model: Model, mesh: SolidMesh) -> SolidSolver:
-    """The solver of the whole solid."""
+    """Create the full-order solver."""
     return make_solver(model, mesh=mesh)
 
 
 def settled_memory(solver: SolidSolver) -> tuple[np.ndarray, ...]:
-    """What a solid that weighs remembers where nobody has touched it; none of one that does not."""
+    """Return the material history at rest under self-weight; empty without self-weight."""
     return tuple(array.copy() for array in solver.tissue.kept) if solver.tissue.specific_weight else ()
 
 
 def snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Sequence[np.ndarray] = (),
               tolerance: float = 1e-7) -> Snapshots:
-    """Take the whole solid along poses, from a specimen that nobody has touched.
+    """Simulate the full-order solid along poses, from rest without loading history.
 
     Args:
-        memory: see `settled_memory`.
+        solver, poses: full-order solver and poses of the tool.
+        memory: material history at rest, see `settled_memory`.
+        tolerance: relative residual of a step.
 
     Raises:
-        ConvergenceError: a step did not converge however small.
+        ConvergenceError: a step did not converge with the smallest subdivision.
     """
     solver.lift_off()
     for number, array in enumerate(solver.tissue.kept):
         array[:] = memory[number] if memory else 0.0
     rest = solver.sample().displacement.ravel()
-    displacements, wrenches, here = [], [], poses[0]
+    displacements, wrenches, last_pose = [], [], poses[0]
     largest, doubts = 0.0, []
     for pose in poses:
-        for part in _parts(solver, here, pose, tolerance):
-            step = part
-        here = pose
+        step = _step_with_subdivision(solver, last_pose, pose, tolerance)
+        last_pose = pose
         displacements.append(solver.sample().displacement.ravel() - rest)
         wrenches.append(step.wrench)
         if (size := math.hypot(*step.wrench[:3])) > largest:
@@ -107,26 +89,28 @@ def snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Sequence[np
     return Snapshots(np.array(displacements), np.array(wrenches), doubts)
 
 
-def _parts(solver: SolidSolver, here: Pose, goal: Pose, tolerance: float) -> Iterator:
-    """The steps to a pose, in parts where one does not come through."""
-    for cut in range(_CUTS + 1):
+def _step_with_subdivision(solver: SolidSolver, here: Pose, goal: Pose, tolerance: float) -> Step:
+    """Move the full-order solid to a pose; divide the motion if a step does not converge. Return the last step."""
+    for cut in range(TRAINING.max_subdivisions + 1):
         count = 4**cut
         for k in range(count):
             step = solver.step(between(here, goal, (k + 1) / count), 0.0, tolerance=tolerance,
-                               max_iterations=_MOST_SOLVES)
+                               max_iterations=TRAINING.max_iterations)
             if step.status is not StepStatus.CONVERGED:
                 break
         else:
-            yield step
-            return
+            return step
         here = solver.pose
-    raise ConvergenceError(f"the whole solid found no equilibrium {solver.pose.depth * 1e3:.3g} mm deep: "
-                           f"{step.status.message}; make the box smaller", depth=solver.pose.depth)
+    raise ConvergenceError(f"the full-order solver did not converge at a depth of {solver.pose.depth * 1e3:.3g} mm: "
+                           f"{step.status.message}. Use a smaller box", depth=solver.pose.depth)
 
 
 def lifted_modes(solver: SolidSolver) -> np.ndarray:
-    """What the motions of the tool do to the resting solid whose nodes it holds, shape (freedoms, 12), or (freedoms, 0)
-    of a tool that holds none."""
+    """Compute the linear elastic solutions for the twelve motions of a bonded tool.
+
+    Returns:
+        Displacements per amplitude, shape (freedoms, 12); (freedoms, 0) for a tool that can lift off.
+    """
     held = held_places(solver)
     if not held.size:
         return np.zeros((solver.x.size, 0))
@@ -139,15 +123,15 @@ def lifted_modes(solver: SolidSolver) -> np.ndarray:
 
 
 def modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The most important modes of displacements and their images.
+    """Compute the leading modes of displacements and their symmetric images (proper orthogonal decomposition).
 
     Args:
         states: displacements, m, shape (states, freedoms).
-        group: symmetries; each mode is even or odd under those that are their own inverses and commute.
-        count: of modes, at most.
+        group: symmetry group; each mode is even or odd under the involutions of its abelian subgroup (`parities`).
+        count: maximum number of modes.
 
     Returns:
-        Modes, shape (freedoms, count) or fewer where the rest is noise, and all singular values, m, descending.
+        Modes above the noise, shape (freedoms, at most count), and all singular values, m, descending.
     """
     commuting, cosets = parities(group)
     states = np.concatenate([states if one.is_identity else one.displacements(states) for one in cosets])
@@ -155,23 +139,24 @@ def modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> tuple[np
     for each in commuting:
         parts = [0.5 * (part + sign * each.displacements(part)) for part in parts for sign in (1.0, -1.0)]
     found = [_singular(part, count) for part in parts]
-    # Each state has an image of the same energy for each combination of signs.
+    # The images of a state under the subgroup have equal norms, which scales the singular values.
     singular = np.sqrt(len(parts)) * np.concatenate([values for values, _ in found])
     vectors = np.concatenate([vectors for _, vectors in found])
     leading = np.concatenate([values[: len(vectors)] for values, vectors in found])
-    # Images of one mode in two of the parts are equally strong; rounding must not choose which comes first.
+    # Symmetric modes of two parts have equal singular values; rounding makes their order reproducible.
     best = np.argsort(-np.round(np.log(np.maximum(leading, 1e-300)), 7), kind="stable")[:count]
-    return vectors[best[leading[best] > _NOISE * leading[best[0]]]].T, np.sort(singular)[::-1]
+    is_signal = leading[best] > TRAINING.singular_value_tolerance * leading[best[0]]
+    return vectors[best[is_signal]].T, np.sort(singular)[::-1]
 
 
 def _singular(states: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Singular values of states, descending, and at most `count` right singular vectors as rows, of those above 0."""
-    # Of few long rows the small matrix of their products has the same singular values.
+    """Return all singular values, descending, and at most `count` right singular vectors as rows, of values above 0."""
+    # Method of snapshots: the Gram matrix of the states is much smaller than the covariance of the freedoms.
     values, vectors = np.linalg.eigh(states @ states.T)
     singular = np.sqrt(np.maximum(values[::-1], 0.0))
     count = min(count, int((singular > 1e-9 * singular[0]).sum()))
     vectors = vectors[:, ::-1][:, :count]
-    # Nor must rounding choose their signs: the first of the largest components is positive.
+    # The first of the largest components is positive, so that rounding does not decide the sign.
     sizes = np.abs(vectors)
     first = (sizes >= 0.99 * sizes.max(axis=0)).argmax(axis=0)
     vectors = vectors * np.sign(vectors[first, np.arange(count)])
@@ -179,10 +164,13 @@ def _singular(states: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 class Sample(NamedTuple):
-    """A state at which elements are looked at.
+    """State that is used to choose the sampled elements.
 
     Attributes:
-        displacement: m, shape (freedoms,). pose: of the tool. force: on it, N. material: of which the solid was.
+        displacement: nodal displacements, m, shape (freedoms,).
+        pose: pose of the tool.
+        force: norm of the force on the tool, N.
+        material: material of the solid.
     """
 
     displacement: np.ndarray
@@ -193,23 +181,24 @@ class Sample(NamedTuple):
 
 def samples(taken: Sequence[Snapshots], poses: Sequence[Sequence[Pose]], materials: Sequence[Material],
             group: Sequence[Symmetry], start: Pose) -> Iterator[Sample]:
-    """States at which elements are looked at: spread over all, by symmetries in turn.
+    """Yield states for the choice of the sampled elements, evenly spaced, each mapped by the next symmetry in turn.
 
     Args:
-        taken: what the solid did on each stroke. poses: of each. materials: of which it was on each.
-        group: symmetries. start: of the tool.
+        taken, poses, materials: full-order states, poses and material on each training path.
+        group: symmetry group.
+        start: first pose of the tool.
     """
     states = np.concatenate([each.displacements for each in taken])
     forces = np.linalg.norm(np.concatenate([each.wrenches[:, :3] for each in taken]), axis=1)
     of_stroke = np.repeat(np.arange(len(taken)), [len(each.wrenches) for each in taken])
     ways = [pose for each in poses for pose in each]
-    # Of soft materials among stiff ones, too.
+    # The smallest force is relative to the largest force with the same material, so that soft materials count.
     kinds = {id(material): number for number, material in enumerate(materials)}
     kind = np.array([kinds[id(material)] for material in materials])[of_stroke]
     largest = np.zeros(len(materials))
     np.maximum.at(largest, kind, forces)
-    strong = np.flatnonzero(forces >= _LEAST_FORCE * largest[kind])
-    count = min(_LOOKED_AT, strong.size * len(group))
+    strong = np.flatnonzero(forces >= TRAINING.min_force * largest[kind])
+    count = min(TRAINING.sampling_states, strong.size * len(group))
     for place, state in enumerate(strong[np.linspace(0, strong.size - 1, count).astype(int)]):
         image = group[place % len(group)]
         yield Sample(image.displacements(states[state : state + 1])[0], image.pose(ways[state], start),
@@ -219,22 +208,27 @@ def samples(taken: Sequence[Snapshots], poses: Sequence[Sequence[Pose]], materia
 def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watched: int,
                     looked_at: Iterable[Sample], tolerance: float, bulk_ratio: float,
                     progress: Callable[[int, float], None] | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Elements that stand for all, and for how many each: their forces on the modes, the last `watched` ones, too, at
-    the states that the others hold, with a bulk modulus of at most so many times the shear modulus.
+    """Choose elements and weights that reproduce the modal forces at the given states (`sparse_weights`).
 
     Args:
-        looked_at: see `samples`.
+        solver: the full-order solver; its material is restored afterwards.
+        basis: displacements of all modes, shape (freedoms, modes).
+        lifting, watched: number of prescribed modes (first) and of error modes (last).
+        looked_at: states, see `samples`. The states are projected on the modes other than the error modes.
+        tolerance: relative error of the modal forces.
+        bulk_ratio: upper limit of the bulk modulus over the shear modulus.
+        progress: called with the number of elements and their relative error so far.
 
     Returns:
-        Numbers and shares, shape (n,).
+        Numbers of the elements and their weights, shape (n,) each.
     """
     mesh = solver.mesh
     scale = np.linalg.norm(basis, axis=0)
-    scale[scale < 1e-12 * scale.max()] = 1.0  # a flat face has no height that a rotation could move
+    scale[scale < 1e-12 * scale.max()] = 1.0  # some rotations do not move a flat face
     rows = (basis / scale).reshape(-1, 3, basis.shape[1])[mesh.connectivity].reshape(
         len(mesh.connectivity), -1, basis.shape[1])
     lifted, rest = basis[:, :lifting], basis[:, lifting : basis.shape[1] - watched]
-    # What the weight bears is not the modes' business.
+    # The forces at rest balance the self-weight and are not sampled.
     borne = element_forces(solver, 0.0 * solver.x, bulk_ratio) if solver.tissue.specific_weight else 0.0
     contributions, before = [], solver.material
     for state, pose, force, material in looked_at:
@@ -249,26 +243,30 @@ def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watche
     return elements, weights[elements]
 
 
-#: One of so many modes is left out of a second reduced solid on which the estimate of the error is calibrated.
-_FEWER = 4
-
-
 def verify(reduced: ReducedModel, solver: SolidSolver, strokes: Sequence[Sequence[Pose]],
            progress: Callable[[int, int], None] | None = None, *, materials: Sequence[Material] = (),
            memory: Sequence[np.ndarray] = ()) -> tuple[dict[str, Any], tuple[float, float]]:
-    """How far the reduced solid is from the whole one on strokes that it was not made of, of these materials in turn,
-    or of its own; `memory` as in `snapshots`. The factors explain the error beyond that by missing compliance.
+    """Compare the reduced with the full-order solid on test paths, and calibrate the error estimate.
+
+    Non-negative least squares fit the error factors to the error beyond the estimate by missing compliance. The factors
+    are then enlarged until the estimate covers enough states (`VerificationSettings.coverage`).
+
+    Args:
+        reduced, solver: the reduced solid and the full-order solver.
+        strokes: poses of each test path.
+        progress: called with the number of finished paths and the number of all paths.
+        materials: materials that are used in turn; none: the present material.
+        memory: material history at rest, see `settled_memory`.
 
     Returns:
-        ``force_rms_error`` and ``force_largest_error`` over the rms force of the whole with the same material, the rms
-        force of all, ``force_rms_N``, and
-        ``not_converged``, the share of steps that were not, and where the whole solid has some ``warnings`` (see
-        `Solver.warnings`); and ``error_factors`` that fit, see `ReducedModel`.
+        The report and the error factors of `ReducedModel`. The report contains ``force_rms_error`` and
+        ``force_largest_error`` over the rms force with the same material, ``force_rms_N``, the rms force over all
+        paths, ``not_converged``, the fraction of failed steps, and ``warnings`` of the full-order solver if any.
     """
     from scipy.optimize import nnls
 
-    # With fewer modes too, so that more of the error is that of modes than of elements.
-    more = (reduced.basis.shape[1] - reduced.lifting - reduced.watched) // _FEWER
+    # A second solid with fewer modes adds states whose error is caused by modes rather than by sampled elements.
+    more = (reduced.basis.shape[1] - reduced.lifting - reduced.watched) // VERIFICATION.modes_per_omitted_mode
     table = reduced.compliance
     plain = replace(reduced, error_factors=(1.0, 0.0), compliance=None if table is None else table.accepting_all)
     small, fewer = (ReducedSolver(replace(plain, watched=reduced.watched + each), reduced.model.material)
@@ -286,8 +284,8 @@ def verify(reduced: ReducedModel, solver: SolidSolver, strokes: Sequence[Sequenc
             each.forget()
         here = poses[0]
         for pose, wrench in zip(poses, true, strict=True):
-            for k in range(FINER):
-                there = between(here, pose, (k + 1) / FINER)
+            for k in range(VERIFICATION.substeps):
+                there = between(here, pose, (k + 1) / VERIFICATION.substeps)
                 step, coarse = small.step(there), fewer.step(there)
                 steps += 1
                 lost += step.status is not StepStatus.CONVERGED
@@ -303,7 +301,7 @@ def verify(reduced: ReducedModel, solver: SolidSolver, strokes: Sequence[Sequenc
         if progress:
             progress(done + 1, len(strokes))
     error, force = (np.linalg.norm(np.array(each), axis=1) for each in (missed, forces))
-    # Over the rms force with the same material, so that a soft one counts like a stiff one.
+    # Relative to the rms force with the same material, so that soft and stiff materials have equal weight.
     of_kind = [np.sqrt(np.mean(force[np.array(kinds) == kind] ** 2)) for kind in range(max(kinds) + 1)]
     rms = np.array(of_kind)[kinds]
     left = np.maximum(0.0, error - explained)
@@ -317,28 +315,33 @@ def verify(reduced: ReducedModel, solver: SolidSolver, strokes: Sequence[Sequenc
 
 
 def _coverage_factor(estimates: np.ndarray, errors: np.ndarray) -> float:
-    """Smallest factor, at least 1, with which `COVERAGE` of the errors are within the estimates and `NEGLIGIBLE`; both
-    over the rms force, shape (states,)."""
+    """Return the smallest factor c >= 1 for which enough states satisfy error <= c estimate + negligible error.
+
+    Args:
+        estimates, errors: estimated and true errors over the rms force, shape (states,).
+    """
     known = estimates > 0.0
     if not known.any():
         return 1.0
-    return max(1.0, float(np.quantile((errors[known] - NEGLIGIBLE) / estimates[known], COVERAGE)))
+    return max(1.0, float(np.quantile((errors[known] - VERIFICATION.negligible_error) / estimates[known],
+                                     VERIFICATION.coverage)))
 
 
 def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapshots],
              poses: Sequence[Sequence[Pose]], *, count: int, tolerance: float, softness: float, bulk_ratio: float,
              materials: Sequence[Material] = (), group: Sequence[Symmetry] = (),
              progress: Callable[[int, float], None] | None = None) -> ReducedModel:
-    """The reduced solid that snapshots along strokes and their images give.
+    """Compute modes and sampled elements from snapshots and return the reduced solid.
 
     Args:
-        model, mesh, box: of the solid.
-        taken: what it did; poses: on which poses.
-        count: modes beside the lifted ones; tolerance: of the forces of the sampled elements over those of all.
+        model, mesh, box: experiment and material, mesh of the full-order solid, box of poses.
+        taken, poses: full-order states and poses on each training path.
+        count: number of unknown modes.
+        tolerance: relative error of the modal forces of the sampled elements.
         softness, bulk_ratio: see `ReducedModel`.
-        materials: of which it was on each stroke; none: of the model's.
-        group: symmetries of the solid, the identity among them; none: they are looked for.
-        progress: called with the number of elements and their error so far.
+        materials: material on each training path; none: the material of the model.
+        group: symmetry group including the identity; none: the group is computed.
+        progress: called with the number of elements and their relative error so far.
     """
     solver, start = whole_solver(model, mesh), model.experiment.tool_pose(0.0)
     group = group or symmetries(solver, start)
@@ -347,13 +350,13 @@ def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapsh
     lifted = lifted_modes(solver)
     lifting = lifted.shape[1]
     amplitudes = np.array([lifted_amplitudes(solver, pose) for pose in ways])[:, :lifting]
-    # What a tool lifts has the symmetries of the solid, so that images of the rest are the rest of the images.
-    found, singular = modes(states - amplitudes @ lifted.T, group, count + WATCHED)
+    # The prescribed part commutes with the symmetries, so the images of the remainder need no new subtraction.
+    found, singular = modes(states - amplitudes @ lifted.T, group, count + TRAINING.error_modes)
     basis = np.hstack([lifted, found])
     watched = max(0, found.shape[1] - count)
     looked_at = samples(taken, poses, materials or [model.material] * len(taken), group, start)
     elements, shares = sample_elements(solver, basis, lifting, watched, looked_at, tolerance,
-                                       max(bulk_ratio, _SAMPLED_AT), progress)
+                                       max(bulk_ratio, TRAINING.min_sampling_bulk_ratio), progress)
     kept = found.shape[1] - watched
     report = {"freedoms": int(states.shape[1]), "modes": kept, "elements": int(elements.size),
               "elements_of_all": len(mesh.connectivity), "snapshots": int(states.shape[0]),
@@ -364,7 +367,7 @@ def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapsh
 
 
 def _rest(solver: SolidSolver) -> Rest | None:
-    """How a solid stands that weighs."""
+    """Return the equilibrium under self-weight; None without self-weight."""
     if not solver.tissue.specific_weight:
         return None
     solver.lift_off()
@@ -373,15 +376,15 @@ def _rest(solver: SolidSolver) -> Rest | None:
 
 
 def with_report(reduced: ReducedModel, factors: tuple[float, float], **more: Any) -> ReducedModel:
-    """With more in its report, and factors of its estimate of the error."""
+    """Return a copy with additional entries of the report and with the factors of the error estimate."""
     return replace(reduced, report={**reduced.report, **more}, error_factors=factors)
 
 
 def training_mesh(model: Model, box: PoseBox, resolution: str) -> SolidMesh:
-    """The mesh of a named resolution, fine wherever the tool can touch.
+    """Generate the mesh of a named resolution, refined wherever the tool can touch.
 
     Raises:
-        InputError: a tool that can lift off goes aside to where no top is under it.
+        InputError: the box allows a tool that can lift off to leave the top of the specimen.
     """
     experiment, aside = model.experiment, box.sideways
     if experiment.friction == "bonded":
@@ -389,9 +392,9 @@ def training_mesh(model: Model, box: PoseBox, resolution: str) -> SolidMesh:
     specimen, (x, y, _) = experiment.specimen, experiment.tool_pose(0.0).position
     for corner in itertools.product((x - aside, x + aside), (y - aside, y + aside)):
         if specimen.margin(*corner) < 0.0:
-            at = " and ".join(f"{1e3 * place:.3g}" for place in corner)
-            raise InputError(f"the tool would go beyond the specimen, {specimen.in_words}: there is none under it at "
-                             f"{at} mm; make the box smaller", field="box.sideways")
-    # Rings that fit into the top.
-    room = _ROOM * specimen.margin(x, y) - experiment.contact_radius
-    return build_mesh(experiment, resolution, model.material.layers, distance=max(0.0, min(aside, room)))
+            at = " and ".join(f"{1e3 * coordinate:.3g}" for coordinate in corner)
+            raise InputError(f"the tool would leave the top of the specimen ({specimen.in_words}) at {at} mm. Use a "
+                             "smaller box", field="box.sideways")
+    # The refined region must fit into the top.
+    largest_distance = TRAINING.fine_fraction * specimen.margin(x, y) - experiment.contact_radius
+    return build_mesh(experiment, resolution, model.material.layers, distance=max(0.0, min(aside, largest_distance)))

@@ -1,0 +1,40 @@
+"""Prescribed modes of a reduced solid: the displacement that a bonded tool imposes on the tissue."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tissue_sim.fem.solid.frame import Frame, turned_with
+
+
+class ToolMotionBasis:
+    """Amplitudes of the modes that are prescribed by the pose of a bonded tool.
+
+    The amplitudes are the displacement of the tool (3) and the change of its rotation matrix row by row (9).
+
+    Args:
+        count: number of prescribed modes: 12 for a bonded tool, 0 for a tool that can lift off.
+        first: frame of the tool at which all amplitudes are zero.
+    """
+
+    def __init__(self, count: int, first: Frame):
+        self.count, self.first = count, first
+        self._frame: Frame | None = None
+        self._rates = np.zeros((count, 6))
+
+    def amplitudes(self, frame: Frame) -> np.ndarray:
+        """Return the amplitudes of the prescribed modes for a frame of the tool, shape (count,)."""
+        return frame.motion_from(self.first)[: self.count]
+
+    def rates(self, frame: Frame) -> np.ndarray:
+        """Return the derivative of the amplitudes with respect to position and rotation of the tool.
+
+        Returns:
+            Shape (count, 6). The array is cached; the caller must not change it.
+        """
+        if self.count and frame is not self._frame:
+            self._rates = np.zeros((self.count, 6))
+            self._rates[:3, :3] = np.eye(3)
+            self._rates[3:, 3:] = turned_with(frame.rotation.T).transpose(1, 0, 2).reshape(9, 6)[:, 3:]
+            self._frame = frame
+        return self._rates

@@ -1,0 +1,130 @@
+"""Training and test paths of the tool in the box of poses of a reduced solid.
+
+On the path of a tool that can lift off, the tool indents the tissue, is dragged and rotated to a second pose and lifts
+off. A bonded tool moves through two poses and returns to its start. The poses of path n are point n of the Sobol
+sequence (Joe and Kuo, SIAM J. Sci. Comput. 30 (2008) 2635; in SciPy), so that the paths are reproducible.
+
+Points of the Sobol sequence do not lie on the boundary of the box. The boundary paths do: one at each corner and one at
+the midpoint of each edge, at the full depth of the box.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from tissue_sim.fem.reduced.model import PoseBox
+from tissue_sim.pose import Pose, between, motion, turned
+
+#: Dimension of the Sobol sequence: two poses, each of position (3) and rotation (3).
+_DIMENSION = 12
+#: Smallest depth of an indenting tool, as a fraction of the depth of the box.
+_MIN_DEPTH = 0.15
+#: Largest step between poses, as a fraction of the contact radius.
+_STEP = 1.0 / 16.0
+
+
+def training_path(number: int, box: PoseBox, start: Pose, *, holds: bool, reach: float) -> list[Pose]:
+    """Return the poses of a training path, at most one step apart.
+
+    Args:
+        number: number of the path in the Sobol sequence, from 0.
+        box: box of poses relative to `start`.
+        start: first pose of the tool.
+        holds: whether the tool is bonded to the tissue from the start.
+        reach: contact radius, m.
+    """
+    from scipy.stats import qmc
+
+    coordinates = qmc.Sobol(_DIMENSION, scramble=False).fast_forward(number + 1).random(1)[0]
+    first, second = (_pose_in_box(part, box, start, holds) for part in (coordinates[:6], coordinates[6:]))
+    if holds:
+        corners = [start, first, second, start]
+    else:
+        above = _at_depth(first, start, 0.0)
+        corners = [_at_depth(first, start, -0.1 * box.depth), above, first, second, _at_depth(second, start, 0.0)]
+    return _sample_path(corners, reach)
+
+
+def boundary_training_paths(box: PoseBox, start: Pose, *, holds: bool, reach: float,
+                     images: Sequence[np.ndarray] = (), fraction: float = 1.0) -> list[list[Pose]]:
+    """Return the poses of the training paths along the boundary of a box, in order of corners and edges.
+
+    At a corner the tool indents to the full depth, tilts outward by the largest rotation of the box and is dragged
+    along an edge. At the midpoint of an edge the tool indents, tilts outward and is dragged to the centre of the box.
+
+    Args:
+        box: box of poses relative to `start`.
+        start: first pose of the tool.
+        holds: whether the tool is bonded to the tissue from the start.
+        reach: contact radius, m.
+        images: matrices of the symmetries, shape (3, 3) each. Only the first of several symmetric paths is returned.
+        fraction: factor on the sizes of the box; below 1 the paths stay inside the box.
+    """
+    small = PoseBox(fraction * box.sideways, fraction * box.depth, fraction * box.turn)
+    paths = []
+    for corner, goal in _boundary_points(box.sideways + box.turn > 0.0, images):
+        lean = (-small.turn * corner[1] / math.hypot(*corner), small.turn * corner[0] / math.hypot(*corner), 0.0) \
+            if any(corner) else (0.0, 0.0, 0.0)
+        upright, end = (_deepest_pose(small, start, point) for point in (corner, goal))
+        leaning = turned(upright, lean)
+        corners = [start, upright, leaning, end, start] if holds else [
+            _at_depth(upright, start, -0.1 * box.depth), _at_depth(upright, start, 0.0), upright, leaning, end,
+            _at_depth(end, start, 0.0)]
+        paths.append(_sample_path(corners, reach))
+    return paths
+
+
+def _boundary_points(is_wide: bool, images: Sequence[np.ndarray]) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
+    """Yield corners and edge midpoints of a square, each with the point to which the tool is dragged.
+
+    A box without width has only its centre.
+    """
+    if not is_wide:
+        yield (0, 0), (0, 0)
+        return
+    seen: set[tuple[int, int]] = set()
+    for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1), (1, 0), (0, 1), (-1, 0), (0, -1)):
+        if (x, y) not in seen:
+            seen |= {(round(a), round(b)) for a, b, _ in (matrix @ (x, y, 0.0) for matrix in images)}
+            yield (x, y), ((x, 0) if x * y else (0, 0))
+
+
+def _deepest_pose(box: PoseBox, start: Pose, point: tuple[int, int]) -> Pose:
+    """Return the pose at the full depth of the box; the point is in units of `box.sideways`."""
+    x, y, z = start.position
+    return Pose((x + box.sideways * point[0], y + box.sideways * point[1], z - box.depth), start.orientation)
+
+
+def _sample_path(corners: Sequence[Pose], reach: float) -> list[Pose]:
+    """Interpolate poses between corner poses, at most one step apart."""
+    poses = [corners[0]]
+    for one, other in pairwise(corners):
+        x, y, z, *turn = motion(one, other)
+        count = math.ceil((math.hypot(x, y, z) + reach * math.hypot(*turn)) / (_STEP * reach) - 1e-9)
+        poses += [between(one, other, (k + 1) / count) for k in range(count)]
+    return poses
+
+
+def _pose_in_box(coordinates: np.ndarray, box: PoseBox, start: Pose, holds: bool) -> Pose:
+    """Return the pose of the box with these normalised coordinates, 0 to 1, shape (6,)."""
+    x, y, z, angle, a, b = coordinates
+    least = 0.0 if holds else _MIN_DEPTH
+    depth = box.depth * (least + (1.0 - least) * z)
+    x0, y0, z0 = start.position
+    position = (x0 + box.sideways * (2.0 * x - 1.0), y0 + box.sideways * (2.0 * y - 1.0), z0 - depth)
+    # The rotation axis is uniform on the sphere; `angle` scales the rotation about it.
+    height, around = 2.0 * a - 1.0, 2.0 * math.pi * b
+    flat = math.sqrt(max(0.0, 1.0 - height * height))
+    size = box.turn * angle
+    vector = (size * flat * math.cos(around), size * flat * math.sin(around), size * height)
+    return turned(Pose(position, start.orientation), vector)
+
+
+def _at_depth(pose: Pose, start: Pose, depth: float) -> Pose:
+    """Return the pose moved to another depth, m."""
+    x, y, _ = pose.position
+    return Pose((x, y, start.position[2] - depth), pose.orientation)
