@@ -39,6 +39,7 @@ def page(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_report_replaces_the_tables_of_a_page_and_keeps_those_that_failed(root, page):
     done = run(root, "-m", "benchmarks", "report", "--docs", str(page.parent))
     text = page.read_text(encoding="utf-8")
@@ -52,6 +53,7 @@ def test_report_refuses_a_benchmark_that_no_page_names(root, page):
     assert done.returncode == 2 and "got coverage" in done.stderr
 
 
+@pytest.mark.slow
 def test_json_is_one_object(root):
     done = run(root, "-m", "benchmarks", "long_files", "--rows", "1000", "--json")
     assert json.loads(done.stdout)["benchmark"] == "long_files"

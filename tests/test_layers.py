@@ -106,6 +106,7 @@ def test_architecture_shows_the_layers(package):
     assert [line.split("  ")[0] for line in picture] == layers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", IMPORTERS)
 def test_outside_package_is_imported_where_it_belongs(package):
     strangers = [place(path) for path in SOURCES

@@ -104,6 +104,11 @@ class PathFollower:
         x, y, z, *_ = self._equilibrium.wrench
         return not self._pulls and abs(x) + abs(y) + abs(z) <= PATH.free_force * self._largest_force
 
+    @property
+    def _is_above(self) -> bool:
+        """Whether the tool is above the place of its first touch, where waves exert no force on it."""
+        return self._is_unloaded and self._solver.pose.depth <= 0.0
+
     def _step_in_air(self, pose: Pose, target: Pose, dt: float, began: float) -> ToolForce | float:
         """Make a step of a tool that has lifted off.
 
@@ -302,7 +307,8 @@ class PathFollower:
             waves.rest(None if self._is_unloaded else way, dt)
             return
         waves.advance(at.stiffness, at.step_stiffness, way, dt, scale)
-        self._has_waves = waves.is_supersonic or not is_known_well(at.wrench, waves.force, scale.floor)
+        self._has_waves = not self._is_above and (
+            waves.is_supersonic or not is_known_well(at.wrench, waves.force, scale.floor))
 
     def _straightness(self, inertial: bool) -> float:
         """Largest distance of late poses from a straight line that replaces them, m."""
@@ -344,7 +350,7 @@ class PathFollower:
                 wrench = shortened(wrench, self._largest_force + force_of_increment(at.stiffness, self._largest_part))
         # An equilibrium without the waves of the tissue says nothing about their force.
         error = None if status is ForceStatus.STOPPED or self._pending.lost > 0.0 else self.error
-        if error is not None:
+        if error is not None and not self._is_above:
             error += self._pending.waves.force
         return ToolForce(wrench, at.stiffness, status, solves, residual, time.perf_counter() - began, at.inertial,
                          waiting, at.pose if tool.twist is None else tool.given(at.pose), ahead, within,

@@ -58,6 +58,7 @@ def attempt(page, server):
     return page.evaluate(ATTEMPTS, {"place": server.url.removeprefix("http://"), "protocol": f"viser-v{VISER_VERSION}"})
 
 
+@pytest.mark.slow
 def test_own_page_may(server, stranger):
     with stranger() as page:
         page.goto(server.url)
@@ -100,6 +101,7 @@ def test_page_of_another_site_cannot_frame_ours(server, stranger):
         assert page.frames[1].url.startswith("chrome-error://")
 
 
+@pytest.mark.slow
 def test_our_page_fetches_nothing_from_another_site(server, stranger, chromium):
     """The page contains HTML with a foreign address, as an uploaded file name could contain it."""
     with site() as (address, asked), stranger() as page:

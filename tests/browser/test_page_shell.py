@@ -60,6 +60,7 @@ def test_slow_typing_of_a_number_outside_the_range_is_not_interrupted(shown, rea
     assert reader.page.get_by_role("alert").count() == 0
 
 
+@pytest.mark.slow
 def test_a_file_that_is_too_large_does_not_leave_the_browser(shown, reader, tmp_path):
     large = tmp_path / "large.material.json"
     with large.open("wb") as file:

@@ -21,6 +21,7 @@ def server():
         yield running
 
 
+@pytest.mark.slow
 def test_the_page_loads_offline(server, open_page):
     depth = np.linspace(0.0, 1.0, 11)
     server.gui.add_uplot(data=(depth, depth**2), series=(viser.uplot.Series(label="depth"),
@@ -52,6 +53,7 @@ def test_clicks_and_replies_are_transmitted(server, open_page, chromium):
     page.get_by_test_id("answer").filter(has_text="pushed by 0").wait_for()
 
 
+@pytest.mark.slow
 def test_picture_is_saved(server, open_page, chromium, tmp_path):
     from matplotlib.image import imread
 

@@ -85,6 +85,7 @@ def test_uploaded_recordings_are_calibrated_and_the_material_is_used_and_saved(
     reader.answer("exists already and is not overwritten. Choose another name.")
 
 
+@pytest.mark.slow
 def test_a_cancelled_calibration_keeps_the_material(shown, calibrating, recordings):
     reader, material = calibrating, shown.session.scene.material
     upload(reader, recordings / "stiff_0.csv")

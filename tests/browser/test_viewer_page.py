@@ -58,6 +58,7 @@ def test_bar_and_section_have_the_same_colours_and_the_label_of_the_field(shown,
     reader.until(lambda: title.get_attribute("title"), lambda words: 1.0 < float(words.split()[-1]) <= 2.0)
 
 
+@pytest.mark.slow
 def test_the_mouse_drags_the_tool(shown, reader):
     camera = reader.client.camera.position
     mouse, unit = reader.page.mouse, SIZE / (2.0 * shown.scene.experiment.specimen.radius)
@@ -136,6 +137,7 @@ def test_a_protocol_is_played_paused_stepped_and_reset(shown, reader):
     reader.until(lambda: reader.curves()[0]["live load"], lambda live: len(live) < 3)
 
 
+@pytest.mark.slow
 def test_an_invalid_protocol_is_refused_with_a_message(shown, reader):
     import tissue_sim as ts
 

@@ -14,6 +14,7 @@ def bands(benchmark_module):
     return benchmark_module("inverse.bands")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", ["contact and zero, 5", "the same stated, 1", "stiffness too, 5",
                                    "a law that cannot follow, 5"])
 def test_bands_hold_new_recordings(bands, words):

@@ -51,6 +51,7 @@ def table(path):
         return list(csv.DictReader(stream))
 
 
+@pytest.mark.slow
 def test_files_ranking_and_prediction(campaign, tmp_path):
     sentences = []
     result, = calibration.calibrate([campaign], tmp_path / "out", progress=sentences.append)
@@ -106,6 +107,7 @@ def test_files_ranking_and_prediction(campaign, tmp_path):
         assert text in page
 
 
+@pytest.mark.slow
 def test_overwrite_and_resume(campaign, tmp_path, monkeypatch):
     out = tmp_path / "out"
     first, = calibration.calibrate([campaign], out, figures=False)

@@ -49,6 +49,7 @@ def test_published_yeoh_parameters_of_ten_pooled_recordings(five):
     assert found["C30"] == pytest.approx(248.0, rel=0.02)
 
 
+@pytest.mark.slow
 def test_every_composition_against_its_published_fit(five, data_folder):
     source = data_folder / "ecoflex_compression" / "hyperelastic_parameters.json"
     published = json.loads(source.read_text(encoding="utf-8"))
@@ -67,6 +68,7 @@ def test_order_of_stiffness(five):
     assert moduli == sorted(moduli)
 
 
+@pytest.mark.slow
 def test_bounded_offsets_on_a_short_window(data_folder, tmp_path):
     files = sorted((data_folder / "ecoflex_compression").glob("EF10_0T_*.csv"))
     fits = fit(tmp_path, "lubricated_compression", files, ["neo_hooke"],
@@ -84,6 +86,7 @@ def test_bounded_offsets_on_a_short_window(data_folder, tmp_path):
     assert found.RMSE_N < 0.5 * without.RMSE_N
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("foam", ["leap", "turbo"])
 @pytest.mark.parametrize(("kind", "suffix", "abscissa", "reached"), [
     ("lubricated_compression", "UC", "stretch", (0.4, 0.4**-0.5)), ("simple_shear", "SS", "shear strain", None)])

@@ -17,6 +17,7 @@ def drawn(random, memory=0.0):
     return noise
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("memory", "scale"), [(0.0, 1.0), (0.0, 0.3), (0.4, 1.0)])
 def test_noise_of_any_size_and_colour_has_nothing_in_common(memory, scale):
     """The probability is no smaller than it should be: at most 1 of 20 below 5 %, with 3 deviations of 400 draws."""

@@ -63,6 +63,7 @@ def test_intervals_hold_the_truth_where_ordinary_ones_do_not(benchmarks, runs):
     assert max(found[coverage.ORDINARY]["error_over_scatter"]) < 0.4
 
 
+@pytest.mark.slow
 def test_profile_and_standard_error_agree_where_the_problem_is_almost_linear(runs):
     one = runs[0]["jitter stated"]
     half = np.array(one["quantile"]) * np.array(one["errors"])

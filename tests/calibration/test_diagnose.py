@@ -96,6 +96,7 @@ def test_nothing_hidden_is_nothing_missing(diagnosed):
     assert seen.reason if not seen.testable else seen.seen_from["rig.compliance"] > 0
 
 
+@pytest.mark.slow
 def test_a_displacement_zeroed_at_a_preload_is_named_and_counted_from(tmp_path):
     law, area = ts.find_law("neo_hooke"), np.pi * 0.010**2
     displacement = np.linspace(0.0, 2.6e-3, 66)
@@ -130,6 +131,7 @@ def test_a_gap_in_no_region_is_described_by_the_scores():
     assert ": ." not in words and "in every region by itself" in words and "zero offset (8.1" in words
 
 
+@pytest.mark.slow
 def test_a_size_on_its_bound_is_named_with_it(tmp_path):
     """A load train that takes up a third of the way, where a fit may go to a fifth of it."""
     time, depth = np.linspace(0.0, 15.0, 31), np.linspace(0.0, 3e-3, 31)
@@ -162,6 +164,7 @@ def plain_data(content):
     return json.loads(json.dumps(content))
 
 
+@pytest.mark.slow
 def test_several_campaigns_have_folders_and_are_read_back(campaign, tmp_path):
     other = campaign.with_name("other.toml")
     other.write_text(CAMPAIGN.replace("1500.0", "1600.0"), encoding="utf-8")

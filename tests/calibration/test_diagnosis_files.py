@@ -74,6 +74,7 @@ def test_a_tissue_goes_into_a_material_that_relaxes_in_real_time(relaxing):
     assert relaxed == pytest.approx(left * pushed, rel=0.05)
 
 
+@pytest.mark.slow
 def test_one_term_is_not_enough_for_two(relaxing):
     diagnosis, found, _ = relaxing
     assert diagnosis.verdict == "NAMED" and [number.symbol for number in diagnosis.effects[0].parameters] == [
@@ -110,6 +111,7 @@ def test_the_campaign_with_it_is_fitted_again(relaxing, drifting):
         assert [len(test.recordings) for test in again.tests] == [3]
 
 
+@pytest.mark.slow
 def test_friction_of_both_plates_is_in_the_campaign(tmp_path):
     diagnosis, _, out = diagnose(tmp_path / "rubs", friction=0.1)
     assert [effect.name for effect in diagnosis.effects] == ["plate_friction"]
@@ -119,6 +121,7 @@ def test_friction_of_both_plates_is_in_the_campaign(tmp_path):
     assert load_campaign(out / diagnosis.files["campaign"]).fit.start["experiment.friction"] == test.experiment.friction
 
 
+@pytest.mark.slow
 def test_what_is_rough_and_the_same_in_all_recordings_is_not_called_nothing(tmp_path):
     diagnosis, found, _ = diagnose(tmp_path / "stick_slip", ripple=0.03)
     assert diagnosis.verdict == "UNKNOWN" and found.before.repeated == ["plates"] and not diagnosis.effects

@@ -85,6 +85,7 @@ def test_it_says_what_it_tries_and_how_long_to_expect(glued, tmp_path, monkeypat
                        if each.refitted} == fitted
 
 
+@pytest.mark.slow
 def test_on_the_axis_there_is_nothing_to_wait_for(glued):
     campaign = whole_campaign(calibration.load_campaign(glued))
     problem = build_problem("neo_hooke", campaign, calibration.read_measured(campaign), SimulationCache())

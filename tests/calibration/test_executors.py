@@ -222,6 +222,7 @@ def test_a_scheduler_file_leads_to_the_cluster(cluster, task, tmp_path):
     assert (caught.value.file, caught.value.field) == (file, "dask")
 
 
+@pytest.mark.slow
 def test_a_cluster_that_goes_away_ends_the_run(task, tmp_path):
     told, gone = {}, tmp_path / "gone"
     with small_cluster() as own:

@@ -45,6 +45,7 @@ def numbers(*columns, delimiter=","):
 WAY = np.linspace(0.0, 3.0, 31)
 
 
+@pytest.mark.slow
 def test_replicates_become_one_test_and_its_fit_is_that_of_a_campaign_by_hand(tmp_path):
     paths = put(tmp_path, *(bluehill(seed) for seed in (1, 2, 3)))
     imported = calibration.import_files(paths, tmp_path / "gel.toml", wishes())
@@ -132,6 +133,7 @@ def test_everything_that_is_missing_is_said_at_once_and_has_a_line(tmp_path, cap
     np.testing.assert_allclose(curve.force, 2.5 * WAY, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("unit", "scale", "newtons"), [
     ("g", None, 9.80665e-3), ("kgf", None, 9.80665), ("lbf", None, 4.4482216152605), ("V", 0.5, 0.5),
     ("counts", 1e-3, 1e-3), ("mN", 2.0, 2e-3)])
@@ -270,6 +272,7 @@ def mutated(content: bytes, chance: random.Random) -> bytes:
     return bytes(data)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bluehill", "mts", "zwick", "zwick, xls", "exponent", "mach1", "mecmesin", "trios"])
 def test_mutated_exports_are_understood_or_refused_in_one_sentence(tmp_path, monkeypatch, name):
     monkeypatch.setattr(machine_exports, "curve",

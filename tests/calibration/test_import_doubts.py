@@ -87,6 +87,7 @@ def with_air(noise, air=14, loading=100, drift=0.0, seed=0):
     return time, way + air * 0.05, press(way) + np.random.default_rng(seed).normal(0.0, noise, way.size) + drift * time
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(5))
 def test_a_drift_that_the_air_does_not_show_is_not_extrapolated(tmp_path, number):
     found = imported(tmp_path, CYLINDER + HEADER, with_air(0.06, seed=number))

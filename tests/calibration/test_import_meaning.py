@@ -78,6 +78,7 @@ def test_a_column_that_the_user_names_keeps_the_measure_of_its_header(tmp_path):
     assert "measure =" not in stated.text.replace("--measure", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("header", "columns", "words"), [
     ("True strain,Stress (kPa)", (np.log(STRETCH), 1e-3 * STRESS), "--measure stress=true"),
     ("Strain,True stress (kPa)", (STRETCH - 1, 1e-3 * STRESS), "--measure strain=logarithmic"),

@@ -55,6 +55,7 @@ def changed(values, samples, value):
     return values
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("way", "load", "samples"), [
     (changed(WAY, 0, -0.7), force(WAY), [1]), (WAY, changed(force(WAY), 0, 5.0), [1]),
     (WAY, changed(force(WAY), [30, 65], [0.0, 0.0]), [31, 66]), (changed(WAY, 30, 9.0), force(WAY), [31])])
@@ -172,6 +173,7 @@ def test_creep_is_not_fitted_by_an_elastic_law(tmp_path):
         calibration.calibrate([tmp_path / "elastic.toml"], tmp_path / "elastic")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("ramp", [False, True])
 def test_elastic_oscillations_give_the_modulus(tmp_path, ramp, sign):

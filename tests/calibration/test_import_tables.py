@@ -41,6 +41,7 @@ def in_style(value, places, decimal, separator):
     return f"{value:,.{places}f}".replace(",", "\x00").replace(".", decimal).replace("\x00", separator)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("decimal", "separator", "delimiter", "places", "encoding"), [
     (".", ",", "\t", (0, 0, 0), "utf-8"), (",", ".", ";", (0, 0, 0), "utf-8"), (".", ",", "\t", (2, 1, 1), "utf-8"),
     (",", ".", ";", (2, 1, 1), "utf-16"), (",", "\xa0", ";", (2, 1, 1), "cp1252"),
@@ -192,6 +193,7 @@ def blocks(*titles, moduli=(20e3, 40e3, 20e3, 40e3)):
                              zip(titles, moduli, strict=False))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("titles", [
     ("Gel A", "Liver"), ("agar 1 %", "agar 2 %"), ("Specimen: gelatin", "Specimen: agar"), ("PVA 10", "PVA 50")])
 def test_titles_of_different_materials_are_tests_of_their_own_and_a_question(tmp_path, titles):

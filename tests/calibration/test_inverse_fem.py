@@ -574,7 +574,7 @@ class TestRefused:
          "must be smaller than the height"),
         (lambda t: t + BOUNDS, "fit.start.C20", "must be within its bounds"),
         (lambda t: t.replace("C20 = 600.0", "C20 = -6000.0"), "fit.start", "loses stability"),
-        (lambda t: t.replace("C10 = 1400.0", "C10 = -1400.0"), "fit.start", "is no material"),
+        (lambda t: t.replace("C10 = 1400.0", "C10 = -1400.0"), "fit.start", "is no valid material"),
         (lambda t: t.replace("lubricated_*.csv", "none_*.csv"), "test[0].recordings[0]", "no file matches"),
         (lambda t: t.replace("C20 = 600.0", 'C20 = 600.0, "softening.loss" = 0.3'), "fit.start.softening.loss",
          "no test depends on"),

@@ -66,6 +66,7 @@ def test_modulus_of_the_closed_form(frictionless, data_folder):
     assert 0.002 < (high - low) / found.parameters["C10"] < 0.1
 
 
+@pytest.mark.slow
 def test_offsets_stay_where_the_eye_sees_them(frictionless):
     """The recordings touch within 0.3 mm of their zero, and no nuisance runs away from that."""
     for found in frictionless.fits:
@@ -104,6 +105,7 @@ def test_no_friction_is_lubricated(frictionless, data_folder, tmp_path):
     assert found.intervals95 == law(frictionless, "neo_hooke").intervals95
 
 
+@pytest.mark.slow
 def test_friction_changes_the_modulus_and_not_the_misfit(frictionless, data_folder, tmp_path):
     """What the platens are not stated to be: bonded ones take a quarter off C10 at the same misfit."""
     bonded = law(fit(tmp_path, data_folder, ["neo_hooke"], kind="bonded_compression"), "neo_hooke")

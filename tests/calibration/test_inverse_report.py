@@ -254,6 +254,7 @@ def one_test(campaign, test):
     return result.fits, {law: several[TESTS.index(test)] for law, several in curves.items()}, Units.of(result)
 
 
+@pytest.mark.slow
 def test_the_page_is_self_contained_and_begins_with_the_summary(campaign, tmp_path):
     page = written(campaign, tmp_path)
     assert not re.search(r"(src|href)=[\"']?https?:", page) and "<script" not in page

@@ -66,6 +66,7 @@ def dense_criterion(tests, contact, zero):
     return np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(information)[1] + squares
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("curves", "replicates", "trials"), [(TESTS, 3, 120), (TESTS[:1], 10, 120), (TESTS, 2, 120)],
                          ids=["three tests of three", "one test of ten", "three pairs"])
 def test_the_variances_are_recovered_in_the_mean(curves, replicates, trials):
@@ -96,6 +97,7 @@ def test_without_jitter_it_is_zero_or_below_what_a_replicate_resolves():
     assert np.mean([one.contact for one in only_zero]) < 0.1 * CONTACT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_it_is_the_maximum_of_the_dense_likelihood(seed):
     rng = np.random.default_rng(seed)

@@ -27,6 +27,7 @@ def numbers(found):
     return {number.path: number.value for effect in found.diagnosis.effects for number in effect.parameters}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lost", [0.08e-3, 0.3e-3])
 def test_the_depth_of_lost_steps_is_found_to_a_sample(tmp_path, lost):
     """Between the depths that are tried first, and no descent moves a jump; a large one, after which a calibration

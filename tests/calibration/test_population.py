@@ -78,6 +78,7 @@ def test_scatter_of_two_parameters_and_its_correlation():
     np.testing.assert_allclose(np.std(left, axis=0), found.shrunken_errors.mean(axis=0), rtol=0.12)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth():
     """60 populations of five specimens, whose own errors are as large as the scatter; benchmarks/population.py has
     thousands. Fewer than 51 of 60 have a probability of 0.1 % for an interval of 95 %."""
@@ -170,6 +171,7 @@ def test_a_campaign_finds_the_population(animals, tmp_path, capsys):
     assert "Population of 5 specimens" in methods and "Harville DA (1977)" in methods
 
 
+@pytest.mark.slow
 def test_a_specimen_that_was_left_out_is_predicted_by_the_mean_of_the_others(animals, tmp_path):
     folder, truth = animals
     (tmp_path / "each.toml").write_text((folder / "each.toml").read_text().replace(

@@ -68,6 +68,7 @@ def test_a_modulus_off_by_six_percent_is_counted_as_silently_wrong(study, tmp_pa
     assert outcomes == [study.run.RIGHT, study.run.WRONG]
 
 
+@pytest.mark.slow
 def test_clean_files_are_right(study):
     results = [study.run.run_file(2, index, clean=True) for index in range(16)]
     assert [study.main._line(each) for each in results if each.outcome != study.run.RIGHT] == []

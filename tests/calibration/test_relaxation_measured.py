@@ -37,6 +37,7 @@ def relative(fit, recordings):
     return fit.RMSE_Pa / largest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["shear_relaxation_0d1", "shear_relaxation_1", "shear_relaxation_2",
                                   "shear_relaxation_5"])
 def test_ramp_and_hold_in_shear(adhesive, name, fit_relaxation):
@@ -65,6 +66,7 @@ def test_loading_and_unloading_in_tension(adhesive, fit_relaxation):
     assert relative(fit, rates) < 0.02 and fit.R2 > 0.995
 
 
+@pytest.mark.slow
 def test_cells_under_a_tip(data_folder):
     from tissue_sim.recording.formats.afm import read_afm
 

@@ -146,6 +146,7 @@ def test_one_loading_serves_all_moduli_with_a_compliant_load_train(tmp_path):
     assert np.abs(force - 1.25 * squeezed(behind(1.25 * 3e-5))).max() < 2e-4 * squeezed(DEEPEST)
 
 
+@pytest.mark.slow
 def test_adhesion_is_not_proportional_to_the_modulus(tmp_path):
     """The adhesive force of a sphere stays constant when the modulus changes."""
     tool = ('tool = "sphere"\ntool_radius_mm = 6.0\nfriction = "frictionless"\n'
@@ -175,6 +176,7 @@ def test_descent_does_not_simulate_its_start_again(tmp_path):
     assert solves.counts.total() == counted and np.array_equal(end.theta, start)
 
 
+@pytest.mark.slow
 def test_stalled_descent_ends_at_its_best_point(tmp_path):
     """A descent ends after a given number of solves without a sufficient decrease."""
     test, space, solves = study(tmp_path, start=', "experiment.friction" = 0.05')
@@ -216,6 +218,7 @@ def test_snapping_load_train_is_infeasible():
         AlignedCurve(falls, np.linspace(0, 1e-3, 30), 0.05).positions(0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("corners", [
     ([0, 10, 25], [3, 3, 0]),  # begins with a hold at the largest depth
     ([0, 15, 30, 40], [3, 0, 2, 2]),  # begins with unloading
@@ -276,6 +279,7 @@ def test_descent_that_reaches_a_bound_ends_on_it(tmp_path):
     assert end.theta[list(space.free).index("C10")] == 1402.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "tool"), [("bonded_compression", ""), (
     "needle_indentation", 'tool = "flat"\ntool_radius_mm = 4.0\nfriction = "bonded"')])
 def test_finest_mesh_reduces_the_error_of_the_accurate_mesh(tmp_path, kind, tool):

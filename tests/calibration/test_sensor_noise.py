@@ -52,6 +52,7 @@ def test_white_noise_on_a_smooth_curve(curve, level):
     assert np.mean(found[:, 1] == 0) >= 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("curve", ["none", "sphere"])
 @pytest.mark.parametrize(("tau", "factor", "spread"), [(0.05, 1.15, 1.4), (0.2, 1.1, 1.4), (1.0, 1.15, 2.2)])
 def test_correlation_times_of_three_replicates(curve, tau, factor, spread):
@@ -81,6 +82,7 @@ def test_the_trend_does_not_eat_noise_of_a_twentieth_of_the_segment():
     assert 1.8 < np.median(found[:, 1]) < 6.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", [0.02, 0.002])
 @pytest.mark.parametrize("tau", [0.0, 0.2, 1.0])
 def test_ramp_hold_and_unload(level, tau):

@@ -149,6 +149,7 @@ def test_a_mesh_counts_by_what_is_in_its_file(folder, tmp_path_factory):
     assert all(one != two for one, two in zip(keys(), first, strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("flags", "stated"), [
     (["--shape", "block", "--length-mm", "20", "--width-mm", "20", "--height-mm", "20"], BLOCK),
     (["--mesh", "cube.vtu"], MESH)])

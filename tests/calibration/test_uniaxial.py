@@ -164,6 +164,7 @@ def test_strain_points_do_not_make_the_errors_smaller(tmp_path):
     assert np.median(errors) == pytest.approx(np.std(answers), rel=0.3)
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(law=st.sampled_from(LAWS), scale=st.floats(300.0, 3e5), shape=st.floats(0.2, 1.5), seed=st.integers(0, 999))
 def test_recovers_parameters_from_noisy_data(tmp_path_factory, law, scale, shape, seed):

@@ -67,6 +67,7 @@ def test_order(element, order, cells, name):
     assert np.log(errors[0] / errors[1]) / np.log(cells[1] / cells[0]) > order - 0.25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MATERIALS)
 @pytest.mark.parametrize("element", SOLID_ELEMENTS.values(), ids=lambda element: element.name)
 def test_patch(element, name):

@@ -48,6 +48,7 @@ def test_a_pull_is_that_of_the_built_in_adhesion(film):
                                built_in, rtol=0, atol=1e-8 * built_in.max())
 
 
+@pytest.mark.slow
 def test_a_film_lies_between_no_friction_and_no_slip(film):
     """Elastic shear of the film: nothing where it is soft, a face without slip where it is stiff, in order between."""
     free, stuck = force(plates()), force(plates(friction="stick"))
@@ -57,6 +58,7 @@ def test_a_film_lies_between_no_friction_and_no_slip(film):
     assert (np.diff(films) > 0.05 * (stuck[-1] - free[-1])).all()
 
 
+@pytest.mark.slow
 def test_smooth_friction_is_nearly_coulombs(film):
     """Drag from pressure and slip: mu p tanh(s / s0) of a short s0 against the built-in friction of the same mu."""
     coulomb, free = force(plates(friction=0.2)), force(plates())

@@ -87,6 +87,7 @@ def test_branch_is_the_built_in_term(branch, make, tolerance):
                                        atol=100 * tolerance * abs(field).max())
 
 
+@pytest.mark.slow
 def test_layers_scale_it_as_the_law(branch):
     layers = (ts.Layer(0.004, 3.0),)
     plugin, own = (ts.simulate(model(stuff)).force

@@ -63,6 +63,7 @@ def bonded():
     return MultiRateTissue(model, link=DelayedBulk(bulk, 6e-3, 30e-3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_the_first_converged_force_of_another_material_is_right(factor):
     """All moduli times a factor: the elastic force, too, in the tick in which the first model of it comes."""

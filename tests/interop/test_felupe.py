@@ -61,6 +61,7 @@ def test_tangent_of_the_oracle(felupe_problem, law):
     np.testing.assert_allclose(umat.gradient([F, None])[0][:, :, 0, 2], 0.0, atol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("element", "pressure"), [(Q4P0, "P0"), (Q4P0, "P0 mixed"), (Q9P1, "P-1")],
                          ids=["Q4/P0 condensed", "Q4/P0 mixed", "Q9/P-1"])
 @pytest.mark.parametrize("held", ["rz", "z"], ids=["bonded", "lubricated"])

@@ -37,6 +37,7 @@ def mesh(request):
     return needle_mesh(0.04, 0.07, 0.008, request.param, smallest=4e-3, growth=1.8, largest=15e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("warm", [False, True], ids=["from rest", "warm"])
 def test_forces_equal_ours(felupe_indentation, mesh, warm):
     punch = felupe_indentation.Indentation(mesh, DEPTHS, bulk_ratio=BULK_RATIO, warm=warm)

@@ -227,6 +227,7 @@ def test_bad_campaign_writes_nothing(campaign, tmp_path, capsys, old, new, expec
     assert not out.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_measured_silicone(data_folder, tmp_path, capsys):
     """Ecoflex 00-10, ten pooled recordings to 66 % strain: published Yeoh parameters 7.702, -0.063, 0.248 kPa."""

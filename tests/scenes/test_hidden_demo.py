@@ -104,6 +104,7 @@ def test_the_demo_finds_the_effect_and_reveals_it_at_the_end(demo):
     assert len(list((out / "measured").glob("*.csv"))) == 4
 
 
+@pytest.mark.slow
 def test_the_viewer_shows_both_models(demo):
     out, _ = demo
     (result,) = diagnose([out / "campaign.toml"], out / "diagnosis")

@@ -97,6 +97,7 @@ def protocol(tmp_path):
     return path, rdt, http
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_recordings_over_device_protocols_recover_the_specimen(protocol, tmp_path, capsys, monkeypatch):
     # This process also simulates the specimen, which delays the answers of the emulated Tic on a busy machine.

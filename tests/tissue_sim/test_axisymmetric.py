@@ -66,6 +66,7 @@ def test_lubricated_compression_tends_to_the_incompressible_closed_form():
     np.testing.assert_allclose(np.array(errors[:-1]) / errors[1:], 10.0, rtol=0.05)
 
 
+@pytest.mark.slow
 @every_element
 def test_patch(element):
     """Irregular quadrilaterals carry a homogeneous deformation exactly."""
@@ -92,6 +93,7 @@ def test_patch(element):
     assert step.force == pytest.approx(compressible_force(stuff, 0.9, np.pi * 0.04**2), rel=1e-9)
 
 
+@pytest.mark.slow
 @every_element
 @every_law
 def test_tangent_is_the_derivative_of_the_residual(element, law):

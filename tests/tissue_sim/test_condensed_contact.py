@@ -66,6 +66,7 @@ def test_at_the_pose_of_the_solve_wrench_and_stiffness_are_those_of_the_whole_so
     assert bulk.residual < 1e-8
 
 
+@pytest.mark.slow
 def test_the_stiffness_is_the_derivative_of_the_wrench_on_one_model():
     bulk, stepper = two_rates(TIP, "stick")
     pose = Pose((3e-4, -2e-4, -2e-3))

@@ -63,6 +63,7 @@ class TestAdhesion:
         _, found, plain = self.curves(friction, tool, "bonded" if friction == "stick" else None)
         np.testing.assert_allclose(found[:5], plain[:5], atol=1e-8)
 
+    @pytest.mark.slow
     def test_friction_takes_the_pull_as_pressure(self):
         """Adhesion presses the faces together, so that more sticks."""
         _, found, plain = self.curves(0.3, None, "bonded")

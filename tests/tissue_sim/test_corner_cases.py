@@ -72,6 +72,7 @@ class TestSensitivitiesAtTheEndOfTheRange:
         none, some = (force(friction=mu, friction_base="frictionless")[-1] for mu in (0.0, 0.01))
         assert slope == pytest.approx((some - none) / 0.01, rel=0.02)
 
+    @pytest.mark.slow
     def test_the_sensor_is_left_out(self):
         names = ["experiment.friction", "C10"]
         plain, read = (ts.sensitivities(ts.Model(experiment(friction=0.1), MATERIAL, rig), names)
@@ -120,6 +121,7 @@ def test_no_shaft_no_friction_of_it(tool, words):
         experiment(tool, friction="stick", friction_wall=0.3)
 
 
+@pytest.mark.slow
 def test_adhesion_in_the_air():
     air = experiment(ts.Tool("sphere", 8e-3), "approach 1mm", friction="stick", adhesion=ts.Adhesion(0.1, 1e-4))
     assert abs(ts.simulate(ts.Model(air, MATERIAL)).force).max() < 1e-9

@@ -76,6 +76,7 @@ def test_iterates_with_a_tangent_of_millimetres_ago_end_at_the_equilibrium(tool,
     np.testing.assert_allclose(step.wrench, exact.wrench, atol=1e-6 * size)
 
 
+@pytest.mark.slow
 def test_what_is_not_whole_travels_without_its_tangent():
     bulk, stepper, _ = two_rates(TIP, 0.3)
     pose = Pose((0.0, 0.0, -1e-3))

@@ -37,6 +37,7 @@ def truth():
     return force
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elements", [8, 10, 12])
 def test_warning_states_the_missing_fraction(elements, truth):
     force, (warning,) = pressed(0.04 / elements, HEX8P0)
@@ -62,6 +63,7 @@ def test_flat_tool_gets_no_warning(tool):
     assert warnings == []
 
 
+@pytest.mark.slow
 def test_reduced_solid_reports_the_warning_of_the_full_solid(tmp_path, capsys):
     """The mesh comes from a file, and its elements are too wide for the tool."""
     line, numbers, text = np.arange(-20.0, 21.0, 4.0), {}, ["*NODE"]

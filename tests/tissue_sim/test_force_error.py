@@ -49,6 +49,7 @@ def solver_says(recording):
     return recording.metadata["solver"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "depth", "options"), [
     ("bonded_RP", 10e-3, PLATES),
     ("friction0.7_30mm_RP", 30e-3, PLATES | {"friction": 0.7, "friction_base": 0.7}),
@@ -61,6 +62,7 @@ def test_estimate_has_the_size_of_the_error_against_an_independent_solver(refere
     assert error / 3 < solver_says(recording)["force_error"] < 3 * error and not solver_says(recording)["warnings"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("points", [5, 6, 7, 9, 11, 16, 21])
 def test_first_step_after_a_turn_is_compared(points):
     """Whether a leg has an odd or an even number of steps."""

@@ -54,6 +54,7 @@ def test_the_resolution_chooses_the_element(specimen):
         make_solver(ts.Model(experiment(), layered))
 
 
+@pytest.mark.slow
 def test_it_is_pressed_as_the_block_that_it_is(specimen):
     """Between bonded plates: the same block in elements of our own, coarse ones; and its soft half is felt."""
     kind = ts.KINDS["bonded_compression"]

@@ -56,6 +56,7 @@ def test_nothing_is_made_of_nothing(random, seed):
     assert steps.sum() > -1e-6 * abs(steps).sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [4, 23, 30, 98, 110])
 def test_derivatives_with_moduli_add_up_to_the_force(random, seed):
     """At fixed K/mu the force is of first degree in them. A base with friction under a needle hardly presses at its rim

@@ -119,6 +119,7 @@ def test_everybody_calls_them_the_same():
     assert list(tissue_flags._REALTIME_LEVELS) == names and names[-1] == realtime_mesh.COARSEST
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TESTS)
 def test_forces_err_by_no_more_than_they_say(name):
     """Against the accurate mesh in the same steps; to 6 mm, which keeps this short."""

@@ -190,6 +190,7 @@ def recordings(draw):
     return Recording(channels, labels, metadata)
 
 
+@pytest.mark.slow
 @settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(recordings())
 def test_round_trip_keeps_every_digit(tmp_path, recording):
@@ -204,6 +205,7 @@ def test_round_trip_keeps_every_digit(tmp_path, recording):
     assert {key: again.metadata[key] for key in recording.metadata} == dict(recording.metadata)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.binary(max_size=200) | st.text(alphabet=HEADER + '0123456789.,;-#"\n\r\t', max_size=300).map(str.encode))
 def test_any_bytes_give_a_recording_or_one_sentence(tmp_path, data):

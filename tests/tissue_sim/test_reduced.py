@@ -75,6 +75,7 @@ class TestStrokes:
         assert first == second
 
 
+    @pytest.mark.slow
     def test_none_knows_of_those_before_it(self, touched):
         """A strong one does not make the next one coarser."""
         of, poses = touched.model, [ts.Pose.at_depth(depth) for depth in (-1e-4, 1e-4, 2e-4)]
@@ -85,6 +86,7 @@ class TestStrokes:
 
 
 class TestForces:
+    @pytest.mark.slow
     def test_held_tissue_on_unseen_strokes(self, held):
         report = held.report
         assert report["force_rms_error"] < 0.01 and report["not_converged"] == 0.0
@@ -220,6 +222,7 @@ class TestEstimate:
                 estimated.append(step.force_error)
         return np.array(true), np.array(estimated)
 
+    @pytest.mark.slow
     def test_it_follows_the_true_one(self, held, followed):
         """Within a factor of 3 of its rms, and where it is larger."""
         true, estimated = self.errors(held, followed)
@@ -462,6 +465,7 @@ def test_a_smooth_motion_needs_few_further_looks(held):
         np.array(first), rel=1e-3, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("between_steps", "at_least"), [("nothing", 20), ("one that fails", 1), ("there and back", 1)])
 def test_what_is_not_looked_at_again_is_in_equilibrium(held, between_steps, at_least):
     """A linear solution with a small residual is accepted; here a second solver checks each."""

@@ -78,6 +78,7 @@ class TestStrokes:
         assert {(x, y, -1e-3) for x in (-2e-3, 0.0, 2e-3) for y in (-2e-3, 0.0, 2e-3)} <= deepest
         assert max(np.linalg.norm(motion(START, pose)[3:]) for pose in poses) == pytest.approx(0.1)
 
+    @pytest.mark.slow
     def test_images_are_not_followed(self, ball):
         solver = training.whole_solver(ball.model, ball.mesh)
         images = [each.matrix for each in symmetries(solver, START)]
@@ -94,6 +95,7 @@ class TestStrokes:
 
 
 class TestForce:
+    @pytest.mark.slow
     def test_it_is_right_within_its_stated_error_in_the_whole_box(self, ball, truth):
         peak = np.linalg.norm(truth, axis=2).max()
         for place, forces in zip(PLACES, truth, strict=True):
@@ -103,6 +105,7 @@ class TestForce:
                       if off(a, f) <= 0.03 * peak and np.linalg.norm(f) >= 0.2 * peak]
             assert loaded and all(a.status is ts.ForceStatus.CONVERGED for a in loaded), "no alarm where it is right"
 
+    @pytest.mark.slow
     def test_nodes_that_no_stroke_pressed_are_in_the_estimate(self, central, truth):
         """Where strokes did not go the force is far too large, and the status says so."""
         peak = np.linalg.norm(truth, axis=2).max()

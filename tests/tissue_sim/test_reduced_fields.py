@@ -52,6 +52,7 @@ def test_they_are_those_of_the_whole_solid(reduced, fields):
     assert fields.stretch_range() == pytest.approx(exact.stretch_range(), rel=0.01)
 
 
+@pytest.mark.slow
 def test_there_is_no_pressure(fields):
     assert set(fields.names) == {"displacement", "von_mises", "stretch", "J"}
     with pytest.raises(ts.InputError, match=r"does not compute pressure.*use one of displacement") as raised:

@@ -163,6 +163,7 @@ class TestLayers:
         with pytest.raises(ts.InputError, match="must have the thicknesses of the reduced solid"):
             ts.reduce_solid(skinned.model, skinned.box, strokes=2, also=[thicker])
 
+    @pytest.mark.slow
     def test_too_few_strokes_for_several_materials(self, skinned, tmp_path):
         with pytest.raises(ts.InputError, match="number of materials, 3; got 2") as refused:
             ts.reduce_solid(skinned.model, skinned.box, strokes=2, also=[SOFT, replace(SOFT, layers=(SKIN,))],
@@ -278,6 +279,7 @@ class TestMeshesOfFiles:
         made, _ = organ
         assert made.report["force_rms_error"] < 0.01 and made.report["not_converged"] == 0.0
 
+    @pytest.mark.slow
     def test_the_file_of_the_mesh_is_not_needed(self, organ):
         made, read = organ
         assert read.model.experiment.specimen.digest == made.model.experiment.specimen.digest

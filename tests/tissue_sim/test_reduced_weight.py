@@ -132,6 +132,7 @@ def test_a_height_as_placed_and_a_tool_that_slides(tmp_path):
     assert (found[:, 2] >= 0.0).all() and found[19, 2] > 0.0
 
 
+@pytest.mark.slow
 def test_its_file_says_how_it_stands(heavy, tmp_path):
     path = tmp_path / "heavy.reduced.npz"
     ts.write_reduced(heavy, path)
@@ -157,6 +158,7 @@ def test_a_file_without_it_is_refused(heavy, tmp_path, lost):
         ts.load_reduced(path)
 
 
+@pytest.mark.slow
 def test_it_keeps_its_material(heavy, tmp_path, capsys):
     """Another one would let it stand elsewhere."""
     simulator = ts.Simulator(heavy.model, solver="reduced", mesh=heavy)

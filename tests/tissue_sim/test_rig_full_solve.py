@@ -108,6 +108,7 @@ class TestCyclesAndAir:
     AIR = ts.Protocol.parse("approach 2mm @1mm/s; ramp 5mm; unload; retract 2mm; approach; ramp 5mm; retract 1mm",
                             points=9)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(("tool", "friction"), [
         (PLATE, "frictionless"), (PLATE, 0.3), (PLATE, "stick"), (NEEDLE, "stick"), (ts.Tool("flat", 8e-3, 2e-3), 0.3),
         (ts.Tool("round", 8e-3), "frictionless"),

@@ -197,6 +197,7 @@ def test_self_weight_and_compliance_go_by_difference():
         np.testing.assert_allclose(answer.values, reference.values, rtol=1e-4, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_absent_value_of_a_softening():
     """At loss 0 nothing softens yet, and the derivative to one side is that of a small loss."""
     text = "ramp 5mm; unload 1mm"

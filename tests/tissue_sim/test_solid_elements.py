@@ -33,6 +33,7 @@ def forces(tissue):
     return residual[:-1]
 
 
+@pytest.mark.slow
 @every_element
 @pytest.mark.parametrize("name", LAWS)
 @pytest.mark.parametrize("past", ["none", "relaxes and softens"])

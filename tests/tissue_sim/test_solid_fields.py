@@ -140,6 +140,7 @@ def test_fields_under_a_punch_are_those_of_the_axisymmetric_solid(punched):
     assert solid.displacement(0).any() == np.False_ and solid.at_points("von_mises", 0).max() < 1e-6 * MU
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["von_mises", "pressure", "cauchy_zz", "cauchy_rr", "displacement"])
 def test_along_the_axis_the_fields_are_those_of_the_axisymmetric_solid(punched, name):
     solid, plane = (recording.fields for recording in punched)

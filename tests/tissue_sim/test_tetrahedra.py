@@ -115,6 +115,7 @@ def test_a_bonded_block_neither_locks_nor_oscillates(element):
     assert rough[element.name] < rough[HEX27P1.name]
 
 
+@pytest.mark.slow
 @TETRAHEDRA
 def test_plates_that_touch_everywhere_press_everywhere_alike(element):
     """Between frictionless plates, on elements of any shape: the closed form, and one pressure."""

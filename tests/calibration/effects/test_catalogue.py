@@ -80,6 +80,7 @@ def test_candidates_are_within_bounds_and_can_be_added(plain, name):
         assert all(candidate.symbols(plain.campaign).values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in REFUSED])
 def test_effect_changes_the_force_and_is_absent_at_its_absent_value(plain, name):
     candidate = candidates(plain.situation, name)[0]
@@ -100,6 +101,7 @@ def test_effect_changes_the_force_and_is_absent_at_its_absent_value(plain, name)
     assert candidate.changes_mesh(plain.campaign) == (name == "layer")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in REFUSED])
 def test_change_of_residuals_is_confined_to_acting_tests(plain, name):
     """The whitened change is large in the acting tests and zero to rounding in the others."""

@@ -31,6 +31,7 @@ def test_scores_are_small_without_effects(plain):
     assert len(found) > 15 and max(map(abs, found.values())) < 4.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "values", "where", "found_as"), [
     ("session_scale", {"effects.stiffness_scale.ratio": 1.06}, "needle", "session_scale@needle"),
     ("backlash", {"rig.backlash": 5e-5}, None, "backlash"),
@@ -46,6 +47,7 @@ def test_acting_effect_has_the_highest_score(tmp_path, name, values, where, foun
     assert max(others.values()) < 1.02 * found[found_as], others
 
 
+@pytest.mark.slow
 def test_stiffer_specimen_is_identified(tmp_path):
     """Two specimens, one 5 % stiffer: the population effect has the highest score."""
     two = {name: TESTS[name] for name in ("plates", "needle")}
@@ -57,6 +59,7 @@ def test_stiffer_specimen_is_identified(tmp_path):
     assert found["population"] == max(found.values()) > 20.0, found
 
 
+@pytest.mark.slow
 def test_adhesion_is_identified_beyond_first_contact(tmp_path, monkeypatch):
     """A plate that retracts past the first contact adheres with 0.1 N over 0.3 mm."""
     monkeypatch.setattr("virtual_campaign.PROTOCOL",

@@ -328,6 +328,7 @@ def test_a_tic_in_place_of_a_grbl_is_identified(clock, monkeypatch):
         open_grbl(emulator.path).start()
 
 
+@pytest.mark.slow
 def test_a_silent_line_raises_and_ends_queueing(clock):
     with GrblEmulator(bench(clock=clock), Faults(disconnect_after=1.0)) as emulator:
         stage = homed(emulator, clock)

@@ -256,6 +256,7 @@ def test_a_halt_from_another_thread_stops_a_move_during_transmission(emulator, c
     stage.stop()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("settings", "words"), [
     ("timeout_ms=0", "command timeout.*switched off.*set it to 1 s or less"),
     ("timeout_ms=1500", "command timeout.*is 1.5 s.*set it to 1 s or less"),
@@ -275,6 +276,7 @@ def test_unsuitable_settings_of_the_tic_raise_at_the_start(clock, settings, word
             stage.position()
 
 
+@pytest.mark.slow
 def test_a_wrong_device_number_or_checksum_setting_raises(emulator):
     for extra, words in ((",device=15", "answered 0 of 14 bytes.*device"), (",response_crc=1", "answered 14 of 15")):
         with pytest.raises(DeviceError, match=words):
@@ -313,6 +315,7 @@ def test_garbage_of_a_wrong_baud_rate_raises():
         open_tic(port + ",steps_per_mm=800").start()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("answer", "words"), [
     (lambda data: b"ok\r\n" if data.endswith(b"\r") else b"", "a Grbl answers there: name it grbl:"),
     (lambda data: b"\r\n>" if data.endswith(b"\r") else b"", "an ATI controller answers there: name it ati-serial:"),

@@ -78,6 +78,7 @@ def test_messages_describe_the_start(needle_loop):
     assert {phase for phase, _ in needle_loop.said} == {Phase.STARTING, Phase.RUNNING}
 
 
+@pytest.mark.slow
 def test_the_live_force_equals_the_force_of_the_simulator(needle_loop, needle, until):
     simulation, meshes = needle_loop.simulation, set()
     for depth in (2e-3, 3e-3):

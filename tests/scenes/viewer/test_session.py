@@ -95,6 +95,7 @@ def test_aim_moves_the_tool(session, needle, until):
     assert frame.curves.trace.depth[-1] == pytest.approx(2e-3, abs=2e-5), "and it was drawn"
 
 
+@pytest.mark.slow
 def test_aim_is_limited_to_the_range_of_the_scene(session):
     for wish, target in ((1.0, 4e-3), (-1.0, -CLEARANCE), (1e-3, 1e-3)):
         assert done(session, "aim", depth=wish) is None
@@ -261,6 +262,7 @@ def test_a_refused_parameter_changes_nothing(session, until):
     assert frame.readouts.force == pytest.approx(before.readouts.force, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_an_unusable_material_is_refused_without_a_running_simulation(session, measured, until):
     os.kill(session.simulation.process.pid, signal.SIGKILL)
     before = until(session.frame, lambda frame: frame.phase is Phase.DIED)

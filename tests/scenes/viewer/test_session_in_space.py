@@ -89,6 +89,7 @@ def test_the_tool_goes_along_its_axis_and_aside_and_back(session, scene, until):
     assert frame.across == (OFFSET, 0.0) and frame.target == 0.0
 
 
+@pytest.mark.slow
 def test_a_protocol_is_played_along_the_axis_of_the_tool(session, scene, until):
     asked(session, "play", text="ramp 0.2mm @2mm/s; hold 600s; unload")
     until(session.frame, at(scene.experiment.approach.pose(0.2e-3).position))
