@@ -1,9 +1,9 @@
-"""Starting a compiled kernel thousands of times a second, its arguments bound by name.
+"""Launch of compiled kernels with arguments that are bound by name.
 
-Taichi checks and converts every argument on every call: 27 arrays cost 0.25 ms. A `BoundKernel` hands its arguments
-over once and starts in 9 us. Taichi tells arguments apart by their place, so that two exchanged arrays of one rank give
-a wrong answer and no error; here each goes to the argument of its name. It uses private names of Taichi 1.7.4, which
-pyproject pins; `tests/tissue_sim/test_launch.py` fails when they are gone.
+Taichi checks and converts every argument in every call: 27 arrays take 0.25 ms. A `BoundKernel` passes its arguments
+once and starts in 9 us. Taichi identifies arguments by position, so that two exchanged arrays of equal rank give a
+wrong result without an error; here each array is passed to the argument of its name. The module uses private names of
+Taichi 1.7.4, which pyproject pins; `tests/tissue_sim/test_launch.py` fails if they are missing.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from tissue_sim.errors import MissingBackendError, nearest
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.kernel_owner import KernelOwner
 
-#: Kernel -> what Taichi has made of it, its machine code, and what starts that.
+#: Kernel -> compiled kernel of Taichi, its machine code, and the function that launches it.
 _COMPILED: dict[Any, tuple[Any, Any, Callable[..., None]]] = {}
 
 
 class BoundKernel(KernelOwner):
     """A Taichi kernel with numpy arrays as its arguments, bound once.
 
-    The arrays are kept alive and must be changed in place: the kernel sees them where they were when it was bound.
+    The arrays are kept alive and must be changed in place: the kernel uses their memory addresses.
 
     Args:
         kernel: a `ti.kernel` whose arguments are all arrays.
@@ -57,17 +57,17 @@ class BoundKernel(KernelOwner):
 
     @classmethod
     def of(cls, kernel, arrays: Mapping[str, np.ndarray]) -> BoundKernel:
-        """With those of many arrays that the kernel has arguments for."""
+        """Bind those of the arrays whose names are arguments of the kernel."""
         return cls(kernel, {name: arrays[name] for name in _arguments(kernel) if name in arrays})
 
     def is_of(self, kernel, arrays: Mapping[str, np.ndarray]) -> bool:
-        """Whether it starts this kernel on these arrays already: binding anew costs a millisecond."""
+        """Return whether this object launches this kernel with these arrays; a new binding takes a millisecond."""
         return kernel is self.kernel and all(
             array.ctypes.data == arrays[name].ctypes.data and array.shape == arrays[name].shape
             for name, array in self.arrays.items())
 
     def __call__(self) -> None:
-        """Run the kernel to its end. The first call compiles it, or loads it from the cache."""
+        """Run the kernel. The first call compiles it, or loads it from the cache."""
         if self._start is None:
             self._start = _bind(self.kernel, tuple(self.arrays.values()))
         self._start()
@@ -75,7 +75,7 @@ class BoundKernel(KernelOwner):
 
 @cache
 def _arguments(kernel) -> dict[str, tuple[int, int, np.dtype]]:
-    """Name -> what an array must be, of each argument of a kernel."""
+    """Return rank, vector length and type of each argument of a kernel, by name."""
     try:
         return {argument.name: _expected(argument.annotation) for argument in kernel._primal.arguments}
     except AttributeError as error:
@@ -83,7 +83,7 @@ def _arguments(kernel) -> dict[str, tuple[int, int, np.dtype]]:
 
 
 def _expected(annotation) -> tuple[int, int, np.dtype]:
-    """Axes that an array must have, length of the last one where it is a vector (else 0), and type."""
+    """Return the rank of an array, the length of its last axis for vectors (otherwise 0), and its type."""
     from_taichi = initialise().lang.util.to_numpy_type
     element = annotation.dtype
     if not hasattr(element, "n"):
@@ -92,14 +92,15 @@ def _expected(annotation) -> tuple[int, int, np.dtype]:
 
 
 def _bind(kernel, arrays: tuple[np.ndarray, ...]) -> Callable[[], None]:
-    """What `Kernel.launch_kernel` of Taichi 1.7.4 does, split into what is done once and what each start needs.
+    """Bind arrays to a kernel and return the function that launches it.
 
-    There is no plain call to fall back to: Taichi refuses more than 64 arguments there.
+    This is `Kernel.launch_kernel` of Taichi 1.7.4, split into the part that is done once and the part of each launch.
+    An ordinary call is no alternative: it accepts at most 64 arguments.
     """
     try:
         primal = kernel._primal
         if kernel not in _COMPILED:
-            # Of which type and rank arrays are is all that Taichi asks, and that is stated at the kernel.
+            # Compilation depends on type and rank of the arrays only, and the kernel states these.
             compiled = primal.compiled_kernels[primal.ensure_compiled(*arrays)]
             program = initialise().lang.impl.get_runtime().prog
             binary = program.compile_kernel(program.config(), program.get_device_caps(), compiled)

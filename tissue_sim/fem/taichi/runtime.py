@@ -1,7 +1,7 @@
-"""Taichi is initialised once, lazily, here and nowhere else.
+"""Initialisation of Taichi, once per process, at the first use.
 
-CPU only, one thread: a tissue step is a chain of small dependent operations, and the processes beside it need the
-other cores. Compiled kernels are kept in Taichi's offline cache, so a machine compiles each of them once.
+Kernels run on one CPU thread: a step is a chain of small dependent operations, and other processes need the other
+cores. Taichi's offline cache stores compiled kernels, so that a machine compiles each of them once.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from tissue_sim.files import cache_folder
 
 #: Taichi compiles and starts kernels for one thread at a time. A running kernel holds the interpreter lock anyway.
 LOCK = threading.RLock()
-#: So much of compiled kernels is kept, the most that Taichi counts to. It keeps 100 MB unless told otherwise, seven of
-#: our larger kernels, and a process that ends throws away a quarter of what others have compiled.
+#: Size limit of the cache of compiled kernels, bytes: the largest that Taichi accepts. The default of 100 MB holds
+#: seven large kernels, and each process deletes a quarter of a full cache when it ends.
 CACHE_BYTES = 2**31 - 1
 
 
@@ -50,7 +50,7 @@ def _initialise():
         raise MissingBackendError(
             "the finite elements need taichi 1.7.4, which exists for Linux x86-64, Windows x86-64 and macOS on Apple "
             f"silicon ({error}); analytical calibration works without it") from None
-    # Taichi draws the source of every expression that it reads, for messages; that takes longer than the rest.
+    # For its messages Taichi formats the source of every expression, which takes longer than the rest of the parsing.
     ASTTransformerContext.get_pos_info = _place
     folder = cache_folder()
     folder.mkdir(parents=True, exist_ok=True)
@@ -58,27 +58,29 @@ def _initialise():
         ti.init(arch=ti.cpu, default_fp=ti.f64, default_ip=ti.i32, cpu_max_num_threads=1, offline_cache=True,
                 offline_cache_file_path=str(folder), offline_cache_max_size_of_files=CACHE_BYTES,
                 log_level=ti.ERROR, fast_math=True,
-                # LLVM finds what is common and what is not read again as well, and in a fraction of the time. Taichi
-                # takes time that grows with the square of a kernel.
+                # LLVM eliminates common subexpressions and dead code as well. Taichi's own passes take a time that
+                # grows with the square of the length of a kernel.
                 cfg_optimization=False, opt_level=0,
                 # Loops over the components of tensors are unrolled on purpose.
                 unrolling_limit=0,
-                # Keeps numbers of arrays in local variables while a kernel runs, one for each expression that names
-                # their place: what one of them is set to, another does not see.
+                # This option would copy array entries to local variables, one for each index expression: writes through
+                # one expression are then invisible to the others.
                 cache_loop_invariant_global_vars=False)
     logging.getLogger("taichi").setLevel(logging.ERROR)
     return ti
 
 
 def _place(context: Any, node: Any) -> str:
-    """Where an expression of a kernel stands."""
+    """Return file, line and function of an expression of a kernel."""
     return f'File "{context.file}", line {node.lineno + context.lineno_offset}, in {context.func.func.__name__}:\n'
 
 
 @contextlib.contextmanager
 def _modules_at_once() -> Iterator[None]:
-    """While Taichi is imported: Python looks for the module of each of its functions through all that are there, which
-    is a quarter of the time. Functions and frames know the names of theirs."""
+    """Speed up `inspect.getmodule` during the import of Taichi.
+
+    `inspect.getmodule` searches all loaded modules for that of each function, which takes a quarter of the import.
+    Functions and frames contain the name of their module."""
     search, importer = inspect.getmodule, threading.get_ident()
 
     def module(thing: object, _filename: str | None = None) -> ModuleType | None:

@@ -1,25 +1,32 @@
-"""The one Taichi field of all kernels: what they have computed of the batch of elements that they work on.
+"""Scratch field shared by all kernels, for intermediate results of one batch of elements.
 
-Taichi knows a kept kernel by the numbers of its fields, and numbers fields as they are made. Where each kind of kernel
-had a field of its own, a kernel was found again only by a process that made the same kinds in the same order.
+Taichi numbers its fields in the order of creation, and the key of a cached kernel contains these numbers. With a single
+field the key does not depend on the kernels that a process created before.
 """
 
 from functools import cache
 
 from tissue_sim.fem.taichi.runtime import initialise
 
-#: Numbers in each vector, one of an element each, and vectors.
-LANES, VECTORS = 4, 3200
+#: Components of each vector, one per element of a batch.
+LANES = 4
+#: Number of vectors in the field.
+VECTORS = 3200
 
 
 def scratch(lanes: int, size: int):
-    """The field, of which the first `size` vectors may be used while a kernel runs; nothing stays there.
+    """Return the field; a kernel may use its first `size` vectors while the kernel runs.
+
+    Args:
+        lanes: required number of components of a vector.
+        size: required number of vectors.
 
     Raises:
-        ValueError: it has fewer, or vectors of another length.
+        ValueError: the field has fewer vectors, or vectors of another length.
     """
     if lanes != LANES or size > VECTORS:
-        raise ValueError(f"{size} vectors of {lanes} asked for, and the scratch field has {VECTORS} of {LANES}")
+        raise ValueError(f"the scratch field has {VECTORS} vectors of {LANES} components; got a request for {size} of "
+                         f"{lanes}")
     return _field()
 
 

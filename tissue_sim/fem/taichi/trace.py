@@ -1,11 +1,11 @@
-"""Formulas that others write, as code of a kernel: plain Python and numpy, run once on numbers that note what is done.
+"""Tracing of plug-in formulas, written in Python and NumPy, into code of a kernel.
 
-Taichi reads the source of its own functions and knows no others. A formula of a plugin is called instead with `Traced`
-numbers when the kernel is compiled, and every operation becomes one of the kernel. It may call functions, loop and
-index as it likes, as long as no branch depends on a number: that takes ``numpy.where``. Zeros and ones that are plain
-numbers fold, so that what is absent in a plane or on an axis costs nothing.
+Taichi compiles the source of its own functions only. A formula of a plug-in is therefore called with `Traced` numbers
+when the kernel is compiled, and each operation becomes an operation of the kernel. The formula may call functions, loop
+and index; a branch must not depend on a number, for which ``numpy.where`` is used. Constant zeros and ones are folded,
+so that components that vanish in a plane or on an axis cost nothing.
 
-Taichi keeps compiled kernels by the operations that they consist of, so two formulas of one name are two kernels.
+The key of a compiled kernel consists of its operations, so that two formulas of the same name are two kernels.
 """
 
 from __future__ import annotations
@@ -32,21 +32,25 @@ _OPERATORS: dict[Any, Callable] = {
     np.greater: operator.gt, np.greater_equal: operator.ge}
 #: Whole powers up to this one are products.
 _PRODUCTS = 4
-#: Stands for an expression where a formula is only tried, without a kernel.
+#: Placeholder of an expression if a formula is tested without a kernel.
 TRIED: Any = object()
 Thing = TypeVar("Thing")
 
 
 class Formula(NamedTuple, Generic[Thing]):
-    """What a kernel is compiled for: a frozen dataclass with a formula, which is another one wherever its content is,
-    and what it is told beside its declared parameters."""
+    """Formula for which a kernel is compiled: a frozen dataclass and its constants, without its declared parameters.
+
+    Attributes:
+        kind: class of the law or effect.
+        constants: name and value of each field that is not a declared parameter.
+    """
 
     kind: type[Thing]
     constants: tuple[tuple[str, Any], ...]
 
     @classmethod
     def of(cls, thing: Thing) -> Formula[Thing]:
-        """The formula of an effect or a law."""
+        """Return the formula of an effect or a law."""
         kind: Any = type(thing)
         known = declared(kind)
         return cls(kind, tuple((entry.name, getattr(thing, entry.name)) for entry in fields(kind)
@@ -54,15 +58,15 @@ class Formula(NamedTuple, Generic[Thing]):
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Names of the declared ones, in order."""
+        """Names of the declared parameters, in order."""
         return tuple(declared(self.kind))
 
     def numbers(self, thing: Thing) -> list[float]:
-        """Its parameters, in order."""
+        """Return the parameters of a law or effect, in order."""
         return [float(getattr(thing, name)) for name in self.parameters]
 
     def bind(self, parameters: Iterable[Any]) -> Thing:
-        """A thing with these numbers in its fields, which are not checked: they may be those of a kernel."""
+        """Return a law or effect with these parameters, which may be traced numbers and are not checked."""
         thing: Thing = object.__new__(self.kind)
         for name, value in (*self.constants, *zip(self.parameters, parameters, strict=True)):
             object.__setattr__(thing, name, value)
@@ -70,7 +74,7 @@ class Formula(NamedTuple, Generic[Thing]):
 
 
 class Traced(NDArrayOperatorsMixin):
-    """A number of a kernel, or as many of them as a vector has lanes, that notes what a formula does with it.
+    """Scalar or vector of a kernel that records the operations of a formula.
 
     Args:
         value: a Taichi expression.
@@ -88,12 +92,12 @@ class Traced(NDArrayOperatorsMixin):
         raise InputError("a formula in a kernel cannot branch on a number; choose with numpy.where")
 
     def __array_ufunc__(self, ufunc, method, *inputs, **options):
-        """What Python's operators and numpy's functions do with it."""
-        # `a += b` names another number a.
+        """Record an operator or a NumPy function."""
+        # `a += b` binds the name a to another number.
         in_place = options.pop("out", None)
         if method != "__call__" or options or not (in_place is None or in_place[0] is inputs[0]):
             return NotImplemented
-        # Numpy's own numbers would come back here.
+        # NumPy scalars would call this method again.
         operands = [float(x) if isinstance(x, np.generic) else x for x in inputs]
         if len(operands) == 2 and (folded := _folded(ufunc, *operands)) is not None:
             return folded
@@ -105,7 +109,7 @@ class Traced(NDArrayOperatorsMixin):
                          "cos, tan, abs, maximum, minimum and where")
 
     def __array_function__(self, function, types, arguments, options):
-        """``numpy.where``."""
+        """Record ``numpy.where``."""
         if function is not np.where or options or len(arguments) != 3:
             return NotImplemented
         condition, yes, no = arguments
@@ -118,19 +122,19 @@ class Traced(NDArrayOperatorsMixin):
 
 
 def traced(values: Sequence[Any], lanes: bool) -> list[Traced]:
-    """Expressions as numbers that a formula can take."""
+    """Return expressions as traced numbers."""
     return [Traced(value, lanes) for value in values]
 
 
 def expressions(values: Sequence[Any], like: Any) -> list[Any]:
-    """What a formula gave back as expressions, vectors where the traced number `like` is one."""
+    """Return the results of a formula as expressions, as vectors if the traced number `like` is a vector."""
     if not like.lanes:
         return [value.value if isinstance(value, Traced) else float(value) for value in values]
     return [_spread(value, like).value for value in values]
 
 
 def _folded(ufunc: np.ufunc, left: Any, right: Any) -> Any:
-    """What zeros and ones that are plain numbers leave of an operation, and products of whole powers; else None."""
+    """Simplify an operation with a constant 0 or 1, or an integer power; return None if neither applies."""
     if ufunc is np.power and isinstance(right, int) and 1 <= right <= _PRODUCTS:
         return reduce(operator.mul, [left] * right)
     if (ufunc is np.multiply and (_is(left, 0) or _is(right, 0))) or (ufunc is np.divide and _is(left, 0)):
