@@ -205,7 +205,7 @@ def test_a_file_states_a_population_in_its_units(animals, tmp_path):
     assert after.specimens["animal_2"] == pytest.approx(before.specimens["animal_2"])
     for key, value, message in (("order", ["C10", "C30"], "no parameter 'C30'"),
                                 ("mean", [1.0], "2 entries, one for each parameter in order; got 1"),
-                                ("between_specimens", [[1.0, 2.0], [2.0, 1.0]], "not positive semi-definite")):
+                                ("between_specimens", [[1.0, 2.0], [2.0, 1.0]], "must be positive semi-definite")):
         path.write_text(json.dumps(content | {"population": stated | {key: value}}), encoding="utf-8")
         with pytest.raises(InputError, match=message) as caught:
             ts.read_material_file(path)
