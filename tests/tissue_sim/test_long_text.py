@@ -129,6 +129,12 @@ def test_what_is_not_plain_is_looked_at_cell_by_cell(reader, lines, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_blank_in_a_number_between_tabs_is_refused_with_its_line(tmp_path):
+    text = foreign(ROWS, "\t").replace("4.0\t", "4 0\t").replace("Time", "ime")
+    at_once, cell_by_cell = both("table", text, tmp_path, beginning=6)
+    assert at_once == cell_by_cell and at_once[0] == 10 and "'4 0'" in at_once[2]
+
+
 @settings(max_examples=150, deadline=None)
 @given(data=st.data())
 def test_damage_anywhere_changes_neither_recording_nor_sentence(data, tmp_path_factory):

@@ -157,6 +157,9 @@ def _find_delimiter(lines: list[str], path: Path) -> str:
             if delimiter == " " and scores[delimiter] > max([0, *scores.values()][:-1]) and any(
                     scores.get(other) and _has_same_rows(sample, other, table, path) for other in _DELIMITERS[:-1]):
                 del scores[delimiter]
+        # Cells contain blanks, but no tabs: a tab in every line separates, also if a damaged number contains a blank.
+        if scores.get("\t") and len({line.count("\t") for line in sample if line.strip()}) == 1:
+            scores.pop(" ", None)
         best = max(scores, key=lambda each: scores[each], default=None)
         if best is not None and scores[best]:
             return best
