@@ -58,7 +58,7 @@ def export(material: Material) -> str:
 
 
 def _law(name: str) -> tuple[str, int]:
-    """Keyword with its order, and number of volumetric terms."""
+    """Return the options of the keyword *HYPERELASTIC for a law, and the number of volumetric terms."""
     if name in _POLYNOMIALS:
         return f"POLYNOMIAL, N={_POLYNOMIALS[name]}", _POLYNOMIALS[name]
     series = re.fullmatch(r"(\w+?)_(\d+)", name)

@@ -81,7 +81,7 @@ def _base(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[P
 
 
 def _plate(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[Pair]:
-    """Return the pairs with the plate: the top, and the upper half of the side."""
+    """Return the contact pairs of a plate profile with mesh edges: the top, unless bonded, and the upper side."""
     profile, mu = experiment.tool.profile, coefficient(experiment.friction)
     pairs = []
     if experiment.friction != "bonded":

@@ -247,7 +247,7 @@ class ReducedSolver(PlacedReduced):
 
     @property
     def is_at_rest(self) -> bool:
-        """See `PlacedReduced.is_at_rest`."""
+        """Whether the solid is at rest without a touching tool, and all groups of its stiffness are up to date."""
         return self._groups_at_rest >= SETTINGS.stiffness_groups and not self._committed[0].any()
 
     def _evaluate_contact(self, amplitudes: np.ndarray, frame: Frame, pressed_in: bool, *, slips_on: bool = False

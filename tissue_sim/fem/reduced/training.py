@@ -106,7 +106,7 @@ def _step_with_subdivision(solver: SolidSolver, here: Pose, goal: Pose, toleranc
 
 
 def lifted_modes(solver: SolidSolver) -> np.ndarray:
-    """Compute the linear elastic solutions for the twelve motions of a bonded tool.
+    """Compute the linear elastic solutions for twelve motions of a bonded tool: 3 translations, 9 entries of a matrix.
 
     Returns:
         Displacements per amplitude, shape (freedoms, 12); (freedoms, 0) for a tool that can lift off.

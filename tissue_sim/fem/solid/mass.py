@@ -62,5 +62,5 @@ class Mass:
                 matrix.data[self._diagonal] += self.rate * self._masses
 
     def ahead(self, x: np.ndarray, dt: float, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Predict the inertial forces of the next step; see `Motion.ahead`."""
+        """Predict the change of the inertial forces in a next step without motion of the tool; see `Motion.ahead`."""
         return self.motion.ahead(x, dt, self._masses, along)
