@@ -18,8 +18,8 @@ def held_force(mesh, columns, kind, material, motion, folder, held="face"):
         kind: the element there. material: named GEL. motion: of the held nodes, m, shape (3,). folder: for files.
     """
     if shutil.which("ccx") is None:
-        pytest.skip("asks CalculiX, which pip cannot install: there is no ccx on PATH (Debian: apt install "
-                    "calculix-ccx; .ci/run does so)")
+        pytest.skip("compares with CalculiX, a system package that pip cannot install; ccx is not on PATH. Debian: "
+                    "apt install calculix-ccx. .ci/run installs it")
     elements = mesh.connectivity[:, columns] + 1
     used = np.unique(elements)
     rows = ["*NODE, NSET=ALL", *(f"{n}, " + ", ".join(f"{x:.12g}" for x in mesh.nodes[n - 1]) for n in used),

@@ -75,8 +75,9 @@ def data_folder() -> Path:
     """Measured data of others; not part of the repository."""
     folder = Path(os.environ.get("TISSUE_SIM_DATA", ROOT.parent / "shared" / "data"))
     if not folder.is_dir():
-        pytest.skip(f"needs published measurements, which are not part of this repository; {folder} does not exist. "
-                    "docs/calibration.md, docs/measured_silicones.md and docs/viscoelasticity.md name their sources; "
+        pytest.skip("compares with published measurements, whose licences keep them out of this repository; there is "
+                    f"no folder {folder}. docs/calibration.md, docs/measured_silicones.md and "
+                    "docs/viscoelasticity.md name their sources; "
                     "set TISSUE_SIM_DATA to the folder that contains ecoflex_compression and the others")
     return folder
 

@@ -8,7 +8,6 @@ its effects through the entry point group ``tissue_sim.diagnosis_effects``.
 
 from __future__ import annotations
 
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -25,6 +24,7 @@ from tissue_sim.material.material import law_declaration
 from tissue_sim.material.parts import find_declaration, with_parts
 from tissue_sim.model import Model
 from tissue_sim.parameters import Declaration, parameters, symbol_at, with_values
+from tissue_sim.public_names import OldName, adopt_old_names
 
 #: Part of the model that an effect belongs to.
 Category = Literal["tissue", "contact", "geometry", "rig", "population"]
@@ -211,24 +211,6 @@ class Candidate:
         return {path: symbol_at(path, self.declaration(campaign, path)) for path in {**self.sizes, **self.shape}}
 
 
-class _FormerAttribute:
-    """Class attribute that reads another attribute and warns that the name is deprecated.
-
-    Args:
-        current: new name of the attribute.
-    """
-
-    def __init__(self, current: str):
-        self._current = current
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self._name = name
-
-    def __get__(self, instance: object, owner: type) -> Any:
-        warnings.warn(f"{owner.__name__}.{self._name} is renamed to {self._current}", DeprecationWarning, stacklevel=2)
-        return getattr(owner, self._current)
-
-
 class Effect(ABC):
     """Effect that a diagnosis can test and add to a model.
 
@@ -249,7 +231,7 @@ class Effect(ABC):
 
     name: ClassVar[str]
     category: ClassVar[Category]
-    room: ClassVar[Any] = _FormerAttribute("category")
+    room = OldName("category")
     title: ClassVar[str]
     signature: ClassVar[str]
     separated_by: ClassVar[str]
@@ -260,11 +242,7 @@ class Effect(ABC):
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)
-        if "room" in cls.__dict__:
-            warnings.warn(f"{cls.__name__}.room is deprecated; name the attribute category", DeprecationWarning,
-                          stacklevel=2)
-            cls.category = cls.__dict__["room"]
-            del cls.room
+        adopt_old_names(cls, {"room": "category"})
 
     @abstractmethod
     def candidates(self, situation: Situation) -> list[Candidate]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,6 +11,7 @@ import numpy as np
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.measured import MeasuredCurve
 from tissue_sim.experiment.experiment import Experiment
+from tissue_sim.public_names import OldName
 
 #: Smallest decrease of the displacement that counts as unloading, as a fraction of the largest displacement.
 UNLOADING_FRACTION = 0.05
@@ -49,10 +49,7 @@ class Situation:
         return tuple(test for test in self.tests if test.experiment is not None
                      and not self.measured[test.name][0].stressed and condition(test))
 
-    def simulated(self, keep: Callable[[Test], bool] = lambda _: True) -> tuple[Test, ...]:
-        """Call `simulated_tests`; deprecated name."""
-        warnings.warn("Situation.simulated is renamed to simulated_tests", DeprecationWarning, stacklevel=2)
-        return self.simulated_tests(keep)
+    simulated = OldName("simulated_tests")
 
     def curves(self, tests: Iterable[Test] | None = None) -> list[MeasuredCurve]:
         """Return the recordings of some tests, or of all fitted tests for None."""

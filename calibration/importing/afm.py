@@ -27,7 +27,8 @@ def is_afm(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
-    # zipfile raises NotImplementedError for an archive of a newer version of the zip format than it can read.
+    # Python cannot list this archive: it is damaged, unreadable, or of a newer version of the zip format, for which
+    # zipfile raises NotImplementedError. The reader of the file then reports the reason.
     except (zipfile.BadZipFile, OSError, NotImplementedError):
         return False
     return not any(name in ("[Content_Types].xml", "content.xml") or name.startswith("xl/") for name in names)

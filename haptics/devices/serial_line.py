@@ -143,7 +143,8 @@ def _group(port: str) -> str:
     """Return the group that owns a port, or ``dialout`` if it is unknown."""
     try:
         return Path(port).group()
-    # pathlib raises NotImplementedError on Windows, which has no groups.
+    # The group only completes the advice of a message: the port may be gone (OSError) or owned by a number without a
+    # name (KeyError), and Windows has no groups (NotImplementedError).
     except (OSError, KeyError, NotImplementedError):
         return "dialout"
 

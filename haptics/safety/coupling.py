@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Vector
+from tissue_sim.public_names import OldName
 from tissue_sim.tool_force import ToolForce
 
 _NO_VECTOR: Vector = (0.0, 0.0, 0.0)
@@ -130,11 +131,7 @@ class VirtualCoupling:
                              f"{delay_ticks}", field="tick, delay_ticks")
         return (1 + delay_ticks) ** 2 * (self.stiffness * tick / 2 + self.damping)
 
-    def least_device_damping(self, tick: float, delay_ticks: int = 0) -> float:
-        """Return `required_device_damping`, N s/m. Deprecated name, kept for one release."""
-        warnings.warn("VirtualCoupling.least_device_damping is renamed to required_device_damping", DeprecationWarning,
-                      stacklevel=2)
-        return self.required_device_damping(tick, delay_ticks)
+    least_device_damping = OldName("required_device_damping")
 
     def is_passive(self, device_damping: float, tick: float, delay_ticks: int = 0) -> bool:
         """Return whether the coupled device is passive with any passive tissue.

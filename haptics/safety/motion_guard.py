@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 from haptics.devices.contracts import ForceSample, SampleStatus, StageSample
 from tissue_sim.errors import InputError
+from tissue_sim.public_names import old_names
 
 #: Default of the longest time without a sample of the sensor, s.
 DEFAULT_SENSOR_SILENCE = 0.05
@@ -288,9 +288,4 @@ def require_stoppable(limits: MotionLimits, speed: float, seconds: float) -> Non
                "Use a stage that stops when the program ends"), field="limits.force_margin")
 
 
-def __getattr__(name: str) -> type[StopReason]:
-    """Return `StopReason` for its old name `Stop`, with a warning; the old name is kept for one release."""
-    if name == "Stop":
-        warnings.warn("haptics.safety.motion_guard.Stop is renamed to StopReason", DeprecationWarning, stacklevel=2)
-        return StopReason
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = old_names(__name__, {"Stop": "StopReason"})

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-import warnings
 
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Screw, Vector, motion
+from tissue_sim.public_names import OldName
 
 _NO_WRENCH: Screw = (0.0,) * 6
 _NO_MOTION: Screw = (0.0,) * 6
@@ -67,10 +67,7 @@ class PassivityObserver:
         """
         return _NO_MOTION if self._pose is None else motion(self._pose, pose)
 
-    def way(self, pose: Pose) -> Screw:
-        """Return `displacement_to` of a pose, m and rad. Deprecated name, kept for one release."""
-        warnings.warn("PassivityObserver.way is renamed to displacement_to", DeprecationWarning, stacklevel=2)
-        return self.displacement_to(pose)
+    way = OldName("displacement_to")
 
     def work(self, wrench: Screw, displacement: Screw) -> float:
         """Return the energy that the hand puts in between the last sample and a new one, J.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -26,6 +25,7 @@ from haptics.server.wire import (
 )
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
+from tissue_sim.public_names import OldName
 from tissue_sim.tool_force import ForceStatus, Tissue, ToolForce
 
 #: Address of a client as a socket returns it: host, port, and further entries for IPv6.
@@ -223,10 +223,7 @@ class StepService:
         self._newest = request
         return None
 
-    def take(self, packet: bytes | bytearray | memoryview, address: Address, now: float) -> bytes | None:
-        """Return `receive` of a datagram. Deprecated name, kept for one release."""
-        warnings.warn("StepService.take is renamed to receive", DeprecationWarning, stacklevel=2)
-        return self.receive(packet, address, now)
+    take = OldName("receive")
 
     def step(self, now: float) -> tuple[bytes, Address] | None:
         """Step the tissue to the newest pose that was received.

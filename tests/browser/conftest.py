@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
+from waiting import wait_until
 
 HERE = Path(__file__).parent
 #: viser's answer to a drag in the picture, to a mouse; Chromium lets it do so for fingers only.
@@ -47,8 +48,8 @@ def chromium(root):
 def browser(chromium):
     """One Chromium for all tests; each test has separate pages that share no data."""
     if chromium.chromium_path() is None:
-        pytest.skip("requires a browser, which pip cannot install: there is no chromium or "
-                    "chromium-browser on PATH (Debian: apt install chromium fonts-dejavu-core; .ci/run does so)")
+        pytest.skip("tests the page in Chromium, a system package that pip cannot install; PATH has neither "
+                    "chromium nor chromium-browser. Debian: apt install chromium fonts-dejavu-core. .ci/run does so")
     return SHARED.enter_context(chromium.chromium())
 
 
@@ -177,10 +178,8 @@ class Shown:
             self.ask("use_scene", name=first.kind.name, tool=first.experiment.tool, friction=first.experiment.friction)
         if scene.material != first.material or scene.source != first.source:
             self.ask("use_material", material=first.material, source=first.source)
-        deadline = time.monotonic() + PATIENCE
-        while self.session.simulation.phase.name not in ("RUNNING", "PAUSED"):
-            assert time.monotonic() < deadline, self.frame.message
-            time.sleep(0.01)
+        wait_until(lambda: self.session.simulation.phase.name in ("RUNNING", "PAUSED"), lambda: self.frame.message,
+                   PATIENCE)
         self.ask("reset")
 
 

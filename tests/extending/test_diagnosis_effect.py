@@ -52,7 +52,7 @@ def test_former_names_work_and_warn(cable, tmp_path):
     """A plug-in of an earlier release: ``room``, ``beside_material``, ``both_ways`` and ``Situation.simulated``."""
     from calibration.effects import candidates
 
-    with pytest.warns(DeprecationWarning, match="OldCable.room is deprecated; name the attribute category"):
+    with pytest.warns(DeprecationWarning, match=r"OldCable\.room is renamed to category; define category"):
         class OldCable(Effect):
             name, room, title, signature, separated_by = "old_cable", "rig", "cable", "pulls", "a run in air"
 
@@ -69,5 +69,5 @@ def test_former_names_work_and_warn(cable, tmp_path):
         "simulated", "beside_material"}
     path, = found.bounds
     assert found.bounds[path][0] == 0.0 and OldCable.category == "rig"
-    with pytest.warns(DeprecationWarning, match="OldCable.room is renamed to category"):
+    with pytest.warns(DeprecationWarning, match=r"Effect\.room is renamed to category"):
         assert OldCable().room == "rig"

@@ -6,11 +6,11 @@ the solver alone at each pose, and what is drawn must stand where the tool stand
 
 import json
 import math
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from waiting import wait_for_value
 
 import tissue_sim as ts
 from haptics.devices.back_ends import MOTIONS, open_motion
@@ -53,15 +53,6 @@ def scene(spring):
     return Scene(NEEDLE, experiment, MATERIAL, solver="spring")
 
 
-def until(look, fits, seconds=120.0):
-    """Look again and again until what is seen fits, and return that."""
-    deadline = time.monotonic() + seconds
-    while not fits(seen := look()):
-        assert time.monotonic() < deadline, f"this is still so: {seen}"
-        time.sleep(0.005)
-    return seen
-
-
 @pytest.fixture
 def shown(scene, spiral, monkeypatch):
     """The session, a frame when the tool has been in and out and the trace has so many points of that, and all ticks of
@@ -71,7 +62,7 @@ def shown(scene, spiral, monkeypatch):
     session = Session(scene, settings=replace(SETTINGS, real_time=False))
     viewer, problems, caught = NullViewer(), [], []
     try:
-        until(session.frame, lambda frame: frame.phase is not Phase.STARTING)
+        wait_for_value(session.frame, lambda frame: frame.phase is not Phase.STARTING)
         ring = session.simulation.process.ring()
         session.post("follow", device=spiral, reply=problems.append)
 
@@ -85,7 +76,7 @@ def shown(scene, spiral, monkeypatch):
             return (problems and len(trace) >= ENOUGH and trace.depth.max() > 0.95 * AXIS_DEPTH
                     and trace.branches()[1] is not None and frame.snapshot.depth > 1e-3)
 
-        frame = until(seen, fits)
+        frame = wait_for_value(seen, fits)
         ring.close()
         assert not any(ticks.lost for ticks in caught)
         yield session, frame, np.concatenate([ticks.records for ticks in caught])
@@ -143,7 +134,7 @@ def test_what_is_drawn(spring, shown):
 def test_the_curve_of_the_whole_test_is_of_that_solver(spring, shown):
     """Computed in another process, which must know the name."""
     session, *_ = shown
-    model = until(session.frame, lambda frame: frame.curves.model is not None).curves.model
+    model = wait_for_value(session.frame, lambda frame: frame.curves.model is not None).curves.model
     np.testing.assert_allclose(model.force, spring.STIFFNESS[2, 2] * model.displacement, rtol=1e-9)
 
 

@@ -7,13 +7,13 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import wait_until
 
 from haptics.devices.contracts import AxialMotion, DeviceError, HapticDevice
 from haptics.devices.motions import HandMotion, SineMotion
@@ -370,13 +370,6 @@ def test_peak_memory_is_that_of_this_program(tissues):
 
 def environment():
     return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [str(HERE.parents[1]), str(HERE)]))}
-
-
-def wait_until(condition, seconds=300.0):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, f"not within {seconds} s"
-        time.sleep(0.01)
 
 
 def is_running(pid):

@@ -126,5 +126,5 @@ def test_a_motion_with_a_force_increase_above_the_margin_is_refused():
 def test_the_old_name_stop_warns():
     from haptics.safety import motion_guard
 
-    with pytest.warns(DeprecationWarning, match="renamed to StopReason"):
+    with pytest.warns(DeprecationWarning, match="motion_guard.Stop is renamed to .*motion_guard.StopReason"):
         assert motion_guard.Stop is StopReason

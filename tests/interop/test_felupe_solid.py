@@ -10,7 +10,7 @@ from tissue_sim.mesh.grading import Grading
 from tissue_sim.mesh.hexahedra import HEX8P0
 from tissue_sim.pose import Pose
 
-felupe = pytest.importorskip("felupe", reason="asks FElupe, which comes with the extra `test`")
+felupe = pytest.importorskip("felupe", reason="compares with FElupe, not installed: pip install -e .[test]")
 
 MODULUS, BULK, DEPTH = 2800.0, 2800e2, 2e-3
 MATERIAL = ts.Material("neo_hooke", {"C10": 0.5 * MODULUS}, ts.Bulk("K_Pa", BULK))

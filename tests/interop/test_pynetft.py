@@ -7,10 +7,10 @@ import importlib.util
 import subprocess
 import sys
 import tarfile
-import time
 from importlib.metadata import version
 
 import pytest
+from waiting import wait_until
 
 from haptics.devices.contracts import SampleStatus
 from haptics.devices.rdt import RdtSensor
@@ -20,21 +20,14 @@ from haptics.emulators.rdt import RdtEmulator
 from haptics.protocols import rdt
 from haptics.protocols.rdt import Settings
 
-pynetft = pytest.importorskip("pynetft", reason="asks pynetft, an independent client that comes with the extra "
-                                                "'test' where there is a wheel of it, and is not installed")
+pynetft = pytest.importorskip("pynetft", reason="compares with the independent client pynetft, which has no wheel for "
+                                                "every platform and is not installed: pip install pynetft")
 PATIENCE = 60.0
 LOAD = (0.1, -0.2, 3.0, 0.01, 0.02, -0.03)
 
 
 def load(time):
     return LOAD
-
-
-def wait_until(true, what):
-    end = time.monotonic() + PATIENCE
-    while not true():
-        assert time.monotonic() < end, f"waited {PATIENCE:g} s for {what}"
-        time.sleep(1e-3)
 
 
 def emulator(settings=None, faults=None, rate=500.0):

@@ -4,27 +4,21 @@ import time
 
 import pytest
 import serial
+from waiting import wait_until
 
 from haptics.devices.contracts import Bench, StageLimits
 from haptics.devices.virtual.force_sensor import VirtualForceSensor
 from haptics.devices.virtual.stage import VirtualStage
 from haptics.emulators.emulator import open_emulator
 
-ticlib = pytest.importorskip("ticlib", reason="asks ticlib, an independent client that comes with the extra "
-                                              "'test', and is not installed")
+ticlib = pytest.importorskip("ticlib", reason="compares with the independent client ticlib, not installed: "
+                                              "pip install -e .[test]")
 
 COMMAND_TIMEOUT, SAFE_START = 1 << 6, 1 << 7
 
 
 def no_load(now):
     return (0.0,)
-
-
-def wait_for(condition, seconds=60.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.002)
 
 
 @pytest.fixture(params=[("", {}), (",device=77", {"device_number": 77}),
@@ -48,7 +42,7 @@ def test_the_flow_of_its_readme_moves_the_motor(rig):
     tic.halt_and_set_position(0)
     tic.energize()
     tic.exit_safe_start()
-    wait_for(lambda: tic.get_operation_state() == 10)
+    wait_until(lambda: tic.get_operation_state() == 10)
     tic.set_max_speed(5000 * 10000)
     for target in (500, -300, 0):
         tic.set_target_position(target)
@@ -66,7 +60,7 @@ def test_halt_stops_it_and_the_position_is_uncertain(rig):
     tic.exit_safe_start()
     tic.set_max_speed(1000 * 10000)
     tic.set_target_position(9000)
-    wait_for(lambda: tic.get_current_position() > 100)
+    wait_until(lambda: tic.get_current_position() > 100)
     assert tic.get_current_velocity() == 1000 * 10000 and not tic.get_misc_flags()[0] & 2
     tic.halt_and_hold()
     stood = tic.get_current_position()
@@ -80,24 +74,24 @@ def test_the_command_timeout_stops_it_and_its_position_stays_certain(rig):
     tic.exit_safe_start()
     tic.set_max_speed(1000 * 10000)
     tic.set_target_position(9000)
-    wait_for(lambda: errors(tic) & COMMAND_TIMEOUT)  # questions are no sign of life
+    wait_until(lambda: errors(tic) & COMMAND_TIMEOUT)  # questions are no sign of life
     stood = tic.get_current_position()
     assert 0 < stood < 9000 and tic.get_operation_state() == 4 and not tic.get_misc_flags()[0] & 2
     assert errors(tic) == COMMAND_TIMEOUT | SAFE_START
     tic.reset_command_timeout()
     assert errors(tic) == SAFE_START and tic.get_current_position() == stood
     tic.exit_safe_start()
-    wait_for(lambda: tic.get_current_position() > stood)  # what is wanted outlives an error (5.4)
+    wait_until(lambda: tic.get_current_position() > stood)  # what is wanted outlives an error (5.4)
 
 
 def test_it_goes_home(rig):
     _, stage, tic = rig
     tic.halt_and_set_position(700)
     tic.exit_safe_start()
-    wait_for(lambda: tic.get_operation_state() == 10)
+    wait_until(lambda: tic.get_operation_state() == 10)
     assert tic.get_current_position() == 700
     tic.go_home(0)
-    wait_for(lambda: not tic.get_misc_flags()[0] & 16)
+    wait_until(lambda: not tic.get_misc_flags()[0] & 16)
     assert tic.get_current_position() == 0 and not tic.get_misc_flags()[0] & 2
     assert stage.tool_position(time.monotonic()) == 0.0
 

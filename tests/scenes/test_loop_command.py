@@ -7,12 +7,12 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import wait_until
 
 import tissue_sim as ts
 from haptics.devices.motions import ProtocolMotion, RandomWalk, SineMotion, SpatialWalk
@@ -32,16 +32,13 @@ KEYS = {"scene", "motion", "resolution", "ended_by", "seconds", "period_us", "ti
 
 def writer_of(ring, ticks=50, seconds=600.0, alive=lambda: True):
     """Wait until a ring buffer has `ticks` ticks, and return the identifier of the process that writes it."""
-    deadline = time.monotonic() + seconds
+    def while_alive(condition):
+        assert alive(), "the loop has ended"
+        return condition()
 
-    def wait_until(condition):
-        while not condition():
-            assert alive() and time.monotonic() < deadline, "no loop"
-            time.sleep(0.02)
-
-    wait_until(ring.exists)
+    wait_until(lambda: while_alive(ring.exists), "the ring buffer", seconds)
     with RingReader(ring) as reader:
-        wait_until(lambda: reader.written >= ticks)
+        wait_until(lambda: while_alive(lambda: reader.written >= ticks), f"{ticks} ticks", seconds)
         return reader.writer
 
 

@@ -5,9 +5,9 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
+from waiting import wait_until
 
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
@@ -159,17 +159,23 @@ def test_exceeded_force_limit_stops_the_run_with_its_reason(protocol, tmp_path, 
     assert "choose another folder" in capsys.readouterr().err
 
 
+def wait_for_lines(path, count, program):
+    """Wait until a file has a number of lines; fail if the program that writes it ends before."""
+    def is_there():
+        assert program.poll() is None, f"the program ended with {program.returncode}"
+        return path.exists() and path.read_text(encoding="utf-8").count("\n") >= count
+
+    wait_until(is_there, f"{count} lines", PATIENCE)
+
+
 @pytest.mark.slow
 def test_a_killed_run_leaves_readable_files(protocol, tmp_path):
     slow = protocol(replace={"ramp 4mm @8mm/s; unload": "ramp 3mm @8mm/s; hold 100s; unload"})
     run = tmp_path / "run"
     program = started("record", str(slow), "-o", str(run), "--json", stdout=subprocess.DEVNULL)
     partial = run / "plates_1.partial.csv"
-    end = time.monotonic() + PATIENCE
     try:
-        while not partial.exists() or partial.read_text(encoding="utf-8").count("\n") < 300:
-            assert time.monotonic() < end and program.poll() is None
-            time.sleep(0.05)
+        wait_for_lines(partial, 300, program)
     finally:
         program.kill()
         program.wait()
@@ -185,10 +191,7 @@ def test_ctrl_c_stops_the_stage_and_keeps_the_readings(protocol, tmp_path):
     run = tmp_path / "run"
     program = started("record", str(slow), "-o", str(run), "--json", stdout=subprocess.PIPE)
     partial = run / "plates_1.partial.csv"
-    end = time.monotonic() + PATIENCE
-    while not partial.exists() or partial.read_text(encoding="utf-8").count("\n") < 100:
-        assert time.monotonic() < end and program.poll() is None
-        time.sleep(0.05)
+    wait_for_lines(partial, 100, program)
     program.send_signal(signal.SIGTERM)
     out, _ = program.communicate(timeout=PATIENCE)
     answer = json.loads(out)

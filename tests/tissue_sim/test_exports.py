@@ -86,8 +86,8 @@ def test_what_has_no_form_there_is_refused(part, words):
 def test_calculix_gives_our_force(name, tmp_path):
     """Free uniaxial compression of one element, against our energy with the lateral stretch that leaves no stress."""
     if shutil.which("ccx") is None:
-        pytest.skip("asks CalculiX, which pip cannot install: there is no ccx on PATH (Debian: apt install "
-                    "calculix-ccx; .ci/run does so)")
+        pytest.skip("compares with CalculiX, a system package that pip cannot install; ccx is not on PATH. Debian: "
+                    "apt install calculix-ccx. .ci/run installs it")
     material, text = MATERIALS[name], export(MATERIALS[name])
     (tmp_path / "cube.inp").write_text(CUBE.format(material=text, name=label(text)), encoding="utf-8")
     done = subprocess.run(["ccx", "cube"], cwd=tmp_path, capture_output=True, text=True, encoding="utf-8", timeout=120)

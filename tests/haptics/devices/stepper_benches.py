@@ -30,14 +30,6 @@ def bench(lowest=0.0, highest=0.01, speed=0.004, start_at=0.0, clock=time.monoto
                                                            clock=clock))
 
 
-def wait_for(condition, seconds=60.0, event="the condition"):
-    """Wait until the condition is true; the time limit is generous for a busy machine."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, f"waited {seconds} s for {event}"
-        time.sleep(0.002)
-
-
 @contextmanager
 def port_that_answers(answer):
     """A serial port whose answers are a function of the received bytes."""

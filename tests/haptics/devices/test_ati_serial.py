@@ -8,9 +8,10 @@ from types import SimpleNamespace
 
 import pytest
 from device_contracts import ForceSensorContract
+from waiting import wait_until
 
 if sys.platform == "win32":
-    pytest.skip("the emulated controller stands on a pseudo-terminal, which Windows does not have",
+    pytest.skip("the emulated controller uses a pseudo-terminal, and Windows has none",
                 allow_module_level=True)
 
 from haptics.devices import ati_serial
@@ -41,15 +42,6 @@ def six(time):
 
 def bench(load=six, reach=500.0):
     return Bench(VirtualForceSensor(load, AXES, reach=reach), None)
-
-
-def wait_until(what, seconds=LONG):
-    """Wait until the condition is true and return its value."""
-    end = time.monotonic() + seconds
-    while not (found := what()):
-        assert time.monotonic() < end, "it did not come"
-        time.sleep(1e-3)
-    return found
 
 
 def read_records(sensor, count=1):

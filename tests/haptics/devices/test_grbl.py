@@ -9,7 +9,8 @@ from dataclasses import replace
 import pytest
 import serial
 from device_contracts import StageContract
-from stepper_benches import Clock, bench, port_that_answers, wait_for
+from stepper_benches import Clock, bench, port_that_answers
+from waiting import wait_until
 
 from haptics.devices import grbl as grbl_stage
 from haptics.devices import grbl_connection
@@ -89,7 +90,7 @@ def home(stage, clock):
         sample = stage.position()
         return sample.homed and not sample.moving
 
-    wait_for(there, event="homing")
+    wait_until(there, event="homing")
 
 
 def homed(emulator, clock):
@@ -112,7 +113,7 @@ def test_a_hung_program_sends_no_more_jogs(emulator, clock, monkeypatch):
     monkeypatch.setattr(grbl_stage, "JOGS", replace(grbl_stage.JOGS, silence=0.2))
     stage = homed(emulator, clock)
     stage.move(0.008, 0.004)
-    wait_for(lambda: time.monotonic() - stage._last_call > 0.3, event="the silence")
+    wait_until(lambda: time.monotonic() - stage._last_call > 0.3, event="the silence")
     for _ in range(500):
         clock.now += 0.01
     stood = emulator._stage.position()
@@ -120,7 +121,7 @@ def test_a_hung_program_sends_no_more_jogs(emulator, clock, monkeypatch):
     sample = stage.position()
     assert sample.moving
     pass_time(emulator, stage, clock, 3.0)
-    wait_for(lambda: not stage.position().moving, event="the end of the motion")
+    wait_until(lambda: not stage.position().moving, event="the end of the motion")
     assert stage.position().position == pytest.approx(0.008, abs=2e-6)
     stage.stop()
 
@@ -130,11 +131,11 @@ def test_a_halt_while_homing_leaves_the_zero_unknown(clock):
         stage = open_stage(emulator.address)
         stage.start()
         stage.home()
-        wait_for(lambda: emulator._homing, event="homing")
+        wait_until(lambda: emulator._homing, event="homing")
         clock.now += 0.5
         assert stage.position().moving
         stage.halt()
-        wait_for(lambda: not stage.position().moving, event="the halt")
+        wait_until(lambda: not stage.position().moving, event="the halt")
         clock.now += 10.0
         sample = stage.position()
         assert not sample.homed and not sample.moving and sample.status & SampleStatus.FAULT
@@ -150,7 +151,7 @@ def test_a_halt_cancels_queued_motions(emulator, clock):
     pass_time(emulator, stage, clock, 0.3)
     assert emulator.queued > 0.0
     stage.halt()
-    wait_for(lambda: emulator.queued == 0.0, event="the end of the queue, on a clock that stands")
+    wait_until(lambda: emulator.queued == 0.0, event="the end of the queue, on a clock that stands")
     stage.stop()
 
 
@@ -161,7 +162,7 @@ def test_a_halt_from_another_thread_stops_the_motion(emulator, clock):
     thread = threading.Thread(target=stage.halt)
     thread.start()
     thread.join()
-    wait_for(lambda: not stage.position().moving, event="the halt")
+    wait_until(lambda: not stage.position().moving, event="the halt")
     stood = stage.position().position
     for _ in range(20):
         clock.now += 0.1
@@ -177,7 +178,7 @@ def test_an_alarm_sets_the_status_and_motions_raise(emulator, clock, number, wor
     stage.move(0.008, 0.004)
     pass_time(emulator, stage, clock, 0.3)
     emulator.alarm(number)
-    wait_for(lambda: stage.position().status & SampleStatus.FAULT, event="the alarm")
+    wait_until(lambda: stage.position().status & SampleStatus.FAULT, event="the alarm")
     sample = stage.position()
     assert not sample.homed and not sample.moving
     assert bool(sample.status & SampleStatus.LIMIT) == (number == 1)
@@ -193,10 +194,10 @@ def test_failed_homing_raises(clock):
         stage = open_stage(emulator.address)
         stage.start()
         stage.home()
-        wait_for(lambda: emulator._homing, event="homing")
+        wait_until(lambda: emulator._homing, event="homing")
         emulator.alarm(9)
         with pytest.raises(DeviceError, match="did not home: homing found no limit switch; check its wiring"):
-            wait_for(lambda: not stage.position().moving)
+            wait_until(lambda: not stage.position().moving)
         assert not stage.position().homed
         stage.stop()
 
@@ -208,7 +209,7 @@ def test_endless_homing_raises(clock):
         stage._longest_homing = 0.2
         stage.home()
         with pytest.raises(DeviceError, match=r"homing of the Grbl at .* does not end; check the limit switch of Z"):
-            wait_for(lambda: not stage.position().moving)
+            wait_until(lambda: not stage.position().moving)
         stage.stop()
 
 
@@ -220,7 +221,7 @@ def test_a_refused_jog_raises_once_and_ends_the_motion(emulator, clock):
         while True:
             pass_time(emulator, stage, clock, 0.02)
             stage.position()
-    wait_for(lambda: not stage.position().moving)
+    wait_until(lambda: not stage.position().moving)
     stage.stop()
 
 
@@ -228,9 +229,9 @@ def test_a_restart_of_the_controller_raises(emulator, clock):
     stage = homed(emulator, clock)
     emulator.due, due = lambda: [b"Grbl 1.1h ['$' for help]\r\n"], emulator.due
     with pytest.raises(DeviceError, match="has restarted and lost its zero; check its supply, and home it again"):
-        wait_for(lambda: not stage.position())
+        wait_until(lambda: not stage.position())
     emulator.due = due
-    wait_for(lambda: not stage.position().homed)
+    wait_until(lambda: not stage.position().homed)
     with pytest.raises(DeviceError, match="home it first"):
         stage.move(0.001, 0.001)
     stage.stop()
@@ -249,12 +250,12 @@ def test_a_machine_on_hold_refuses_motions(emulator, clock):
 def test_a_jog_left_by_another_program_is_cancelled(emulator, clock):
     stage = homed(emulator, clock)
     stage.move(0.008, 0.004)
-    wait_for(lambda: emulator.queued > 0.05)
+    wait_until(lambda: emulator.queued > 0.05)
     connection, stage._connection = stage._connection, None
     connection.close()  # like the death of the program
     again = open_stage(emulator.address)
     again.start()
-    wait_for(lambda: not again.position().moving)
+    wait_until(lambda: not again.position().moving)
     assert not emulator._motions
     again.stop()
 
@@ -346,7 +347,7 @@ def test_an_unplugged_controller_raises(emulator, clock):
     stage.move(0.008, 0.004)
     emulator.stop()
     with pytest.raises(DeviceError, match=r"is gone .* plug it in again"):
-        wait_for(lambda: not stage.position())
+        wait_until(lambda: not stage.position())
     stage.halt()
     stage.stop()
 

@@ -9,6 +9,7 @@ import time
 
 import pytest
 from device_contracts import HapticDeviceContract
+from waiting import wait_until
 
 from haptics.devices.back_ends import open_haptic
 from haptics.devices.contracts import DeviceError
@@ -24,15 +25,6 @@ from tissue_sim.pose import Pose
 #: Origin of the scene at the initial position of the emulated hand.
 AT_START = "x_mm=0,y_mm=-150,z_mm=150"
 NO_WRENCH = (0.0,) * 6
-
-
-def wait_for(condition, seconds=20.0):
-    """Wait until the condition is true and return its value."""
-    end = time.monotonic() + seconds
-    while not (answer := condition()):
-        assert time.monotonic() < end, "it never came"
-        time.sleep(2e-3)
-    return answer
 
 
 @pytest.fixture
@@ -70,9 +62,9 @@ class TestContract(HapticDeviceContract):
             wrench = (0.0, 0.0, force, 0.0, 0.0, 0.0)
             # 1 N on a grip of 400 N/m is 2.5 mm.
             if force:
-                wait_for(lambda each=each, wrench=wrench: self.ticks(each, wrench, count=10)[-1].position[2]
+                wait_until(lambda each=each, wrench=wrench: self.ticks(each, wrench, count=10)[-1].position[2]
                          > places[0][2] + 2e-3)
-            places.append(wait_for(lambda each=each, wrench=wrench: self.ticks(each, wrench, count=2)[-1]).position)
+            places.append(wait_until(lambda each=each, wrench=wrench: self.ticks(each, wrench, count=2)[-1]).position)
             each.stop()
         free, pushed = places
         assert pushed[2] > free[2] and pushed[:2] == pytest.approx(free[:2], abs=1e-12)
@@ -89,7 +81,7 @@ def test_the_first_pose_is_above_the_tissue(service):
 
 def test_forces_arrive_and_the_last_one_is_zero(started, service):
     started.render((0.25, 0.5, 1.0, 9.0, 9.0, 9.0))
-    wait_for(lambda: service.force == (0.25, 0.5, 1.0))
+    wait_until(lambda: service.force == (0.25, 0.5, 1.0))
     started.stop()
     assert service.force == (0.0, 0.0, 0.0)
     started.render((0.0, 0.0, 1.0, 0.0, 0.0, 0.0))  # has no effect after the stop
@@ -98,10 +90,10 @@ def test_forces_arrive_and_the_last_one_is_zero(started, service):
 
 def test_a_large_force_is_limited_and_an_invalid_force_is_zero(started, service):
     started.render((30.0, 0.0, 40.0, 0.0, 0.0, 0.0))
-    wait_for(lambda: math.hypot(*service.force) == pytest.approx(started.largest_force))
+    wait_until(lambda: math.hypot(*service.force) == pytest.approx(started.largest_force))
     assert service.force == pytest.approx((3.0, 0.0, 4.0))
     started.render((math.nan, 0.0, 1.0, 0.0, 0.0, 0.0))
-    wait_for(lambda: service.force == (0.0, 0.0, 0.0))
+    wait_until(lambda: service.force == (0.0, 0.0, 0.0))
 
 
 def test_axes_and_scale_convert_motion_and_force(service):
@@ -111,7 +103,7 @@ def test_axes_and_scale_convert_motion_and_force(service):
     assert device.pose(0.0).position == pytest.approx((-4e-3, 6e-3, -2e-3), abs=1e-9)
     assert device.pose(0.0).orientation == (1.0, 0.0, 0.0, 0.0)
     device.render((1.0, 2.0, 3.0, 0.0, 0.0, 0.0))
-    wait_for(lambda: service.force == (1.5, 0.5, 1.0))
+    wait_until(lambda: service.force == (1.5, 0.5, 1.0))
     device.stop()
     assert device.largest_force == 10.0
 
@@ -208,7 +200,7 @@ def test_a_silent_service_gives_no_pose():
         device = open_haptic(service.address)
         device.start()
         assert device.pose(0.0) is not None
-        wait_for(lambda: device.render(NO_WRENCH) or device.pose(0.0) is None)
+        wait_until(lambda: device.render(NO_WRENCH) or device.pose(0.0) is None)
         device.stop()
 
 
@@ -226,9 +218,9 @@ def test_invalid_answers_are_ignored_and_only_invalid_answers_give_no_pose():
         device = HaplyDevice(server.address, origin=(0.0, 0.0, 0.0))
         device.start()
         place[0] = 0.2
-        wait_for(lambda: device.render(NO_WRENCH) or device.pose(0.0) == Pose((0.0, 0.0, 0.2)))
+        wait_until(lambda: device.render(NO_WRENCH) or device.pose(0.0) == Pose((0.0, 0.0, 0.2)))
         place[0] = None
-        wait_for(lambda: device.render(NO_WRENCH) or device.pose(0.0) is None)
+        wait_until(lambda: device.render(NO_WRENCH) or device.pose(0.0) is None)
         device.stop()
 
 
@@ -263,10 +255,10 @@ def test_forces_do_not_accumulate_at_a_slow_service():
     with Says(talk) as server:
         device = HaplyDevice(server.address)
         device.start()
-        wait_for(lambda: device.render(NO_WRENCH) or len(seen) > 20)
+        wait_until(lambda: device.render(NO_WRENCH) or len(seen) > 20)
         device.render((0.0, 0.0, 3.0, 0.0, 0.0, 0.0))
         asked = len(seen)
-        wait_for(lambda: device.render((0.0, 0.0, 3.0, 0.0, 0.0, 0.0)) or (0.0, 0.0, 3.0) in seen)
+        wait_until(lambda: device.render((0.0, 0.0, 3.0, 0.0, 0.0, 0.0)) or (0.0, 0.0, 3.0) in seen)
         assert seen.index((0.0, 0.0, 3.0)) <= asked + 3
         device.stop()
 
@@ -276,15 +268,15 @@ def test_lost_messages_do_not_stop_the_exchange():
         device = open_haptic(service.address)
         device.start()
         before = service.messages
-        wait_for(lambda: device.render(NO_WRENCH) or service.messages > before + 10)
+        wait_until(lambda: device.render(NO_WRENCH) or service.messages > before + 10)
         device.stop()
 
 
 def test_a_stopped_loop_applies_no_force(started, service):
     """The loop renders once and never again: the thread of the device then sends zero force."""
     started.render((0.0, 0.0, 2.0, 0.0, 0.0, 0.0))
-    wait_for(lambda: service.force == (0.0, 0.0, 2.0))
-    wait_for(lambda: service.force == (0.0, 0.0, 0.0))
+    wait_until(lambda: service.force == (0.0, 0.0, 2.0))
+    wait_until(lambda: service.force == (0.0, 0.0, 0.0))
     assert started.pose(0.0) is not None, "states go on"
 
 
@@ -299,7 +291,7 @@ def test_the_emulator_removes_the_force_after_a_silence(service):
         assert read_state(client.recv()).device_id == "049D" and service.force == (0.0, 0.0, 3.0)
         with pytest.raises(TimeoutError):
             client.recv(timeout=2 * TIMES.release_time)  # the service sends nothing unrequested
-        wait_for(lambda: service.force == (0.0, 0.0, 0.0))
+        wait_until(lambda: service.force == (0.0, 0.0, 0.0))
         client.send("nonsense")
         assert read_state(client.recv()).device_id == "049D", "each message has one answer"
     assert service.refused == 1 and service.messages == 2
@@ -316,7 +308,7 @@ def test_the_emulated_hand_yields_to_a_force():
             pose = device.pose(0.0)
             return pose is not None and abs(pose.position[2] - 10e-3) < 0.1e-3
 
-        wait_for(rises)
+        wait_until(rises)
         assert service.cursor_position() == pytest.approx((START[0], START[1], START[2] + 10e-3), abs=0.2e-3)
         device.stop()
 
@@ -344,5 +336,5 @@ def test_the_emulator_accepts_another_hand():
             pose = device.pose(0.0)  # None while the state is stale, as on a busy machine
             return pose is not None and pose.position[2] > 1e-3
 
-        wait_for(has_moved)
+        wait_until(has_moved)
         device.stop()

@@ -7,10 +7,10 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
+from waiting import wait_until
 
 from haptics.devices.back_ends import open_haptic
 from haptics.loop.loop import LoopSettings
@@ -21,14 +21,6 @@ from tissue_sim.tool_force import ForceStatus, ToolForce
 
 #: Origin of the scene at the initial position of the emulated hand.
 AT_START = "x_mm=0,y_mm=-150,z_mm=150"
-
-
-def wait_for(condition, seconds=20.0):
-    """Wait until the condition is true."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it never came"
-        time.sleep(2e-3)
 
 
 class Block:
@@ -81,11 +73,11 @@ def test_a_dead_service_leaves_no_force_and_the_loop_continues(other_process):
     with loop_with(other_process.address) as loop:
         loop.wait_until_ready()
         with loop.ring() as ring:
-            wait_for(lambda: (last := ring.latest()) is not None and last["force"] > 0.5)
+            wait_until(lambda: (last := ring.latest()) is not None and last["force"] > 0.5)
             other_process.kill()
-            wait_for(lambda: ring.latest()["force"] == 0.0 and math.isnan(ring.latest()["device_pose"][0]))
+            wait_until(lambda: ring.latest()["force"] == 0.0 and math.isnan(ring.latest()["device_pose"][0]))
             tick = ring.latest()["tick"]
-            wait_for(lambda: ring.latest()["tick"] > tick + 20)
+            wait_until(lambda: ring.latest()["tick"] > tick + 20)
         report = loop.stop()
     assert report.ended_by == "stop" and report.flagged["lost_pose"] > 0
     assert "is gone" in report.device["trouble"] and other_process.address[6:] in report.device["trouble"]
@@ -115,10 +107,10 @@ def test_a_stopped_or_killed_loop_leaves_no_force(other_process):
     """The emulator removes the force; the behaviour of the real service is not documented."""
     with loop_with(other_process.address) as loop:
         loop.wait_until_ready()
-        wait_for(lambda: felt(other_process)["force_N"][2] > 0.5)
+        wait_until(lambda: felt(other_process)["force_N"][2] > 0.5)
         os.kill(loop.pid, signal.SIGSTOP)
-        wait_for(lambda: felt(other_process)["force_N"] == [0.0, 0.0, 0.0])
+        wait_until(lambda: felt(other_process)["force_N"] == [0.0, 0.0, 0.0])
         os.kill(loop.pid, signal.SIGCONT)
-        wait_for(lambda: felt(other_process)["force_N"][2] > 0.5)
+        wait_until(lambda: felt(other_process)["force_N"][2] > 0.5)
         os.kill(loop.pid, signal.SIGKILL)
-        wait_for(lambda: felt(other_process)["force_N"] == [0.0, 0.0, 0.0])
+        wait_until(lambda: felt(other_process)["force_N"] == [0.0, 0.0, 0.0])

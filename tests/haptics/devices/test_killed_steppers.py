@@ -7,7 +7,8 @@ import sys
 import time
 
 import pytest
-from stepper_benches import bench, wait_for
+from stepper_benches import bench
+from waiting import wait_until
 
 from haptics.devices.back_ends import open_stage
 from haptics.emulators.emulator import open_emulator
@@ -52,7 +53,7 @@ def test_the_motor_stops_soon_after_a_kill(protocol, late, root):
             program.stdout.close()
         stage = emulator._stage
         died_at = stage.tool_position(time.monotonic())
-        wait_for(lambda: not stage.position().moving, event="the motor to stand")
+        wait_until(lambda: not stage.position().moving, event="the motor to stand")
         way = stage.tool_position(time.monotonic()) - died_at
         assert 0.2e-3 < died_at < 0.5 * HIGHEST
         assert 0.0 <= way <= SPEED * (open_stage(emulator.address).runs_on + late) + 2e-6

@@ -16,7 +16,7 @@ from haptics.devices.contracts import DeviceError
 from tissue_sim.errors import InputError
 
 
-class PhidgetException(Exception):  # noqa: N818 (the library's name)
+class PhidgetException(Exception):  # noqa: N818 (the Phidget22 library exports this name, and the driver imports it)
     """Like the exception of the library: a code of `ErrorCode`, and a description."""
 
     def __init__(self, code, details=""):

@@ -12,6 +12,7 @@ import pytest
 from device_contracts import ForceSensorContract
 from hypothesis import given
 from hypothesis import strategies as st
+from waiting import wait_until
 
 from haptics.devices import rdt as rdt_device
 from haptics.devices.back_ends import open_sensor
@@ -25,19 +26,11 @@ from haptics.protocols.rdt import Record, Settings
 from tissue_sim.errors import InputError
 
 #: Longest wait of a test, s; reached only if the test hangs.
-PATIENCE = 60.0
 LOAD = (0.1, -0.2, 3.0, 0.01, 0.02, -0.03)
 
 
 def load(time):
     return LOAD
-
-
-def wait_until(true, what):
-    end = time.monotonic() + PATIENCE
-    while not true():
-        assert time.monotonic() < end, f"waited {PATIENCE:g} s for {what}"
-        time.sleep(1e-3)
 
 
 @pytest.fixture

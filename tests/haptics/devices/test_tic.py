@@ -9,7 +9,8 @@ from dataclasses import replace
 import pytest
 import serial
 from device_contracts import StageContract
-from stepper_benches import Clock, bench, port_that_answers, wait_for
+from stepper_benches import Clock, bench, port_that_answers
+from waiting import wait_until
 
 from haptics.devices import tic as tic_stage
 from haptics.devices.back_ends import open_stage
@@ -98,7 +99,7 @@ def test_a_silent_program_stops_the_motor_and_the_next_sample_has_a_fault(clock)
         stage = homed(emulator, clock)
         stage.move(0.008, 0.004)
         clock.now += 0.5
-        wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
+        wait_until(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
         clock.now += 10.0
         sample = stage.position()
         assert sample.status & SampleStatus.FAULT and sample.homed and not sample.moving
@@ -117,7 +118,7 @@ def test_a_timeout_at_rest_is_no_fault(clock):
         clock.now += 10.0
         assert not stage.position().moving
         for _ in range(2):
-            wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
+            wait_until(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
             assert stage.position().status == SampleStatus.GOOD
         stage.move(0.003, 0.004)
         clock.now += 10.0
@@ -130,7 +131,7 @@ def test_a_timeout_during_homing_is_a_fault(clock):
         stage = open_stage(emulator.address)
         stage.start()
         stage.home()
-        wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
+        wait_until(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
         sample = stage.position()
         assert sample.status & SampleStatus.FAULT and not sample.homed and not sample.moving
         stage.stop()
@@ -141,7 +142,7 @@ def test_a_tic_without_safe_start_does_not_resume_by_itself(clock):
         stage = homed(emulator, clock)
         stage.move(0.008, 0.004)
         clock.now += 0.5
-        wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
+        wait_until(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
         stage.position()
         stage.position()
         clock.now += 10.0
@@ -159,7 +160,7 @@ def test_errors_of_the_motor_set_the_status_and_motions_raise(emulator, clock, e
     stage.move(0.008, 0.004)
     clock.now += 0.5
     emulator.imposed = error
-    wait_for(lambda: emulator._errors & error, event="the error")
+    wait_until(lambda: emulator._errors & error, event="the error")
     assert stage.position().status & SampleStatus.FAULT
     clock.now += 10.0
     with pytest.raises(DeviceError, match=words):
@@ -176,7 +177,7 @@ def test_errors_of_the_motor_set_the_status_and_motions_raise(emulator, clock, e
 def test_a_motor_without_power_loses_its_zero(emulator, clock):
     stage = homed(emulator, clock)
     emulator.imposed = Errors.LOW_VIN
-    wait_for(lambda: not stage.position().homed, event="the loss of the zero")
+    wait_until(lambda: not stage.position().homed, event="the loss of the zero")
     emulator.imposed = Errors(0)
     with pytest.raises(DeviceError, match="home it first"):
         stage.move(0.001, 0.004)
@@ -222,7 +223,7 @@ def test_the_input_state_is_that_of_the_requested_motion(emulator, clock, reques
     assert emulator._variables()[Variable.INPUT_STATE] == InputState.HALT == 2
     stage = homed(emulator, clock)
     request_motion(stage)
-    wait_for(lambda: emulator._variables()[Variable.INPUT_STATE] == state, event="the requested motion")
+    wait_until(lambda: emulator._variables()[Variable.INPUT_STATE] == state, event="the requested motion")
     stage.stop()
 
 
@@ -338,7 +339,7 @@ def test_a_silent_line_raises_and_stops_the_motor(clock):
         with pytest.raises(DeviceError, match=r"answered \d+ of \d+ bytes within .* check that it has power"):
             while True:
                 stage.position()
-        wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
+        wait_until(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
         stood = emulator._stage.position().position
         clock.now += 10.0
         assert emulator._stage.position().position == stood

@@ -1,10 +1,10 @@
 """Shared fixtures of the viewer tests: a needle scene, a wait function, and a process pool without processes."""
 
-import time
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 
 import pytest
+from waiting import wait_for_value
 
 import tissue_sim as ts
 from scenes.commands.shared.tissue_flags import read_material
@@ -21,15 +21,8 @@ def needle() -> Scene:
 
 @pytest.fixture(scope="session")
 def until():
-    """Return a function that calls `look` until its result satisfies `fits`, and returns that result."""
-    def until(look, fits, seconds=600.0):
-        deadline = time.monotonic() + seconds
-        while not fits(seen := look()):
-            assert time.monotonic() < deadline, f"the condition is not satisfied by {seen}"
-            time.sleep(0.005)
-        return seen
-
-    return until
+    """Return `waiting.wait_for_value`."""
+    return wait_for_value
 
 
 class ManualPool:
