@@ -166,12 +166,13 @@ class MarkdownConsole(Console):
 
 
 def commit() -> str:
-    """Short hash of the commit, with "and changes" if files of the repository differ from it; "unknown" without git."""
+    """Short hash of the commit, with "and changes" if files other than pages differ from it; "unknown" without git."""
     def git(*words: str) -> str:
         return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
 
     try:
-        return git("rev-parse", "--short", "HEAD") + (" and changes" if git("status", "--porcelain", "-uno") else "")
+        is_changed = git("status", "--porcelain", "-uno", "--", ".", ":(exclude)docs")
+        return git("rev-parse", "--short", "HEAD") + (" and changes" if is_changed else "")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
 

@@ -4,7 +4,10 @@ import tissue_sim as ts
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import Q4P0
 
-RADIUS, HEIGHT = 0.04, 0.07
+#: Radius, m.
+RADIUS = 0.04
+#: Height, m.
+HEIGHT = 0.07
 
 
 def main() -> None:

@@ -18,7 +18,9 @@ from calibration.statistics.adequacy import orthonormal_basis
 from calibration.statistics.scores import Direction
 from calibration.tasks.executors import Workers, open_tasks
 
-LAW, TRUTH = "reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}
+#: Name of the law.
+LAW = "reduced_polynomial_2"
+TRUTH = {"C10": 1404.9, "C20": 699.4}
 TESTS = {"plates": ("lubricated_compression", ts.Tool(), "frictionless"),
          "glued": ("bonded_compression", ts.Tool(), "bonded"),
          "needle": ("needle_indentation", ts.Tool("flat", 0.008), "bonded")}

@@ -30,12 +30,22 @@ from benchmarks.hidden_effects.truth import (
 )
 
 Force = Callable[[VirtualTest, float], np.ndarray]
-_G, _TAU = "viscoelastic.terms[0].g", "viscoelastic.terms[0].tau"
+#: Path of the relaxing fraction.
+_G = "viscoelastic.terms[0].g"
+#: Path of the relaxation time.
+_TAU = "viscoelastic.terms[0].tau"
 #: Stiffness of four specimens: deviations from the first, in units of the size.
 SPECIMENS = (0.0, 0.9, -1.3, 0.4)
-#: Relaxation time, s; diffusivity, m2/s (a needle drains in 6 s, a plate in 160 s); depths of puncture and step loss,
-#: m; thickness of a skin, m.
-TAU, DIFFUSIVITY, PUNCTURED, LOST, SKIN = 5.0, 1e-5, 6e-3, 4e-3, 2e-3
+#: Relaxation time, s.
+TAU = 5.0
+#: Diffusivity, m2/s: a needle drains in 6 s, a plate in 160 s.
+DIFFUSIVITY = 1e-5
+#: Depth of the puncture, m.
+PUNCTURED = 6e-3
+#: Depth at which the stage loses steps, m.
+LOST = 4e-3
+#: Thickness of a skin, m.
+SKIN = 2e-3
 _STRIPS = 200
 
 

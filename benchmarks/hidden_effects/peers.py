@@ -18,8 +18,10 @@ from scipy.optimize import least_squares, minimize
 from benchmarks.hidden_effects.sizes import CONTACT, ZERO
 from benchmarks.hidden_effects.truth import C10, SLOW, VirtualTest, lubricated, simulated
 
-#: C20 / C10 at which the plain model is known; points of a test that the Gaussian process sees.
-RATIOS, POINTS = (0.0, 0.15, 0.3, 0.5, 0.75, 1.0, 1.5, 2.5), 40
+#: Values of C20 / C10 at which the plain model is known, 1.
+RATIOS = (0.0, 0.15, 0.3, 0.5, 0.75, 1.0, 1.5, 2.5)
+#: Number of points of a test for the Gaussian process.
+POINTS = 40
 #: Scale of the discrepancy and its length from which a search starts: logarithms of shares of the largest force and of
 #: the duration.
 _STARTS = ((-5.0, -1.5), (-3.5, -2.5))

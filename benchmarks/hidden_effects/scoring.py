@@ -15,8 +15,10 @@ import numpy as np
 Run = dict
 #: A set of more names says too little; stated twins of the truth are not counted.
 LARGEST_SET = 3
-#: Probability that is spread over all answers that a verdict leaves out, and that of a form that is not confirmed.
-LEFT, UNCONFIRMED = 0.05, 0.25
+#: Probability shared by all answers that a verdict leaves out.
+LEFT = 0.05
+#: Probability of a form that is not confirmed.
+UNCONFIRMED = 0.25
 #: Levels of the diagram of words.
 LEVELS = (0.0, 0.5, 0.75, 0.9, 0.95, 0.99, 1.0)
 ANSWERS = ("NONE", "UNKNOWN")

@@ -18,15 +18,23 @@ from benchmarks.hidden_effects.truth import C10, C20, PROTOCOLS, VirtualTest, pl
 from tissue_sim.errors import ConvergenceError
 
 TABLE = Path(__file__).with_name("sizes.json")
-#: Of the recordings: noise, N; jitter between replicates, m and N; how many there are.
-NOISE, CONTACT, ZERO, REPLICATES = 0.02, 0.03e-3, 0.01, 3
+#: Standard deviation of the force, N.
+NOISE = 0.02
+#: Jitter of the contact between replicates, m.
+CONTACT = 0.03e-3
+#: Jitter of the zero between replicates, N.
+ZERO = 0.01
+#: Number of recordings of a test.
+REPLICATES = 3
 #: Correlation time of coloured noise, s.
 CORRELATED = 0.5
 #: Classes of projected signal over noise, and the values that are aimed at in them.
 CLASSES = {"< 3": (0.0, 3.0), "3 to 10": (3.0, 10.0), "> 10": (10.0, np.inf)}
 AIMS = {"< 3": (2.0,), "3 to 10": (6.0,), "> 10": (15.0, 50.0, 150.0)}
-#: Below this signal at the largest physical size an effect is not testable; above this cosine two are twins.
-TESTABLE, TWINS = 5.0, 0.97
+#: Signal at the largest physical size below which an effect is not testable, 1.
+TESTABLE = 5.0
+#: Cosine of two changes of the force above which two effects are twins, 1.
+TWINS = 0.97
 #: Less than this signal is nothing that was hidden.
 LEAST = 0.5
 #: What is hidden in a protocol, where it is not everything.

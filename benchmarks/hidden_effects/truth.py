@@ -31,15 +31,35 @@ from tissue_sim.mesh.elements import Q9P1
 REFERENCE = ROOT / "tests" / "reference"
 #: Of computed curves, by what they were computed from. Another study may share it; delete it freely.
 CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "tissue_sim" / "hidden_effects"
-C10, C20, RADIUS, HEIGHT, NEEDLE = 1404.9, 699.4, 0.040, 0.070, 0.008
-DEPTH, SLOW, FAST, BETWEEN, HOLD = 10e-3, 0.248e-3, 2.48e-3, 0.79e-3, 60.0
+#: Pa, of the reference study.
+C10 = 1404.9
+#: Pa, of the reference study.
+C20 = 699.4
+#: Radius of the specimen, m.
+RADIUS = 0.040
+#: Height of the specimen, m.
+HEIGHT = 0.070
+#: Radius of the needle, m.
+NEEDLE = 0.008
+#: Depth of a test, m.
+DEPTH = 10e-3
+#: Speed of the reference study, m/s.
+SLOW = 0.248e-3
+#: Ten times the slow speed, m/s.
+FAST = 2.48e-3
+#: Speed between both, m/s.
+BETWEEN = 0.79e-3
+#: Duration of a hold, s.
+HOLD = 60.0
 #: Up to this depth the bulge between bonded plates does not touch them, m.
 FREE = 6.5e-3
 #: K / mu of all truths; exact incompressibility would move no force by more than 0.01 %.
 BULK_RATIO = 1e4
 _STORED = {"B": "bonded_RP.csv", "C": "punch_bonded_face_side_wall_RP.csv"}
-#: Knots of the simulations: on a way of the tool, and in a hold.
-_WAY, _HOLD = 41, 25
+#: Knots of a simulation along the path of the tool.
+_WAY = 41
+#: Knots of a simulation in a hold.
+_HOLD = 25
 #: Smallest element at the needle's edge, m, growth and largest, m; elements of the cylinder and their grading. The
 #: catalogue's refits use 80 and 48 elements, and learn the mesh error from 468 and 320.
 _NEEDLE_MESH = {"smallest": 0.04e-3, "growth": 1.4, "largest": 8e-3}
@@ -47,8 +67,10 @@ _NEEDLE_MESH = {"smallest": 0.04e-3, "growth": 1.4, "largest": 8e-3}
 _NEEDLE_EDGE = {"smallest": 0.15e-3, "growth": 1.3, "largest": 6e-3}
 _PLATE_MESH = {"elements": (22, 28), "grading": (150.0, 25.0)}
 _LAYER_ELEMENTS = 6
-#: What depends on time, and what on the way alone.
-_AGES, _REMEMBERS = ("viscoelastic.", "poroelasticity."), ("softening.", "experiment.friction")
+#: Prefixes of parameters of effects that depend on time.
+_AGES = ("viscoelastic.", "poroelasticity.")
+#: Prefixes of parameters of effects that depend on the path only.
+_REMEMBERS = ("softening.", "experiment.friction")
 _VERSION = 1
 
 

@@ -24,10 +24,14 @@ from pathlib import Path
 
 from benchmarks import child_environment
 
-#: s without an answer: two for the reading, and what a busy computer adds. Memory of a worker, bytes.
-PATIENCE, MEMORY = 20.0, 3_000_000_000
-#: Readers of which an input costs most, and the share of the others' inputs that they get.
-SLOW, SHARE = ("import", "campaign", "protocol"), 0.3
+#: Time without an answer before a worker is replaced, s: two for the reading, the rest for a busy computer.
+PATIENCE = 20.0
+#: Memory limit of a worker, bytes.
+MEMORY = 3_000_000_000
+#: Readers with the most expensive inputs.
+SLOW = ("import", "campaign", "protocol")
+#: Fraction of the inputs that the expensive readers get.
+SHARE = 0.3
 
 #: How the bounds, and the door behind them, say what they have stopped.
 WORDS = {"stopped": ("exceeds the CPU time", "exceeds the memory", "ends the process"),

@@ -33,13 +33,27 @@ from calibration.statistics.sensor_noise import SensorNoise
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.material.parts import find_declaration
 
-SPECIMEN, DEPTH, SPEED, HOLD = ts.Specimen(0.040, 0.070), 0.014, 1e-3, 60.0
+#: Specimen of the reference study.
+SPECIMEN = ts.Specimen(0.040, 0.070)
+#: Depth, m.
+DEPTH = 0.014
+#: Speed, m/s.
+SPEED = 1e-3
+#: Duration of the hold, s.
+HOLD = 60.0
 YEOH = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4})
 RELAXING = ts.Material("neo_hooke", {"C10": 1500.0}, viscoelastic=ts.Prony((ts.PronyTerm(0.3, 1.0),
                                                                             ts.PronyTerm(0.2, 20.0))))
 START = {"viscoelastic.terms[0].g": 0.2, "viscoelastic.terms[0].tau": 2.0, "viscoelastic.terms[1].g": 0.2,
          "viscoelastic.terms[1].tau": 10.0}
-NOISE, CONTACT, ZERO, GAIN = 0.02, 0.05e-3, 0.02, 0.03
+#: Standard deviation of the force, N.
+NOISE = 0.02
+#: Jitter of the contact, m.
+CONTACT = 0.05e-3
+#: Jitter of the zero, N.
+ZERO = 0.02
+#: Standard deviation of the factor of the force between recordings, 1.
+GAIN = 0.03
 #: Recordings of each campaign that are not fitted.
 NEW = 20
 

@@ -18,10 +18,18 @@ from benchmarks.inverse.virtual_recordings import Virtual, break_or_not, touch
 from tissue_sim.recording.contact import Contact, find_contact
 from tissue_sim.recording.failure import Failure, find_failure
 
-#: Where the coverage has to lie, largest median width, and least share of failures found.
-LEAST, MOST, WIDEST, FOUND = 0.92, 0.98, 4.0, 0.95
-#: Samples between a failure and where it is found; share of the way, where it comes little by little.
-NEAR, NEAR_SHARE = 3, 0.05
+#: Smallest accepted coverage of the 95 % intervals.
+LEAST = 0.92
+#: Largest accepted coverage.
+MOST = 0.98
+#: Largest accepted median width of an interval, in ideal widths.
+WIDEST = 4.0
+#: Smallest accepted fraction of failures that are found.
+FOUND = 0.95
+#: Largest distance between a sudden failure and the detected one, samples.
+NEAR = 3
+#: The same for a gradual failure, as a fraction of the motion.
+NEAR_SHARE = 0.05
 
 
 def contacts(recordings: int, seed: int) -> list[dict]:

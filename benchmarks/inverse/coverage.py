@@ -57,11 +57,20 @@ from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import Jitter
 from calibration.tasks.executors import Workers, open_tasks
 
-CONTACT, ZERO = 0.03e-3, 0.01
-#: Samples of the accurate curves that the data are interpolated from, and how far they go beyond the data, m.
-POINTS, BEYOND = 41, 6 * CONTACT
-#: Nominal coverage, and where it has to lie.
-NOMINAL, LEAST, MOST = 0.95, 0.92, 0.98
+#: Jitter of the contact, m.
+CONTACT = 0.03e-3
+#: Jitter of the zero, N.
+ZERO = 0.01
+#: Samples of the accurate curves from which the data are interpolated.
+POINTS = 41
+#: Length of these curves beyond the data, m.
+BEYOND = 6 * CONTACT
+#: Nominal coverage.
+NOMINAL = 0.95
+#: Smallest accepted coverage.
+LEAST = 0.92
+#: Largest accepted coverage.
+MOST = 0.98
 #: Fewer campaigns do not tell, so they are not judged.
 FEWEST = 200
 #: What the curves are made with.

@@ -23,24 +23,37 @@ from calibration import CalibrationResult, calibrate
 from calibration.fit.fit import Fit
 from tissue_sim.errors import ConvergenceError
 
-RADIUS_MM, HEIGHT_MM, SPEED_MM_S = 25.0, 30.0, 1.0 / 6.0
+#: Radius of a specimen, mm.
+RADIUS_MM = 25.0
+#: Height of a specimen, mm.
+HEIGHT_MM = 30.0
+#: Speed, mm/s.
+SPEED_MM_S = 1.0 / 6.0
 COMPOSITIONS = ("EF10_0T", "EF10_50T", "EF10_100T", "EF30_0T", "EF50_0T")
 #: Of the same product, another batch in another laboratory.
 TENSION = {"EF10_0T": "Ecoflex 00-10", "EF30_0T": "Ecoflex 00-30", "EF50_0T": "Ecoflex 00-50"}
-#: Cross-section of a strip, mm2, its gauge length, mm, and the nominal strain to which it is predicted.
-STRIP_AREA, STRIP_LENGTH, STRIP_STRAIN = 18.0, 33.0, 1.0
+#: Cross-section of a strip, mm2.
+STRIP_AREA = 18.0
+#: Gauge length of a strip, mm.
+STRIP_LENGTH = 33.0
+#: Nominal strain to which a strip is predicted, 1.
+STRIP_STRAIN = 1.0
 STRETCHES = (1.25, 1.5, 2.0)
 #: Laws that can follow the curve nearly; the others have nothing to tell about noise.
 LAWS_ESTIMATED = ("reduced_polynomial_2", "reduced_polynomial_3", "mooney_rivlin")
 LAWS = ("neo_hooke", "reduced_polynomial_2", "reduced_polynomial_3", "mooney_rivlin", "ogden_1")
 WINDOW = 0.3
 WINDOWS = (0.14, 0.3, 0.5, 0.6)
-#: Where all frictions get through the fast mesh, and the laws that such a short window can tell.
-FRICTION_WINDOW, FRICTION_LAWS = 0.14, ("neo_hooke", "reduced_polynomial_2")
+#: Largest strain at which the fast mesh converges for all frictions, 1.
+FRICTION_WINDOW = 0.14
+#: Laws whose parameters this window determines.
+FRICTION_LAWS = ("neo_hooke", "reduced_polynomial_2")
 #: Of both platens.
 FRICTIONS = (0.0, 0.05, 0.1, 0.2, 0.4, 0.7, "bonded")
-#: What a law is allowed to miss: a share of the largest force, correlated over a share of the ramp.
-MODEL_ERROR, MODEL_MEMORY = 0.01, 1.0 / 3.0
+#: Allowed error of a law, as a fraction of the largest force.
+MODEL_ERROR = 0.01
+#: Correlation length of this error, as a fraction of the ramp.
+MODEL_MEMORY = 1.0 / 3.0
 ESTIMATED = "estimated"
 
 

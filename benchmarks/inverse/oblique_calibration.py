@@ -24,7 +24,16 @@ from tissue_sim.fem.solid.discretisation import RESOLUTIONS, Resolution, make_so
 from tissue_sim.mesh.hexahedra import HEX27P1
 
 TRUE = {"C10": 1404.9, "C20": 699.4}
-SPECIMEN, RADIUS, SPEED, REPLICATES, SAMPLES = (0.040, 0.070), 8e-3, 0.248e-3, 3, 201
+#: Radius and height of the specimen, m.
+SPECIMEN = (0.040, 0.070)
+#: Radius of the needle, m.
+RADIUS = 8e-3
+#: Speed, m/s.
+SPEED = 0.248e-3
+#: Number of recordings.
+REPLICATES = 3
+#: Samples of a recording.
+SAMPLES = 201
 #: Between the two meshes of a fit, about 4,000 and 12,000 freedoms, and what is affordable.
 FINER = Resolution(HEX27P1, 0.2, 1.9, 2.2, 3)
 CAMPAIGN = """

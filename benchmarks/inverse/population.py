@@ -62,7 +62,14 @@ def coverage(specimens: int, ratio: float, populations: int, rng) -> np.ndarray:
 
 #: Law -> numbers of the typical specimen, their standard deviations between specimens, and depth in mm.
 LAWS = {"reduced_polynomial_2": ((1400.0, 700.0), (200.0, 90.0), 6.0), "ogden_1": ((3000.0, 8.0), (200.0, 0.0), 2.0)}
-RADIUS, HEIGHT, NOISE, FURTHER = 0.015, 0.020, 0.02, 20
+#: Radius of a specimen, m.
+RADIUS = 0.015
+#: Height of a specimen, m.
+HEIGHT = 0.020
+#: Standard deviation of the force, N.
+NOISE = 0.02
+#: Number of further specimens that test the prediction.
+FURTHER = 20
 
 
 def held_out_coverage(name: str, specimens: int, rng) -> np.ndarray:

@@ -38,19 +38,45 @@ from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.sensor_noise import SensorNoise
 from calibration.tasks.executors import Workers, open_tasks
 
-LAW, PARAMETERS = "reduced_polynomial_2", ("C10", "C20")
-TRUTH, START = np.array([1404.9, 699.4]), np.array([1400.0, 600.0])
-SPECIMEN, NEEDLE_RADIUS, EDGE = ts.Specimen(0.040, 0.070), 0.008, 0.25e-3
+#: Fitted law.
+LAW = "reduced_polynomial_2"
+#: Parameters of the law.
+PARAMETERS = ("C10", "C20")
+#: True parameters, Pa.
+TRUTH = np.array([1404.9, 699.4])
+#: Start values, Pa.
+START = np.array([1400.0, 600.0])
+#: Specimen of the reference study.
+SPECIMEN = ts.Specimen(0.040, 0.070)
+#: Radius of the needle, m.
+NEEDLE_RADIUS = 0.008
+#: Radius of the edge of the needle, m.
+EDGE = 0.25e-3
 BULK = ts.Bulk("bulk_ratio", 1e4)
-DEPTH, SPEED, SAMPLES, REPLICATES, NOISE = 10e-3, 0.248e-3, 401, 3, 0.02
+#: Depth, m.
+DEPTH = 10e-3
+#: Speed, m/s.
+SPEED = 0.248e-3
+#: Samples of a recording.
+SAMPLES = 401
+#: Recordings of a test.
+REPLICATES = 3
+#: Standard deviation of the force, N.
+NOISE = 0.02
 SEED = 5
 #: Starts reach from this share of the truth to its inverse.
 FARTHEST = 10.0
 #: Two ends are one minimum when their sums of squares differ by less: a third of a standard error, squared. A start is
 #: not followed farther than `MIN_GAIN_OF_A_START`.
 SAME_MINIMUM = 0.1
-#: Targets: solves per test and start, median and most; CPU of the joint fit, s; errors of its moduli, relative.
-MEDIAN_SOLVES, MOST_SOLVES, CPU_TARGET, MAY_ERR = 5, 9, 2.0, (3e-3, 3e-2)
+#: Target: median number of solves per test and start.
+MEDIAN_SOLVES = 5
+#: Target: largest number of solves per test and start.
+MOST_SOLVES = 9
+#: Target: CPU time of the joint fit, s.
+CPU_TARGET = 2.0
+#: Target: relative errors of the moduli of the joint fit.
+MAY_ERR = (3e-3, 3e-2)
 
 
 @dataclass(frozen=True)

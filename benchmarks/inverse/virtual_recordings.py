@@ -16,11 +16,15 @@ import tissue_sim as ts
 from benchmarks import ROOT
 
 REFERENCE = ROOT / "tests" / "reference"
-#: Noise as a share of the force at the full depth, and samples from contact to there.
-NOISE, SAMPLES = (1e-4, 3e-3), (100, 1000)
+#: Range of the noise, as a fraction of the force at full depth.
+NOISE = (1e-4, 3e-3)
+#: Range of the number of samples from contact to full depth.
+SAMPLES = (100, 1000)
 COLOURS = ("white", "white", "coloured", "hum", "rounded")
-#: Largest samples that noise remembers; rounding step in deviations of the noise.
-MEMORY, ROUNDING = 6.0, 4.0
+#: Largest correlation time of the noise, samples.
+MEMORY = 6.0
+#: Largest rounding step, in standard deviations of the noise.
+ROUNDING = 4.0
 
 Shape = Callable[[np.ndarray], np.ndarray]
 

@@ -9,7 +9,10 @@ import numpy as np
 
 from tissue_sim.pose import Pose
 
-NAN, INF = math.nan, math.inf
+#: Not a number.
+NAN = math.nan
+#: Infinity.
+INF = math.inf
 
 
 def bad_poses(chance: np.random.Generator, pose: Pose) -> list[tuple[Any, Any]]:

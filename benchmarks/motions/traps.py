@@ -31,7 +31,10 @@ from tissue_sim.pose import Pose, turned
 
 #: Makes a motion from a source of random numbers.
 Trap = Callable[[np.random.Generator], Motion]
-NAN, INF = math.nan, math.inf
+#: Not a number.
+NAN = math.nan
+#: Infinity.
+INF = math.inf
 
 
 def moves(poses: Sequence[Pose], dt: float, **options: Any) -> list[Operation]:

@@ -37,7 +37,16 @@ from tissue_sim.mesh.elements import Q4P0, Q9P1
 
 REFERENCE = ROOT / "tests" / "reference"
 START = {"C10": 1400.0, "C20": 600.0}
-BULK_RATIO, NOISE, REPLICATES, SAMPLES, SPEED = 1e4, 0.02, 3, 401, 0.248e-3
+#: K / mu0, 1.
+BULK_RATIO = 1e4
+#: Standard deviation of the force, N.
+NOISE = 0.02
+#: Recordings of a test.
+REPLICATES = 3
+#: Samples of a recording.
+SAMPLES = 401
+#: Speed, m/s.
+SPEED = 0.248e-3
 SEED = 20
 #: The peer's CPU seconds over ours.
 TARGET = 50.0

@@ -15,8 +15,16 @@ import time
 import mujoco
 import numpy as np
 
-#: Time step, s; damping of the elasticity, s; springs of the face, N/m; density, kg/m3; what counts as rest, m/s.
-STEP, DAMPING, SPRING, DENSITY, REST = 0.01, 0.1, 1e4, 1000.0, 1e-5
+#: Time step, s.
+STEP = 0.01
+#: Damping time of the elasticity, s.
+DAMPING = 0.1
+#: Stiffness of the springs of the face, N/m.
+SPRING = 1e4
+#: Density, kg/m3.
+DENSITY = 1000.0
+#: Largest speed that counts as rest, m/s.
+REST = 1e-5
 MOST_STEPS = 400
 
 

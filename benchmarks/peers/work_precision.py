@@ -27,9 +27,17 @@ from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
 from tissue_sim.mesh import Mesh, cylinder_mesh, needle_mesh
 from tissue_sim.mesh.elements import Q4P0, Q9P1
 
-RADIUS, HEIGHT, NEEDLE_RADIUS = 0.040, 0.070, 0.008
+#: Radius of the specimen, m.
+RADIUS = 0.040
+#: Height of the specimen, m.
+HEIGHT = 0.070
+#: Radius of the needle, m.
+NEEDLE_RADIUS = 0.008
 MATERIAL = ts.Material("reduced_polynomial_2", PARAMETERS, ts.Bulk("bulk_ratio", 1e4))
-_SPECIMEN, _PROTOCOL = ts.Specimen(RADIUS, HEIGHT), ts.Protocol.ramp(10e-3, 21)
+#: Specimen of the reference study.
+_SPECIMEN = ts.Specimen(RADIUS, HEIGHT)
+#: Ramp to 10 mm in 20 steps.
+_PROTOCOL = ts.Protocol.ramp(10e-3, 21)
 MODELS = {"bonded compression": ts.Model(ts.Experiment(_SPECIMEN, _PROTOCOL), MATERIAL),
           "needle indentation": ts.Model(ts.Experiment(_SPECIMEN, _PROTOCOL, tool=ts.Tool("flat", NEEDLE_RADIUS)),
                                          MATERIAL)}

@@ -20,17 +20,24 @@ import numpy as np
 import tissue_sim as ts
 from benchmarks.random_models.equilibrium_forces import Section, energy_of, isochoric_stress
 
-#: Unbalanced over balanced nodal forces at which the solver takes an equilibrium for one, and how much more is allowed.
-TOLERANCE, SLACK = 1e-9, 10.0
-#: Forces are measured against the reactions, but at least this share of the largest force so far, and that of mu0 on
-#: the top: so the solver states its residual.
-FLOOR_SHARE, LEAST_STRAIN = 0.1, 1e-6
-#: How far outside Coulomb's cone, in largest nodal contact forces; the tool's force, in largest forces; stress of the
-#: law in the solver's memory, in largest stresses.
-CONE, BALANCE, MEMORY = 1e-3, 1e-6, 1e-9
-#: How much rounding is allowed for, in what it was seen to cost once; what the solver takes for it is allowed as far
-#: as the solver goes, over the reactions.
-ROUNDINGS, MOST_ROUNDING = 10.0, 1e-5
+#: Relative residual at which the solver accepts an equilibrium, 1.
+TOLERANCE = 1e-9
+#: Factor by which the check accepts more, 1.
+SLACK = 10.0
+#: Smallest reference force, as a fraction of the largest force so far, as in the solver.
+FLOOR_SHARE = 0.1
+#: Smallest reference force, as a fraction of mu0 on the top, as in the solver.
+LEAST_STRAIN = 1e-6
+#: Accepted distance outside of Coulomb's cone, in largest nodal contact forces.
+CONE = 1e-3
+#: Accepted error of the force on the tool, in largest forces.
+BALANCE = 1e-6
+#: Accepted error of the stored stress of the law, in largest stresses.
+MEMORY = 1e-9
+#: Accepted rounding error, in measured effects of one rounding.
+ROUNDINGS = 10.0
+#: Largest accepted rounding error, over the reactions: the limit of the solver.
+MOST_ROUNDING = 1e-5
 #: Tips of at least this radius, in radii of the contact, are blunt.
 BLUNT = 0.5
 #: Checks, and what their numbers are.

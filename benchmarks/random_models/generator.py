@@ -13,7 +13,10 @@ FAMILIES = ("neo_hooke", "mooney_rivlin", "rp", "rp", "ogden", "ogden")
 SCENES = ("lubricated", "bonded", "friction", "needle", "needle", "needle")
 EDGES = (0.0, 0.02, 0.05, 0.1, 0.25, 0.5)
 MOTIONS = {"ramp": 0.4, "unload": 0.25, "hold": 0.2, "cycles": 0.15}
-DENSITY, GRAVITY = 1000.0, 9.81
+#: Density, kg/m3.
+DENSITY = 1000.0
+#: Gravitational acceleration, m/s2.
+GRAVITY = 9.81
 
 
 @dataclass(frozen=True)

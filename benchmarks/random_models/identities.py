@@ -13,8 +13,12 @@ import tissue_sim as ts
 from benchmarks.random_models.generator import Description, build
 from benchmarks.random_models.runs import Clock, OutOfTimeError
 
-#: Largest difference over the largest force; of work, over what was put in.
-EULER, SCALED, WORK = 1e-6, 1e-9, 1e-6
+#: Accepted difference of Euler's identity, over the largest force.
+EULER = 1e-6
+#: Accepted difference between scaled models, over the largest force.
+SCALED = 1e-9
+#: Accepted difference of the work, over the work done by the tool.
+WORK = 1e-6
 #: Name -> factor of lengths, factor of stresses.
 SCALES = {"lengths x 2, stresses x 4": (2.0, 4.0), "lengths x 3, stresses x 7": (3.0, 7.0)}
 IDENTITIES = ("the test reaches the end", "sum of moduli times derivatives", "the same again, bit for bit",

@@ -23,13 +23,28 @@ from benchmarks.random_models.runs import Clock, OutOfTimeError, stratum
 from haptics.devices.motions import RandomWalk
 from tissue_sim.simulator import TOLERANCE
 
-#: Ticks, their length (s), and how many apart equilibria are checked.
-TICKS, DT, CHECKED = 2000, 1e-3, 25
-#: Top speed (m/s); how far the tool lifts off, and jumps, in depths of the model; of its height at most.
-SPEED, LIFT, JUMP, DEEPEST = 0.2, 0.2, 2.0, 0.6
-#: Depth, in those of the model, and steps of the press at the end; how high above the touch the tool is before it, in
-#: the same, and how long the tissue rests there, s.
-AGAIN, STEPS, AWAY, REST = 0.6, 100, 2.0, 1e4
+#: Number of ticks.
+TICKS = 2000
+#: Length of a tick, s.
+DT = 1e-3
+#: Ticks between two checked equilibria.
+CHECKED = 25
+#: Top speed, m/s.
+SPEED = 0.2
+#: Height of the lift-off, in depths of the model.
+LIFT = 0.2
+#: Length of a jump, in depths of the model.
+JUMP = 2.0
+#: Largest depth, as a fraction of the height.
+DEEPEST = 0.6
+#: Depth of the press at the end, in depths of the model.
+AGAIN = 0.6
+#: Steps of this press.
+STEPS = 100
+#: Height above the touch before this press, in depths of the model.
+AWAY = 2.0
+#: Duration of the rest at this height, s.
+REST = 1e4
 #: Largest difference of its forces, over the largest one, by which the tissue is as new.
 AS_NEW = 0.01
 #: Linear solves of a tick that are many.

@@ -12,8 +12,10 @@ from benchmarks.random_models.equilibrium_check import CHECKS
 from benchmarks.random_models.identities import IDENTITIES
 from benchmarks.random_models.runs import ENDS
 
-#: Shares of the largest force by which longer steps may differ: worth a warning, and not worth one.
-APART, TOGETHER = 0.03, 0.01
+#: Difference with shorter steps that is worth a warning, over the largest force.
+APART = 0.03
+#: Difference with shorter steps that is not worth a warning, over the largest force.
+TOGETHER = 0.01
 #: A warning is right where the error that it states is wrong by no more than this factor.
 RIGHT = 2.0
 

@@ -31,8 +31,14 @@ TOLERANCE = 0.05
 #: Shares of files with one, two and three traps.
 COUNTS = (0.6, 0.3, 0.1)
 
-RIGHT, QUESTION, REASON, OTHER_QUESTION, OTHER_REFUSAL, CRASH, WRONG = OUTCOMES = (
-    "right", "question", "refused, true reason", "other question", "refused, other reason", "crash", "silently wrong")
+RIGHT = "right"
+QUESTION = "question"
+REASON = "refused, true reason"
+OTHER_QUESTION = "other question"
+OTHER_REFUSAL = "refused, other reason"
+CRASH = "crash"
+WRONG = "silently wrong"
+OUTCOMES = (RIGHT, QUESTION, REASON, OTHER_QUESTION, OTHER_REFUSAL, CRASH, WRONG)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,10 @@ from benchmarks.raw_files.trap import FREE, PLAIN, OnDraft, Trap, change_columns
 from benchmarks.raw_files.truth import COMPRESSION, SHEAR, TENSION, Test, with_noise
 
 _MEASURE = frozenset({"names", "sizes", "numbers", "history"})
-_NAMES, _UNITS = frozenset({"names"}), frozenset({"names", "units", "numbers"})
+#: Aspects of a file that this kind of trap changes.
+_NAMES = frozenset({"names"})
+#: Aspects of a file that this kind of trap changes.
+_UNITS = frozenset({"names", "units", "numbers"})
 _BLOCKS = frozenset({"names", "blocks", "history"})
 
 

@@ -12,7 +12,12 @@ from benchmarks.raw_files.truth import COMPRESSION, TENSION, Test, fitted_modulu
 
 #: Layouts whose displacement counts from a zero of the test: the static displacement of an oscillation is in the file.
 _ZEROED = tuple(name for name in ALL if name not in ("mach1", "trios"))
-_HISTORY, _DEFECT, _CLIP = frozenset({"history"}), frozenset({"defect"}), frozenset({"clip"})
+#: Aspect: history of the loading.
+_HISTORY = frozenset({"history"})
+#: Aspect: defect of samples.
+_DEFECT = frozenset({"defect"})
+#: Aspect: saturation.
+_CLIP = frozenset({"clip"})
 _DEFORMED = (COMPRESSION, TENSION)
 _OUTLIER = ("outlier", "spike", "neighbour", "left out", "single sample", "first sample", "last sample", "jump")
 _LEFT_OUT = "outlier|spike|left out"

@@ -155,7 +155,10 @@ def _german(draft: Draft, rng: np.random.Generator) -> None:
     draft.encoding = str(rng.choice(("utf-8", "cp1252")))
 
 
-_ROUND, _FLAT = (COMPRESSION,), (TENSION,)
+#: Tests with a round cross-section.
+_ROUND = (COMPRESSION,)
+#: Tests with a rectangular cross-section.
+_FLAT = (TENSION,)
 
 
 def _trap(name: str, apply: OnDraft, kinds: tuple[str, ...] = (COMPRESSION, TENSION, SHEAR), *,

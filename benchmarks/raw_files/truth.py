@@ -15,7 +15,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-COMPRESSION, TENSION, SHEAR = "lubricated_compression", "uniaxial_tension", "simple_shear"
+#: Name of the kind of test.
+COMPRESSION = "lubricated_compression"
+#: Name of the kind of test.
+TENSION = "uniaxial_tension"
+#: Name of the kind of test.
+SHEAR = "simple_shear"
 KINDS = (COMPRESSION, TENSION, SHEAR)
 
 

@@ -27,8 +27,10 @@ from benchmarks.realtime.tables import draw
 from benchmarks.realtime.targets import targets
 from benchmarks.realtime.ticks import WAY, ConvergedSolutions, rows, say, work_precision
 
-#: Simulators at once, and for how long they step, s.
-PROCESSES, STEPPING = 8, 5.0
+#: Number of simulators at the same time.
+PROCESSES = 8
+#: Duration of their stepping, s.
+STEPPING = 5.0
 
 
 def measured(arguments: argparse.Namespace) -> dict:

@@ -26,7 +26,10 @@ from haptics.devices.virtual.force_sensor import VirtualForceSensor
 from haptics.emulators.rdt import RdtEmulator
 from haptics.protocols import rdt
 
-RATE, LOOK = 7000.0, 5e-3
+#: Sampling rate of the sensor, Hz.
+RATE = 7000.0
+#: Time between two readings of the client, s.
+LOOK = 5e-3
 LOAD = (0.1, -0.2, 3.0, 0.01, 0.02, -0.03)
 CLIENTS = {"ours": "ours, large buffer", "ours_default": "ours, the system's buffer", "pynetft": "pynetft"}
 #: The emulator and the client start before the numbers count, s.

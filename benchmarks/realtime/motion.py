@@ -29,8 +29,12 @@ MODELS = {BONDED: NEEDLE, "stick, edge radius 1 mm": STICKING}
 BUDGETS = (None, 0.8e-3)
 #: Largest change of force that the motion does not explain, N.
 JUMP = 0.02
-#: The motion of `tissue-sim loop`: seed, depths (m), and top speed (m/s).
-SEED, HIGHEST, TOP_SPEED = 0, -0.2 * DEEPEST, 0.2
+#: Seed of the motion of `tissue-sim loop`.
+SEED = 0
+#: Smallest depth of this motion, m.
+HIGHEST = -0.2 * DEEPEST
+#: Top speed of this motion, m/s.
+TOP_SPEED = 0.2
 
 
 def unexplained(force: np.ndarray, stiffness: np.ndarray, depth: np.ndarray) -> np.ndarray:

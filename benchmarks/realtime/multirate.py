@@ -40,7 +40,12 @@ MESHES = {1800: (2.4e-3, 3, 2.0, 16e-3), 3300: (1.6e-3, 4, 1.8, 15.2e-3), 5800: 
 #: Where the tool goes, mm, at SPEED, m/s, in ticks, s; the whole is solved at every SPARSE-th of them.
 CORNERS = ((0, 0, 0.5), (0, 0, -3), (10, 0, -3), (10, 0, 1), (7, 0, 1), (4, 0, -2.5), (4, 6, -2.5), (-3, 0, -3),
            (-3, 0, 0.5))
-SPEED, TICK, SPARSE = 0.05, 1e-3, 2
+#: Speed of the tool, m/s.
+SPEED = 0.05
+#: Length of a tick, s.
+TICK = 1e-3
+#: Ticks between two comparisons with the full solid.
+SPARSE = 2
 #: After how long a model comes, and a tangent, s; None: each model has its own.
 DELAYS = ((0.016, None), (0.033, None), (0.066, None), (0.004, 0.020), (0.006, 0.033), (0.010, 0.066))
 

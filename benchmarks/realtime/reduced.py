@@ -32,7 +32,10 @@ from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.pose import turned
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))
-TICK, WHOLE_EVERY = 1e-3, 8
+#: Length of a tick, s.
+TICK = 1e-3
+#: Ticks between two comparisons with the full solid.
+WHOLE_EVERY = 8
 #: Name -> tool, interface, box, resolution, modes; strokes and bulk modulus over mu0 where they are other than usual.
 CASES = {
     "needle that holds, 16 modes": (ts.Tool("flat", radius=8e-3), "bonded", (3e-3, 4e-3, 0.087), "realtime", 16),

@@ -40,7 +40,10 @@ KINDS = {
                                                   "friction": "frictionless"}},
 }
 DEEPEST = {"plates": 10e-3, "flat tools": 10e-3, "tips": 6e-3}
-SHALLOWEST, SAMPLE = 2e-3, 0.25e-3
+#: Smallest compared depth, m.
+SHALLOWEST = 2e-3
+#: Distance of the compared depths, m.
+SAMPLE = 0.25e-3
 
 
 def _force(model: ts.Model, resolution: str) -> np.ndarray:

@@ -41,7 +41,12 @@ CONTROLS = ("none", "controller", "coupling + controller")
 #: Law, parameters, deepest of the fit (m), and the hand's push (N).
 TISSUES = {"EF50_0T": ("reduced_polynomial_3", {"C10": 25820.0, "C20": -3140.0, "C30": 400.0}, 4e-3, 3.0),
            "study's silicone": ("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, 10e-3, 1.2)}
-SECONDS, STEP, TICK = 3.0, 0.5e-3, 1e-3
+#: Duration of a run, s.
+SECONDS = 3.0
+#: Step of the target of the hand, m.
+STEP = 0.5e-3
+#: Length of a tick, s.
+TICK = 1e-3
 
 
 class Stays(AxialMotion):

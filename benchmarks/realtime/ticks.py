@@ -21,8 +21,12 @@ from tissue_sim.mesh import Mesh, cylinder_mesh, needle_mesh
 from tissue_sim.mesh.elements import Q9P1
 from tissue_sim.tool_force import ForceStatus
 
-#: Way and time from tick to tick, m and s; tolerance of an equilibrium.
-WAY, DT, TOLERANCE = 0.05e-3, 1e-3, 1e-6
+#: Motion of the tool in a tick, m.
+WAY = 0.05e-3
+#: Length of a tick, s.
+DT = 1e-3
+#: Relative residual of an equilibrium, 1.
+TOLERANCE = 1e-6
 DEEPEST = 10e-3
 #: Depths, m, at which forces are compared.
 COMPARED = (2e-3, 5e-3, 10e-3)
@@ -32,7 +36,10 @@ BONDED = "bonded face"
 #: Of an independent Taylor-Hood solver with friction 0.7 and edge radius 0.25 mm, N at `COMPARED`
 #: (tests/reference/punch_friction0.7_edge0.25mm_RP.csv).
 FRICTION_REFERENCE = (0.3552, 0.929, 2.070)
-NEEDLE, PLATES = MODELS["needle indentation"], MODELS["bonded compression"]
+#: Model of the needle.
+NEEDLE = MODELS["needle indentation"]
+#: Model of the plates.
+PLATES = MODELS["bonded compression"]
 RUBBING = ts.Model(ts.Experiment(SPECIMEN, ts.Protocol.ramp(DEEPEST, 21), tool=ts.Tool("flat", NEEDLE_RADIUS, EDGE),
                                  friction=0.7, friction_wall=0.7), MATERIAL)
 #: Growth, smallest and largest element (mm) of the meshes of the diagram, by growth from coarse to fine.
@@ -41,7 +48,14 @@ GRADINGS = ((1.6, 4.0, 12.0), (1.6, 1.3, 15.0), (1.6, 0.65, 12.0), (1.6, 0.3, 12
             (2.5, 0.8, 18.0), (2.5, 0.5, 18.0), (2.5, 0.3, 12.0), (3.0, 0.8, 22.0), (3.0, 0.3, 22.0), (3.0, 0.3, 15.0))
 #: Those of the points with at most 0.3 % of force error.
 CLOSE = ((2.5, 0.3, 18.0), (2.5, 0.3, 15.0))
-ERROR, P50, P99, P999 = "force_error_percent", "cpu_ms_p50", "cpu_ms_p99", "cpu_ms_p999"
+#: JSON key: force error, %.
+ERROR = "force_error_percent"
+#: JSON key: median CPU time, ms.
+P50 = "cpu_ms_p50"
+#: JSON key: 99th percentile of the CPU time, ms.
+P99 = "cpu_ms_p99"
+#: JSON key: 99.9th percentile of the CPU time, ms.
+P999 = "cpu_ms_p999"
 BONDED_TARGETS = {ERROR: 1.0, P50: 0.30, P99: 0.90, P999: 1.0}
 RUBBING_TARGETS = {ERROR: 1.0, P50: 0.50, P99: 1.0}
 CLOSE_TARGETS = {ERROR: 0.3, P50: 0.75, P99: 2.0}

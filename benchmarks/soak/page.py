@@ -31,8 +31,10 @@ from tissue_sim.experiment.kinds.indentation import NEEDLE
 #: Mean time between two of each, s.
 BETWEEN = {"aim": 0.6, "parameters": 3.0, "reset": 6.0, "play": 7.0, "pause": 8.0, "nonsense": 2.0, "garbage": 3.0,
            "reload": 8.0, "tool": 15.0, "kill": 20.0}
-#: How long a loop may take to come up, and how long one that was killed may be shown as running, s.
-_PATIENCE, _NOTICED = 120.0, 0.5
+#: Longest start of a loop, s.
+_PATIENCE = 120.0
+#: Longest time in which a killed loop may be shown as running, s.
+_NOTICED = 0.5
 #: What the page must refuse, each in a sentence.
 NONSENSE: tuple[tuple[str, dict[str, Any]], ...] = (
     ("set_parameters", {"values": {"C10": 1e41}}), ("set_parameters", {"values": {"C10": math.nan}}),

@@ -14,8 +14,10 @@ from scenes.commands.shared.parsing import Parser
 LAW = {"C10": 1404.9, "C20": 699.4}
 MATERIAL = ts.Material("reduced_polynomial_2", LAW, ts.Bulk("bulk_ratio", 1e4), density=1040.0,
                        viscoelastic=ts.Prony((ts.PronyTerm(0.3, 0.5),)))
-#: m: how high above the tissue, and how deep in it a tool is sent: a ball as deep as its radius, where it is in time.
-HIGHEST, DEEPEST = 2e-3, 8e-3
+#: Largest height of a target above the tissue, m.
+HIGHEST = 2e-3
+#: Largest depth of a target, m: the radius of the ball, at which its ticks are in time.
+DEEPEST = 8e-3
 _TOOLS = (("flat", "bonded", "0"), ("flat", "0.7", "0.5"), ("flat", "0", "1"), ("flat", "stick", "0.5"),
           ("sphere", "0.3", "0"))
 

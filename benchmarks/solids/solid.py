@@ -39,10 +39,14 @@ ELEMENTS = {"hex8": HEX8P0, "hex27": HEX27P1}
 #: Elements along a quarter of the edge, the smallest interval there, m, and its growth, by freedoms and element.
 SIZES = {("hex8", 6000): (4, 1.1e-3, 1.55), ("hex8", 20000): (7, 0.65e-3, 1.35), ("hex8", 60000): (11, 0.5e-3, 1.25),
          ("hex27", 6000): (2, 3.5e-3, 2.8), ("hex27", 20000): (3, 1.7e-3, 1.8), ("hex27", 60000): (5, 1.0e-3, 1.55)}
-#: So little that FElupe, which halves no step, does not turn the smallest elements inside out.
-DEPTH, REPEATS = 1e-4, 3
-#: Steps of this depth of a whole test, and the share of the reactions that is left unbalanced after each.
-STEPS, TOLERANCE = 10, 1e-8
+#: Depth of a step, m: small, because FElupe does not halve steps and would invert the smallest elements.
+DEPTH = 1e-4
+#: Number of repetitions.
+REPEATS = 3
+#: Steps of this depth in a whole test.
+STEPS = 10
+#: Relative residual after each step, 1.
+TOLERANCE = 1e-8
 #: From FElupe's order of the corners to the places in ours.
 _CORNERS = [0, 1, 3, 2, 4, 5, 7, 6]
 

@@ -118,7 +118,12 @@ class Mindlin:
         mu: of friction.
     """
 
-    RATIO, RADIUS, CONTACT = 1e3, 0.2, 4e-3
+    #: K / mu0, 1.
+    RATIO = 1e3
+    #: Radius of the ball, m.
+    RADIUS = 0.2
+    #: Radius of the contact, m.
+    CONTACT = 4e-3
 
     def __init__(self, fine: int = 3, far: float = 60.0, mu: float = 0.3):
         a = self.CONTACT

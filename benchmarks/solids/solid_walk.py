@@ -47,12 +47,20 @@ from tissue_sim.fem.solver import Step, StepStatus
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose, between
 
-DEPTH, SIDEWAYS, TURN, SPEED = 4e-3, 3e-3, 0.087, 0.05
+#: Depth of the box, m.
+DEPTH = 4e-3
+#: Half width of the box, m.
+SIDEWAYS = 3e-3
+#: Largest rotation, rad.
+TURN = 0.087
+#: Top speed, m/s.
+SPEED = 0.05
 #: How long the page and the loop may take to come up, s.
 PATIENCE = 300.0
-#: What a tick may change the force beyond the physical, N, and share of the rms force by which a reduced solid's answer
-#: that is said to be one may miss that without a clock.
-JUMP, SHARE = 0.02, 0.01
+#: Allowed change of the force in a tick beyond that of the same motion without a clock, N.
+JUMP = 0.02
+#: Allowed difference of a CONVERGED force from that without a clock, as a fraction of the rms force.
+SHARE = 0.01
 #: Parts into which a step of the whole solid is cut where it does not come through.
 _CUTS = (1, 4, 16)
 _KEPT = ("tick", "time", "status", "tool_pose", "tissue_wrench", "compute_time", "lateness", "missed", "age")

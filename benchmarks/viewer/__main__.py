@@ -51,7 +51,7 @@ def compare(rounds: int, seconds: float, in_browser: bool) -> dict:
         alone, count_alone = stack.enter_context(loop_alone(study().model))
         with stopped(alone):
             viewer = stack.enter_context(viewing("realtime"))
-            cpu.append(frames_of("nobody looks", viewer, viewer.run(SHORT, clients=0)))
+            cpu.append(frames_of("no client", viewer, viewer.run(SHORT, clients=0)))
 
         def loop() -> None:
             with stopped(viewer.loop):
@@ -92,7 +92,7 @@ def finer() -> list[dict]:
         unread = viewer.run(SHORT, clients=0)
         with reading(viewer.port):
             moves, stands = viewer.run(SHORT), viewer.run(SHORT, motion="stands")
-        return [frames_of(*case) for case in (("nobody looks", viewer, unread), ("moves", viewer, moves),
+        return [frames_of(*case) for case in (("no client", viewer, unread), ("moves", viewer, moves),
                                               ("stands still", viewer, stands))]
 
 

@@ -4,8 +4,10 @@ from bisect import bisect_right
 
 import numpy as np
 
-#: Heights that are the same, in the unit of the browser, and how long a message may take, s.
-_SAME, _LONGEST = 1e-6, 2.0
+#: Difference of heights that count as equal, in units of the browser.
+_SAME = 1e-6
+#: Longest duration of a message, s.
+_LONGEST = 2.0
 
 
 def pictures(frames: list, messages: list) -> dict:

@@ -12,8 +12,10 @@ from haptics.loop.ring import RingReader
 SPEED = 20e-3
 TEST = ts.Protocol.ramp(depth=8e-3, points=81)
 MOTION = "ramp 8mm @20mm/s; unload @20mm/s"
-#: Where a tool stands that does not move, m, and what is waited for before a run, s.
-STANDING, SETTLING = 4e-3, 1.2
+#: Depth of a tool at rest, m.
+STANDING = 4e-3
+#: Time before a run, s.
+SETTLING = 1.2
 
 
 class TickCount:

@@ -39,8 +39,12 @@ from tissue_sim.mesh.solid import block_mesh
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 
-#: Edge of the block, m; elements along it, with ten thousand nodes on the surface; frames a second.
-EDGE, CELLS, RATE = 0.07, {HEX8P0: 41, HEX27P1: 20}, 20.0
+#: Edge of the block, m.
+EDGE = 0.07
+#: Elements along an edge, for ten thousand nodes on the surface.
+CELLS = {HEX8P0: 41, HEX27P1: 20}
+#: Frames per second.
+RATE = 20.0
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
 LEAN = 0.2
 

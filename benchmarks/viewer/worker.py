@@ -43,7 +43,12 @@ from scenes.viewer.session import Session
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.fem.axisymmetric.fields import Fields
 
-REPLICATES, SAMPLES, NOISE = 3, 401, 0.02
+#: Number of recordings.
+REPLICATES = 3
+#: Samples of a recording.
+SAMPLES = 401
+#: Standard deviation of the force, N.
+NOISE = 0.02
 #: How long the start may take, s; the machine's first one compiles.
 PATIENCE = 120.0
 

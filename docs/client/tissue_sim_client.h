@@ -272,7 +272,7 @@ static int tissue_sim_ask_(tissue_sim_client *client, unsigned kind, double time
     return TISSUE_SIM_NO_REPLY;
 }
 
-/* A number that nobody guesses, where the system gives one; else one that no other client is likely to have. */
+/* A random number from the system if it has a source; otherwise a number that is unlikely to be in use by another client. */
 static uint64_t tissue_sim_session_(const void *own)
 {
     uint64_t session = (uint64_t)time(NULL) * 0x9e3779b97f4a7c15u ^ (uint64_t)clock() ^ (uint64_t)(uintptr_t)own;
@@ -344,7 +344,7 @@ const char *tissue_sim_text(int code)
     case TISSUE_SIM_REFUSED: return "the pose or the time is beyond what the scene holds: the last force";
     case TISSUE_SIM_FADING: return "no equilibrium for too long: force and stiffness go to zero";
     case TISSUE_SIM_RETURNING: return "in equilibrium: force and stiffness come back along a ramp";
-    case TISSUE_SIM_FAILED: return "the step failed and the tissue was built anew: no force";
+    case TISSUE_SIM_FAILED: return "the step failed, and the tissue was made again: no force";
     case TISSUE_SIM_BUSY: return "another client has the tissue";
     case TISSUE_SIM_NO_REPLY: return "no reply within the timeout";
     case TISSUE_SIM_BAD_ADDRESS: return "the address is no numeric IPv4 address, or no socket is left";

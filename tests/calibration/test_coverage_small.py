@@ -12,7 +12,9 @@ from calibration.fit.campaign_problem import build_problem
 from calibration.fit.trust_region import descend
 from calibration.forward.simulation_cache import SimulationCache
 
-CAMPAIGNS, STARTS, SEED = 12, 6, 1
+CAMPAIGNS = 12
+STARTS = 6
+SEED = 1
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,10 @@ MU = 400e3
 STRETCH = np.linspace(1.0, 1.6, 61)
 STRESS = MU * (STRETCH - STRETCH**-2)
 SHORT = np.linspace(1.0, 0.6, 61)
-AREA, LENGTH = 20e-6, 50.0
+#: Cross-section, m2.
+AREA = 20e-6
+#: Length, m.
+LENGTH = 50.0
 SHEET = f"Tensile test\nGauge length,{LENGTH:g},mm\nWidth,10,mm\nThickness,2,mm\n\n"
 
 

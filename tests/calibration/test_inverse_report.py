@@ -37,7 +37,11 @@ from calibration.statistics.sensor_noise import SensorNoise
 from tissue_sim import KINDS, Specimen, find_law
 
 LEVEL = 3.8414588  # 95 % quantile of chi-square with one degree of freedom
-JITTER, ZERO, NOISE = 0.03e-3, 0.01, 0.02
+JITTER = 0.03e-3
+#: Jitter of the zero, N.
+ZERO = 0.01
+#: Standard deviation of the force, N.
+NOISE = 0.02
 TRUTH = {"C10": 1404.9, "C20": 699.4}
 SPECIMEN = Specimen(0.04, 0.07, "phantom")
 

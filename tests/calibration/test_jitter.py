@@ -9,7 +9,10 @@ from calibration.statistics.jitter import Jitter, WhitenedReplicate, estimate_ji
 from calibration.statistics.sensor_noise import SensorNoise, whiten
 from tissue_sim.rig.noise import sensor_noise
 
-CONTACT, ZERO = 3e-5, 0.01
+#: Jitter of the contact, m.
+CONTACT = 3e-5
+#: Jitter of the zero, N.
+ZERO = 0.01
 #: Force in N at depth d (0 to 1 for 10 mm) of three tests, with their derivatives by d.
 TESTS = [lambda d: (5.0 * d + 3.0 * d**3, 5.0 + 9.0 * d**2), lambda d: (4.0 * d + 5.0 * d**2, 4.0 + 10.0 * d),
          lambda d: (2.0 * d**1.5, 3.0 * d**0.5)]

@@ -101,8 +101,14 @@ def test_too_few_specimens_and_undetermined_parameters_are_refused():
         estimate_population(["a"], ["x", "y"], np.zeros((2, 2)), np.zeros((2, 2, 2)))
 
 
-LAW, RADIUS, HEIGHT = "reduced_polynomial_2", 0.015, 0.020
-MEAN, SPREAD = np.array([1400.0, 700.0]), np.array([200.0, 90.0])
+#: Name of the law.
+LAW = "reduced_polynomial_2"
+#: Radius, m.
+RADIUS = 0.015
+#: Height, m.
+HEIGHT = 0.020
+MEAN = np.array([1400.0, 700.0])
+SPREAD = np.array([200.0, 90.0])
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,10 @@ from calibration.report.drawing import panels_per_row
 from calibration.report.views import local_slopes
 from tissue_sim.errors import InputError
 
-RADIUS, HEIGHT = 0.020, 0.020
+#: Radius, m.
+RADIUS = 0.020
+#: Height, m.
+HEIGHT = 0.020
 CAMPAIGN = """
 [[specimen]]
 radius_mm = 20.0

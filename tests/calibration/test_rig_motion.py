@@ -20,7 +20,14 @@ from calibration.forward.rig_motion import AlignedCurve, PositionCurve
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import Jitter
 
-SPECIMEN, C10, SPEED, DEEPEST = ts.Specimen(0.020, 0.030), 1404.9, 0.2e-3, 3e-3
+#: Specimen.
+SPECIMEN = ts.Specimen(0.020, 0.030)
+#: Parameter of the law, Pa.
+C10 = 1404.9
+#: Speed, m/s.
+SPEED = 0.2e-3
+#: Largest depth, m.
+DEEPEST = 3e-3
 TIME = np.concatenate([np.linspace(0, 15, 61), np.linspace(15, 25, 21)[1:], np.linspace(25, 40, 61)[1:]])
 DEPTH = np.interp(TIME, [0, 15, 25, 40], [0, DEEPEST, DEEPEST, 0])
 CAMPAIGN = """

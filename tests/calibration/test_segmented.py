@@ -9,7 +9,13 @@ import pytest
 import calibration
 import tissue_sim as ts
 
-C10, AIR, HEIGHT, RADIUS = 2000.0, 0.55e-3, 10e-3, 12.5e-3
+#: Parameter of the law, Pa.
+C10 = 2000.0
+AIR = 0.55e-3
+#: Height, m.
+HEIGHT = 10e-3
+#: Radius, m.
+RADIUS = 12.5e-3
 TEXT = """
 [[specimen]]
 shape = "cylinder"

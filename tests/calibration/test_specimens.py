@@ -19,8 +19,17 @@ from tissue_sim.errors import InputError
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 LAW = ts.find_law("reduced_polynomial_2")
-RADIUS, HEIGHT, DEPTH, NOISE = 0.015, 0.020, 6e-3, 0.01
-AREA, ORDER = np.pi * RADIUS**2, ["C10", "C20"]
+#: Radius, m.
+RADIUS = 0.015
+#: Height, m.
+HEIGHT = 0.020
+#: Depth, m.
+DEPTH = 6e-3
+#: Standard deviation of the force, N.
+NOISE = 0.01
+#: Cross-section, m2.
+AREA = np.pi * RADIUS**2
+ORDER = ["C10", "C20"]
 FIVE = np.array([(1400.0, 700.0), (1250.0, 600.0), (1600.0, 820.0), (1350.0, 650.0), (1500.0, 760.0)])
 
 

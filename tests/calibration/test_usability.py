@@ -17,7 +17,10 @@ from calibration.report.usability import CRITERIA
 from scenes.cli import main
 from tissue_sim.recording.screening import Control, LeftOut, Preload, Screening
 
-AREA, HEIGHT = np.pi * 0.0125**2, 0.0125
+#: Cross-section, m2.
+AREA = np.pi * 0.0125**2
+#: Height, m.
+HEIGHT = 0.0125
 
 
 def shear(stress, noise=2.0):

@@ -16,7 +16,10 @@ from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh import structured_mesh
 from tissue_sim.mesh.elements import Q4P0, Q9P1
 
-RADIUS, NEAR, FAR = 0.03, 0.02, 0.05
+#: Radius, m.
+RADIUS = 0.03
+NEAR = 0.02
+FAR = 0.05
 AMOUNT = 2e-6  # m3: the nearest point moves by 1.5 mm
 
 

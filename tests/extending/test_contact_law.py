@@ -87,7 +87,7 @@ def test_its_parameters_are_those_of_the_model(film):
 
 
 def test_the_way_out_counts(film):
-    """What has touched pulls when it comes off, so a calibration looks at returns too."""
+    """The contact pulls at separation, so a calibration uses the unloading as well."""
     assert model(film(tack=30.0)).experiment.is_path_dependent and not model().experiment.is_path_dependent
     plate = ts.Experiment(ts.Specimen(0.03, 0.03), WAY, friction="frictionless", friction_base="frictionless")
     assert plate.homogeneous and not replace(plate, contact_laws=[film(tack=30.0)]).homogeneous

@@ -24,7 +24,12 @@ laws = ["neo_hooke"]
 [noise]
 force_N = 0.001
 """
-AREA, HEIGHT, C10 = np.pi * 0.04**2, 0.070, 1500.0
+#: Cross-section, m2.
+AREA = np.pi * 0.04**2
+#: Height, m.
+HEIGHT = 0.070
+#: Parameter of the law, Pa.
+C10 = 1500.0
 
 
 @pytest.fixture

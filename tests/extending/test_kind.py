@@ -10,7 +10,10 @@ from tissue_sim.recording.formats.kind_words import Hint, named_tests
 from tissue_sim.recording.formats.understanding import understand
 
 TRUTH = {"C10": 1200.0, "C01": 500.0}
-HEIGHT, AREA = 0.020, 150e-6
+#: Height, m.
+HEIGHT = 0.020
+#: Cross-section, m2.
+AREA = 150e-6
 CAMPAIGN = """
 [[specimen]]
 shape = "prism"

@@ -7,7 +7,10 @@ import calibration
 import tissue_sim as ts
 
 TRUTH = {"mu": 2800.0, "Jm": 3.0}
-RADIUS, HEIGHT = 0.040, 0.070
+#: Radius, m.
+RADIUS = 0.040
+#: Height, m.
+HEIGHT = 0.070
 CAMPAIGN = """
 [[specimen]]
 radius_mm = 40.0

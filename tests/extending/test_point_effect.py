@@ -1,7 +1,7 @@
 """An effect at the points from one file: a Maxwell branch, which must be the built-in Prony term.
 
-Beside a neo-Hooke law of (1 - g) C10 a branch of shear modulus 2 g C10 is the term (g, tau) of a law of C10: both take
-the same recursion for the same isochoric second Piola-Kirchhoff stress.
+A neo-Hooke law of (1 - g) C10 with a parallel branch of shear modulus 2 g C10 equals a law of C10 with the Prony term
+(g, tau): both use the same recursion for the same isochoric second Piola-Kirchhoff stress.
 """
 
 import json
@@ -23,9 +23,17 @@ from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import Q4P0, Q9P1
 from tissue_sim.parameters import value
 
-C10, G, TAU = 1500.0, 0.3, 2.0
+#: Parameter of the law, Pa.
+C10 = 1500.0
+#: Relaxing fraction, 1.
+G = 0.3
+#: Relaxation time, s.
+TAU = 2.0
 BULK = ts.Bulk("K_Pa", 3e7)
-RADIUS, HEIGHT = 0.04, 0.07
+#: Radius, m.
+RADIUS = 0.04
+#: Height, m.
+HEIGHT = 0.07
 PATH = ts.Protocol.parse("ramp 6mm @0.6mm/s; hold 5s; unload", points=7)
 
 

@@ -14,7 +14,12 @@ from tissue_sim.mesh.hexahedra import HEX8P0
 from tissue_sim.mesh.solid import needle_solid
 from tissue_sim.pose import Pose
 
-C10, G, TAU = 1500.0, 0.3, 2.0
+#: Parameter of the law, Pa.
+C10 = 1500.0
+#: Relaxing fraction, 1.
+G = 0.3
+#: Relaxation time, s.
+TAU = 2.0
 BULK = ts.Bulk("K_Pa", 3e7)
 WAY = ts.Protocol.parse("ramp 4mm @1mm/s; hold 3s; unload 1mm", points=5)
 

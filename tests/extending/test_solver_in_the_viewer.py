@@ -55,8 +55,8 @@ def scene(spring):
 
 @pytest.fixture
 def shown(scene, spiral, monkeypatch):
-    """The session, a frame when the tool has been in and out and the trace has so many points of that, and all ticks of
-    the loop up to then."""
+    """The session, a frame after the tool was pressed in and removed, with a filled trace, and all ticks of the loop
+    up to this frame."""
     # No step ends for want of time: the same poses give the same wrenches.
     monkeypatch.setattr("scenes.viewer.live_simulation.BUDGET", None)
     session = Session(scene, settings=replace(SETTINGS, real_time=False))

@@ -12,7 +12,8 @@ from scenes.cli import main
 from tissue_sim.material.effect import EFFECTS
 from tissue_sim.parameters import parameters
 
-LOST, TIME = 0.3, 4.0
+LOST = 0.3
+TIME = 4.0
 
 
 @pytest.fixture

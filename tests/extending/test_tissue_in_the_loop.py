@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from waiting import wait_until
+from waiting import wait_for_value
 
 import tissue_sim as ts
 from haptics.loop.local_model import LocalModelBlend, SlowSolver
@@ -86,13 +86,9 @@ def test_through_what_the_viewer_sees(toy, motion, monkeypatch):
     simulation = LiveSimulation(needle_model, motion, settings=replace(SETTINGS, real_time=False))
     tissue, ticks = toy.ToyTissue(), 0
 
-    def new_records():
-        records = simulation.poll()
-        return records if records is not None and len(records) else None
-
     try:
         while ticks < 400:
-            records = wait_until(new_records, lambda: simulation.message)
+            records = wait_for_value(simulation.poll, lambda new: new is not None and len(new) > 0)
             poses = [Pose(tuple(each[:3]), tuple(each[3:])) for each in records["tool_pose"].tolist()]
             expected = np.array([tissue.step(pose, DT).wrench for pose in poses])
             same(records["tissue_wrench"][whole(records)], expected[whole(records)])
@@ -115,7 +111,7 @@ def test_through_rendering_the_energy_is_that_of_all_six_directions(toy, path):
 
 
 def test_through_multi_rate(toy, path):
-    """Where a model is made its wrench is the tissue's; and beside it, too, as long as the foot stands."""
+    """At the pose of a model its wrench is that of the tissue; at other poses, too, as long as the foot sticks."""
     slow, blend, twin = SlowSolver(toy.ToyTissue()), LocalModelBlend(jump=1e3, torque_jump=1e3), toy.ToyTissue()
     for pose in path:
         assert blend.publish(slow.solve(pose, DT, blend.time))

@@ -72,7 +72,8 @@ def free_flight(coupling, load, mass, damping, speed, ticks):
     return np.array(energy)
 
 
-stiffnesses, dampings = st.floats(50.0, 5000.0), st.floats(0.0, 5.0)
+stiffnesses = st.floats(50.0, 5000.0)
+dampings = st.floats(0.0, 5.0)
 
 
 @settings(deadline=None)
@@ -260,7 +261,8 @@ def test_a_sudden_loss_of_resistance_lets_the_tool_pass():
 # ---- Three directions ----
 
 #: An oblique unit vector, and a rotated device.
-OBLIQUE, TURNED = np.array([0.48, -0.6, 0.64]), (0.6, 0.0, 0.8, 0.0)
+OBLIQUE = np.array([0.48, -0.6, 0.64])
+TURNED = (0.6, 0.0, 0.8, 0.0)
 
 
 def tissue_at(proxy, stiffness, looks_ahead=False):

@@ -6,7 +6,8 @@ from hypothesis import strategies as st
 
 from haptics.server.owner_port import RATE_LIMIT, ReplyLimiter
 
-A, B = ("127.0.0.1", 5001), ("127.0.0.1", 5002)
+A = ("127.0.0.1", 5001)
+B = ("127.0.0.1", 5002)
 
 
 def test_a_burst_then_a_constant_rate():

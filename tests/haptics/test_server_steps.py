@@ -14,7 +14,8 @@ from haptics.server.wire import VERSION, Kind, Request, RequestFlags, Status, de
 from tissue_sim.errors import InputError
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
-A, B = ("127.0.0.1", 5001), ("127.0.0.1", 5002)
+A = ("127.0.0.1", 5001)
+B = ("127.0.0.1", 5002)
 
 
 class RecordingTissue:

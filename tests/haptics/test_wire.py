@@ -40,8 +40,10 @@ REPLIES = (st.builds(Reply, *OLD, *map(st.just, (2, 0.0, None, 0.0, 0.0)))
            | st.builds(Reply, *OLD, st.just(3), REAL, st.none() | REAL, REAL, REAL))
 
 #: Written by hand from the table of the page: IEEE 754 numbers 1, 2, 0.5, -0.25 ..., little-endian.
-ZERO, ONE, TWO, HALF = bytes(8), bytes.fromhex("000000000000f03f"), bytes.fromhex("0000000000000040"), \
-    bytes.fromhex("000000000000e03f")
+ZERO = bytes(8)
+ONE = bytes.fromhex("000000000000f03f")
+TWO = bytes.fromhex("0000000000000040")
+HALF = bytes.fromhex("000000000000e03f")
 MINUS_QUARTER = bytes.fromhex("000000000000d0bf")
 GOLDEN_REQUESTS = {version: b"TSRQ" + bytes((version, 0)) + bytes.fromhex("0100" "0807060504030201") + HALF
                    + bytes.fromhex("1122334455667788") + ONE + TWO + MINUS_QUARTER

@@ -20,7 +20,10 @@ from tissue_sim.mesh.solid import needle_solid
 from tissue_sim.mesh.tetrahedra import TET15P1
 from tissue_sim.pose import Pose
 
-OFFSET, DEPTH = 0.018, 3e-3
+#: Offset of the tool, m.
+OFFSET = 0.018
+#: Depth, m.
+DEPTH = 3e-3
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 100.0), name="GEL")
 #: Of Abaqus' and CalculiX's order, the places in ours.
 ORDER = [0, 2, 8, 6, 18, 20, 26, 24, 1, 5, 7, 3, 19, 23, 25, 21, 9, 11, 17, 15]

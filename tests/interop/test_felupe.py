@@ -13,7 +13,10 @@ import tissue_sim as ts
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import Q4P0, Q9P1
 
-RADIUS, HEIGHT = 0.04, 0.07
+#: Radius, m.
+RADIUS = 0.04
+#: Height, m.
+HEIGHT = 0.07
 DEPTHS = np.array([2e-3, 5e-3, 10e-3])
 LAWS = {
     "reduced_polynomial_2": {"C10": 1404.9, "C20": 699.4},

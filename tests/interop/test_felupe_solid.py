@@ -12,7 +12,11 @@ from tissue_sim.pose import Pose
 
 felupe = pytest.importorskip("felupe", reason="compares with FElupe, not installed: pip install -e .[test]")
 
-MODULUS, BULK, DEPTH = 2800.0, 2800e2, 2e-3
+#: Shear modulus, Pa.
+MODULUS = 2800.0
+BULK = 2800e2
+#: Depth, m.
+DEPTH = 2e-3
 MATERIAL = ts.Material("neo_hooke", {"C10": 0.5 * MODULUS}, ts.Bulk("K_Pa", BULK))
 CASES = {  # specimen, where the needle is, what it holds
     "cube between glued plates": (ts.Block(0.02, 0.024, 0.02), None),
@@ -34,7 +38,7 @@ def felupe_force(mesh, held):
         mask[nodes] = True
         return felupe.Boundary(field[0], mask=mask, **options)
 
-    bounds = {"base": boundary(mesh.sets["base"]), "beside": boundary(mesh.sets[held], skip=(0, 0, 1)),
+    bounds = {"base": boundary(mesh.sets["base"]), "outside": boundary(mesh.sets[held], skip=(0, 0, 1)),
               "tool": boundary(mesh.sets[held], skip=(1, 1, 0))}
     for share in (0.5, 1.0):
         bounds["tool"].update(-share * DEPTH)

@@ -14,7 +14,8 @@ from haptics.emulators.emulator import open_emulator
 ticlib = pytest.importorskip("ticlib", reason="compares with the independent client ticlib, not installed: "
                                               "pip install -e .[test]")
 
-COMMAND_TIMEOUT, SAFE_START = 1 << 6, 1 << 7
+COMMAND_TIMEOUT = 1 << 6
+SAFE_START = 1 << 7
 
 
 def no_load(now):

@@ -13,7 +13,10 @@ from calibration.fit import ordinary
 from scenes.cli import main
 
 TRUE = {"C10": 1404.9, "C20": 699.4}
-RADIUS, HEIGHT = 0.04, 0.07
+#: Radius, m.
+RADIUS = 0.04
+#: Height, m.
+HEIGHT = 0.07
 CAMPAIGN = """
 [[specimen]]
 radius_mm = 40.0

@@ -37,7 +37,12 @@ zero_jitter_N = 0.005
 """
 INVERSE = "bulk_ratio = 10000.0\nstarts = 1\nstart = { C10 = 1500.0 }"
 EFFECTS = {"viscoelasticity": Viscoelasticity, "machine_compliance": MachineCompliance}
-C10, G, TAU = 1404.9, 0.15, 12.0
+#: Parameter of the law, Pa.
+C10 = 1404.9
+#: Relaxing fraction, 1.
+G = 0.15
+#: Relaxation time, s.
+TAU = 12.0
 KEYS = {"verdict", "effects", "indistinguishable", "candidates", "regions", "gap_before_N", "gap_after_N", "noise_N",
         "held_out", "next_experiment", "fit_before", "fit_after", "output", "work"}
 #: Keys that differ from run to run.

@@ -31,7 +31,9 @@ class TestLiftOff:
 
 
 class TestAdhesion:
-    FORCE, LENGTH = 0.02, 0.5e-3
+    FORCE = 0.02
+    #: Length, m.
+    LENGTH = 0.5e-3
 
     def curves(self, friction, tool=None, base=None):
         """Force with and without adhesion: to 1 mm and back in 8 steps, then 0.02 mm a step to 0.8 mm above."""

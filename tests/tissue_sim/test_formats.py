@@ -37,7 +37,7 @@ def refusal(path, **options):
     table("\t"),
     table(";", ","),
     table("\t", ","),
-    table(before="Machine: frame\nOperator; somebody\n\nResults, table\n"),
+    table(before="Machine: frame\nOperator; J. Doe\n\nResults, table\n"),
     table(header=(" time  (s)", "COMPRESSION (mm)", '"Load (N)"')),
     table(";", ",", header=("Time (s)", "Compression (mm)", "Load (N)", "", "")),
     table().replace("\n", ",\n"),

@@ -13,7 +13,12 @@ from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.formats.afm import read_afm
 from tissue_sim.recording.formats.afm_curve import curve_recording
 
-STIFFNESS, DEPTH, AIR, DRIFT = 0.05, 3e-6, 4e-6, 2.5e-9
+#: Stiffness, N/m.
+STIFFNESS = 0.05
+#: Depth, m.
+DEPTH = 3e-6
+AIR = 4e-6
+DRIFT = 2.5e-9
 
 
 def hertz(depth):

@@ -9,7 +9,8 @@ from scipy.io import savemat
 from tissue_sim import InputError, read_recording, read_recordings
 from tissue_sim.files import decode_text
 
-TIME, WAY = np.linspace(0.0, 6.0, 31), np.linspace(0.0, 3.0, 31)
+TIME = np.linspace(0.0, 6.0, 31)
+WAY = np.linspace(0.0, 3.0, 31)
 FORCE = WAY**1.5
 
 
@@ -21,7 +22,7 @@ def check(recording):
 
 def test_matlab_struct_and_matrix(tmp_path):
     path = tmp_path / "run.mat"
-    savemat(path, {"gel": {"time_s": TIME, "displacement_mm": WAY, "force_N": FORCE}, "operator": "somebody"})
+    savemat(path, {"gel": {"time_s": TIME, "displacement_mm": WAY, "force_N": FORCE}, "operator": "J. Doe"})
     check(read_recording(path, format="table"))
     check(read_recording(path, columns={"time": "time_s", "displacement": "displacement_mm", "force": "force"}))
     savemat(path, {"data": np.column_stack([TIME, WAY, FORCE]).T})

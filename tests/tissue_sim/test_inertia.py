@@ -11,12 +11,18 @@ from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import Q9P1
 
-RADIUS, HEIGHT, DENSITY = 0.01, 0.05, 1000.0
+#: Radius, m.
+RADIUS = 0.01
+#: Height, m.
+HEIGHT = 0.05
+#: Density, kg/m3.
+DENSITY = 1000.0
 SOFT = ts.Material("neo_hooke", {"C10": 1000.0}, ts.Bulk("bulk_ratio", 3.0))
 #: P-wave modulus of a confined column, and the speed of its waves.
 MODULUS = SOFT.bulk_modulus + 4.0 / 3.0 * SOFT.mu0
 SPEED = np.sqrt(MODULUS / DENSITY)
-RISE, AMPLITUDE = 0.02, 1e-6
+RISE = 0.02
+AMPLITUDE = 1e-6
 
 
 def velocity(t):

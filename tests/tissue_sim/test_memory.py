@@ -15,8 +15,18 @@ from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import Q4P0, Q9P1
 from tissue_sim.simulation import _approach
 
-LAW, STUDY = "reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}
-RADIUS, HEIGHT, SPEED, DEPTH = 0.040, 0.070, 0.248e-3, 0.010
+#: Name of the law.
+LAW = "reduced_polynomial_2"
+#: Parameters of the reference study, Pa.
+STUDY = {"C10": 1404.9, "C20": 699.4}
+#: Radius, m.
+RADIUS = 0.040
+#: Height, m.
+HEIGHT = 0.070
+#: Speed, m/s.
+SPEED = 0.248e-3
+#: Depth, m.
+DEPTH = 0.010
 RELAXING = ts.Prony((ts.PronyTerm(0.3, 2.0),))
 SERIES = ts.Prony((ts.PronyTerm(0.2, 1.0), ts.PronyTerm(0.3, 30.0)))
 SOFT = ts.Softening(0.4, modulus=20.0, share=0.5)

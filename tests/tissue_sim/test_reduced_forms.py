@@ -9,9 +9,18 @@ from scipy.integrate import quad
 import tissue_sim as ts
 from tissue_sim.tilt import tilted
 
-LAW, STUDY = "reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}
-RADIUS, HEIGHT = 0.040, 0.070
-PLATE, NEEDLE = ts.Tool(), ts.Tool("flat", 8e-3)
+#: Name of the law.
+LAW = "reduced_polynomial_2"
+#: Parameters of the reference study, Pa.
+STUDY = {"C10": 1404.9, "C20": 699.4}
+#: Radius, m.
+RADIUS = 0.040
+#: Height, m.
+HEIGHT = 0.070
+#: Plate.
+PLATE = ts.Tool()
+#: Flat needle.
+NEEDLE = ts.Tool("flat", 8e-3)
 
 
 def simulated(protocol, tool=PLATE, friction="bonded", base="bonded", rig=None, tilt=0.0, **material) -> ts.Recording:

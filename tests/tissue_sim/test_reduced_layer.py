@@ -13,7 +13,9 @@ from tissue_sim.pose import turned
 class TestLayer:
     """Nodes that move alone: the modes are their freedoms."""
 
-    MU, SPRING = 0.3, 1e5 * 1e-6 / (1e-3 * 5e-3)
+    #: Coefficient of friction, 1.
+    MU = 0.3
+    SPRING = 1e5 * 1e-6 / (1e-3 * 5e-3)
 
     def contact(self, tool: ts.Tool, mu: float) -> LayerContact:
         body = Body(tool.profile, np.array([0]), (mu, mu))

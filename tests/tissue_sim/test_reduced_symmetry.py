@@ -14,7 +14,9 @@ from tissue_sim.pose import motion
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))
 DEPTH = 2e-3
-NEEDLE, BALL = ts.Tool("flat", radius=8e-3), ts.Tool("round", radius=8e-3)
+#: Flat needle.
+NEEDLE = ts.Tool("flat", radius=8e-3)
+BALL = ts.Tool("round", radius=8e-3)
 CYLINDER = ts.Specimen(0.03, 0.02)
 #: Tool, friction, approach, and how many symmetries.
 SCENES = {"held": (NEEDLE, "bonded", None, 8), "touched": (BALL, 0.3, None, 8),

@@ -13,11 +13,25 @@ from tissue_sim.recording.recording import Recording
 from tissue_sim.rig.backlash import move_nut
 from tissue_sim.rig.rig import Rig
 
-RADIUS, HEIGHT, C10, C20 = 0.040, 0.070, 1404.9, 699.4
-SPEED, DEPTH, PEAK = 0.25e-3, 10e-3, 40
+#: Radius, m.
+RADIUS = 0.040
+#: Height, m.
+HEIGHT = 0.070
+#: Parameter of the law, Pa.
+C10 = 1404.9
+#: Parameter of the law, Pa.
+C20 = 699.4
+#: Speed, m/s.
+SPEED = 0.25e-3
+#: Depth, m.
+DEPTH = 10e-3
+PEAK = 40
 TIME = np.concatenate([np.arange(41) * 1.0, 40 + np.arange(1, 11) * 2.0, 60 + np.arange(1, 41) * 1.0])
 WAY = np.concatenate([np.linspace(0, DEPTH, 41), np.full(10, DEPTH), np.linspace(DEPTH, 0, 41)[1:]])
-RAMP, HOLD, UNLOAD = slice(1, 41), slice(41, 51), slice(51, 91)
+RAMP = slice(1, 41)
+#: Duration of the hold, s.
+HOLD = slice(41, 51)
+UNLOAD = slice(51, 91)
 SEGMENT = np.array(["ramp"] * 41 + ["hold"] * 10 + ["unload"] * 40)
 
 

@@ -6,10 +6,17 @@ from scipy.integrate import trapezoid
 
 import tissue_sim as ts
 
-LAW, STUDY = "reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}
+#: Name of the law.
+LAW = "reduced_polynomial_2"
+#: Parameters of the reference study, Pa.
+STUDY = {"C10": 1404.9, "C20": 699.4}
 CYCLE = ts.Protocol.parse("ramp 10mm @1mm/s; hold 5s; unload", points=21)
-PLATE, NEEDLE = ts.Tool(), ts.Tool("flat", 8e-3)
-SERIES, SOFT = ts.Prony((ts.PronyTerm(0.3, 2.0),)), ts.Softening(0.4, modulus=20.0, share=0.5)
+#: Plate.
+PLATE = ts.Tool()
+#: Flat needle.
+NEEDLE = ts.Tool("flat", 8e-3)
+SERIES = ts.Prony((ts.PronyTerm(0.3, 2.0),))
+SOFT = ts.Softening(0.4, modulus=20.0, share=0.5)
 ELASTIC = {"friction": "bonded"}
 LOSSY = {"friction": 0.3, "viscoelastic": SERIES}
 

@@ -9,7 +9,10 @@ import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
-DENSITY, GRAVITY = 1040.0, 9.81
+#: Density, kg/m3.
+DENSITY = 1040.0
+#: Gravitational acceleration, m/s2.
+GRAVITY = 9.81
 AT = [4, 10, 20]  # samples at 2, 5 and 10 mm
 
 

@@ -10,8 +10,13 @@ from tissue_sim.fem.solver import StepStatus
 from tissue_sim.tool_force import carried_on
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
-SPECIMEN, TICK, MOST = ts.Specimen(0.040, 0.070), 1e-3, 5
-CONVERGED, LATE = ts.ForceStatus.CONVERGED, ts.ForceStatus.LATE
+#: Specimen.
+SPECIMEN = ts.Specimen(0.040, 0.070)
+#: Length of a tick, s.
+TICK = 1e-3
+MOST = 5
+CONVERGED = ts.ForceStatus.CONVERGED
+LATE = ts.ForceStatus.LATE
 
 
 def model(friction=0.4, edge=0.25e-3) -> ts.Model:

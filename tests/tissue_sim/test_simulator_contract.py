@@ -16,7 +16,8 @@ from tissue_sim.motion_limits import MotionLimits
 from tissue_sim.tool_force import ERROR_FLOOR, ERROR_SHARE, axial_stiffness, is_known_well
 
 SOFT = ts.Material("neo_hooke", {"C10": 2000.0}, ts.Bulk("bulk_ratio", 1e3))
-NAN, INF = math.nan, math.inf
+NAN = math.nan
+INF = math.inf
 SIXTH_TURN = (math.cos(math.pi / 6), 0.0, 0.0, math.sin(math.pi / 6))
 
 

@@ -8,9 +8,14 @@ import pytest
 import tissue_sim as ts
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
-TICK, SPEED, ENGAGED = 1e-3, 48e-3, 3.1e-3
+#: Length of a tick, s.
+TICK = 1e-3
+#: Speed, m/s.
+SPEED = 48e-3
+ENGAGED = 3.1e-3
 #: Linear solves of a part of a tick until the tool has arrived, and from then on.
-FEW, MANY = 1, 50
+FEW = 1
+MANY = 50
 
 
 def simulator(friction, few=None):

@@ -16,7 +16,11 @@ from tissue_sim.mesh.solid import SOLID_ELEMENTS, needle_solid
 from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
 from tissue_sim.pose import Pose
 
-WIDTH, HEIGHT, DENSITY = 0.005, 0.05, 1000.0
+WIDTH = 0.005
+#: Height, m.
+HEIGHT = 0.05
+#: Density, kg/m3.
+DENSITY = 1000.0
 SOFT = ts.Material("neo_hooke", {"C10": 1000.0}, ts.Bulk("bulk_ratio", 3.0))
 #: Speeds of waves along a confined column, and across a sheared one.
 ALONG = math.sqrt((SOFT.bulk_modulus + 4.0 / 3.0 * SOFT.mu0) / DENSITY)

@@ -7,9 +7,19 @@ import tissue_sim as ts
 from tissue_sim.mesh.hexahedra import HEX8P0
 from tissue_sim.mesh.solid import needle_solid
 
-LAW, STUDY, BULK = "reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4)
-RADIUS, HEIGHT = 0.040, 0.070
-PLATE, NEEDLE = ts.Tool(), ts.Tool("flat", 8e-3)
+#: Name of the law.
+LAW = "reduced_polynomial_2"
+#: Parameters of the reference study, Pa.
+STUDY = {"C10": 1404.9, "C20": 699.4}
+BULK = ts.Bulk("bulk_ratio", 1e4)
+#: Radius, m.
+RADIUS = 0.040
+#: Height, m.
+HEIGHT = 0.070
+#: Plate.
+PLATE = ts.Tool()
+#: Flat needle.
+NEEDLE = ts.Tool("flat", 8e-3)
 CYLINDER = ts.Specimen(RADIUS, HEIGHT)
 WET = ts.Poroelasticity(phi=0.3, diffusivity=1e-6)
 

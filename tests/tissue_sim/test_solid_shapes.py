@@ -21,7 +21,8 @@ from tissue_sim.mesh.solid import block_mesh
 from tissue_sim.pose import Pose
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
-BLOCK, SHELL = ts.Block(0.06, 0.03, 0.025), ts.EllipsoidShell(0.05, 0.04, 0.03, 0.012)
+BLOCK = ts.Block(0.06, 0.03, 0.025)
+SHELL = ts.EllipsoidShell(0.05, 0.04, 0.03, 0.012)
 PLACES = {"block in the middle": (BLOCK, (0.0, 0.0)), "block near an edge": (BLOCK, (0.02, 0.0095)),
           "block near a corner": (BLOCK, (-0.0248, -0.0098)), "shell on its apex": (SHELL, (0.0, 0.0)),
           "shell far off it": (SHELL, (0.025, 0.015))}

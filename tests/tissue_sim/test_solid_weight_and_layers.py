@@ -12,8 +12,14 @@ from tissue_sim.mesh.hexahedra import HEX27P1
 from tissue_sim.mesh.solid import block_mesh, needle_solid
 from tissue_sim.pose import Pose
 
-LAW, STUDY = "reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}
-DENSITY, GRAVITY = 1040.0, 9.81
+#: Name of the law.
+LAW = "reduced_polynomial_2"
+#: Parameters of the reference study, Pa.
+STUDY = {"C10": 1404.9, "C20": 699.4}
+#: Density, kg/m3.
+DENSITY = 1040.0
+#: Gravitational acceleration, m/s2.
+GRAVITY = 9.81
 WEIGHT = DENSITY * GRAVITY
 FLAT = ts.Tool("flat", 8e-3)
 

@@ -17,7 +17,16 @@ from tissue_sim.material.viscoelasticity import Prony, PronyTerm
 
 STUDY = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4})
 RELAXING = dataclasses.replace(STUDY, viscoelastic=Prony((PronyTerm(0.3, 2.0),)))
-RADIUS, HEIGHT, SPEED, DEPTH, HOLD = 0.040, 0.070, 0.248e-3, 0.010, 60.0
+#: Radius, m.
+RADIUS = 0.040
+#: Height, m.
+HEIGHT = 0.070
+#: Speed, m/s.
+SPEED = 0.248e-3
+#: Depth, m.
+DEPTH = 0.010
+#: Duration of the hold, s.
+HOLD = 60.0
 LAWS = [("neo_hooke", {"C10": 500.0}), ("reduced_polynomial_2", {"C10": 500.0, "C20": 300.0}),
         ("mooney_rivlin", {"C10": 300.0, "C01": 300.0}), ("ogden_1", {"mu1": 1000.0, "alpha1": -4.0})]
 MODES = {"uniaxial": (nominal_stress_history, 1.0), "simple_shear": (shear_stress_history, 0.0)}

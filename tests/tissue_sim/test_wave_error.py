@@ -10,10 +10,13 @@ from tissue_sim.tool_force import axial_stiffness
 from tissue_sim.wave_error import REVERBERATION, WaveError, WaveScale
 
 #: Shear modulus, Pa, density, kg/m3, radius of the tool, m.
-MODULUS, DENSITY, RADIUS = 4e3, 1000.0, 6e-3
+MODULUS = 4e3
+DENSITY = 1000.0
+RADIUS = 6e-3
 #: Length of a tick, s.
 TICK = 1e-3
-CONVERGED, LATE = ts.ForceStatus.CONVERGED, ts.ForceStatus.LATE
+CONVERGED = ts.ForceStatus.CONVERGED
+LATE = ts.ForceStatus.LATE
 
 
 def model(friction="bonded", shape="flat"):

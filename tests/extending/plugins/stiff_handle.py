@@ -6,7 +6,8 @@ from haptics.devices.contracts import DeviceError, HapticDevice
 from tissue_sim.pose import Pose
 
 #: N/m of the spring, and N of the hand.
-SPRING, PUSH = 500.0, 2.0
+SPRING = 500.0
+PUSH = 2.0
 
 
 class StiffHandle(HapticDevice):

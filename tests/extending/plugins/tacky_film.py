@@ -10,8 +10,8 @@ from tissue_sim.parameters import parameter
 
 @dataclass(frozen=True)
 class TackyFilm(ContactLaw):
-    """The pull falls linearly to 0 at a thickness of the film; the drag grows smoothly with the slip up to mu p, beside
-    that of a film that is sheared elastically.
+    """The pull falls linearly to 0 at a thickness of the film; the drag is a friction that grows smoothly with
+    the slip up to mu p, plus the elastic shear of the film.
 
     Attributes:
         tack: Pa, of the pull; thickness: m.

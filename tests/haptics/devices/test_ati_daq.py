@@ -42,7 +42,8 @@ def volts_of(load):
 
 
 class TestAtiDaq(ForceSensorContract):
-    load, tolerance = LOAD, 1e-9
+    load = LOAD
+    tolerance = 1e-9
 
     @pytest.fixture
     def sensor(self):
@@ -62,7 +63,8 @@ BOARD = Board(volts_of(LOAD), 500.0)
 class TestByName(ForceSensorContract):
     """The function given by its import path."""
 
-    load, tolerance = LOAD, 1e-9
+    load = LOAD
+    tolerance = 1e-9
 
     @pytest.fixture
     def sensor(self, tmp_path, monkeypatch):

@@ -69,7 +69,8 @@ def emulator():
 
 
 class OverASerialLine(ForceSensorContract):
-    load, tolerance = LOAD, 1e-9
+    load = LOAD
+    tolerance = 1e-9
 
     @pytest.fixture
     def sensor(self):

@@ -29,7 +29,8 @@ while True:
 """
 
 #: Travel, m, and speed, m/s; the motion would take 50 s.
-HIGHEST, SPEED = 0.1, 0.002
+HIGHEST = 0.1
+SPEED = 0.002
 
 
 @pytest.mark.parametrize(("protocol", "late"), [

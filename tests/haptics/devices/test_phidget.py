@@ -28,7 +28,9 @@ class Stepper:
     """A controller with a motor; positions in counts of 1/16 step. Every speed is reached at once."""
 
     #: Clock, s, advanced by the test; True if the controller is attached; all instances.
-    now, attached, made = 0.0, True, []
+    now = 0.0
+    attached = True
+    made = []
 
     def __init__(self):
         Stepper.made.append(self)

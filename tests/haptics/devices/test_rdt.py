@@ -72,7 +72,8 @@ def received(client, count):
 
 
 class TestRdt(ForceSensorContract):
-    load, tolerance = LOAD, 1.1e-4
+    load = LOAD
+    tolerance = 1.1e-4
 
     @pytest.fixture
     def sensor(self, emulated):

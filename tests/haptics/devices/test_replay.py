@@ -31,7 +31,8 @@ def recording(time=None, **channels):
 
 
 class TestReplay(ForceSensorContract):
-    load, tolerance = (0.1, -0.2, 3.0, 0.01, 0.02, -0.03), 1e-12
+    load = (0.1, -0.2, 3.0, 0.01, 0.02, -0.03)
+    tolerance = 1e-12
 
     @pytest.fixture
     def sensor(self):
@@ -48,7 +49,8 @@ class TestReplay(ForceSensorContract):
 class TestByName(ForceSensorContract):
     """A file, replayed at double speed."""
 
-    load, tolerance = (2.5,), 1e-12
+    load = (2.5,)
+    tolerance = 1e-12
 
     @pytest.fixture
     def sensor(self, tmp_path):

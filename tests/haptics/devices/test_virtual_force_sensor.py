@@ -30,7 +30,8 @@ def sine(time):
 
 
 class TestVirtualForceSensor(ForceSensorContract):
-    load, tolerance = six(0.0), 0.5e-3
+    load = six(0.0)
+    tolerance = 0.5e-3
 
     @pytest.fixture
     def sensor(self):
@@ -47,7 +48,8 @@ class TestVirtualForceSensor(ForceSensorContract):
 class TestByName(ForceSensorContract):
     """A sensor made by its name."""
 
-    load, tolerance = (3.0,), 1e-9
+    load = (3.0,)
+    tolerance = 1e-9
 
     @pytest.fixture
     def sensor(self):

@@ -10,7 +10,9 @@ from haptics.devices.virtual.faults import Faults, read_faults
 from haptics.devices.virtual.rig import ElasticSpecimen, HistoryDependentSpecimen, VirtualRig
 from tissue_sim.errors import InputError
 
-SURFACE, STIFFNESS = 2e-3, 300.0
+SURFACE = 2e-3
+#: Stiffness, N/m.
+STIFFNESS = 300.0
 
 
 class Clock:
@@ -36,7 +38,8 @@ def rig_of(clock, rig=None, **options):
 class TestItsSensor(ForceSensorContract):
     """The sensor above the specimen."""
 
-    load, tolerance = (0.0,) * 6, 1e-9
+    load = (0.0,) * 6
+    tolerance = 1e-9
 
     @pytest.fixture
     def sensor(self):

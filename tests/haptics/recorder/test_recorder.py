@@ -303,7 +303,8 @@ def test_a_program_error_stops_the_stage(bench):
 class BrokenSensor:
     """Sensor that fails to start and to stop."""
 
-    channels, rate = ("Fz",), 100.0
+    channels = ("Fz",)
+    rate = 100.0
 
     def start(self):
         raise DeviceError("no sensor is there; plug it in")

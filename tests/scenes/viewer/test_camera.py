@@ -8,8 +8,14 @@ from scenes.viewer.camera import FIELD_OF_VIEW, PRESETS, camera_pose
 from scenes.viewer.revolution import Opening
 from scenes.viewer.tool_picture import base_plate, picture_height, tool_mesh
 
-NEEDLE, PLATE = ts.Tool("flat", radius=0.008), ts.Tool()
-STUDY, FLAT, TALL = ts.Specimen(0.04, 0.07), ts.Specimen(0.05, 0.01), ts.Specimen(0.01, 0.08)
+#: Flat needle.
+NEEDLE = ts.Tool("flat", radius=0.008)
+#: Plate.
+PLATE = ts.Tool()
+#: Parameters of the reference study, Pa.
+STUDY = ts.Specimen(0.04, 0.07)
+FLAT = ts.Specimen(0.05, 0.01)
+TALL = ts.Specimen(0.01, 0.08)
 OPENING = Opening()
 
 

@@ -9,7 +9,10 @@ from scenes.viewer.revolution import Opening, Surface, join_surfaces, revolved_s
 from tissue_sim.mesh import cylinder_mesh, needle_mesh
 from tissue_sim.mesh.elements import Q4P0, Q9P1
 
-RADIUS, HEIGHT = 0.04, 0.07
+#: Radius, m.
+RADIUS = 0.04
+#: Height, m.
+HEIGHT = 0.07
 #: Of the height; none at a node.
 LEVELS = np.linspace(-0.0613, -0.0011, 11)
 CUTS = (0.0, 60.0, 120.0, 180.0)

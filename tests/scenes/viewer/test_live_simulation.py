@@ -180,7 +180,8 @@ def tick(number, depth=0.0, force=0.0, stiffness=0.0, status=0, iterations=0, co
 class Written:
     """Loop without a process: the test writes its ticks and sets its clock."""
 
-    resolution, force_error = "realtime_35", 0.015
+    resolution = "realtime_35"
+    force_error = 0.015
 
     def __init__(self, folder):
         self.ring_path, self.snapshot_path = folder / "ring", folder / "snapshots"

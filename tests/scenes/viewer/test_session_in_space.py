@@ -17,7 +17,9 @@ from tissue_sim.fem.solver import SOLVERS
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 
-ANGLE, OFFSET = math.radians(15.0), 10e-3
+ANGLE = math.radians(15.0)
+#: Offset of the tool, m.
+OFFSET = 10e-3
 #: Steps of the way down.
 STAGES = 12
 LOOP = LoopSettings(period=20e-3, snapshot_rate=30.0, real_time=False, patience=1e4)

@@ -12,7 +12,9 @@ from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid import block_mesh, needle_solid
 from tissue_sim.pose import Pose
 
-SIDE, HEIGHT = 0.04, 0.03
+SIDE = 0.04
+#: Height, m.
+HEIGHT = 0.03
 LEVELS = np.linspace(-0.5, 1.5, 7)
 MATERIAL = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))
 every_element = pytest.mark.parametrize("element", (HEX8P0, HEX27P1), ids=lambda element: element.name)

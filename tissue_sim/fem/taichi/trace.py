@@ -1,9 +1,9 @@
 """Tracing of plug-in formulas, written in Python and NumPy, into code of a kernel.
 
-Taichi compiles the source of its own functions only. A formula of a plug-in is therefore called with `Traced` numbers
-when the kernel is compiled, and each operation becomes an operation of the kernel. The formula may call functions, loop
-and index; a branch must not depend on a number, for which ``numpy.where`` is used. Constant zeros and ones are folded,
-so that components that vanish in a plane or on an axis cost nothing.
+Taichi compiles the source of functions that carry its decorators only. A formula of a plug-in is therefore called with
+`Traced` numbers when the kernel is compiled, and each operation becomes an operation of the kernel. The formula may
+call functions, loop and index; a branch must not depend on a number, for which ``numpy.where`` is used. Constant zeros
+and ones are folded, so that components that vanish in a plane or on an axis cost nothing.
 
 The key of a compiled kernel consists of its operations, so that two formulas of the same name are two kernels.
 """
