@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.errors import InputError
+from tissue_sim.errors import InputError, reason_of
 from tissue_sim.files import require_small_archive
 from tissue_sim.packing import pack, run_packed
 
@@ -237,8 +237,7 @@ def _run(function: Callable[..., Any], arguments: tuple, folder: str, file: str,
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # exceptions of some libraries do not derive from Exception
-        reason = str(error) or "no reason stated"
-        raise InputError(f"cannot be read ({type(error).__name__}: {reason}); it is damaged, or its reader has an "
+        raise InputError(f"cannot be read ({type(error).__name__}: {reason_of(error)}); it is damaged, or its reader has an "
                          "error", file=file) from error
 
 

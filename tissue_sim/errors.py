@@ -12,6 +12,8 @@ from pathlib import Path
 LONGEST_SENTENCE = 300
 #: Largest number of characters of a quotation from the input.
 _QUOTED = 60
+#: Largest number of characters of the reason of another library's exception, which may quote a damaged file at length.
+_REASON = 80
 #: Number of characters to which a place (file, field) is shortened at most.
 _PLACE = 50
 _QUOTATION = re.compile(rf"""(?<!\w)(?:'[^']{{{_QUOTED},}}'|"[^"]{{{_QUOTED},}}")(?!\w)""")
@@ -85,6 +87,11 @@ def shortened(text: str, longest: int) -> str:
     return f"{text[:front]} ... {text[len(text) - (longest - 5 - front):]}"
 
 
+def reason_of(error: BaseException) -> str:
+    """Return the message of another library's exception, on one line of at most 80 printable characters."""
+    return shortened(_printable(" ".join(str(error).split())), _REASON) or type(error).__name__
+
+
 @contextmanager
 def located(*, file: str | Path | None = None, field: str | None = None, part: str = "") -> Iterator[None]:
     """Add a place to the input errors of the work inside; see `InputError.located`.
@@ -98,9 +105,8 @@ def located(*, file: str | Path | None = None, field: str | None = None, part: s
     except _MALFORMED as error:
         if file is None:
             raise
-        reason = str(error) or "no reason stated"
-        raise InputError(f"cannot be used ({type(error).__name__}: {reason}); look for odd names, numbers and nesting "
-                         "in it", file=file, field=field) from error
+        raise InputError(f"cannot be used ({type(error).__name__}: {reason_of(error)}); look for odd names, numbers and "
+                         "nesting in it", file=file, field=field) from error
 
 
 class ConvergenceError(RuntimeError):

@@ -7,7 +7,7 @@ import zipfile
 import numpy as np
 import openpyxl
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from tissue_sim import InputError, read_recording
@@ -206,6 +206,7 @@ def test_any_table_is_read_back(tmp_path, values, above, left):
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(position=st.floats(0, 1), data=st.binary(max_size=6), cut=st.integers(0, 60))
+@example(position=0.4227867497508596, data=b"\x00\x01", cut=2)
 def test_a_damaged_spreadsheet_is_read_or_refused(tmp_path, position, data, cut):
     path = tmp_path / "good.xlsx"
     if not path.exists():

@@ -14,7 +14,7 @@ from typing import Any
 import python_calamine as calamine
 import xlrd
 
-from tissue_sim.errors import InputError, located, nearest
+from tissue_sim.errors import InputError, located, nearest, reason_of
 from tissue_sim.files import ZIP_MAGIC, first_bytes, read_bytes
 from tissue_sim.recording.formats.cell_units import without_cell_units
 from tissue_sim.recording.formats.number_text import ExactNumber
@@ -75,9 +75,8 @@ def read_sheets(path: Path, sheet: str | int | Sequence[str | int] | None = None
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt | SystemExit | GeneratorExit | MemoryError):
             raise
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"cannot be read as {EXPECTED}: {reason}; open it in a spreadsheet program and save it again",
-                         file=path) from None
+        raise InputError(f"cannot be read as {EXPECTED}: {reason_of(error)}; open it in a spreadsheet program and save "
+                         "it again", file=path) from None
     filled = tuple(each for each in found if each.rows)
     if not filled:
         raise InputError(f"is empty, expected {EXPECTED} with a table", file=path,
