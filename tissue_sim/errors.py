@@ -105,8 +105,8 @@ def located(*, file: str | Path | None = None, field: str | None = None, part: s
     except _MALFORMED as error:
         if file is None:
             raise
-        raise InputError(f"cannot be used ({type(error).__name__}: {reason_of(error)}); look for odd names, numbers and "
-                         "nesting in it", file=file, field=field) from error
+        raise InputError(f"cannot be used ({type(error).__name__}: {reason_of(error)}); look for odd names, numbers "
+                         "and nesting in it", file=file, field=field) from error
 
 
 class ConvergenceError(RuntimeError):
