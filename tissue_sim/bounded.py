@@ -237,8 +237,8 @@ def _run(function: Callable[..., Any], arguments: tuple, folder: str, file: str,
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # exceptions of some libraries do not derive from Exception
-        raise InputError(f"cannot be read ({type(error).__name__}: {reason_of(error)}); it is damaged, or its reader has "
-                         "an error", file=file) from error
+        raise InputError(f"cannot be read ({type(error).__name__}: {reason_of(error)}); it is damaged, or its reader "
+                         "has an error", file=file) from error
 
 
 @contextlib.contextmanager
