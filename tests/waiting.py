@@ -8,7 +8,7 @@ T = TypeVar("T")
 #: Longest wait, s; generous for a busy machine.
 PATIENCE = 600.0
 #: Time between two evaluations of the condition, s: short against a test, long against an evaluation.
-INTERVAL = 2e-3
+INTERVAL = 5e-3
 
 
 def wait_until(condition: Callable[[], T], event: object = "the condition", seconds: float = PATIENCE) -> T:

@@ -188,7 +188,7 @@ def test_a_bonded_tool_feels_the_whole_solid_with_its_bulk_in_another_process():
             assert time.monotonic() < deadline
         np.testing.assert_allclose(answer.wrench, exact.step(pose, tolerance=1e-9).wrench, atol=1e-7)
         seen = tissue.snapshot()
-        assert seen.place[:, 2].min() < -0.0699 and seen.fields.at_nodes("von_mises").max() > 0.0
+        assert seen.node_positions[:, 2].min() < -0.0699 and seen.fields.at_nodes("von_mises").max() > 0.0
     finally:
         tissue.close()
     assert not tissue._link.alive
