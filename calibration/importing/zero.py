@@ -34,11 +34,13 @@ class ZeroSettings:
         decides: difference of the Bayesian information criterion above which the curve decides.
         describes: largest residual of a law that describes the curve, in standard deviations of the noise.
         alike: largest relative scatter of the load at zero between replicates with one common offset.
+        unloaded: largest reading of an unloaded and zeroed load cell, as a fraction of the load at zero displacement.
     """
 
     decides: float = 10.0
     describes: float = 2.0
     alike: float = 0.1
+    unloaded: float = 0.02
 
 
 #: Settings that the functions of this module use.
@@ -81,7 +83,8 @@ def with_zero(parts: Sequence[Part], sizes: Mapping[str, float], laws: Sequence[
         return tuple(parts), None
     shift, load = (float(np.mean([getattr(start, name) for _, start in found])) for name in ("shift", "load"))
     explanations = [_explain(curve, start, kind, sizes, laws) for curve, start in found]
-    assumption, value, best = _decide([each for each in explanations if each], found[0][1], kind, stated)
+    jump = _jump(parts, load)
+    assumption, value, best = _decide([each for each in explanations if each], found[0][1], kind, stated, jump)
     zero = Zero(value, best or shift, load)
     loads = [start.load for _, start in found]
     same = np.ptp(loads) <= _SETTINGS.alike * abs(load)
@@ -100,6 +103,24 @@ def _loading(recording: Recording, motion: Motion, kind: TestKind | None) -> tup
     if motion.failure is not None:
         end = min(end, motion.failure.index + 1)
     return way[:end], load[:end]
+
+
+def _jump(parts: Sequence[Part], load: float) -> str | None:
+    """Return the evidence that the load rises from zero within one sample; None: no such evidence.
+
+    A first sample that was left out and reads zero load may be right. Then the load cell was zeroed, the specimen was
+    unloaded, and the load jumps, as in a peel test or where static friction holds. No elastic law describes a jump.
+
+    Args:
+        parts: of one test. load: load at zero displacement, extrapolated from the samples that are kept, N.
+    """
+    for part in parts:
+        for recording, motion in zip(part.reading.recordings, part.motions, strict=True):
+            is_left_out = any(1 in each.samples and each.channel == "force" for each in motion.screening.left_out)
+            if is_left_out and abs(recording.force[0]) <= _SETTINGS.unloaded * abs(load):
+                return (f"sample 1, which is left out, reads {recording.force[0]:.3g} N: if it is right, the load cell "
+                        "was zeroed and the force jumps, which no elastic law describes. Check the kind of test")
+    return None
 
 
 def _explain(curve: tuple[np.ndarray, np.ndarray], start: LoadAtZero, kind: TestKind | None,
@@ -160,13 +181,18 @@ def linear_laws(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _decide(explanations: Sequence[tuple[dict[str, _Explanation], float]], start: LoadAtZero,
-            kind: TestKind | None, stated: str | None) -> tuple[Assumption, str, float | None]:
-    """Return the assumption, its value, and the fitted shift of contact, m."""
+            kind: TestKind | None, stated: str | None, jump: str | None) -> tuple[Assumption, str, float | None]:
+    """Return the assumption, its value, and the fitted shift of contact, m.
+
+    Args:
+        explanations: of the recordings. start: load at zero of the first one. kind: of the test.
+        stated: value that the user states. jump: see `_jump`; with a jump the curve does not decide.
+    """
     if start.load < 0 and kind is not None and not kind.can_pull:
         return _against_the_load(start, stated), SENSOR, None
     words = {**_WORDS, PRELOAD: _AGAINST} if start.load < 0 else _WORDS
     evidence = [f"the force at zero displacement is {start.load:.3g} N, {100 * start.fraction:.0f} % of its range"]
-    against: list[str] = []
+    against = [jump] if jump else []
     value, ratio, shift = stated or PRELOAD, None, None
     decided = False
     if explanations:
@@ -177,7 +203,7 @@ def _decide(explanations: Sequence[tuple[dict[str, _Explanation], float]], start
         ratio = float(np.mean([found[other].modulus / found[value].modulus for found, _ in explanations]))
         shift = float(np.mean([found[PRELOAD].shift for found, _ in explanations]))
         describes = all(found[better].residual <= _SETTINGS.describes * noise for found, noise in explanations)
-        decided = describes and max(criteria.values()) - min(criteria.values()) > _SETTINGS.decides
+        decided = jump is None and describes and max(criteria.values()) - min(criteria.values()) > _SETTINGS.decides
         residuals = {each: np.mean([found[each].residual for found, _ in explanations]) for each in _WORDS}
         said = f"residuals of {residuals[value]:.2g} N, with the other explanation {residuals[other]:.2g} N"
         (evidence if criteria[value] <= criteria[other] else against).append(said)

@@ -128,6 +128,15 @@ def test_a_load_cell_that_was_not_zeroed(tmp_path):
     assert fit.mu0 == pytest.approx(20e3, rel=0.01)
 
 
+def test_a_load_that_may_jump_from_zero_is_a_question(tmp_path):
+    load = force(WAY) + 20.0 + noise(TIME.size)
+    path = write(tmp_path, WAY, changed(load, 0, -0.01))
+    imported = calibration.import_files([path], tmp_path / "gel.toml", wishes())
+    assert not imported.complete and "--zero sensor" in imported.questions[0]
+    against, = (each.against for _, each in imported.assumptions if each.subject == "zero of displacement and force")
+    assert "the load cell was zeroed and the force jumps" in against[0]
+
+
 def test_a_load_at_zero_that_the_curve_does_not_explain_is_a_question(tmp_path):
     path = write(tmp_path, WAY, force(WAY + 0.4) + noise(TIME.size, 0.05))
     imported = calibration.import_files([path], tmp_path / "gel.toml", wishes())

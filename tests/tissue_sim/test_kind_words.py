@@ -26,7 +26,8 @@ def names(text):
     ("Essai d'éclatement", "burst"), ("Zugscherversuch", "lap_shear"), ("compact tension", "fracture"),
     ("trouser tear", "tear"), ("Brazilian disc", "diametral_compression"), ("plane-strain compression",
                                                                             "plane_strain_compression"),
-    ("surface tension", "surface_tension"), ("planar", "planar_tension")])
+    ("surface tension", "surface_tension"), ("planar", "planar_tension"), ("180 degree peel", "peel"),
+    ("T-peel, 90°", "peel"), ("Test method: loop tack", "tack"), ("Prüfart; Burst, water", "burst")])
 def test_words_of_tests_without_a_kind(text, expected):
     assert expected in {each.name for each in UNKNOWN_TESTS}
     assert names(text) == [expected]
@@ -37,12 +38,13 @@ def test_words_of_tests_without_a_kind(text, expected):
     ("Simple shear", "simple_shear"), ("Zugversuch", "uniaxial_tension"), ("Essai de traction", "uniaxial_tension"),
     ("Druckversuch", "lubricated_compression"), ("Kompressionsversuch", "lubricated_compression"),
     ("Scherversuch", "simple_shear"), ("needle_indentation", "needle_indentation"),
-    ("bonded compression", "bonded_compression")])
+    ("bonded compression", "bonded_compression"), ("Test method: tension, die cut", "uniaxial_tension")])
 def test_words_of_registered_kinds(text, expected):
     assert names(text) == [expected]
 
 
-@pytest.mark.parametrize("text", ["Volumetric strain", "Operator: Peel", "planar sheet", "Load cell", "gel 3"])
+@pytest.mark.parametrize("text", ["Volumetric strain", "Operator: Peel", "planar sheet", "Load cell", "gel 3", "Test specimen: cut",
+                                  "Peel off the film"])
 def test_words_that_name_no_test(text):
     assert names(text) == []
 

@@ -20,6 +20,9 @@ _LONGEST_LINE = 2000
 _PEOPLE = re.compile(r"^\W*(operator|tester|user|author|customer|company|client|laboratory|lab|prufer|bearbeiter|kunde|"
                      r"firma|operateur|utilisateur|software|program|file|path|datei|machine|device|instrument|"
                      r"load frame|load cell|maschine|gerat|appareil)\b")
+#: Entries above a table whose value is the name of the test.
+_TEST_ENTRY = re.compile(r"^(?:(?:test|prufung|versuchs?|essai) (?:method|type|kind|mode|name|procedure|standard)|method|"
+                         r"procedure|prufverfahren|prufart|versuchsart|methode|(?:type|nom) d essai)\b(?P<value>.*)$")
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,10 @@ def _in_line(line: str, hint: Hint) -> Iterator[NamedTest]:
         for match in pattern.finditer(text):
             matches.append((*match.span(), unknown is not None,
                             NamedTest(match[0], hint.where, kind, unknown, is_short)))
+    entry = None if matches else _TEST_ENTRY.match(text)
+    if entry is not None:
+        yield from (NamedTest(match[0], hint.where, unknown=unknown) for unknown in _unregistered(_kinds())
+                    for word in unknown.alone if (match := re.search(rf"\b{word}\b", entry["value"])))
     # The longest first, and of equal ones that of a registered kind; a word inside a longer one is ignored.
     matches.sort(key=lambda each: (each[0] - each[1], each[2]))
     kept: list[tuple[int, int, bool, NamedTest]] = []
@@ -113,6 +120,12 @@ def _kinds() -> tuple[tuple[str, str, tuple[str, ...]], ...]:
     return tuple((name, kind.title, kind.title_words) for name, kind in KINDS.items())
 
 
+def _unregistered(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]) -> tuple[UnknownTest, ...]:
+    """Return the tests of `UNKNOWN_TESTS` under whose name no kind is registered."""
+    names = {name for name, *_ in kinds}
+    return tuple(test for test in UNKNOWN_TESTS if test.name not in names)
+
+
 @lru_cache(maxsize=8)
 def _patterns(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]
               ) -> tuple[tuple[re.Pattern[str], str | None, UnknownTest | None, bool], ...]:
@@ -121,10 +134,10 @@ def _patterns(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]
     for name, title, own in kinds:
         words += [(rf"\b(?:{word})\b", name, None, False) for word in (*own, plain_text(name), plain_text(title))]
         words += [(rf"\b(?:{word})\b", name, None, True) for word in _SHORT.get(name, ())]
-    names = [name for name, *_ in kinds]
+    without_kind = _unregistered(kinds)
     for test in UNKNOWN_TESTS:
         # A kind that is registered under this name takes the words over.
-        kind, unknown = (test.name, None) if test.name in names else (None, test)
+        kind, unknown = (None, test) if test in without_kind else (test.name, None)
         words += [(rf"\b(?:{word})\b", kind, unknown, False) for word in test.words]
         words += [(rf"\b(?:{word})\b", kind, unknown, True) for word in test.short]
         words += [(rf"^(?:{word})(?: \d+)*$", kind, unknown, False) for word in test.alone]

@@ -19,7 +19,7 @@ class UnknownTest:
         words: regular expressions in English, German and French.
         difference: why no registered kind may be taken for the test; completes "<title> is ...".
         short: abbreviations that count in the name of a file only. alone: words that count only as the whole text, such
-            as the name of a sheet, with or without a number.
+            as the name of a sheet, with or without a number, or anywhere in an entry for the test method that names no other test.
     """
 
     name: str
@@ -76,7 +76,8 @@ UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
         r"[34] ?pb"),
         "neither tension nor compression: one side is stretched and the other compressed"),
     UnknownTest("peel", "a peel test", (
-        r"(t )?peel(ing)? (tests?|force|load|strength|angle)", r"t peel", r"peeling",
+        r"(t )?peel(ing)? (tests?|force|load|strength|angle|resistance|\d+)", r"peeling",
+        r"(\d+|degrees?|deg|grad|t|drum|roller|arm|wheel) peel",
         r"(ab)?schae?l(versuch|prufung|pruefung|test|kraft|festigkeit|widerstand)\w*",
         r"(de)?pelage"),
         "not tension: its force measures the adhesion of a front that moves", alone=("peel",)),
