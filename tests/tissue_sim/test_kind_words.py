@@ -43,8 +43,8 @@ def test_words_of_registered_kinds(text, expected):
     assert names(text) == [expected]
 
 
-@pytest.mark.parametrize("text", ["Volumetric strain", "Operator: Peel", "planar sheet", "Load cell", "gel 3", "Test specimen: cut",
-                                  "Peel off the film"])
+@pytest.mark.parametrize("text", ["Volumetric strain", "Operator: Peel", "planar sheet", "Load cell", "gel 3",
+                                  "Test specimen: cut", "Peel off the film"])
 def test_words_that_name_no_test(text):
     assert names(text) == []
 

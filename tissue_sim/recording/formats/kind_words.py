@@ -21,8 +21,8 @@ _PEOPLE = re.compile(r"^\W*(operator|tester|user|author|customer|company|client|
                      r"firma|operateur|utilisateur|software|program|file|path|datei|machine|device|instrument|"
                      r"load frame|load cell|maschine|gerat|appareil)\b")
 #: Entries above a table whose value is the name of the test.
-_TEST_ENTRY = re.compile(r"^(?:(?:test|prufung|versuchs?|essai) (?:method|type|kind|mode|name|procedure|standard)|method|"
-                         r"procedure|prufverfahren|prufart|versuchsart|methode|(?:type|nom) d essai)\b(?P<value>.*)$")
+_TEST_ENTRY = re.compile(r"^(?:(?:test|prufung|versuchs?|essai) (?:method|type|kind|mode|name|procedure|standard)|"
+                         r"method|procedure|prufverfahren|prufart|versuchsart|methode|(?:type|nom) d essai)\b(?P<value>.*)$")
 
 
 @dataclass(frozen=True)

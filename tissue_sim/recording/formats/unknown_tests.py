@@ -19,7 +19,8 @@ class UnknownTest:
         words: regular expressions in English, German and French.
         difference: why no registered kind may be taken for the test; completes "<title> is ...".
         short: abbreviations that count in the name of a file only. alone: words that count only as the whole text, such
-            as the name of a sheet, with or without a number, or anywhere in an entry for the test method that names no other test.
+            as the name of a sheet, with or without a number, or in an entry for the test method that names no other
+            test.
     """
 
     name: str
