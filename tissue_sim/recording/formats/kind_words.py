@@ -22,7 +22,8 @@ _PEOPLE = re.compile(r"^\W*(operator|tester|user|author|customer|company|client|
                      r"load frame|load cell|maschine|gerat|appareil)\b")
 #: Entries above a table whose value is the name of the test.
 _TEST_ENTRY = re.compile(r"^(?:(?:test|prufung|versuchs?|essai) (?:method|type|kind|mode|name|procedure|standard)|"
-                         r"method|procedure|prufverfahren|prufart|versuchsart|methode|(?:type|nom) d essai)\b(?P<value>.*)$")
+                         r"method|procedure|prufverfahren|prufart|versuchsart|methode|(?:type|nom) d essai)\b"
+                         r"(?P<value>.*)$")
 
 
 @dataclass(frozen=True)
