@@ -142,7 +142,7 @@ def _repeats(text: str) -> int:
 
 
 def about(name: str, peers: Sequence[str] = ()) -> dict:
-    """How every result begins: name, date, machine, versions."""
+    """Return the head of a result: name, date, machine, versions."""
     return {"benchmark": name, "date": date.today().isoformat(), "machine": machine(),
             "versions": {"Python": platform.python_version(), "tissue_sim": ts.__version__,
                          **{each: version(each) for each in (*peers, "taichi", "numpy", "scipy")}}}

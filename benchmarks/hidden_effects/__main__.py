@@ -111,7 +111,7 @@ def check_seeds(seeds: Sequence[int], digest: str, *, sealed: bool, ledger: Path
 
 
 def run_all(planned: Sequence[Planned], results: Results, digest: str, workers: Workers, *, quiet: bool) -> None:
-    """What is not finished yet; a line for each."""
+    """Run the planned cases without a result, and print one line for each."""
     done = {run["name"] for run in results.read()}
     left = [one for one in planned if one.name not in done]
 

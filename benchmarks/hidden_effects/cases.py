@@ -1,7 +1,7 @@
-"""What is hidden in the study: forms, sizes and their sources, outsiders and pairs.
+"""Hidden effects of the study: forms, sizes with sources, effects outside the catalogue, and pairs.
 
-A case says what a test reads with it at one size. ``exact`` is the form that the catalogue has, ``other`` the same
-physics in another form. Sizes are drawn between `low` and `high`, which are physical; the sources say whose numbers.
+A case computes the force that a test reads with the effect at one size. The form ``exact`` is that of the catalogue;
+``other`` is the same physics in another form. Sizes are drawn between the physical limits `low` and `high`.
 """
 
 from __future__ import annotations
@@ -51,12 +51,13 @@ _STRIPS = 200
 
 @dataclass(frozen=True)
 class Case:
-    """Something that is hidden.
+    """Hidden effect in one form.
 
     Attributes:
-        effect: name in the catalogue; empty: nothing in it. form: ``exact``, ``other``, or what an outsider is called.
-        low, high: of the size, in `unit`. source: of these. origin: of the curves. force: (test, size) -> N at its
-            samples.
+        effect: name in the catalogue; empty: the catalogue does not have the effect.
+        form: ``exact``, ``other``, or the name of an effect outside the catalogue.
+        low, high: limits of the size, in `unit`. source: source of the limits. origin: origin of the curves.
+        force: function (test, size) -> force at the samples of the test, N.
     """
 
     effect: str
@@ -74,7 +75,7 @@ class Case:
 
 
 def _fem(paths: Callable[[float], Mapping[str, float]], kinds: str = "ABC") -> Force:
-    """An effect with a field, in tests of these kinds."""
+    """Return the force of an effect that is a parameter of the model, in tests of these kinds."""
     def force(test: VirtualTest, size: float) -> np.ndarray:
         if test.kind not in kinds:
             return plain(test.kind, test.displacement)
@@ -91,7 +92,7 @@ def _law(name: str) -> Force:
 
 
 def _moved(tool: Callable[[VirtualTest, float], np.ndarray], names: tuple[str, ...] = ()) -> Force:
-    """The plain force where the tool truly is, in tests of these names (none: in all)."""
+    """Return the plain force at the true position of the tool, in tests of these names (empty: all tests)."""
     def force(test: VirtualTest, size: float) -> np.ndarray:
         if names and test.name not in names:
             return plain(test.kind, test.displacement)
@@ -101,7 +102,7 @@ def _moved(tool: Callable[[VirtualTest, float], np.ndarray], names: tuple[str, .
 
 def _read(reading: Callable[[VirtualTest, np.ndarray, float], np.ndarray], names: tuple[str, ...] = (),
           kinds: str = "ABC") -> Force:
-    """What is read of the plain force, in tests of these names (none: in all) and kinds."""
+    """Return the reading of the plain force, in tests of these names (empty: all tests) and kinds."""
     def force(test: VirtualTest, size: float) -> np.ndarray:
         true = plain(test.kind, test.displacement)
         acts = (not names or test.name in names) and test.kind in kinds
@@ -110,7 +111,7 @@ def _read(reading: Callable[[VirtualTest, np.ndarray, float], np.ndarray], names
 
 
 def _relaxing(relaxation: Callable[[VirtualTest, float], Callable[[np.ndarray], np.ndarray]]) -> Force:
-    """Relaxation on the force; plates without a bond do not pull."""
+    """Return the force with relaxation; plates without bond transmit no tension."""
     def force(test: VirtualTest, size: float) -> np.ndarray:
         answer = hereditary(test, plain(test.kind, test.displacement), relaxation(test, size))
         return np.maximum(answer, 0.0) if test.kind == "A" else answer
@@ -137,7 +138,7 @@ def _drained(test: VirtualTest, phi: float):
 
 
 def _compliant(yields: Callable[[np.ndarray, float], np.ndarray]):
-    """Where the tool is behind a load train that gives way by `yields` of the force, m."""
+    """Return the position of the tool, m, at the end of a load train that deforms by `yields(force, size)`."""
     def tool(test: VirtualTest, size: float) -> np.ndarray:
         there = test.displacement.copy()
         for _ in range(60):
@@ -147,7 +148,7 @@ def _compliant(yields: Callable[[np.ndarray, float], np.ndarray]):
 
 
 def _play(test: VirtualTest, b: float, wind: float = 0.0) -> np.ndarray:
-    """Lost motion after the reversal, at once or wound up over a way of `wind` m."""
+    """Return the displacement with backlash `b` (m) after the reversal, at once or over a distance `wind`, m."""
     back = test.direction < 0
     way = DEPTH - test.displacement
     lost = np.minimum(b, way) if not wind else b * (1.0 - np.exp(-way / wind))
@@ -155,7 +156,7 @@ def _play(test: VirtualTest, b: float, wind: float = 0.0) -> np.ndarray:
 
 
 def _strips(test: VirtualTest, tilt: float) -> np.ndarray:
-    """Face that leans, of strips that do not hinder each other."""
+    """Return the force of a tilted face: mean of the plain forces at the local depths of independent strips."""
     angle = (np.arange(_STRIPS) + 0.5) * np.pi / _STRIPS
     x, weight = np.cos(angle), np.sin(angle) ** 2
     behind = 0.5 * tilt * (1.0 - x)
@@ -164,8 +165,11 @@ def _strips(test: VirtualTest, tilt: float) -> np.ndarray:
 
 
 def _touching(test: VirtualTest, tilt: float) -> np.ndarray:
-    """Face that leans, by what of it touches: stiffness goes with the area under plates, and with its root where a
-    punch rests on a half-space; the depth is the mean over what touches."""
+    """Return the force of a tilted face from its contact area.
+
+    The stiffness is proportional to the area between plates, and to its square root under a punch on a half-space. The
+    depth is the mean over the contact area.
+    """
     angle = (np.arange(_STRIPS) + 0.5) * np.pi / _STRIPS
     x, weight = np.cos(angle), np.sin(angle) ** 2
     gap = test.displacement[:, None] - 0.5 * tilt * (1.0 - x)
@@ -191,18 +195,18 @@ def _friction(growing: bool) -> Force:
         if test.kind != "A":
             return free
         added = simulated(test, {"experiment.friction": size}) - simulated(test, {})
-        # A lubricant that is squeezed out.
+        # The friction of a lubricant that is squeezed out grows with time.
         return free + added * (np.minimum(test.time / test.ramp, 1.0) if growing else 1.0)
     return force
 
 
 def _softened(test: VirtualTest, true: np.ndarray, r: float) -> np.ndarray:
-    """On the return the less, the farther back."""
+    """Return the force of a material that softens during unloading, more with distance from the peak."""
     return np.where(test.direction < 0, true * (1.0 - r * (1.0 - test.displacement / DEPTH)), true)
 
 
 def _cut(test: VirtualTest, true: np.ndarray, drop: float) -> np.ndarray:
-    """A needle that cuts from a depth on: within 0.2 mm the force falls, then it rises by its shaft alone."""
+    """Return the force of a needle that cuts below a depth: it falls within 0.2 mm and then rises by shaft friction."""
     below = (test.depth > PUNCTURED) & (test.direction > 0) | (test.direction <= 0)
     level = float(plain("C", np.array([PUNCTURED]))[0])
     ahead = np.maximum(test.depth - PUNCTURED, 0.0)
@@ -216,10 +220,10 @@ def _late(test: VirtualTest, true: np.ndarray, dt: float) -> np.ndarray:
 
 
 def _filtered(test: VirtualTest, true: np.ndarray, time_constant: float) -> np.ndarray:
-    """A low-pass filter of first order instead of a delay."""
+    """Return the force after a first-order low-pass filter, which replaces the delay."""
     answer, step = np.zeros_like(true), np.diff(test.time)
     for k, (dt, slope) in enumerate(zip(step, np.diff(true) / step, strict=True)):
-        # Exact between samples, where the true force is taken as straight.
+        # Exact solution for a true force that is linear between samples.
         behind = answer[k] - true[k] + time_constant * slope
         answer[k + 1] = true[k + 1] - time_constant * slope + behind * np.exp(-dt / time_constant)
     return answer
@@ -235,7 +239,7 @@ def _warming(test: VirtualTest, true: np.ndarray, change: float) -> np.ndarray:
 
 
 def _individuals(test: VirtualTest, size: float) -> np.ndarray:
-    """Specimens whose C20 differs twice as much as their C10."""
+    """Return the force of specimens whose C20 varies twice as much as C10."""
     true, change = plain(test.kind, test.displacement), size * SPECIMENS[test.specimen]
     by_second = C20 * moduli_change(test)[:, 1]
     return (1 + change) * true + change * by_second
@@ -363,15 +367,15 @@ def _ripple(test: VirtualTest, true: np.ndarray, size: float) -> np.ndarray:
 
 
 def _stalled(test: VirtualTest, size: float) -> np.ndarray:
-    """A stage that stops unreported in one test, and catches up."""
+    """Return the displacement of a stage that stops without a report and catches up later, m."""
     at, way = 5e-3, np.maximum.accumulate(test.displacement)
     behind = np.clip(way - at, 0.0, size) - 3.0 * np.clip(way - at - size, 0.0, size / 3.0)
     return test.displacement - np.where(test.direction > 0, behind, 0.0)
 
 
 def outside() -> dict[str, Case]:
-    """What no catalogue has."""
-    none = "no range: as large as it has to be"
+    """Return the cases whose effects are in no catalogue."""
+    none = "no physical range: as large as needed"
     saturated = 6.0
     cases = [
         Case("", "stick-slip ripple", 1e-3, 1.0, "N", none, "independent", _read(_ripple)),
@@ -387,7 +391,7 @@ def outside() -> dict[str, Case]:
     return {case.key: case for case in cases}
 
 
-#: Two effects at once, of different regions.
+#: Pairs of effects that act in different regions of the curve.
 PAIRS = (("viscoelasticity/exact", "machine_compliance/exact"), ("viscoelasticity/exact", "contact_offset/exact"),
          ("poroelasticity/exact", "zero_offset/exact"), ("sensor_drift/exact", "step_loss/exact"),
          ("softening/exact", "tilt/exact"), ("latency/exact", "partial_slip/exact"),
@@ -395,7 +399,7 @@ PAIRS = (("viscoelasticity/exact", "machine_compliance/exact"), ("viscoelasticit
 
 
 def both(first: Case, second: Case, sizes: tuple[float, float]) -> Callable[[VirtualTest], np.ndarray]:
-    """Force of a test with two effects, which add up."""
+    """Return the force of a test with two additive effects, N."""
     def force(test: VirtualTest) -> np.ndarray:
         true = plain(test.kind, test.displacement)
         return first.force(test, sizes[0]) + second.force(test, sizes[1]) - true
@@ -403,7 +407,10 @@ def both(first: Case, second: Case, sizes: tuple[float, float]) -> Callable[[Vir
 
 
 def moduli_change(test: VirtualTest) -> np.ndarray:
-    """Change of the force with C10 and C20, N/Pa, shape (n, 2); together they give it, because it grows with both."""
+    """Return the derivatives of the force with respect to C10 and C20, N/Pa, shape (n, 2).
+
+    The force is linear in both moduli, so that it is the sum of modulus times derivative.
+    """
     step = 0.05 * C20
     if test.kind == "A":
         by_second = (lubricated(test.displacement, {"C20": C20 + step}) - lubricated(test.displacement)) / step

@@ -1,6 +1,6 @@
-"""What people do with the same recordings otherwise: least squares and R2, BIC, a Gaussian-process discrepancy.
+"""Usual methods on the same recordings: least squares with R2, BIC, and a Gaussian-process discrepancy.
 
-All know the plain model exactly: its force on a fine mesh, without an error of the mesh.
+Each method uses the exact plain model: its force on a fine mesh, without discretisation error.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from benchmarks.hidden_effects.truth import C10, SLOW, VirtualTest, lubricated, 
 RATIOS = (0.0, 0.15, 0.3, 0.5, 0.75, 1.0, 1.5, 2.5)
 #: Number of points of a test for the Gaussian process.
 POINTS = 40
-#: Scale of the discrepancy and its length from which a search starts: logarithms of shares of the largest force and of
-#: the duration.
+#: Start values of amplitude and length of the discrepancy: logarithms of fractions of the largest force and of the
+#: duration.
 _STARTS = ((-5.0, -1.5), (-3.5, -2.5))
 
 #: Recordings of a test: its motion, and forces, N, shape (replicates, n).
@@ -32,7 +32,7 @@ Recorded = Sequence[tuple[VirtualTest, np.ndarray]]
 
 @cache
 def _unit_curves(kind: str) -> tuple[CubicSpline, CubicSpline]:
-    """Force over C10 against depth for a row of ratios, and the interpolation between these."""
+    """Return splines of the force per C10 over depth for each ratio C20 / C10, and between the ratios."""
     test = VirtualTest(kind, kind, SLOW, False, 10.0)
     curves = [lubricated(test.displacement, {"C10": C10, "C20": ratio * C10}) if kind == "A" else
               simulated(test, {}, {"C10": C10, "C20": ratio * C10}) for ratio in RATIOS]
@@ -57,7 +57,7 @@ def _jacobian(tests: Sequence[tuple[VirtualTest, np.ndarray]], moduli: np.ndarra
 
 
 def ordinary(recorded: Recorded) -> dict:
-    """Least squares of the loading curves, all recordings as they are; R2 and the usual standard errors."""
+    """Return the least-squares fit of all loading curves, with R2 and the usual standard errors."""
     parts = [(test, test.direction > 0, forces) for test, forces in recorded if not test.held_out]
     data = np.concatenate([forces[:, rows].ravel() for _, rows, forces in parts])
 
@@ -73,9 +73,9 @@ def ordinary(recorded: Recorded) -> dict:
 
 
 def best_by_bic(candidates: Sequence[Mapping], samples: float) -> dict:
-    """The effect with the best BIC, whatever is left: no abstaining, no adequacy.
+    """Return the effect with the best BIC, without abstention and without a test of adequacy.
 
-    Where the diagnosis did not fit a candidate, its score stands for the gain of the likelihood.
+    The score of a candidate that the diagnosis did not fit replaces its gain of the likelihood.
     """
     gains: dict[str, float] = {}
     for row in candidates:
@@ -90,7 +90,7 @@ def best_by_bic(candidates: Sequence[Mapping], samples: float) -> dict:
 
 def _covariance(test: VirtualTest, rows: np.ndarray, largest: float, noise: float, replicates: int, scale: float,
                 length: float) -> np.ndarray:
-    """Of the mean of the replicates: discrepancy, noise, contact and zero."""
+    """Return the covariance of the mean of the replicates, N2: discrepancy, noise, contact jitter and zero jitter."""
     time = test.time[rows] / test.time[-1]
     discrepancy = (scale * largest) ** 2 * np.exp(-0.5 * ((time[:, None] - time[None]) / length) ** 2)
     step = 1e-6
@@ -102,13 +102,15 @@ def _covariance(test: VirtualTest, rows: np.ndarray, largest: float, noise: floa
 
 
 def gaussian_process(recorded: Recorded, noise: float) -> dict:
-    """A smooth discrepancy in every test, marginalised (Kennedy and O'Hagan, J. R. Statist. Soc. B 63 (2001) 425).
+    """Fit the moduli with a smooth marginalised discrepancy in every test.
 
-    One squared-exponential process a test, of the same relative size and length in time; both by the likelihood, in
-    which the moduli are profiled. It sees the mean of the replicates.
+    Kennedy and O'Hagan, J. R. Statist. Soc. B 63 (2001) 425.
+
+    Each test has one squared-exponential process. All have the same relative amplitude and length in time, which
+    maximise the likelihood profiled over the moduli. The data are the means of the replicates.
 
     Args:
-        noise: of a sample, N.
+        recorded: tests and their forces, N. noise: standard deviation of a sample, N.
     """
     parts = []
     for test, forces in recorded:

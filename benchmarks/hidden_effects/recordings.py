@@ -19,7 +19,7 @@ _KINDS = {"A": "lubricated_compression", "B": "bonded_compression", "C": "needle
 
 @dataclass(frozen=True)
 class Scatter:
-    """How recordings differ.
+    """Differences between the recordings of a test.
 
     Attributes:
         coloured: whether the noise is correlated. rounded: whether the sensor rounds. jitter: ``normal``, ``skewed``
@@ -32,14 +32,17 @@ class Scatter:
 
 
 def draw_scatter(rng: np.random.Generator, other_form: bool, coloured: bool | None = None) -> Scatter:
-    """A third of the data is rounded, a third correlated; where a form is another one, so is the jitter's."""
+    """Draw the scatter of a campaign: one third is rounded, one third has correlated noise.
+
+    An effect in another form also has another distribution of the jitter.
+    """
     rolled, colour = rng.uniform(size=2)
     jitter = str(rng.choice(["normal", "skewed", "outlier"])) if other_form else "normal"
     return Scatter(bool(colour < 1 / 3) if coloured is None else coloured, bool(rolled < 1 / 3), jitter)
 
 
 def _shifts(rng: np.random.Generator, jitter: str) -> np.ndarray:
-    """Of the contact, in deviations, shape (replicates,)."""
+    """Draw the shifts of contact in standard deviations, shape (replicates,)."""
     if jitter == "skewed":
         return rng.exponential(size=REPLICATES) - 1.0
     shifts = rng.standard_normal(REPLICATES)
@@ -49,7 +52,10 @@ def _shifts(rng: np.random.Generator, jitter: str) -> np.ndarray:
 
 
 def noise(rng: np.random.Generator, time: np.ndarray, coloured: bool) -> np.ndarray:
-    """Of the sensor, N, shape of `time`; correlated noise has the autocorrelation exp(-lag / time)."""
+    """Draw the noise of the sensor, N, shape of `time`.
+
+    Correlated noise has the autocorrelation exp(-lag / `CORRELATED`).
+    """
     white = rng.standard_normal(time.size)
     if coloured:
         kept = np.exp(-np.diff(time) / CORRELATED)
@@ -60,7 +66,7 @@ def noise(rng: np.random.Generator, time: np.ndarray, coloured: bool) -> np.ndar
 
 def write_campaign(folder: Path, tests: Sequence[VirtualTest], forces: Callable[[VirtualTest], np.ndarray],
                    scatter: Scatter, rng: np.random.Generator) -> Path:
-    """Recordings and a campaign that states nothing of their noise.
+    """Write recordings and a campaign that does not state their noise.
 
     Args:
         folder: for all files. tests: of the protocol. forces: of a test, N, without scatter. rng: of the scatter.

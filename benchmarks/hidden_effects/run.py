@@ -64,7 +64,7 @@ class Planned:
 
 
 def code_hash() -> str:
-    """Of the code of the diagnosis, its thresholds and the frozen table of sizes."""
+    """Return the SHA-256 of the code of the diagnosis, its thresholds and the frozen table of sizes."""
     digest = hashlib.sha256()
     files = [ROOT / "calibration" / "campaign_diagnosis.py",
              *(file for folder in HASHED for file in sorted((ROOT / "calibration" / folder).rglob("*.py"))), TABLE]
@@ -187,7 +187,7 @@ def _on(test: VirtualTest, curve) -> np.ndarray:
 
 
 def _said(done: Diagnosed) -> dict:
-    """What a diagnosis says, in plain numbers."""
+    """Return a diagnosis as a dictionary of plain values."""
     said = done.diagnosis
     weights: dict[str, float] = {}
     for row in said.candidates:

@@ -80,7 +80,10 @@ def share(runs: Sequence[Run], is_hit: Callable[[Run], bool]) -> dict:
 
 
 def probabilities(run: Run) -> dict[str, float]:
-    """What a verdict bets on each answer: all but `LEFT` on what it says, a set by its evidence ratios."""
+    """Return the probability that a verdict assigns to each answer.
+
+    The reported answers share 1 - `LEFT`, those of a set in proportion to their evidence; all answers share `LEFT`.
+    """
     verdict, names = run["verdict"], reported(run)
     bets: dict[str, float] = defaultdict(float)
     if verdict in ANSWERS:
@@ -120,7 +123,7 @@ def confidence(run: Run) -> float | None:
 
 
 def words(runs: Iterable[Run]) -> list[dict]:
-    """How often the best was right, by the share of the evidence that it had."""
+    """Return how often the best candidate was right, by levels of its fraction of the evidence."""
     rows = []
     said = [(confidence(run), run) for run in runs]
     for low, high in itertools.pairwise(LEVELS):
@@ -135,7 +138,7 @@ def best_of(run: Run) -> str:
 
 
 def said_at_20_to_1(runs: Iterable[Run]) -> dict:
-    """Of verdicts that exclude all others at 20 : 1 or more (a unique name), the share that is wrong."""
+    """Return the fraction of wrong verdicts among those that exclude all others by 20 : 1 or more (a unique name)."""
     return share([run for run in runs if outcome(run) in ("right", "wrong")], lambda run: outcome(run) == "wrong")
 
 
@@ -151,8 +154,11 @@ def error_against_coverage(runs: Sequence[Run], confidences: Sequence[float | No
 
 
 def bias(runs: Iterable[Run], truth: dict[str, float]) -> dict:
-    """Of runs that named the truth: root mean square error of the moduli before and after, relative, and what the 95 %
-    intervals after hold."""
+    """Return the relative rms error of the moduli before and after, and the coverage of the 95 % intervals.
+
+    Args:
+        runs: runs that named the hidden effect. truth: name -> true modulus, Pa.
+    """
     answer: dict = {}
     named = [run for run in runs if run["fit_after"] is not None]
     for name, value in truth.items():

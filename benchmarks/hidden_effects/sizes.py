@@ -1,4 +1,4 @@
-"""Which sizes are hidden, and what counts as testable: computed from the true curves, frozen in a table.
+"""Sizes of the hidden effects and their testability, computed from the true curves and frozen in a table.
 
 The measure is the projected signal over noise: how much an effect moves the force beyond what C10, C20, the contact and
 the zero of each recording can take up, in deviations of white noise of 0.02 N, all recordings together. It knows
@@ -44,10 +44,10 @@ _SEEN = (15.0, 50.0)
 
 
 class Projection:
-    """What the moduli and the recordings' nuisances leave of a change of all forces of a protocol.
+    """Part of a change of all forces that the moduli, contact and zero of the recordings cannot explain.
 
     Args:
-        tests: of the protocol. memory: of the noise, s; 0: white.
+        tests: tests of the protocol. memory: correlation time of the noise, s; 0: white noise.
     """
 
     def __init__(self, tests: Sequence[VirtualTest], memory: float = 0.0):

@@ -18,7 +18,7 @@ TRUTH = {"C10": C10, "C20": C20}
 
 
 def peers(runs: Sequence[Run]) -> dict:
-    """What the peers make of the runs with one effect hidden, or none: bias, wrong names, coverage, log score."""
+    """Return bias, wrong names, coverage and log score of the usual methods in runs with one hidden effect or none."""
     runs = [run for run in runs if "peers" in run and run["room"] in ("hidden", "none")]
     hidden, empty = [run for run in runs if run["effects"]], [run for run in runs if not run["effects"]]
     shown = [run for run in hidden if run["testable"] and run["signal"] >= 3.0]
@@ -90,7 +90,7 @@ def figures(runs: Sequence[Run]) -> dict:
 
 
 def cases_in_words() -> str:
-    """What is hidden, as a table in Markdown: sizes, whose they are, and the largest signal over noise they reach."""
+    """Return the hidden effects as a Markdown table: sizes, sources, and the largest ratio of signal to noise."""
     table_of = frozen()
     heads = ("effect, form", "smallest to largest", "source", "curves", "largest signal: ramps", "full",
              "twins: ramps", "full")

@@ -96,7 +96,7 @@ class VirtualTest:
 
     @property
     def depth(self) -> np.ndarray:
-        """Of the tool in the tissue, m."""
+        """Depth of the tool in the tissue, m."""
         return self.displacement - self.contact
 
     @property
@@ -113,7 +113,7 @@ class VirtualTest:
 
     @cached_property
     def time(self) -> np.ndarray:
-        """Of the samples, s, corners among them, so that no sample mixes two segments."""
+        """Times of the samples, s; corners of the motion are samples."""
         corners = self.corners[0]
         return np.unique(np.concatenate([np.linspace(start, end, max(2, round((end - start) * self.rate) + 1))
                                          for start, end in itertools.pairwise(corners)]))

@@ -1,4 +1,4 @@
-"""A long recording, read: seconds over those of `numpy.loadtxt` in the same run, and memory of the largest process.
+"""Time to read a long recording relative to `numpy.loadtxt` in the same run, and memory of the largest process.
 
     python -m benchmarks long_files [--json] [--repeats N] [--rows N]
 

@@ -1,4 +1,4 @@
-"""Every reader of files, and the wire, on damaged and hostile inputs: an answer or one short sentence, nothing else.
+"""Test every reader of files and of the wire protocol with damaged and hostile input.
 
     python -m benchmarks mutated_inputs [--count 100000] [--seed 0] [--readers rig campaign ...] [--json]
 

@@ -1,4 +1,4 @@
-"""What takes input of strangers, each with a sound sample: files of recordings, settings, devices, and the wire."""
+"""Readers of untrusted input, each with a valid sample: recordings, settings, devices, and the wire protocol."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class _Tissue:
 
 
 class _Service:
-    """What commands ask of the service of steps."""
+    """Test double of the step service, with the methods that commands call."""
 
     def __init__(self) -> None:
         self.tissue, self.owner, self.counters = _Tissue(), None, {}
@@ -123,7 +123,7 @@ class _Service:
 
 
 def names() -> list[str]:
-    """Of all readers."""
+    """Return the names of all readers."""
     sample_files.short_curves()
     return [*sample_files.recordings(), *(f"import of {name}" for name in sample_files.IMPORTED), *_SETTINGS, *_DEVICES,
             *_WIRE]

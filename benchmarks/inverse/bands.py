@@ -1,4 +1,4 @@
-"""How many new recordings the prediction bands hold: of their samples, and of recordings as a whole.
+"""Coverage of the prediction bands of new recordings: fraction of samples, and of whole recordings.
 
     python -m benchmarks bands [--campaigns 100] [--seed 1] [--case NAME ...]
 
@@ -60,7 +60,7 @@ NEW = 20
 
 @dataclass(frozen=True)
 class Case:
-    """What is measured, and how it is fitted.
+    """Virtual measurement and the settings of its fit.
 
     Attributes:
         name: of it. replicates: that are fitted. method, law: of the fit. stated: whether contact and zero are.
@@ -114,7 +114,7 @@ def make_campaign(case: Case) -> Campaign:
 
 
 def recorder(case: Case, test: Test, rng: np.random.Generator) -> Callable[[int], MeasuredCurve]:
-    """What makes one recording after the other."""
+    """Return a function that makes one recording per call."""
     fine = np.linspace(0.0, DEPTH / SPEED, 281)
     time = np.linspace(0.0, DEPTH / SPEED, 141)
     if case.holds:

@@ -1,4 +1,4 @@
-"""How often the 95 % interval of a found contact holds the truth, and how wide it is; and which failures are found.
+"""Coverage and width of the 95 % interval of the contact point, and detection rate of failures.
 
     python -m benchmarks contact [--json] [--recordings N] [--seed N]
 
@@ -45,14 +45,14 @@ def contacts(recordings: int, seed: int) -> list[dict]:
 
 
 def judge_contact(virtual: Virtual, found: Contact) -> dict:
-    """Whether the interval holds the truth, and its width in sampling steps."""
+    """Return whether the interval contains the true contact, and its width in sampling steps."""
     low, high = found.interval
     width = (high - max(low, float(virtual.displacement[0]))) / virtual.step
     return {"holds": bool(low <= virtual.truth <= high), "width": width}
 
 
 def failures(recordings: int, seed: int) -> list[dict]:
-    """As many tests to a failure, and as many intact: one row each."""
+    """Return one row for each test: equal numbers of tests with a failure and of intact ones."""
     rows = []
     for fails in (True, False):
         for number in range(recordings):
@@ -63,7 +63,7 @@ def failures(recordings: int, seed: int) -> list[dict]:
 
 
 def judge_failure(virtual: Virtual, found: Failure | None) -> bool:
-    """Whether a failure is found where it is, or none where there is none."""
+    """Return whether the failure of a test is found at its sample; for an intact test, whether none is found."""
     if virtual.truth < 0 or found is None:
         return virtual.truth < 0 and found is None
     gradual = virtual.words["failure"] == "little by little"

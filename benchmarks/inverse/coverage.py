@@ -1,4 +1,4 @@
-"""How often 95 % intervals of the inverse calibration hold the true moduli, in campaigns made from known ones.
+"""Coverage of the 95 % intervals of the inverse calibration, in virtual campaigns with known moduli.
 
     python -m benchmarks coverage [--json] [--data NAME] [--campaigns N] [--workers N] [--seed N] [--profile-every N]
 

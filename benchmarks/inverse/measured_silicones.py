@@ -1,4 +1,4 @@
-"""Measured silicones: five compositions in compression, what friction would do to them, tension as a prediction.
+"""Measured silicones: five compositions in compression, influence of friction, and prediction of tension.
 
     python -m benchmarks measured_silicones [--json] [--report FOLDER] [--figure FILE] [--part PART ...]
 

@@ -1,5 +1,4 @@
-"""A needle off the axis and at an angle: what a fit makes of it that believes it upright and central, and one that does
-not.
+"""Oblique, eccentric needle: moduli of a fit that assumes a vertical, central needle, and of one with the true pose.
 
     python -m benchmarks oblique_calibration [--json] [--depth-mm 8] [--offset-mm 5] [--tilt-deg 20]
         [--noise-n 0.02] [--quick]

@@ -1,5 +1,4 @@
-"""Coverage of the intervals of populations: mean, spread and the next specimen, of a few specimens that were each
-measured with errors of their own; and of the bands of specimens whose tests are held out.
+"""Coverage of the intervals of populations (mean, spread, next specimen) and of the bands of held-out specimens.
 
     python -m benchmarks population [--populations 1000] [--campaigns 200]
 

@@ -1,4 +1,4 @@
-"""What derivatives with respect to the material cost: CPU of a simulated test with them over that without.
+"""Cost of derivatives with respect to the material: CPU time of a simulated test with over without derivatives.
 
 The two run in turns on the same mesh. Printed are the whole extra cost per parameter, and what one parameter more costs
 (from the difference between all and one). ``--solid``: of the solid in space, of several materials, that weighs, and
@@ -67,7 +67,7 @@ def cases_in_space():
 
 
 def solid_mesh(model: ts.Model, resolution: str):
-    """With the region of the material on one side of the tool."""
+    """Return a mesh with a second material region on one side of the tool."""
     mesh = solid.build_mesh(model.experiment, resolution)
     middle = mesh.nodes[mesh.connectivity].mean(axis=1)
     side = np.flatnonzero((middle[:, 0] > 0.0) & (middle[:, 2] > -0.02))

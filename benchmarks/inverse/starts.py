@@ -1,4 +1,4 @@
-"""The inverse calibration from many starts: do all lead to one minimum, what does it cost, how good are the moduli?
+"""Inverse calibration from many starts: number of minima, cost, and errors of the moduli.
 
     python -m benchmarks starts [--json] [--repeats N] [--starts N] [--workers N] [--campaign NAME ...]
 
@@ -88,7 +88,7 @@ class Scene:
     file: str | None
 
     def experiment(self, protocol: ts.Protocol) -> ts.Experiment:
-        """On `SPECIMEN`."""
+        """Return the experiment on `SPECIMEN`."""
         return ts.KINDS[self.kind].experiment(specimen=SPECIMEN, protocol=protocol, **self.overrides)
 
     def force(self, displacement: np.ndarray) -> np.ndarray:
@@ -185,7 +185,7 @@ def run_start(scenes: Sequence[str], start: np.ndarray, settled: bool) -> dict:
 
 
 def summarise(name: str, runs: Sequence[Mapping], timed: Sequence[Mapping]) -> dict:
-    """What the starts of one campaign have in common.
+    """Summarise the results of all starts of one campaign.
 
     Args:
         name: of the campaign. runs: of all starts. timed: estimates of the study's start, for the CPU seconds.

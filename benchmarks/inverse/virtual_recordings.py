@@ -92,7 +92,11 @@ class Virtual:
 
 
 def relax(force: np.ndarray, step: float, share: float, tau: float) -> np.ndarray:
-    """Of an elastic force the share that relaxes goes with a time constant, s; samples `step` s apart."""
+    """Return the force of a material with one Prony term.
+
+    Args:
+        force: elastic force, N. step: time between samples, s. share: relaxing fraction. tau: relaxation time, s.
+    """
     kept, memory, answer = np.exp(-step / tau), 0.0, np.empty_like(force)
     for k, gain in enumerate(np.diff(force, prepend=force[0])):
         memory = memory * kept + gain
@@ -101,7 +105,7 @@ def relax(force: np.ndarray, step: float, share: float, tau: float) -> np.ndarra
 
 
 def noise(rng: np.random.Generator, samples: int, colour: str) -> np.ndarray:
-    """Of standard deviation 1."""
+    """Draw noise of standard deviation 1: white, correlated (``coloured``), or with a sine (``hum``)."""
     white = rng.standard_normal(samples)
     if colour == "coloured":
         kept = np.exp(-1 / rng.uniform(1, MEMORY))
@@ -113,7 +117,7 @@ def noise(rng: np.random.Generator, samples: int, colour: str) -> np.ndarray:
 
 
 def _read(rng: np.random.Generator, force: np.ndarray, deviation: float, colour: str) -> np.ndarray:
-    """What a sensor makes of a force: zero, drift, noise, rounding."""
+    """Return the reading of a sensor: force with zero offset, drift, noise and rounding, N."""
     time = np.linspace(0, 1, force.size)
     drift = 5 * deviation * rng.normal() if rng.uniform() < 0.7 else 0.0
     read = force + 20 * deviation * rng.normal() + drift * time + deviation * noise(rng, force.size, colour)

@@ -1,4 +1,4 @@
-"""Simulators on random motions with random traps: how many answers are silently wrong?
+"""Simulators on random motions with random traps: number of silently wrong forces.
 
     python -m benchmarks motions --axisymmetric 1600 --spatial 300 --multirate 100 --seed 1 [--clean] [--workers N]
                                  [--only TRAP] [--index K ...] [--json FILE]

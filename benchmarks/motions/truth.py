@@ -99,7 +99,7 @@ def _sampled(path: Sequence[PathTick]) -> list[PathTick]:
 
 
 def _start_of(scene: Scene, path: Sequence[PathTick]) -> tuple[float, float]:
-    """Where the reference's x and y are zero: at the first touch of a bonded tool in space, else on the axis."""
+    """Return x and y of the reference's origin, m: first touch of a bonded tool in space, else the axis."""
     if scene.solver == "axisymmetric" or not scene.is_bonded:
         return 0.0, 0.0
     before = None
@@ -112,7 +112,7 @@ def _start_of(scene: Scene, path: Sequence[PathTick]) -> tuple[float, float]:
 
 
 def _crossing(before: Pose | None, pose: Pose) -> tuple[Pose, float]:
-    """Where a motion into the tissue meets the surface, and the fraction of it until then."""
+    """Return the pose at which a motion reaches the surface, and the fraction of the motion before it."""
     x, y, z = pose.position
     if before is None or before.position[2] <= 0.0:
         return replace(pose, position=(x, y, 0.0)), 0.0

@@ -1,4 +1,4 @@
-"""Bonded compression against FElupe, compile times, and the band Cholesky against LAPACK: all in one run, one thread.
+"""Bonded compression against FElupe, compile times, and the band Cholesky against LAPACK, in one thread.
 
     python -m benchmarks compression [--json] [--repeats N]
 

@@ -1,4 +1,4 @@
-"""What Coulomb friction and one relaxing term cost against the bonded elastic test, and how far tests reach.
+"""Cost of Coulomb friction and one Prony term relative to the bonded elastic test, and largest depth of tests.
 
     python -m benchmarks friction [--json] [--repeats N] [--reach]
 
@@ -95,7 +95,7 @@ def whole_test(repeats: int) -> dict:
 
 
 def reach_cases() -> Iterator[tuple[str, ts.Model]]:
-    """What is asked to go how deep; steps of 0.5 mm."""
+    """Yield names and models of tests with their depths; steps of 0.5 mm."""
     for friction in ("frictionless", 0.05, 0.1, 0.2, 0.4, 0.7, 2.0, "stick", "bonded"):
         yield f"plates, {friction}", model(friction, depth=30e-3, points=61)
     down = np.linspace(0.0, 10e-3, 21)
@@ -127,7 +127,7 @@ def reach_cases() -> Iterator[tuple[str, ts.Model]]:
 
 
 def reach() -> Iterator[dict]:
-    """How deep every case of `reach_cases` gets on both meshes, with the force there."""
+    """Yield the largest depth of each case of `reach_cases` on both meshes, and the forces."""
     for name, tested in reach_cases():
         protocol = tested.experiment.protocol
         row = {"case": name, "asked_mm": protocol.depth * 1e3, "back": bool(protocol.displacement[-1] < 0.0)}

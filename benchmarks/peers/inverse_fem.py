@@ -66,10 +66,10 @@ TESTS = {
 
 @dataclass(frozen=True)
 class Route:
-    """A way to do the peer's fit.
+    """Variant of the fit with the peer program.
 
     Attributes:
-        name, mesh: of the table.
+        name, mesh: columns of the table.
         warm: see `Indentation`.
         may_err: largest relative error of its force at the true moduli; beyond it the script stops.
         target: ratio asked for, None where the row is there for comparison.

@@ -120,7 +120,7 @@ def truth() -> dict:
 
 
 def off(curve: dict, against: dict, depth: float) -> str:
-    """By how much a curve is off another one at a depth, %; a dash where it did not come so far."""
+    """Return the difference of a curve from another one at a depth, %, as text; a dash if the curve is shorter."""
     if not curve["depths"] or curve["depths"][-1] < 0.99 * depth:
         return "-"
     one, other = (np.interp(depth, [0.0, *each["depths"]], [0.0, *each["forces"]]) for each in (curve, against))

@@ -1,4 +1,4 @@
-"""How many random sensible models the solver carries to the end of their tests, and whether its answers are equilibria.
+"""Fraction of random models whose tests the solver completes, and a check of its equilibria.
 
     python -m benchmarks random_models [--seeds 1:401] [--resolution fast] [--quarter] [--resume FILE] [--json]
     python -m benchmarks random_models --identities [--seeds 1:101] ...
@@ -37,10 +37,10 @@ RESOLUTIONS = ("fast", "accurate", "realtime")
 
 
 class Lines:
-    """What is known of the seeds, in a file of JSON lines or only here.
+    """Results of the seeds, in a file of JSON lines or in memory only.
 
     Attributes:
-        known: by seed.
+        known: seed -> result.
     """
 
     def __init__(self, path: Path | None, asked: dict):
@@ -49,7 +49,7 @@ class Lines:
             return
         text = path.read_text(encoding="utf-8")
         whole = text[: text.rfind("\n") + 1]
-        if whole != text:  # it was stopped as it wrote
+        if whole != text:  # the program was stopped while it wrote the last line
             path.write_text(whole, encoding="utf-8")
         for line in whole.splitlines():
             known = json.loads(line)

@@ -1,4 +1,4 @@
-"""Whether the states of a simulated test are equilibria, by other means than the solver's: numpy, and the formula of
+"""Check the equilibria of a simulated test independently of the solver: numpy, and the formula of
 the law.
 
 Nodal displacements and pressures of a sample are what the solver says; nodal forces of the body follow from them in
@@ -72,13 +72,13 @@ class Fault:
 
 @dataclass
 class Findings:
-    """What was found of all samples so far.
+    """Results of the checks of all samples.
 
     Attributes:
-        worst: of each check the largest value; faults: of each check the first sample that does not pass it, and in
-            `failed` the numbers of all that do not pass something.
-        early: largest residual over what tolerance and the rounding that is seen would allow. Above 1 the iteration
-            ended because the solver takes rounding for larger than it is; no fault.
+        worst: check -> largest value. faults: check -> first sample that fails. failed: numbers of all samples that
+            fail a check.
+        early: largest residual over the limit from tolerance and observed rounding. Above 1 the iteration ended
+            because the solver overestimates rounding, which is not a fault.
     """
 
     worst: dict[str, float] = field(default_factory=dict)
@@ -89,7 +89,7 @@ class Findings:
     def note(self, check: str, sample: int, value: float, allowed: float, node: int = -1) -> None:
         value = float(value)
         self.worst[check] = max(self.worst.get(check, 0.0), value)
-        # What is not a number does not pass.
+        # A NaN must fail the check.
         if not value <= allowed:
             self.faults.setdefault(check, Fault(check, sample, value, float(allowed), int(node)))
             self.failed.add(sample)
@@ -142,11 +142,11 @@ class Outline:
 
 @dataclass(frozen=True)
 class _Points:
-    """Where the surface may be pushed.
+    """Points of the surface at which the tool may act.
 
     Attributes:
-        numbers: of their nodes, those in the middle of their edges where they lie between nodes; undeformed, now:
-            (r, z), m; pushes: N; stays: whether the base keeps them.
+        numbers: node of each point; for a point between nodes, the middle node of its edge.
+        undeformed, now: positions (r, z), m. pushes: forces, N. stays: whether the base fixes the point.
     """
 
     numbers: np.ndarray
@@ -311,7 +311,7 @@ class EquilibriumCheck:
         return force + by_pressure, float(rounding), displaced
 
     def _points(self, u: np.ndarray, push: np.ndarray) -> tuple[_Points, np.ndarray]:
-        """Where the surface may be pushed and with what, and the forces on nodes, N, that are left over."""
+        """Return the points of the surface with their forces, and the remaining nodal forces, N."""
         nodes, surface, rest = self.section.nodes, self._surface, push.copy()
         rest[surface] = 0.0
         shapes = np.array([[x * (x - 1) / 2, 1 - x * x, x * (x + 1) / 2] for x in (-(3**-0.5), 3**-0.5)])
@@ -321,7 +321,7 @@ class EquilibriumCheck:
             spread[edge, k] = shape
         pushed = np.zeros((len(between), 2))
         for component in range(2):
-            # The axis takes what is radial there.
+            # Radial forces on the axis are reactions of the symmetry condition.
             own = np.intersect1d(between, np.flatnonzero(~self._held[:, component]))
             pushed[:, component], *_ = np.linalg.lstsq(spread[own], push[own, component], rcond=None)
             rest[own, component] -= spread[own] @ pushed[:, component]

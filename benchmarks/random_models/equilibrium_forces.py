@@ -58,7 +58,7 @@ class Section:
                                    len(nodes))
 
     def deformation(self, displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """In-plane deformation gradient (elements, 9, 2, 2), hoop stretch and J (elements, 9)."""
+        """Return the in-plane deformation gradient (elements, 9, 2, 2), hoop stretch and J (elements, 9)."""
         rates = displacement[self.connectivity][:, None].swapaxes(-1, -2) @ self.gradients
         plane, hoop = np.eye(2) + rates[..., :2], 1.0 + rates[..., 0, 2]
         return plane, hoop, (plane[..., 0, 0] * plane[..., 1, 1] - plane[..., 0, 1] * plane[..., 1, 0]) * hoop

@@ -21,7 +21,7 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class Description:
-    """What a seed stands for, in plain values.
+    """Plain values of the random model of a seed.
 
     Attributes:
         seed: of it.
@@ -105,7 +105,7 @@ def _needle(chance: np.random.Generator, radius: float, height: float) -> tuple[
 
 
 def _motion(chance: np.random.Generator, depth: float) -> tuple[str, str, int]:
-    """Which motion, its text, and samples of each segment."""
+    """Draw a motion: its name, its protocol as text, and the number of samples of each segment."""
     points, mm = int(chance.choice([11, 16, 21])), depth * 1e3
     speed = f"@{_between(chance, 0.05, 5.0):.4g}mm/s"
     motion = str(chance.choice(list(MOTIONS), p=list(MOTIONS.values())))

@@ -1,4 +1,4 @@
-"""What must hold of the forces of any solver, whatever their size: of elastic models on an ideal rig.
+"""Identities of the forces of elastic models on an ideal rig, which hold for any solver.
 
 A force that is homogeneous of degree one in the law's moduli is the sum of each modulus times its derivative (K/mu
 held); what is computed again comes out the same; forces grow with the square of lengths and with moduli; and a closed
@@ -36,7 +36,7 @@ def identities(one: Description, resolution: str) -> dict[str, dict]:
     found: dict[str, dict] = {}
 
     def ask(name, value_of, limit) -> None:
-        """What stops on the way has not passed."""
+        """Evaluate one identity; an exception or a time-out fails it."""
         try:
             with Clock().on():
                 value, message = float(value_of()), ""
@@ -81,7 +81,7 @@ def identities(one: Description, resolution: str) -> dict[str, dict]:
 
 
 def _euler(model: ts.Model, resolution: str) -> float:
-    """How far the sum of moduli times derivatives is from the force at most, N."""
+    """Return the largest difference between the force and the sum of moduli times derivatives, N (Euler's theorem)."""
     law, parameters = model.material.energy_law, model.material.parameters
     moduli = [name for name in law.parameters if law.units[name] == "Pa"]
     answer = ts.sensitivities(model, moduli, resolution=resolution)

@@ -54,11 +54,15 @@ CATCH_UP = 500
 
 
 def motion(one: Description, resolution: str, max_solves: int | None = None) -> dict:
-    """What became of a model, as plain values: stratum, law, extra, status ("end", "time-out" or "exception"), message,
-    ticks, elements, nan, statuses, longest_ms (without an equilibrium), solves (median, p99, largest), many (ticks of
-    more than `MANY` solves), tick_ms (median, p99, largest), faults, recovered (difference, see `AS_NEW`); with
-    `max_solves` apart (largest difference of forces from those without bound over the largest force: of equilibria, of
-    late ticks)."""
+    """Play a random motion with a model, and return its result as plain values.
+
+    Returns:
+        stratum, law, extra, status ("end", "time-out" or "exception"), message, ticks, elements, nan, statuses,
+        longest_ms (longest time without an equilibrium), solves (median, p99, largest), many (ticks of more than `MANY`
+        solves), tick_ms (median, p99, largest), faults, recovered (difference, see `AS_NEW`); with `max_solves` also
+        apart: largest difference of the forces from those without the bound, over the largest force, of equilibria and
+        of late ticks.
+    """
     clock = Clock()
     known = {"stratum": stratum(one), "law": one.law, "extra": list(one.extra), "status": "end", "message": ""}
     try:

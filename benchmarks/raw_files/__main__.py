@@ -1,4 +1,4 @@
-"""Raw files of test machines with a known modulus and random traps: is what import and calibrate report true?
+"""Raw files of test machines with known moduli and random traps: correctness of import and calibration.
 
     python -m benchmarks raw_files --count 5000 --seed 1 [--clean] [--workers 2] [--only TRAP]
         [--areas AREA ...] [--json FILE]

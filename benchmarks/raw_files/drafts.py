@@ -168,7 +168,7 @@ class Draft:
 
 @dataclass(frozen=True)
 class Layout:
-    """How a machine writes a file.
+    """File layout of a test machine.
 
     Attributes:
         head: rows, with ``{title}`` for the kind of test; none names it where ``{title}`` is absent.

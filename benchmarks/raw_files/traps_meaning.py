@@ -164,7 +164,7 @@ def _position(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _no_units(draft: Draft, rng: np.random.Generator) -> None:
-    """No unit anywhere; in every second file the user states units that are not the usual ones."""
+    """Remove all units; in every second file the user states unusual units."""
     units = [{"displacement": "mm", "force": "N", "time": "s"}, {"displacement": "um", "force": "mN", "time": "ms"}][
         int(rng.integers(2))]
     change_columns(draft, lambda column: in_unit(column, units.get(column.role, "")))
@@ -194,7 +194,7 @@ def _impossible_unit(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _time_and_force(draft: Draft, rng: np.random.Generator) -> None:
-    """No displacement; a constant speed is stated, in the file or by a flag."""
+    """Remove the displacement; the file or a flag states a constant speed."""
     test = draft.test
     for table in draft.tables:
         table.columns = [column for column in table.columns if column.role != "displacement"]

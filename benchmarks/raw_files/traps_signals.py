@@ -83,7 +83,7 @@ def _ramp(test: Test, points: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _air(test: Test, rng: np.random.Generator) -> Test:
-    """A way before contact, or a slack strip."""
+    """Add a motion without force before contact, or a slack strip."""
     time, motion = _ramp(test, 100)
     gap = float(rng.uniform(0.1, 0.5)) * motion[-1]
     count = max(round(gap / motion[1]), 5)

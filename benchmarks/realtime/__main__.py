@@ -1,4 +1,4 @@
-"""Real time: a tick's CPU time and force error, an iteration's parts, irregular motion, loop, throughput, round trip.
+"""Real time: CPU time and force error of a tick, parts of an iteration, irregular motion, loop, round trip.
 
     python -m benchmarks realtime [--json] [--figure FILE] [--quick] [--seconds 60] [--repeats N]
 

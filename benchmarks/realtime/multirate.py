@@ -1,4 +1,4 @@
-"""Two rates: what condensing a solid's bulk costs, and how far contact on a frozen bulk is from solving all of it.
+"""Multirate simulation: cost of condensing the bulk of a solid, and error of contact on a frozen bulk.
 
     python -m benchmarks multirate [--quick] [--json]
 
@@ -75,7 +75,7 @@ def cpu(function, repeats: int = 3) -> float:
 
 
 def condensation(size: int, repeats: int) -> dict:
-    """What a factor and a condensed one cost, s."""
+    """Return the CPU time of the factorisation and of the condensation, s."""
     bulk = SolidLinearisation(make_solver(MODEL, mesh=mesh_of(size)))
     solver, sparse = bulk._solver, SparseSolver()
     solver.step(Pose((0.0, 0.0, -1e-3)), tolerance=1e-6, max_iterations=40)
@@ -99,7 +99,7 @@ def condensation(size: int, repeats: int) -> dict:
 
 
 def iterate(size: int) -> float:
-    """What a model with the tangent of before costs, s; the median of a drag."""
+    """Return the median CPU time of a model that reuses the tangent, s, during a drag."""
     bulk, times = SolidLinearisation(make_solver(MODEL, mesh=mesh_of(size))), []
     link = DelayedBulk(bulk, 8e-3, math.inf)
     tissue = MultiRateTissue(MODEL, link=link)
@@ -123,7 +123,7 @@ def synchronous(size: int, poses: list[Pose]) -> dict[int, np.ndarray]:
 
 
 def two_rates(size: int, delay: float, tangent: float | None, poses: list[Pose], exact: dict[int, np.ndarray]) -> dict:
-    """How the tissue of two rates does against them."""
+    """Compare the multirate simulator with the forces of the whole solid."""
     bulk = SolidLinearisation(make_solver(MODEL, mesh=mesh_of(size)))
     tissue = MultiRateTissue(MODEL, link=DelayedBulk(bulk, delay, tangent))
     tissue.warm_up()

@@ -1,4 +1,4 @@
-"""The ladder of meshes for real time: by how much their forces err, and what a tick takes on this computer.
+"""Force error and time of a tick of the meshes for real time.
 
     python -m benchmarks resolution_levels [--json]
 
@@ -47,7 +47,7 @@ SAMPLE = 0.25e-3
 
 
 def _force(model: ts.Model, resolution: str) -> np.ndarray:
-    """As far as the test gets, N."""
+    """Return the forces of a test up to its end or its first failure, N."""
     try:
         return ts.simulate(model, resolution=resolution, estimate_error=False).force
     except ts.ConvergenceError as error:

@@ -1,4 +1,4 @@
-"""Up to which delay a hand and a tissue do not shake each other: virtual hands at the needle, with and without control.
+"""Largest delay at which virtual hands hold the needle without oscillation, with and without passivity control.
 
 The tissues are the stiffest of the documentation (EF50_0T, docs/measured_silicones.md) and the study's silicone, under
 the needle of radius 8 mm. A polynomial through the simulator's forces, without the mass of the tissue, replaces
@@ -117,7 +117,7 @@ def rendering_of(control: str) -> ForceRendering:
 
 
 def run(trial: Trial, tissue, rest: float) -> float:
-    """How far it shakes, m; 0: it does not."""
+    """Return the amplitude of the oscillation, m; 0: none."""
     push = TISSUES[trial.tissue][3]
     hand = VirtualHand(Stays(rest), trial.mass, trial.damping, trial.grip, push)
     jitter, loss = LINES[trial.line]

@@ -8,7 +8,7 @@ from benchmarks.realtime.ticks import ERROR, P50, P99, P999
 
 
 def draw(result: dict, console: Console) -> None:
-    """What must be shown comes last."""
+    """Print all tables, that of the targets last."""
     _ticks(result["rows"], console)
     _work_precision(result["work_precision"], console)
     _iteration(result, console)

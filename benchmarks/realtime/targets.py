@@ -1,4 +1,4 @@
-"""What the real-time simulation has to show, from the result of `realtime`."""
+"""Targets of the real-time simulation, compared with the result of `realtime`."""
 
 from collections.abc import Iterator
 

@@ -63,7 +63,7 @@ CLOSE_TARGETS = {ERROR: 0.3, P50: 0.75, P99: 2.0}
 
 @dataclass(frozen=True)
 class Case:
-    """What is stepped, on which mesh; cases of one name differ in the mesh only."""
+    """Model and mesh of a simulator; cases of one name differ in the mesh only."""
 
     name: str
     model: ts.Model
@@ -81,7 +81,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Drive:
-    """What came of a way in and out, a value for each tick: N, s, linear solves, statuses."""
+    """Result of loading and unloading, one value for each tick: force (N), CPU time (s), linear solves, status."""
 
     force: np.ndarray
     cpu: np.ndarray
@@ -131,7 +131,7 @@ def say(text: str) -> None:
 
 @contextmanager
 def no_garbage_collection() -> Iterator[None]:
-    """As in the 1 kHz loop."""
+    """Disable garbage collection, as the 1 kHz loop does."""
     gc.collect()
     gc.disable()
     try:
@@ -141,7 +141,11 @@ def no_garbage_collection() -> Iterator[None]:
 
 
 def percentiles(cpu: np.ndarray) -> dict[str, float]:
-    """Of CPU seconds, in ms."""
+    """Return percentiles of CPU times, ms.
+
+    Args:
+        cpu: CPU time of each tick, s.
+    """
     p50, p99, p999, most = np.quantile(cpu, (0.5, 0.99, 0.999, 1.0)) * 1e3
     return {P50: float(p50), P99: float(p99), P999: float(p999), "cpu_ms_max": float(most)}
 
@@ -152,7 +156,7 @@ def count_statuses(status: np.ndarray) -> dict[str, int]:
 
 
 def drive(simulator: ts.Simulator, way: float = WAY) -> Drive:
-    """From the touch to 10 mm and back at 50 mm/s, `way` (m) in each tick."""
+    """Move the tool from touch to 10 mm and back at 50 mm/s, by `way` (m) in each tick."""
     count, dt = round(DEEPEST / way), way * DT / WAY
     ticks = []
     simulator.reset()

@@ -1,4 +1,4 @@
-"""Play with server, loop and page as a careless user and an attacker would, and replay all that was answered.
+"""Use server, loop and page like a careless user and an attacker, and verify all forces by replay.
 
     python -m benchmarks soak [--minutes 30] [--seed 1] [--json]
 
@@ -109,7 +109,7 @@ def summarise(results: list[dict]) -> dict:
 
 
 def _answers(results: list[dict]) -> dict:
-    """What the tissue answered."""
+    """Summarise the answers of the tissue."""
     statuses, quiet = Counter(), Counter()
     for one in results:
         statuses.update(one["statuses"])

@@ -45,15 +45,15 @@ NONSENSE: tuple[tuple[str, dict[str, Any]], ...] = (
 
 @dataclass
 class PageSession:
-    """What was asked and answered.
+    """Requests and answers of a session of the page.
 
     Attributes:
-        loops: what each loop's tissue was asked and answered, in the events of `soak_session`.
-        frames: that were shown.
-        asked, refused, unanswered: commands, those of them that were refused, and those that got no answer.
-        taken: nonsense that was taken without a word.
-        killed, noticed_ms: loops that were killed, and how long each was still shown as running.
-        stale: frames of a running loop whose read-outs were older than half a second.
+        loops: events of the tissue of each loop, see `Session.events`.
+        frames: number of frames.
+        asked, refused, unanswered: numbers of commands, of refused commands, and of commands without an answer.
+        taken: invalid commands that were accepted.
+        killed, noticed_ms: number of killed loops, and time until the page showed each end, ms.
+        stale: number of frames of a running loop with read-outs older than half a second.
     """
 
     flags: list[str]
@@ -133,7 +133,7 @@ class _Player:
             self._played.stale += now - self._newest[1] > _NOTICED
 
     def _wait_for_ticks(self) -> None:
-        """Of a loop that comes up, which is not counted as time of the session."""
+        """Wait for the first tick of a loop; the time is not part of the session."""
         asked = time.monotonic()
         until = asked + _PATIENCE
         while (frame := self._session.frame()).phase not in (Phase.RUNNING, Phase.PAUSED) or frame.readouts is None:

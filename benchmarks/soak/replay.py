@@ -1,4 +1,4 @@
-"""What a session of `soak.py` should have answered: the same motion again, step by step, however long it takes."""
+"""Correct answers of a session of `soak`, from a replay of its motion without a time limit."""
 
 from __future__ import annotations
 

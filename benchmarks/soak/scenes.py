@@ -33,7 +33,7 @@ def draw(rng: np.random.Generator, material: Path) -> tuple[list[str], float]:
 
 
 def model_of(flags: list[str]) -> ts.Model:
-    """What `serve` makes of them."""
+    """Return the model that `serve` builds from these flags."""
     parser = Parser(prog="soak")
     serve.add_arguments(parser)
     arguments = parser.parse_args(flags)

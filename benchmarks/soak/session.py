@@ -31,17 +31,17 @@ WILD = (math.nan, math.inf, 1e300, -1e300, 0.071, 1e3, 1.7e308)
 
 @dataclass
 class Session:
-    """What was asked and answered.
+    """Requests and answers of a session of the server.
 
     Attributes:
-        flags: of the server.
-        resolution: that it chose.
-        events: in order: ("step", time, depth, status, force, dt, flags, asked, answered), times in s; ("parameters",
-            values), ("reset",), ("save", name), ("restore", name), ("fault", what, when).
-        words: what the server said on stderr.
+        flags: command line of the server.
+        resolution: resolution that the server chose.
+        events: events in order: ("step", time, depth, status, force, dt, flags, asked, answered), times in s;
+            ("parameters", values), ("reset",), ("save", name), ("restore", name), ("fault", what, when).
+        words: stderr of the server.
         ended_by: "signal" or "kill".
-        exit_code: of the server.
-        lost: requests without a reply while the server lived.
+        exit_code: exit code of the server.
+        lost: number of requests without a reply while the server ran.
     """
 
     flags: list[str]

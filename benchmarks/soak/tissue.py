@@ -13,11 +13,11 @@ from tissue_sim.tool_force import ToolForce
 
 
 class LoggedSimulator(ts.Simulator):
-    """As `ts.Simulator`; what happens to it stands in ``FOLDER/PROCESS.calls``, up to when the process is killed.
+    """Simulator that logs its calls in ``FOLDER/PROCESS.calls``, also if the process is killed.
 
     Args:
-        model, settings: see there.
-        folder: for the file.
+        model, settings: see `ts.Simulator`.
+        folder: folder of the log.
     """
 
     def __init__(self, model: ts.Model, *, folder: Path, **settings: Any):
@@ -52,7 +52,7 @@ class LoggedSimulator(ts.Simulator):
 
 
 def calls_in(path: Path) -> list[tuple[Any, ...]]:
-    """What a file of a `LoggedSimulator` tells, as far as it goes."""
+    """Read the calls of a `LoggedSimulator` up to the end or a damaged record."""
     events = []
     with path.open("rb") as file:
         while True:

@@ -1,4 +1,4 @@
-"""A step of the solid in space: time and memory of its parts over sizes, and of an iteration compared with FElupe.
+"""Time and memory of a step of the 3D solid over mesh sizes, and of an iteration compared with FElupe.
 
     python -m benchmarks solid [--sizes 6000 20000 60000] [--element hex8 | hex27] [--peer-up-to 25000] [--json]
 

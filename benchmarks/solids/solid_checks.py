@@ -1,4 +1,4 @@
-"""The solid in space against closed forms and itself, on meshes that are too large for a test.
+"""3D solid against closed forms and mesh refinement, on meshes that are too large for a test.
 
     python -m benchmarks solid_checks [dragged] [turned] [friction] [mindlin] [--fine] [--json]
 
@@ -148,7 +148,7 @@ class Mindlin:
 
     @property
     def approach(self) -> float:
-        """At which the contact has its radius, m."""
+        """Approach at which the contact radius is `CONTACT`, m (Hertz)."""
         return self.CONTACT**2 / self.RADIUS
 
     def hertz(self, depth: float) -> float:
@@ -156,7 +156,7 @@ class Mindlin:
         return 4.0 / 3.0 * self.plane * math.sqrt(self.RADIUS) * depth**1.5
 
     def slid(self, tangential: float, normal: float) -> float:
-        """How far it goes sideways under a tangential force less than mu times the normal one, m."""
+        """Return the lateral displacement under a tangential force below mu times the normal force, m (Mindlin)."""
         share = tangential / (self.mu * normal)
         stiff = 16.0 * self.CONTACT * self.modulus / (3.0 * self.mu * normal * (2.0 - self.nu))
         return (1.0 - (1.0 - share) ** (2.0 / 3.0)) / stiff

@@ -68,15 +68,14 @@ _KEPT = ("tick", "time", "status", "tool_pose", "tissue_wrench", "compute_time",
 
 @dataclass(frozen=True)
 class Case:
-    """What walks: a tool, how its face holds, how far it is turned, and by which solver."""
+    """Tool, interface, rotation and solver of a random walk."""
 
     tool: ts.Tool
     friction: str | float
     turn: float
     solver: str
     bulk_ratio: float
-    #: Not in the loop: models of the bulk come so long after they were asked for, and tangents, s; None: when they are
-    #: there, and each model has its own.
+    #: Simulated delay of the models of the bulk and age limit of tangents, s. None: real delay, one tangent a model.
     delay: float | None = None
     tangent: float | None = None
 
@@ -253,7 +252,7 @@ def solved(case: Case, mesh: SolidMesh | None, ticks: np.ndarray, places: list[n
 
 
 def _step(solver: SolidSolver, here: Pose, pose: Pose) -> Step | None:
-    """To a pose, in parts where it does not come through at once."""
+    """Move the tool to a pose, in several increments if one does not converge."""
     for cut in _CUTS:
         steps = (solver.step(between(here, pose, (k + 1) / cut), tolerance=1e-6, max_iterations=40) for k in range(cut))
         if all((step := each).status is StepStatus.CONVERGED for each in steps):
@@ -280,7 +279,7 @@ def beyond(forces: np.ndarray, expected: np.ndarray, ticks: np.ndarray, numbers:
 
 def judged(case: Case, reduced: ts.ReducedModel | None, mesh: SolidMesh | None, ticks: np.ndarray,
            asked: argparse.Namespace) -> dict:
-    """What the replays say of the ticks."""
+    """Compare the forces of the ticks with replays."""
     forces, good = ticks["tissue_wrench"][:, :3], ticks["status"] == ts.ForceStatus.CONVERGED
     places = pieces(case, ticks, asked.every, asked.samples)
     found = solved(case, mesh, ticks, places)
@@ -315,7 +314,7 @@ def judged(case: Case, reduced: ts.ReducedModel | None, mesh: SolidMesh | None, 
 
 
 def counted(ticks: np.ndarray) -> dict:
-    """What the ticks say of themselves."""
+    """Return times, ages and statuses of the ticks."""
     deadlines = int(ticks["tick"][-1] - ticks["tick"][0]) + 1
     missed, spent = deadlines - len(ticks), 1e3 * ticks["compute_time"]
     return {"ticks": len(ticks), "missed": missed, "missed_percent": 100.0 * missed / deadlines,

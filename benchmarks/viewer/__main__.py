@@ -1,4 +1,4 @@
-"""The viewer: CPU time of a frame, what it does to the 1 kHz loop, how old its picture is, memory.
+"""Viewer: CPU time of a frame, influence on the 1 kHz loop, age of the picture, and memory.
 
     python -m benchmarks viewer [--json] [--repeats 3] [--seconds 10] [--no-browser]
 

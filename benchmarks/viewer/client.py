@@ -34,7 +34,7 @@ def readouts_in(html: str) -> str | None:
 
 
 def decoded(packet: bytes) -> dict:
-    """What stands before the arrays in a packet of viser 1.1: ``messages`` and ``timestampSec``."""
+    """Decode the part before the arrays of a packet of viser 1.1: ``messages`` and ``timestampSec``."""
     length = int.from_bytes(packet[8:16], "little")
     return msgspec.msgpack.decode(zstandard.decompress(packet[16:16 + length]))
 

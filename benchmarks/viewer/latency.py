@@ -1,4 +1,4 @@
-"""How old what a browser shows is: frames of the viewer and what arrived of them, for `viewer`."""
+"""Age of the picture in a browser: frames of the viewer and their arrival, for `viewer`."""
 
 from bisect import bisect_right
 
@@ -11,11 +11,11 @@ _LONGEST = 2.0
 
 
 def pictures(frames: list, messages: list) -> dict:
-    """From the tick whose tissue a picture shows to its arrival, and the parts of that way, ms.
+    """Return the time from the tick of a picture to its arrival, and its parts, ms.
 
     Args:
-        frames: of `worker`, in a run in which the tool moves.
-        messages: of `client`.
+        frames: frames of `worker`, in a run in which the tool moves.
+        messages: messages of `client`.
     """
     sent = [message[0] for message in messages]
     ways = []
@@ -34,7 +34,11 @@ def pictures(frames: list, messages: list) -> dict:
 
 
 def readouts(frames: list, arrivals: list[tuple[float, str]]) -> dict:
-    """From the tick whose read-outs are shown to their arrival (s, text), ms."""
+    """Return the time from the tick of the read-outs to their arrival, ms.
+
+    Args:
+        frames: frames of `worker`. arrivals: times (s) and texts of the read-outs in the browser.
+    """
     made, ages = [frame[0] for frame in frames], []
     for came, text in arrivals:
         candidates = frames[bisect_right(made, came - _LONGEST):bisect_right(made, came)]
@@ -52,7 +56,11 @@ def sizes(frames: list, messages: list) -> dict:
 
 
 def quantiles(seconds: np.ndarray) -> dict:
-    """In ms."""
+    """Return count, median and 95th percentile of times, ms.
+
+    Args:
+        seconds: times, s.
+    """
     if not len(seconds):
         return {"count": 0, "p50": None, "p95": None}
     return {"count": len(seconds), **{name: 1e3 * float(np.quantile(seconds, share))

@@ -49,7 +49,11 @@ def script(name: str, *arguments: str) -> Iterator[subprocess.Popen]:
 
 
 def line_of(process: subprocess.Popen) -> str:
-    """What it says next. Raises SystemExit where it has ended."""
+    """Return the next line of output of a process.
+
+    Raises:
+        SystemExit: the process has ended.
+    """
     line = process.stdout.readline()
     if not line:
         raise SystemExit(f"{process.args[2]} has ended with code {process.wait()}; see what it printed")
@@ -125,7 +129,7 @@ def _chromium():
 
 
 def _zero_of(page) -> float:
-    """When the page's clock was zero, s of `time.monotonic`, from the shortest of some questions."""
+    """Return the time of the page's clock zero, s of `time.monotonic`, from the shortest of several requests."""
     found = []
     for _ in range(50):
         asked = time.monotonic()

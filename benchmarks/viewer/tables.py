@@ -24,7 +24,7 @@ ALONE = "the loop alone"
 
 
 def median(rows: list[dict], *path: str) -> float:
-    """Of a number that stands at a path of keys in each row."""
+    """Return the median of the number at a path of keys in each row."""
     found = []
     for row in rows:
         for key in path:
@@ -81,7 +81,7 @@ def _memory(result: dict) -> str:
 
 
 def draw(result: dict, console: Console) -> None:
-    """What must be shown comes last."""
+    """Print all tables, that of the targets last."""
     chromium = [result["chromium"]] if result["chromium"] else []
     table(console, "CPU ms of a frame: the viewer's process, the thread that makes frames, and the parts",
           ["case", "elements", "frames/s", "process", "thread p50", "p99", *_PARTS.values()],

@@ -50,7 +50,7 @@ LEAN = 0.2
 
 
 class NoSession:
-    """No client sends a request."""
+    """Session without clients; a request is an error."""
 
     def post(self, command: str, *, reply: Callable | None = None, **values: object) -> None:
         raise AssertionError(command)

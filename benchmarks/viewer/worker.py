@@ -121,7 +121,10 @@ def study() -> Scene:
 
 
 def began_at(ring: RingReader) -> float:
-    """When the loop's clock was zero, s of `time.monotonic`: no tick is seen before its end, and some at once."""
+    """Return the time of the loop's clock zero, s of `time.monotonic`.
+
+    The smallest observed value is used: a tick is visible only after its end, and some are visible immediately.
+    """
     until, earliest = time.monotonic() + 0.2, math.inf
     while time.monotonic() < until:
         tick = ring.latest()
@@ -166,8 +169,10 @@ def run(session: Session, page: Page, stopwatch: Stopwatch, ring: RingReader, as
 
 
 def shown(watched: Watched, page: Page, zero: float, records: np.ndarray):
-    """Of each frame: when it was made, when the ticks of its picture and of its read-outs began (s of
-    `time.monotonic`), how high the tool stands, and the read-outs."""
+    """Yield for each frame its time, the times of the ticks of its picture and of its read-outs, height and read-outs.
+
+    Times are in s of `time.monotonic`; the height is that of the tool in the scene.
+    """
     for made, frame in watched.shown:
         if frame.snapshot is None or frame.readouts is None:
             continue
