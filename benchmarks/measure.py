@@ -1,4 +1,4 @@
-"""Parts of all benchmarks: CPU time, description of the machine, comparison with LAPACK, options and tables."""
+"""Common parts of the benchmarks: CPU time, machine, comparison with LAPACK, options and tables."""
 
 import argparse
 import functools
@@ -29,7 +29,7 @@ from tissue_sim.fem.taichi.runtime import initialise
 
 
 def cpu_seconds(work: Callable[[], object], repeats: int) -> list[float]:
-    """CPU seconds of each of `repeats` calls."""
+    """Return the CPU time of each of `repeats` calls, s."""
     spent = []
     for _ in range(repeats):
         started = time.process_time()
@@ -44,7 +44,7 @@ def summary(spent: list[float]) -> dict:
 
 @functools.cache
 def band_kernels() -> tuple[Callable, Callable]:
-    """Kernels that factorise a band matrix, and solve with the factor, a number of times each."""
+    """Return kernels that factorise a band matrix and solve with the factor, a number of times each."""
     ti = initialise()
     init, solve = cholesky_functions()
     block = ti.types.vector(band.BLOCK, ti.f64)
@@ -65,7 +65,7 @@ def band_kernels() -> tuple[Callable, Callable]:
 
 
 def against_lapack(name: str, lower: np.ndarray, repeats: int, *, solve: bool) -> dict:
-    """Our band Cholesky and LAPACK's on the same matrix, in turns: CPU ms and GFLOP/s of a factorisation.
+    """Compare the band Cholesky with LAPACK on the same matrix, in turns: CPU ms and GFLOP/s.
 
     Args:
         name: of the matrix, for the message.
@@ -127,7 +127,7 @@ def machine() -> dict:
 
 
 def option_parser(description: str) -> argparse.ArgumentParser:
-    """The options of every benchmark: ``--json`` and ``--repeats``."""
+    """Return a parser with the options of every benchmark: ``--json`` and ``--repeats``."""
     parser = argparse.ArgumentParser(description=description.partition("\n")[0])
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     parser.add_argument("--repeats", type=_repeats, default=5, help="repetitions (at least 1, default 5)")
@@ -149,7 +149,7 @@ def about(name: str, peers: Sequence[str] = ()) -> dict:
 
 
 class MarkdownConsole(Console):
-    """A console that prints tables in Markdown and text without markup."""
+    """Console that prints tables in Markdown and text without markup."""
 
     def print(self, *parts: Any, **_: Any) -> None:
         for part in parts:
@@ -166,7 +166,7 @@ class MarkdownConsole(Console):
 
 
 def commit() -> str:
-    """Short hash of the commit, with "and changes" if files other than pages differ from it; "unknown" without git."""
+    """Return the short hash of the commit, "and changes" if files other than pages differ; "unknown" without git."""
     def git(*words: str) -> str:
         return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
 
@@ -178,7 +178,7 @@ def commit() -> str:
 
 
 def show(result: dict, draw: Callable[[dict, Console], None], *, as_json: bool) -> None:
-    """Print the result: one JSON object, or its date, machine, versions and tables.
+    """Print the result as one JSON object, or as tables with date, machine and versions.
 
     Tables are in Markdown, with the commit, if the environment variable `MARKDOWN` is set.
     """
@@ -195,7 +195,7 @@ def show(result: dict, draw: Callable[[dict, Console], None], *, as_json: bool) 
 
 
 def table(console: Console, title: str, headers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A table whose first column is words and whose others are numbers."""
+    """Print a table whose first column is text and whose others are numbers."""
     drawn = Table(title=title, title_justify="left")
     for i, header in enumerate(headers):
         drawn.add_column(header, justify="left" if i == 0 else "right")
@@ -209,6 +209,6 @@ def verdict(good: bool, target: str) -> str:
 
 
 def spread(time: dict, digits: int = 2) -> str:
-    """A `summary` in ms: median (smallest to largest)."""
+    """Format a `summary` in ms: median (smallest to largest)."""
     low, middle, high = (1e3 * time[name] for name in ("min_s", "median_s", "max_s"))
     return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"

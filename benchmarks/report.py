@@ -24,7 +24,7 @@ _BLOCK = re.compile(r"(<!-- benchmark: (?P<command>[^\n]+?) -->\n).*?(<!-- end o
 
 @dataclass(frozen=True)
 class Block:
-    """A place for the tables of one benchmark.
+    """Position of the tables of one benchmark in a page.
 
     Attributes:
         page: Markdown file.
@@ -41,7 +41,7 @@ class Block:
 
 
 def find_blocks(pages: list[Path]) -> list[Block]:
-    """All blocks of the pages, in the order of the text."""
+    """Return all blocks of the pages, in the order of the text."""
     return [Block(page, found["command"]) for page in pages
             for found in _BLOCK.finditer(page.read_text(encoding="utf-8"))]
 

@@ -1,4 +1,4 @@
-"""The hidden-effect study: effects are hidden in virtual recordings; does the diagnosis find them?
+"""Hidden-effect study: effects are hidden in virtual recordings, and the diagnosis must name them.
 
     python -m benchmarks hidden_effects [--quick] [--json] [--protocol full ramps] [--rooms hidden other none ...]
         [--effects NAME ...] [--classes "3 to 10" "> 10"] [--one-size] [--seeds 1 3] [--none 380] [--shard 1/4]
@@ -67,7 +67,7 @@ def options() -> argparse.ArgumentParser:
 
 
 def shard_of(text: str) -> tuple[int, int]:
-    """``2/8`` -> (2, 8).
+    """Parse a shard: ``2/8`` gives (2, 8).
 
     Raises:
         SystemExit: no such shard.
@@ -79,7 +79,7 @@ def shard_of(text: str) -> tuple[int, int]:
 
 
 def check_seeds(seeds: Sequence[int], digest: str, *, sealed: bool, ledger: Path = LEDGER) -> None:
-    """Refuse seeds that are not what they are taken for; sealed ones are noted before anything runs.
+    """Refuse seeds outside their documented range, and record the use of sealed seeds before any run.
 
     Raises:
         SystemExit: a sealed seed below `SEALED_FROM` or noted under another hash, a development seed from there on, or

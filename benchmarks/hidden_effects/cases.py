@@ -352,7 +352,7 @@ def _around() -> list[Case]:
 
 
 def hidden() -> dict[str, Case]:
-    """All cases of the catalogue's effects, by key.
+    """Return all cases of effects of the catalogue, by key.
 
     Not among them, because no protocol could show them: adhesion (no tool goes back past its touch) and inertia
     (10 mm/s would be slow). A separate protocol has the scatter between specimens.
@@ -361,7 +361,7 @@ def hidden() -> dict[str, Case]:
 
 
 def _ripple(test: VirtualTest, true: np.ndarray, size: float) -> np.ndarray:
-    """Stick-slip on the shaft of the tool: a sawtooth force during loading and unloading."""
+    """Return the force with stick-slip on the shaft of the tool: a sawtooth during loading and unloading."""
     tooth = (test.displacement / 0.7e-3) % 1.0
     return true + size * (tooth - 0.5) * test.direction
 

@@ -40,7 +40,7 @@ def _unit_curves(kind: str) -> tuple[CubicSpline, CubicSpline]:
 
 
 def force_of(test: VirtualTest, moduli: np.ndarray, samples: np.ndarray | slice = slice(None)) -> np.ndarray:
-    """Force of the plain model, N, at samples of a test. moduli: C10 and C20, Pa."""
+    """Return the force of the plain model at samples of a test, N. moduli: C10 and C20, Pa."""
     curves, between = _unit_curves(test.kind)
     ratio = float(np.clip(moduli[1] / moduli[0], RATIOS[0], RATIOS[-1]))
     return moduli[0] * (curves(test.displacement[samples]) @ between(ratio))

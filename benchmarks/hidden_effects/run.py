@@ -1,4 +1,4 @@
-"""One run of the hidden-effect study, the plan of all runs, and the file that they are kept in."""
+"""One run of the hidden-effect study, the plan of all runs, and the file of results."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _QUICK = ("viscoelasticity", "machine_compliance", "zero_offset", "partial_slip"
 
 @dataclass(frozen=True)
 class Planned:
-    """A run.
+    """Planned run: its name, protocol, seed, and hidden cases.
 
     Attributes:
         protocol: name. room: of `ROOMS`. cases: keys of what is hidden. words: class of size. number: of the size in
@@ -76,7 +76,7 @@ def code_hash() -> str:
 def plan(protocols: Sequence[str], rooms: Sequence[str], seeds: Sequence[int], *, effects: Sequence[str] = (),
          empty: int | None = None, quick: bool = False, classes: Sequence[str] = (), one_size: bool = False
          ) -> list[Planned]:
-    """All runs.
+    """Return all planned runs.
 
     Args:
         protocols, rooms: names. seeds: each case at each of its sizes once with each. effects: only these; empty: all.
@@ -117,14 +117,14 @@ def plan(protocols: Sequence[str], rooms: Sequence[str], seeds: Sequence[int], *
 
 @contextmanager
 def _without(effects: Iterable[str]) -> Iterator[None]:
-    """The catalogue of the diagnosis without some effects."""
+    """Return the catalogue of the diagnosis without some effects."""
     left = {name: CATALOGUE[name] for name in CATALOGUE if name not in set(effects)}
     with mock.patch.object(proposals, "CATALOGUE", left):
         yield
 
 
 def forces_of(planned: Planned) -> tuple[Callable[[VirtualTest], np.ndarray], list[Case], list[float]]:
-    """Force of a test without scatter; cases and sizes of what is hidden."""
+    """Return the force function of a test without scatter, and the hidden cases with their sizes."""
     cases = [{**hidden(), **outside()}[key] for key in planned.cases]
     sizes = [frozen()[planned.protocol][key]["sizes"][planned.words][planned.number][0] for key in planned.cases]
     if not cases:
@@ -135,7 +135,7 @@ def forces_of(planned: Planned) -> tuple[Callable[[VirtualTest], np.ndarray], li
 
 
 def run_one(planned: Planned, digest: str = "", with_peers: bool = True) -> dict:
-    """Hide, record, diagnose, and let the peers try; the plain numbers that are scored.
+    """Make the recordings of one run, diagnose them, apply the usual methods, and return the numbers to be scored.
 
     Args:
         planned: the run. digest: of the code, noted with it. with_peers: whether the peers try.
@@ -181,7 +181,7 @@ def run_one(planned: Planned, digest: str = "", with_peers: bool = True) -> dict
 
 
 def _on(test: VirtualTest, curve) -> np.ndarray:
-    """Force of a recording at the samples of its test, N."""
+    """Return the force of a recording at the samples of its test, N."""
     time = curve.time if curve.time is not None else curve.displacement / test.speed
     return np.interp(test.time, time, curve.force)
 
@@ -217,7 +217,7 @@ def _said(done: Diagnosed) -> dict:
 
 
 class Results:
-    """Finished runs: one JSON line each, in one file a shard, under one hash.
+    """Results of finished runs: one JSON line each, one file for each shard, under one code hash.
 
     Args:
         folder: of all files. digest: of the code. sealed: whether the seeds are. shard: (which, of how many).
@@ -230,7 +230,7 @@ class Results:
         self._file = folder / f"{kind}-{digest[:12]}-{shard[0]}-of-{shard[1]}.jsonl"
 
     def read(self) -> list[dict]:
-        """All finished runs of this hash, of all shards; a line that was cut off is dropped."""
+        """Read all finished runs of this hash from all shards; an incomplete last line is ignored."""
         runs: dict[str, dict] = {}
         for file in sorted(self._folder.glob(self._pattern)):
             for line in file.read_text(encoding="utf-8").splitlines():
@@ -248,5 +248,5 @@ class Results:
 
 
 def replicates_of(protocol: str) -> int:
-    """Recordings that a run of a protocol makes."""
+    """Return the number of recordings in a run of a protocol."""
     return REPLICATES * len(PROTOCOLS[protocol]())

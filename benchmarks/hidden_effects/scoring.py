@@ -1,4 +1,4 @@
-"""Scores of the hidden-effect study: from runs to the figures, with their intervals.
+"""Scores of the hidden-effect study with their intervals.
 
 A run is a plain dictionary, as `hidden_effects_run.run_one` returns it and as its line in the results file says it.
 """
@@ -25,7 +25,7 @@ ANSWERS = ("NONE", "UNKNOWN")
 
 
 def wilson(hits: int, of: int, deviations: float = 1.959964) -> tuple[float, float]:
-    """95 % interval of a share (Wilson 1927)."""
+    """Return the 95 % interval of a fraction (Wilson 1927)."""
     if not of:
         return 0.0, 1.0
     share, z2 = hits / of, deviations**2
@@ -36,18 +36,18 @@ def wilson(hits: int, of: int, deviations: float = 1.959964) -> tuple[float, flo
 
 
 def base(name: str) -> str:
-    """An effect's name without the test in which it acts."""
+    """Return the name of an effect without the test in which it acts."""
     return name.partition("@")[0]
 
 
 def reported(run: Run) -> list[str]:
-    """Effects that a verdict holds for possible, without repeats."""
+    """Return the effects that a verdict considers possible, each once."""
     names = [*run["named"], *run["indistinguishable"]] if run["verdict"] in ("NAMED", "SET", "LOOKS_LIKE") else []
     return list(dict.fromkeys(map(base, names)))
 
 
 def size_of_set(run: Run) -> int:
-    """Names of a set without the stated twins of the truth."""
+    """Return the number of names in a set, without effects that are stated to be equivalent to the truth."""
     return sum(name in run["effects"] or name not in run["twins"] for name in reported(run))
 
 
@@ -73,7 +73,7 @@ def in_reported(run: Run) -> bool:
 
 
 def share(runs: Sequence[Run], is_hit: Callable[[Run], bool]) -> dict:
-    """A share, with its 95 % interval and how many it stands on."""
+    """Return a fraction with its 95 % interval and the number of runs."""
     hits = sum(map(is_hit, runs))
     low, high = wilson(hits, len(runs))
     return {"hits": hits, "of": len(runs), "share": hits / len(runs) if runs else None, "low": low, "high": high}
@@ -101,20 +101,20 @@ def probabilities(run: Run) -> dict[str, float]:
 
 
 def truths(run: Run) -> list[str]:
-    """Answers that are right."""
+    """Return the right answers of a run."""
     if run["room"] == "none":
         return ["NONE"]
     return run["effects"] or ["UNKNOWN"]
 
 
 def log_score(run: Run) -> float:
-    """Logarithm of the probability of the right answers, their mean; 0 is perfect."""
+    """Return the mean logarithm of the probability of the right answers; 0 is perfect."""
     bets = probabilities(run)
     return float(np.mean([math.log(bets.get(answer, LEFT / (len(bets) + 1))) for answer in truths(run)]))
 
 
 def confidence(run: Run) -> float | None:
-    """Share of the evidence that stands with the best; None where nothing is reported."""
+    """Return the fraction of the evidence of the best candidate; None: nothing is reported."""
     names = reported(run)
     weights = run["weights"]
     if not names or not weights:
@@ -133,7 +133,7 @@ def words(runs: Iterable[Run]) -> list[dict]:
 
 
 def best_of(run: Run) -> str:
-    """The likeliest of those that are reported."""
+    """Return the most likely reported effect."""
     return max(reported(run), key=lambda name: run["weights"].get(name, 0.0))
 
 
@@ -144,7 +144,7 @@ def said_at_20_to_1(runs: Iterable[Run]) -> dict:
 
 def error_against_coverage(runs: Sequence[Run], confidences: Sequence[float | None],
                            wrongs: Sequence[bool]) -> list[tuple[float, float]]:
-    """Share of runs that are answered with a unique name, from the surest on, and the share of these that is wrong."""
+    """Return the fraction of wrong unique names over the fraction of runs answered, in order of confidence."""
     ranked = sorted((level, wrong) for level, wrong in zip(confidences, wrongs, strict=True) if level is not None)
     answers, errors = [], 0
     for count, (_, wrong) in enumerate(reversed(ranked), start=1):
@@ -181,7 +181,7 @@ def held_out(runs: Iterable[Run], kind: str) -> dict:
 
 
 def by_class(runs: Sequence[Run]) -> dict[str, list[Run]]:
-    """Class of size -> runs; ``testable`` holds those of 3 and more together."""
+    """Group runs by class of size; ``testable`` holds the classes of 3 and more."""
     groups: dict[str, list[Run]] = defaultdict(list)
     for run in runs:
         groups[run["class"]].append(run)
@@ -191,7 +191,7 @@ def by_class(runs: Sequence[Run]) -> dict[str, list[Run]]:
 
 
 def identified(runs: Sequence[Run]) -> dict:
-    """Figures of runs with one hidden effect of a form that the catalogue has."""
+    """Return the figures of runs with one hidden effect in a form of the catalogue."""
     sets = [size_of_set(run) for run in runs if outcome(run) == "set"]
     return {
         "unique and right": share(runs, lambda run: outcome(run) == "right"),
@@ -206,13 +206,13 @@ def identified(runs: Sequence[Run]) -> dict:
 
 
 def gains(runs: Sequence[Run]) -> dict:
-    """`sensor_gain`, which no test tells from C10: right in a set, or as not testable."""
+    """Return the figures of `sensor_gain`, which no test separates from C10: right in a set, or not testable."""
     return share(runs, lambda run: outcome(run) == "set" or ("sensor_gain" in run["not_testable"]
                                                           and outcome(run) in ("none", "unknown")))
 
 
 def score(runs: Sequence[Run], truth: dict[str, float]) -> dict:
-    """All figures of the runs of one protocol.
+    """Return all figures of the runs of one protocol.
 
     Args:
         runs: of one hash of the code. truth: the moduli.

@@ -74,7 +74,7 @@ class Projection:
         self._rows, self._basis = rows, np.linalg.qr(design)[0]
 
     def _white(self, test: VirtualTest, columns: np.ndarray) -> np.ndarray:
-        """N -> deviations of independent noise; the noise depends on the sample before alone."""
+        """Scale forces (N) to deviations of independent noise; correlated noise depends on the previous sample only."""
         columns = columns / NOISE
         if not self._memory:
             return columns
@@ -97,7 +97,7 @@ def three_digits(size: float) -> float:
 
 
 def size_for(projection: Projection, case: Case, aim: float) -> tuple[float, float] | None:
-    """A physical size with about this signal, and its signal; None: there is none."""
+    """Return a physical size with about this signal, and its signal; None: no such size."""
     size = three_digits(np.sqrt(case.low * case.high))
     for _ in range(4):
         signal = projection.signal(case, size)
@@ -115,7 +115,7 @@ def size_for(projection: Projection, case: Case, aim: float) -> tuple[float, flo
 
 
 def tabulate(name: str, say: Callable[[str], None] = print) -> dict:
-    """Sizes and what is testable of one protocol.
+    """Return sizes and testability of the effects in one protocol.
 
     Args:
         name: of the protocol. say: what is done.
@@ -161,13 +161,13 @@ def tabulate(name: str, say: Callable[[str], None] = print) -> dict:
 
 
 def freeze(protocols: Sequence[str], say: Callable[[str], None] = print) -> None:
-    """Write the table; it is part of the hash that sealed figures stand under."""
+    """Write the table of sizes, which is part of the code hash of sealed figures."""
     table = {name: tabulate(name, say=say) for name in protocols}
     TABLE.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
 
 
 def class_of(signal: float) -> str:
-    """The class of a projected signal over noise."""
+    """Return the class of a projected ratio of signal to noise."""
     return next(words for words, (low, high) in CLASSES.items() if low <= signal < high)
 
 

@@ -57,7 +57,7 @@ def _moduli(run: Run, name: str) -> dict[str, list]:
 
 
 def _shares(run: Run) -> dict[str, float]:
-    """Probabilities by BIC over the catalogue and no effect."""
+    """Return the probabilities by BIC over the catalogue and the answer without an effect."""
     gains = {"NONE": 0.0, **run["peers"]["BIC"]["gains"]}
     top = max(gains.values())
     weights = {name: math.exp(max(0.5 * (gain - top), -700.0)) for name, gain in gains.items()}
@@ -70,14 +70,14 @@ def _sureness(run: Run) -> float | None:
 
 
 def _bet(run: Run) -> float:
-    """Log score of BIC's probabilities, with the same floor as ours."""
+    """Return the log score of the probabilities by BIC, with the same floor as for the diagnosis."""
     answers = len(run["catalogue"]) + 2
     right = run["effects"][0] if run["effects"] else "NONE"
     return math.log(0.95 * _shares(run).get(right, 0.0) + 0.05 / answers)
 
 
 def figures(runs: Sequence[Run]) -> dict:
-    """Protocol -> its figures, the peers' among them, and the runs that gave no verdict."""
+    """Return the figures of each protocol with those of the usual methods, and the runs without a verdict."""
     answer = {}
     for protocol in dict.fromkeys(run["protocol"] for run in runs):
         mine = [run for run in runs if run["protocol"] == protocol]
@@ -109,7 +109,7 @@ def cases_in_words() -> str:
 
 
 def in_words(row: dict | float | None) -> str:
-    """``12 % (3 to 25), 5 of 40``."""
+    """Format a fraction: ``12 % (3 to 25), 5 of 40``."""
     if isinstance(row, dict):
         if not row["of"]:
             return "-"
@@ -119,7 +119,7 @@ def in_words(row: dict | float | None) -> str:
 
 
 def draw(result: dict, console: Console) -> None:
-    """All tables of a result."""
+    """Print all tables of a result."""
     console.print(f"hash {result['hash'][:12]}, {result['seeds']} seeds")
     for protocol, found in result["figures"].items():
         console.print(f"[bold]{protocol}[/]: {found['runs']} runs, {found['wall_s']:.0f} s each (median), "
@@ -147,7 +147,7 @@ def draw(result: dict, console: Console) -> None:
 
 
 def draw_peers(found: dict, protocol: str, console: Console) -> None:
-    """Peer methods compared with ours, on testable effects with a signal of at least 3."""
+    """Print the usual methods compared with the diagnosis, for testable effects with a signal of at least 3."""
     rows = [[name, *(in_words(found[name][parameter][what]) for parameter in TRUTH for what in ("error", "covered"))]
             for name in ("least squares", "Gaussian process", "ours")]
     table(console, f"{protocol}: moduli with an effect hidden (root mean square error, relative; 95 % interval holds)",

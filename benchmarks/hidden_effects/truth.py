@@ -1,4 +1,4 @@
-"""True curves of the hidden-effect study: what tests would read without noise.
+"""True curves of the hidden-effect study: readings without noise.
 
 Plain curves are those of independent programs in tests/reference and, under lubricated plates, the closed form, written
 out here once more. What transforms a curve (rigs, tilt, slip, puncture, relaxation on the force) is written here, too,
@@ -106,7 +106,7 @@ class VirtualTest:
 
     @property
     def corners(self) -> tuple[list[float], list[float]]:
-        """Time, s, and displacement, m, of the motion."""
+        """Times (s) and displacements (m) of the corners of the motion."""
         if not self.returns:
             return [0.0, self.ramp], [0.0, DEPTH]
         return [0.0, self.ramp, self.ramp + HOLD, 2 * self.ramp + HOLD], [0.0, DEPTH, DEPTH, 0.0]
@@ -133,19 +133,19 @@ class VirtualTest:
 
 
 def ramps() -> tuple[VirtualTest, ...]:
-    """The study's own protocol: loading only."""
+    """Return the tests of the basic protocol: loading only."""
     return tuple(VirtualTest(kind, kind, SLOW, False, 10.0) for kind in "ABC")
 
 
 def full() -> tuple[VirtualTest, ...]:
-    """Ramp, hold and return at two speeds, and a compression at a third that no fit sees."""
+    """Return tests with ramp, hold and return at two speeds, and a held-out compression at a third speed."""
     return (*(VirtualTest(kind, kind, SLOW, True, 4.0) for kind in "ABC"),
             *(VirtualTest(f"{kind}_fast", kind, FAST, True, 10.0) for kind in "ABC"),
             VirtualTest("A_unseen", "A", BETWEEN, True, 4.0, held_out=True))
 
 
 def animals() -> tuple[VirtualTest, ...]:
-    """Compression and needle on four specimens, loading only: for the scatter between specimens alone."""
+    """Return compression and needle tests on four specimens, loading only, for scatter between specimens."""
     return tuple(VirtualTest(f"{kind}{number + 1}", kind, SLOW, False, 5.0, specimen=number)
                  for number in range(4) for kind in "AC")
 
@@ -155,7 +155,7 @@ PROTOCOLS = {"ramps": ramps, "full": full, "animals": animals}
 
 def lubricated(depth: np.ndarray, values: Mapping[str, float] | None = None, radius: float = RADIUS,
                height: float = HEIGHT) -> np.ndarray:
-    """Force between lubricated plates, N, of Biderman's law (incompressible): F = A dW/dlambda."""
+    """Return the force of Biderman's incompressible law between lubricated plates, N: F = A dW/dlambda."""
     given = {"C10": C10, "C20": C20, **(values or {})}
     stretch = 1.0 - np.asarray(depth) / height
     excess = stretch**2 + 2.0 / stretch - 3.0
@@ -166,7 +166,7 @@ def lubricated(depth: np.ndarray, values: Mapping[str, float] | None = None, rad
 
 @cache
 def stored(kind: str) -> CubicSpline:
-    """Force against depth, N and m, of an independent program."""
+    """Return the force over depth of an independent program, N and m."""
     if kind == "A":
         depth = np.linspace(0.0, 1.06 * DEPTH, 107)
         return CubicSpline(depth, lubricated(depth))
@@ -204,7 +204,7 @@ def _bulge() -> tuple[np.ndarray, np.ndarray]:
 
 def model_of(kind: str, time: np.ndarray, displacement: np.ndarray, values: Mapping[str, float],
              law: Mapping[str, float] | None = None) -> ts.Model:
-    """A model of the study.
+    """Return a model of the study.
 
     Args:
         kind: of the test. values: path -> value, SI, of all parts other than the law. law: numbers of Biderman's; None:
@@ -249,7 +249,7 @@ def fine_mesh(model: ts.Model, needle: Mapping[str, float]):
 
 
 def _knots(test: VirtualTest) -> np.ndarray:
-    """Times of a simulation, s."""
+    """Return the times of a simulation, s."""
     corners = test.corners[0]
     parts = [np.linspace(corners[0], corners[1], _WAY)]
     if test.returns:
@@ -258,7 +258,7 @@ def _knots(test: VirtualTest) -> np.ndarray:
 
 
 def simulated(test: VirtualTest, values: Mapping[str, float], law: Mapping[str, float] | None = None) -> np.ndarray:
-    """Force of a test by our finite elements on a fine mesh, N, shape of its times; kept on disk.
+    """Return the force of a test by the finite elements on a fine mesh, N; results are cached on disk.
 
     A model without memory is simulated for loading only, a model with memory at one speed.
 
@@ -277,7 +277,7 @@ def simulated(test: VirtualTest, values: Mapping[str, float], law: Mapping[str, 
 
 
 def _solved(test: VirtualTest, values: Mapping[str, float], law: Mapping[str, float] | None) -> np.ndarray:
-    """Force at the knots of a test, N."""
+    """Return the force at the knots of a test, N."""
     values, knots = dict(sorted(values.items())), _knots(test)
     key = json.dumps([_VERSION, test.kind, test.speed, test.returns, values, dict(sorted((law or {}).items()))
                       if law is not None else None, _NEEDLE_MESH, _PLATE_MESH, _WAY, _HOLD, DEPTH, HOLD])
@@ -299,7 +299,7 @@ def _solved(test: VirtualTest, values: Mapping[str, float], law: Mapping[str, fl
 
 
 def _between_knots(solved: VirtualTest, test: VirtualTest, force: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Force at other times of a simulation, N, segment by segment, so that no curve runs over a corner."""
+    """Interpolate the force of a simulation, N, segment by segment, so that no curve crosses a corner."""
     knots, corners, answer = _knots(solved), solved.corners[0], np.empty(test.time.size)
     for part, (start, end) in enumerate(itertools.pairwise(corners)):
         here, there = (knots >= start) & (knots <= end), (time >= start) & (time <= end)
@@ -310,12 +310,12 @@ def _between_knots(solved: VirtualTest, test: VirtualTest, force: np.ndarray, ti
 
 
 def difference(test: VirtualTest, values: Mapping[str, float], law: Mapping[str, float] | None = None) -> np.ndarray:
-    """Force of a test with an effect, N: the independent curve and what the effect changes in our own."""
+    """Return the force of a test with an effect, N: the independent curve plus the simulated change by the effect."""
     return plain(test.kind, test.displacement) + simulated(test, values, law) - simulated(test, {})
 
 
 def hereditary(test: VirtualTest, force: np.ndarray, relaxation) -> np.ndarray:
-    """Fung's quasi-linear viscoelasticity on the force: F(t) = integral of G(t - s) dF_e(s).
+    """Return the force by Fung's quasi-linear viscoelasticity: F(t) = integral of G(t - s) dF_e(s).
 
     Args:
         force: elastic, at the samples of the test. relaxation: t -> G, with G(0) = 1.

@@ -74,7 +74,7 @@ def draw(result: dict, console: Console) -> None:
 
 
 def write(folder: Path, rows: int) -> tuple[Path, Path]:
-    """The same test in our own columns and as a German program writes it, with two columns more."""
+    """Write the same test in the program's columns, and in the layout of a German program with two more columns."""
     rng = np.random.default_rng(3)
     time, way, force = 1e-3 * np.arange(rows), 5.0 * rng.random(rows), rng.random(rows)
     own, german = folder / "own.csv", folder / "german.csv"
@@ -90,7 +90,7 @@ def write(folder: Path, rows: int) -> tuple[Path, Path]:
 
 
 def measured(program: str, path: Path) -> tuple[int, float, float]:
-    """Rows, seconds, and MB of the largest process."""
+    """Return the number of rows, the time (s), and the memory of the largest process (MB)."""
     done = subprocess.run([sys.executable, "-c", program + _MEASURED, str(path)], capture_output=True, text=True,
                           check=True)
     rows, taken, most = json.loads(done.stdout)

@@ -63,7 +63,7 @@ class Row:
 
 
 def work(name: str, seed: int, first: int, last: int, folder: Path) -> None:
-    """The inputs of one reader, one line of JSON each; in a separate process."""
+    """Read the mutated inputs of one reader in a worker process, and print one JSON line for each."""
     from benchmarks.inputs.mutations import damaged
     from benchmarks.inputs.readers import REFUSALS, readers
     from tissue_sim import bounded
@@ -107,7 +107,7 @@ def _highest(process: int) -> float:
 
 
 def watch(name: str, seed: int, count: int, kept: Path) -> Row:
-    """All inputs of one reader; a worker that hangs or dies is replaced."""
+    """Run all inputs of one reader; replace a worker that hangs or dies."""
     row = Row(name)
     while row.inputs < count:
         with tempfile.TemporaryDirectory(prefix="mutated_") as folder:

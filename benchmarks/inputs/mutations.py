@@ -1,4 +1,4 @@
-"""Damage: as editors, cables and people do it to bytes, and as attackers do it to the structure of a file."""
+"""Mutations of inputs: random damage of bytes and text, and hostile changes of structured files."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _WORD = re.compile(r"[A-Za-z_][\w.-]*")
 
 
 def damaged(sample: bytes, chance: random.Random, others: list[bytes]) -> bytes:
-    """An input from a sound one, always the same for the same `chance`."""
+    """Return a mutation of a valid input; equal `chance` gives equal mutations."""
     kind = chance.random()
     if kind < 0.01:
         return chance.choice(others)
@@ -42,7 +42,7 @@ def damaged(sample: bytes, chance: random.Random, others: list[bytes]) -> bytes:
 
 
 def in_bytes(sample: bytes, chance: random.Random) -> bytes:
-    """Pieces lost, doubled, replaced, moved; numbers of the format made extreme."""
+    """Delete, repeat, replace or move bytes, or set binary numbers to extreme values."""
     data = bytearray(sample)
     for _ in range(chance.choice((1, 1, 2, 3, 8))):
         at, length = chance.randrange(len(data) + 1), chance.choice((1, 1, 2, 4, 8, 40))
@@ -56,7 +56,7 @@ def in_bytes(sample: bytes, chance: random.Random) -> bytes:
 
 
 def in_text(text: str, chance: random.Random) -> str:
-    """Numbers, words and lines replaced, doubled and moved."""
+    """Replace, repeat or move numbers, words and lines."""
     for _ in range(chance.choice((1, 1, 1, 2, 4))):
         pattern, choices = chance.choice(((_NUMBER, NUMBERS), (_WORD, WORDS), (_NUMBER, WORDS), (None, TEXTS)))
         places = list(pattern.finditer(text)) if pattern is not None else []
@@ -75,7 +75,7 @@ def in_text(text: str, chance: random.Random) -> str:
 
 
 def in_json(text: str, chance: random.Random) -> bytes:
-    """A value somewhere in it replaced, taken out, doubled or nested."""
+    """Replace, remove, repeat or nest a value at a random position."""
     value = json.loads(text)
     for _ in range(chance.choice((1, 1, 2, 3))):
         holder, key = chance.choice(_places(value) or [({}, "")])
@@ -100,7 +100,7 @@ def _places(value: Any) -> list[tuple[Any, Any]]:
 
 
 def in_archive(sample: bytes, chance: random.Random) -> bytes:
-    """One member damaged, in an archive that is whole."""
+    """Damage one member of a valid archive."""
     stream = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(sample)) as archive, zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as other:
         names = archive.namelist()

@@ -93,7 +93,7 @@ STATE = json.dumps({"session_id": 7, "inverse3": [{
 
 
 class _Tissue:
-    """A tissue that can all that a command asks for, without computing."""
+    """Test double of a tissue with the methods that commands call."""
 
     def set_parameters(self, **values: float) -> None:
         if not all(0 < value < 1e9 for value in values.values()):
@@ -137,7 +137,7 @@ _WIRE = ("request", "reply", "command line", "ring")
 
 
 def readers(folder: Path) -> dict[str, tuple[bytes, Reader]]:
-    """Name -> a sound sample, and the function of its bytes; files are written into `folder`."""
+    """Return for each reader a valid sample and a function of its bytes; files are written into `folder`."""
     sample_files.short_curves()
     every: dict[str, tuple[bytes, Reader]] = {}
     for name, (file, content, options) in sample_files.recordings().items():
@@ -163,7 +163,7 @@ def _text(read: Callable[[str], Any]) -> Reader:
 
 
 def _found(what: Any) -> Any:
-    """Lines of devices are refused by None, which their drivers expect."""
+    """Read one line of a device; drivers refuse a line by returning None."""
     if what is None:
         raise ts.InputError("is none")
     return what

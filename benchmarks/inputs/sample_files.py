@@ -1,4 +1,4 @@
-"""A small sound file for every reader of recordings; `mutated_inputs.py` damages them."""
+"""Small valid files for every reader of recordings, which `mutated_inputs` damages."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COLUMNS = {"time": {"name": "time", "unit": "s"}, "displacement": {"name": "disp
 
 
 def short_curves() -> None:
-    """Small files, so that a mutation meets what matters."""
+    """Return small files, so that a mutation is likely to change a relevant part."""
     whole = machine_exports.curve
     machine_exports.curve = lambda seed, hold=False, points=POINTS: whole(seed, hold, points)
 
@@ -33,7 +33,7 @@ def columns(delimiter: str = ",", header: str = "") -> bytes:
 
 
 def ods() -> bytes:
-    """The smallest OpenDocument spreadsheet."""
+    """Return the smallest OpenDocument spreadsheet."""
     def cell(value) -> str:
         if isinstance(value, str):
             return f'<table:table-cell office:value-type="string"><text:p>{value}</text:p></table:table-cell>'
@@ -109,7 +109,7 @@ IMPORTED = ("bluehill", "mts", "zwick", "exponent", "mach1", "mecmesin", "trios"
 
 
 def recordings() -> dict[str, tuple[str, bytes, dict]]:
-    """Name -> (name of the file, its content, options of `read_recordings`)."""
+    """Return for each name the file name, its content, and options of `read_recordings`."""
     exports = {name: machine_exports.EXPORTS[name]() for name in (
         "bluehill", "mts", "zwick", "exponent", "mach1", "mecmesin", "trios")}
     books = {name: machine_exports.EXPORTS[name]() for name in ("zwick, xlsx", "zwick, xls")}

@@ -98,7 +98,7 @@ CASES = (
 
 
 def make_campaign(case: Case) -> Campaign:
-    """The campaign of a case, whose recordings are in memory."""
+    """Return the campaign of a case, with recordings in memory."""
     kind = ts.KINDS["lubricated_compression"]
     experiment = kind.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(DEPTH)) \
         if case.method == "inverse_fem" else None
@@ -139,7 +139,7 @@ def recorder(case: Case, test: Test, rng: np.random.Generator) -> Callable[[int]
 
 
 def draw_case(case: Case, rng: np.random.Generator) -> tuple[TestCurves, list[MeasuredCurve]]:
-    """Curves of one campaign, and new recordings."""
+    """Return the curves of one campaign, and new recordings."""
     campaign = make_campaign(case)
     record = recorder(case, campaign.tests[0], rng)
     measured = {"plates": tuple(record(number) for number in range(case.replicates))}

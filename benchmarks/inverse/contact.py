@@ -33,7 +33,7 @@ NEAR_SHARE = 0.05
 
 
 def contacts(recordings: int, seed: int) -> list[dict]:
-    """One row a recording: its words, whether the interval holds the truth, its width in steps, status, CPU seconds."""
+    """Return one row for each recording: description, coverage, width in steps, status, CPU time (s)."""
     rows = []
     for number in range(recordings):
         virtual = touch(seed, number)
@@ -71,12 +71,12 @@ def judge_failure(virtual: Virtual, found: Failure | None) -> bool:
 
 
 def coverage(rows: Sequence[dict]) -> tuple[float, float]:
-    """Share of the intervals that hold the truth, and median width in steps."""
+    """Return the fraction of intervals that contain the true contact, and the median width in steps."""
     return float(np.mean([row["holds"] for row in rows])), float(np.median([row["width"] for row in rows]))
 
 
 def draw(result: dict, console) -> None:
-    """The result as tables."""
+    """Print the result as tables."""
     from benchmarks.measure import table, verdict
 
     rows, broken = result["contacts"], result["failures"]

@@ -101,7 +101,7 @@ def true_curves(data: str, scenes: Sequence[str] = JOINT) -> dict[str, tuple[np.
 
 def run_campaign(number: int, seed: int, truth: Truth, drawn: bool, profiled: bool,
                  methods: Sequence[str] = tuple(STATED)) -> dict[str, dict]:
-    """One synthetic campaign by these methods, and by ordinary least squares.
+    """Fit one virtual campaign by these methods, and by ordinary least squares.
 
     Args:
         number, seed: of its scatter. truth: see `true_curves`. drawn: whether a mesh error is drawn into the data.
@@ -140,7 +140,7 @@ def run_campaign(number: int, seed: int, truth: Truth, drawn: bool, profiled: bo
 
 
 def _interval(problem: Problem, theta: np.ndarray, error: float, converged: bool, profiled: bool) -> dict:
-    """Interval of generalised least squares."""
+    """Return the interval of generalised least squares."""
     spread = assess_uncertainty(problem, problem.evaluate(theta))
     ends = None
     if profiled:
@@ -152,7 +152,7 @@ def _interval(problem: Problem, theta: np.ndarray, error: float, converged: bool
 
 
 def _ordinary(settled: Problem, theta: np.ndarray) -> dict:
-    """Interval of ordinary least squares with the same model: s^2 (J'J)^-1."""
+    """Return the interval of ordinary least squares with the same model: s^2 (J'J)^-1."""
     problem = Problem(settled.space, settled.tests, settled.solves, Jitter(0.0, 0.0, None), (0.0,) * len(settled.tests))
     descent = descend(problem, theta, corrected=True)
     evaluation = problem.evaluate(descent.theta)
@@ -164,7 +164,7 @@ def _ordinary(settled: Problem, theta: np.ndarray) -> dict:
 
 
 def summarise(runs: Sequence[Mapping[str, Mapping]]) -> list[dict]:
-    """Coverage of each method with each kind of interval; a fit that did not converge counts as one that missed.
+    """Return the coverage of each method and interval; a fit without convergence counts as a miss.
 
     Returns:
         For each: how many campaigns; arrays over C10 and C20 as lists: share of intervals that hold the truth and its
@@ -197,7 +197,7 @@ def summarise(runs: Sequence[Mapping[str, Mapping]]) -> list[dict]:
 
 
 def run_study(data: str, campaigns: int, seed: int, workers: int, profile_every: int) -> list[dict[str, dict]]:
-    """All campaigns, in order."""
+    """Run all campaigns in order."""
     truth = true_curves(data)
     tasks_of = [(number, seed, truth, data == "drawn", bool(profile_every) and number % profile_every == 0)
                 for number in range(campaigns)]
@@ -207,7 +207,7 @@ def run_study(data: str, campaigns: int, seed: int, workers: int, profile_every:
 
 
 def draw(result: dict, console: Console) -> None:
-    """The result as a table."""
+    """Print the result as a table."""
     rows = []
     for one in result["intervals"]:
         for k, name in enumerate(PARAMETERS):

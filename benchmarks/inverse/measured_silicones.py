@@ -59,7 +59,7 @@ ESTIMATED = "estimated"
 
 @dataclass(frozen=True)
 class Study:
-    """A campaign on one composition.
+    """Campaign on one composition.
 
     Attributes:
         name: of its files. composition: key of the recordings. window: nominal strain.
@@ -79,7 +79,7 @@ class Study:
     tension: bool = False
 
     def write(self, folder: Path, data: Path) -> Path:
-        """The campaign file."""
+        """Write the campaign file."""
         recordings = data / "ecoflex_compression"
         text = [f'[[specimen]]\nname = "cylinder"\nradius_mm = {RADIUS_MM}\nheight_mm = {HEIGHT_MM}']
         if self.friction == "bonded":
@@ -116,7 +116,7 @@ class Study:
 
 
 def forces(recordings: Path, composition: str, window: float) -> dict[str, list[float]]:
-    """Force of each recording at the end of the window, N, by sample."""
+    """Return the force of each recording at the end of the window, N, by sample."""
     found: dict[str, list[float]] = {"A": [], "B": []}
     for file in sorted(recordings.glob(f"{composition}_*.csv")):
         own, = ts.read_recordings(file, format="instron", kind="lubricated_compression")
@@ -126,7 +126,7 @@ def forces(recordings: Path, composition: str, window: float) -> dict[str, list[
 
 
 def run(study: Study, folder: Path, data: Path, *, figures: bool) -> dict:
-    """Calibrate; one entry for each law, best first, and what it cost."""
+    """Calibrate one study; return one entry for each law, the best first, and the cost."""
     started = time.process_time()
     try:
         result, = calibrate([study.write(folder, data)], folder / "results" / study.name, figures=figures)
@@ -139,7 +139,7 @@ def run(study: Study, folder: Path, data: Path, *, figures: bool) -> dict:
 
 
 def entry(result: CalibrationResult, fit: Fit) -> dict:
-    """One law of a study."""
+    """Return the result of one law of a study."""
     predictions = {p.test: {"RMSE_N": p.RMSE_N, "RMSE_Pa": p.RMSE_Pa, "percent": p.percent, "expected_N": p.expected_N}
                    for p in result.predictions if p.law == fit.law}
     return {
@@ -155,7 +155,7 @@ def entry(result: CalibrationResult, fit: Fit) -> dict:
 
 
 def residuals(result: CalibrationResult, law: str, tests: Iterable[str]) -> Iterable[list[str]]:
-    """Rows of residuals.csv of a law and some tests."""
+    """Read the rows of residuals.csv of one law and some tests."""
     for line in (result.output / "residuals.csv").read_text(encoding="utf-8").splitlines()[1:]:
         cells = line.split(",")
         if cells[0] == law and cells[1].partition("/")[0] in tests:
@@ -163,7 +163,7 @@ def residuals(result: CalibrationResult, law: str, tests: Iterable[str]) -> Iter
 
 
 def tension(result: CalibrationResult, law: str) -> dict[str, list[float]]:
-    """Measured and predicted nominal stress of the strip, Pa, by stretch; empty where it is not part of the study."""
+    """Return measured and predicted nominal stress of the strip over stretch, Pa; empty if not part of the study."""
     rows = [[float(cell) for cell in cells[3:6]] for cells in residuals(result, law, ["tension"])]
     if not rows:
         return {}
@@ -173,7 +173,7 @@ def tension(result: CalibrationResult, law: str) -> dict[str, list[float]]:
 
 
 def studies() -> dict[str, list[Study]]:
-    """Part of the benchmark -> its studies."""
+    """Return the studies of each part of the benchmark."""
     subsets = [(name, samples) for name in COMPOSITIONS for samples in ("AB", "A", "B")]
     stated = [Study(f"{name}_{samples}", name, samples=samples, tension=samples == "AB" and name in TENSION)
               for name, samples in subsets]
@@ -187,7 +187,7 @@ def studies() -> dict[str, list[Study]]:
 
 
 def draw(result: dict, console: Console) -> None:
-    """The result as tables."""
+    """Print the result as tables."""
     drawings = {"stated": draw_samples, "estimated": draw_samples, "windows": draw_windows, "friction": draw_friction}
     draw_scatter(result["scatter"], console)
     for part, found in result["parts"].items():
@@ -278,7 +278,7 @@ def number(value: float | None, digits: int) -> str:
 
 
 def picture(result: dict, data: Path, file: Path) -> None:
-    """The recordings of EF10_0T, what friction makes of C10, and tension as predicted."""
+    """Draw the recordings of EF10_0T, C10 over friction, and the prediction of tension."""
     import matplotlib.pyplot as plt
 
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(13, 4), layout="constrained")

@@ -62,7 +62,7 @@ zero_jitter_N = 0.0
 
 
 def recordings(depth: float, approach: ts.Approach, noise: float, resolution: str) -> tuple[list[ts.Recording], int]:
-    """Noisy replicates of the needle's way, and how many freedoms they are from."""
+    """Return noisy replicates of the motion of the needle, and the number of degrees of freedom of the solid."""
     protocol = ts.Protocol.ramp(depth, 9)
     experiment = ts.KINDS["needle_indentation"].experiment(
         specimen=ts.Specimen(*SPECIMEN), protocol=protocol, tool=ts.Tool("flat", radius=RADIUS), approach=approach)
@@ -81,7 +81,7 @@ def recordings(depth: float, approach: ts.Approach, noise: float, resolution: st
 
 
 def fitted(folder: Path, name: str, way: str, noise: float) -> dict:
-    """Parameters, their standard errors and bias, %, and what the fit took."""
+    """Return the parameters, their standard errors and bias (%), and the cost of the fit."""
     (folder / f"{name}.toml").write_text(CAMPAIGN.format(way=way, noise=noise), encoding="utf-8")
     began = time.perf_counter()
     result, = calibrate([folder / f"{name}.toml"], folder / name)

@@ -38,7 +38,7 @@ def covariance(deviations, correlation):
 
 
 def coverage(specimens: int, ratio: float, populations: int, rng) -> np.ndarray:
-    """Share of populations whose intervals of the first parameter hold mean, spread and a further specimen.
+    """Return the fraction of populations whose intervals contain mean, spread and a new specimen (first parameter).
 
     Args:
         ratio: spread between specimens, in units of the error of a specimen's own fit.
@@ -72,7 +72,7 @@ FURTHER = 20
 
 
 def held_out_coverage(name: str, specimens: int, rng) -> np.ndarray:
-    """Share, %, of the samples of further specimens inside the band, and of specimens wholly inside the other."""
+    """Return the fractions of samples and of whole new specimens inside their bands, %."""
     law, (mean, spread, depth) = ts.find_law(name), LAWS[name]
     kind, tests, measured = ts.KINDS["lubricated_compression"], [], {}
     for k in range(specimens + FURTHER):

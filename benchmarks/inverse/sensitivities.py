@@ -31,7 +31,7 @@ RELAXING = ts.Material("reduced_polynomial_2", STUDY, ts.Bulk("bulk_ratio", 1e4)
 
 
 def cases():
-    """Test, experiment, material, parameters."""
+    """Return tests with experiment, material and parameters."""
     ramp = ts.Protocol.ramp(10e-3, 21)
     cycle = ts.Protocol.parse("ramp 6mm; hold 20s; unload 2mm", points=21)
     law = ["C10", "C20"]
@@ -45,7 +45,7 @@ def cases():
 
 
 def cases_in_space():
-    """The same of the solid."""
+    """Return the 3D tests with experiment, material and parameters."""
     heavy, placed = (ts.Specimen(0.04, 0.05, density=1040.0, gravity=9.81, height_is=height)
                      for height in ("moulded", "placed"))
     ramp, flat, law = ts.Protocol.ramp(4e-3, 5), ts.Tool("flat", 8e-3), ["C10", "C20"]
@@ -76,7 +76,7 @@ def solid_mesh(model: ts.Model, resolution: str):
 
 def cost(name: str, experiment: ts.Experiment, material: ts.Material, names: list[str], resolution: str,
          repeats: int, in_space: bool) -> dict:
-    """Medians of alternating runs without, with one, and with all derivatives."""
+    """Return medians of alternating runs without, with one, and with all derivatives."""
     model = ts.Model(experiment, material)
     options = {"mesh": solid_mesh(model, resolution) if in_space else build_mesh(experiment, resolution),
                "solver": "solid" if in_space else "axisymmetric"}

@@ -81,7 +81,7 @@ MAY_ERR = (3e-3, 3e-2)
 
 @dataclass(frozen=True)
 class Scene:
-    """A kind of test, the settings of its experiment, and the curve of an independent solver in tests/reference."""
+    """Kind of test, settings of its experiment, and the curve of an independent solver in tests/reference."""
 
     kind: str
     overrides: dict
@@ -92,7 +92,7 @@ class Scene:
         return ts.KINDS[self.kind].experiment(specimen=SPECIMEN, protocol=protocol, **self.overrides)
 
     def force(self, displacement: np.ndarray) -> np.ndarray:
-        """Force at the true moduli, N, interpolated smoothly."""
+        """Return the force at the true moduli, N, by smooth interpolation."""
         if self.file is None:
             stretch = 1.0 - displacement / SPECIMEN.height
             slope = TRUTH[0] + 2.0 * TRUTH[1] * (stretch**2 + 2.0 / stretch - 3.0)
@@ -116,7 +116,7 @@ CAMPAIGNS = {"joint": JOINT, **{name: (name,) for name in SCENES}}
 
 
 def make_campaign(scenes: Sequence[str], noise: Noise) -> Campaign:
-    """A campaign of these scenes whose recordings are in memory."""
+    """Return a campaign of these scenes, with recordings in memory."""
     tests = tuple(Test(name, ts.KINDS[SCENES[name].kind], SPECIMEN, (),
                        experiment=SCENES[name].experiment(ts.Protocol.ramp(DEPTH))) for name in scenes)
     settings = FitSettings((LAW,), bulk=BULK, method="inverse_fem", start=dict(zip(PARAMETERS, START, strict=True)))
@@ -125,7 +125,7 @@ def make_campaign(scenes: Sequence[str], noise: Noise) -> Campaign:
 
 def make_recordings(campaign: Campaign, force: Callable[[str, np.ndarray], np.ndarray], generator: np.random.Generator,
                     contact: float = 0.0, zero: float = 0.0) -> dict[str, tuple[MeasuredCurve, ...]]:
-    """Recordings of every test with white noise.
+    """Return recordings of every test with white noise.
 
     Args:
         campaign: whose tests. force: of a test (its name) at depths, m, in N. generator: of the scatter.
@@ -154,12 +154,12 @@ def spread_starts(count: int) -> np.ndarray:
 
 
 def reference_recordings(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
-    """The recordings of the reference curves, the same in every process."""
+    """Return the recordings of the reference curves, equal in every process."""
     return make_recordings(campaign, lambda name, depth: SCENES[name].force(depth), np.random.default_rng(SEED))
 
 
 def run_start(scenes: Sequence[str], start: np.ndarray, settled: bool) -> dict:
-    """One start of one campaign with nothing simulated, and from its minimum to the estimate where that is asked for.
+    """Run one start of one campaign without cached simulations, and on request continue to the estimate.
 
     Returns:
         Plain numbers: end, sum of squares, whether it converged and why not, solves of each test, CPU seconds; of the
@@ -210,7 +210,7 @@ def summarise(name: str, runs: Sequence[Mapping], timed: Sequence[Mapping]) -> d
 
 
 def run_campaigns(names: Sequence[str], starts: int, repeats: int, workers: int) -> list[dict]:
-    """Every start of every campaign; all starts of the joint one, and the first of the others, to the estimate."""
+    """Run every start of every campaign; the joint one to the estimate for all starts, the others for the first."""
     found = []
     with open_tasks(Workers(workers)) as tasks:
         for name in names:
@@ -224,7 +224,7 @@ def run_campaigns(names: Sequence[str], starts: int, repeats: int, workers: int)
 
 
 def draw(result: dict, console: Console) -> None:
-    """The result as tables."""
+    """Print the result as tables."""
     rows, more = [], []
     for one in result["campaigns"]:
         joint = one["campaign"] == "joint"

@@ -1,4 +1,4 @@
-"""Recordings of virtual tests: contact after air, with preload, drift and noise; specimens that fail, or do not.
+"""Virtual recordings: contact after air with preload, drift and noise; failing and intact specimens.
 
 Their laws are not the ones that are fitted: closed forms of strain energies, curves of finite elements, contact of a
 ball by Sneddon (International Journal of Engineering Science 3 (1965) 47), of a ball on a thin layer by Dimitriadis et
@@ -45,7 +45,7 @@ def _finite_elements(name: str) -> Shape:
 
 
 def _ball(reach: float) -> Shape:
-    """A rigid ball of radius 1, to a depth of `reach`."""
+    """Return force over depth of a rigid ball of radius 1, up to a depth of `reach`."""
     radius = np.geomspace(1e-2, 0.95, 4000)
     depth = 0.5 * radius * np.log((1 + radius) / (1 - radius))
     force = 0.5 * (radius**2 + 1) * np.log((1 + radius) / (1 - radius)) - radius
@@ -59,7 +59,7 @@ def _series(power: float, step: float, terms: tuple[float, ...]) -> Shape:
 
 
 def shapes() -> dict[str, Shape]:
-    """Force against depth, both up to 1."""
+    """Return force over depth, both scaled to 1."""
     return {
         "plates, neo-Hooke": _compression("neo_hooke", {"C10": 1e3}, 0.5),
         "plates, Yeoh": _compression("reduced_polynomial_3", {"C10": 7.7e3, "C20": -60.0, "C30": 250.0}, 0.66),
@@ -128,7 +128,7 @@ def _read(rng: np.random.Generator, force: np.ndarray, deviation: float, colour:
 
 
 def touch(seed: int, number: int) -> Virtual:
-    """A test that begins in air, three in four straight to its depth, one with a stop under a preload."""
+    """Draw a test that begins in air: three in four have a single loading, one in four a stop under a preload."""
     rng = np.random.default_rng([seed, number])
     names = shapes()
     name = list(names)[rng.integers(len(names))]
@@ -165,7 +165,7 @@ def _extension(law: str, parameters: dict[str, float], strain: float) -> Shape:
 
 
 def solids() -> dict[str, Shape]:
-    """Force against way, both up to 1, of intact specimens; rubber in tension has its plateau."""
+    """Return force over displacement, both scaled to 1, of intact specimens; rubber in tension has a plateau."""
     return shapes() | {
         "rubber in tension, Ogden": _extension("ogden_3", {
             "mu1": 0.62e6, "alpha1": 1.3, "mu2": 0.118e4, "alpha2": 5.0, "mu3": -0.981e4, "alpha3": -2.0}, 5.0),
@@ -176,7 +176,7 @@ def solids() -> dict[str, Shape]:
 
 
 def break_or_not(seed: int, number: int, *, fails: bool) -> Virtual:
-    """A test to a failure and a little beyond, or one that stays intact: cycles, holds, changes of speed and all."""
+    """Draw a test up to a failure, or one of an intact specimen, with cycles, holds and changes of speed."""
     rng = np.random.default_rng([seed, number, int(fails)])
     names = solids()
     name = list(names)[rng.integers(len(names))]

@@ -39,7 +39,7 @@ GROUPS = ("axisymmetric", "spatial", "multirate")
 
 @dataclass(frozen=True)
 class Task:
-    """A motion by its number.
+    """Motion of the generator, by its number.
 
     Attributes:
         group: one of `GROUPS`; index: in the group; seed: of the run.
@@ -80,7 +80,7 @@ class Result:
 
 
 def motion_of(task: Task):
-    """The motion of a task."""
+    """Return the motion of a task."""
     from benchmarks.motions.coupling import light_tool
     from benchmarks.motions.scenes import multirate_scene, spatial_scene
     from benchmarks.motions.space_traps import MULTIRATE, SPATIAL
@@ -135,7 +135,7 @@ class Row:
         self.seconds += result.seconds
 
     def line(self, solver: str, trap: str) -> str:
-        """A row of the table in Markdown."""
+        """Return a row of the table in Markdown."""
         def count(name: str) -> int:
             return self.outcomes.get(name, 0)
 
@@ -151,7 +151,7 @@ ticks answered, % | inputs refused rightly | LATE ticks whose force is off | CPU
 
 
 def print_table(results: list[Result]) -> None:
-    """Rows by solver and trap, sums, then the motions that are silently wrong or at fault."""
+    """Print rows by solver and trap, sums, and the motions that are silently wrong or faulty."""
     rows: dict[tuple[str, str], Row] = {}
     for result in results:
         solver = result.scene.split(",")[0]
@@ -168,7 +168,7 @@ def print_table(results: list[Result]) -> None:
 
 
 def played(tasks: list[Task], workers: int) -> Iterator[Result]:
-    """Results as they come."""
+    """Yield the results as they finish."""
     if workers <= 1:
         yield from map(play, tasks)
         return

@@ -46,7 +46,7 @@ class Coupling:
 
 
 def light_tool(chance: np.random.Generator) -> Coupling:
-    """A random tool of 0.5 to 20 g on a servo of 200 to 2000 N/m, critically damped."""
+    """Draw a tool of 0.5 to 20 g on a critically damped servo of 200 to 2000 N/m."""
     scene = axisymmetric_scene(chance, elastic=True)
     while scene.shape == "plate":
         scene = axisymmetric_scene(chance, elastic=True)

@@ -167,7 +167,7 @@ class PathTick:
 
 
 def paths(operations: Sequence[Operation]) -> list[list[PathTick]]:
-    """True paths of the tool, each from untouched tissue on."""
+    """Return the true paths of the tool, each from untouched tissue."""
     done: list[list[PathTick]] = []
     current: list[list[PathTick]] = [[], []]
     saved: list[PathTick] = []

@@ -16,7 +16,7 @@ INF = math.inf
 
 
 def bad_poses(chance: np.random.Generator, pose: Pose) -> list[tuple[Any, Any]]:
-    """Poses and time steps with a number that is not finite."""
+    """Return poses and time steps that contain a number that is not finite."""
     bad = float(chance.choice([NAN, INF, -INF]))
     place, quaternion = int(chance.integers(3)), int(chance.integers(4))
     x = list(pose.position)
@@ -29,7 +29,7 @@ def bad_poses(chance: np.random.Generator, pose: Pose) -> list[tuple[Any, Any]]:
 
 
 def wild_poses(chance: np.random.Generator, pose: Pose) -> list[tuple[Any, Any]]:
-    """Inputs of the wrong type, poses far outside of any scene, and quaternions that are not unit."""
+    """Return inputs of the wrong type, poses far outside any scene, and quaternions without unit length."""
     far = float(chance.choice([1e3, 1e12, 1e200, 1.7e308])) * float(chance.choice([-1.0, 1.0]))
     x = list(pose.position)
     x[int(chance.integers(3))] = far
@@ -40,7 +40,7 @@ def wild_poses(chance: np.random.Generator, pose: Pose) -> list[tuple[Any, Any]]
 
 
 def rounded(pose: Pose, chance: np.random.Generator) -> Pose:
-    """The pose with an orientation of five or four decimals, or of a length that drifted by at most 9e-4.
+    """Return the pose with an orientation of four or five decimals, or with a length error of at most 9e-4.
 
     Raises:
         InputError: `Pose` refuses it.

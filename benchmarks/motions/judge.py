@@ -109,7 +109,7 @@ class Judgement:
 
 @cache
 def nominal_force(scene: Scene) -> float:
-    """Magnitude of the force of a slow press to the scene's depth, N."""
+    """Return the magnitude of the force of a slow press to the depth of the scene, N."""
     still = Scene(**{**scene.__dict__, "inertia": "off", "max_solves": None, "prony": (),
                      "solver": "solid" if scene.solver == "multirate" else scene.solver})
     return float(np.linalg.norm(simulator(still, bounded=False).step(ts.Pose.at_depth(scene.depth), 1e-3).force_vector))
@@ -148,7 +148,7 @@ def judged(motion: Motion) -> Judgement:
 
 
 def _judge_refusal(judgement: Judgement, index: int, move: Move, answer: Any) -> None:
-    """An answer to an input that must be refused."""
+    """Judge the answer to an input that must be refused."""
     if isinstance(answer, ts.InputError) or (isinstance(answer, ts.ToolForce)
                                              and answer.status is ts.ForceStatus.REFUSED):
         judgement.counts[Verdict.REFUSED] += 1
@@ -161,7 +161,7 @@ def _judge_refusal(judgement: Judgement, index: int, move: Move, answer: Any) ->
 
 
 def _judge(judgement: Judgement, motion: Motion, index: int, answer: Any, truth: Truth, peak: float) -> None:
-    """An answer to a valid input."""
+    """Judge the answer to a valid input."""
     move = motion.operations[index]
     assert isinstance(move, Move)
     if isinstance(answer, Exception):
@@ -207,7 +207,7 @@ def _judge(judgement: Judgement, motion: Motion, index: int, answer: Any, truth:
 
 
 def _is_unbounded(scene: Scene, answer: ts.ToolForce) -> bool:
-    """Whether a force is larger than that of the pose of its last equilibrium."""
+    """Return whether a force exceeds that of an equilibrium at the same pose."""
     force = float(np.linalg.norm(answer.force_vector))
     if force <= STOPPED_BOUND * nominal_force(scene):
         return False
@@ -216,7 +216,7 @@ def _is_unbounded(scene: Scene, answer: ts.ToolForce) -> bool:
 
 
 def _judge_bound(judgement: Judgement, motion: Motion, index: int, answer: Any) -> None:
-    """An answer without a known truth: the force of a STOPPED step must be bounded."""
+    """Judge an answer without a known truth: the force of a STOPPED step must be bounded."""
     if isinstance(answer, EndlessStepError):  # nothing bounds a step without max_solves or budget
         judgement.counts[Verdict.UNKNOWN] += 1
     elif isinstance(answer, Exception):
@@ -234,7 +234,7 @@ def _mN(force: Any) -> list[float]:
 
 
 def _error(scene: Scene, answer: ts.ToolForce, truth: Truth) -> float:
-    """Magnitude of the error of the force, N; under a bonded tool in space that of the torque over its radius, too."""
+    """Return the magnitude of the force error, N; for a bonded tool in space also torque error over radius."""
     error = float(np.linalg.norm(np.array(answer.force_vector) - truth.force))
     if scene.is_bonded and scene.solver != "axisymmetric":
         torque = float(np.linalg.norm(np.array(answer.torque_vector) - truth.torque))
@@ -260,7 +260,7 @@ class _Player:
         self._thread: ThreadPoolExecutor | None = None
 
     def play(self) -> dict[int, Any]:
-        """Answers, or exceptions, by the index of their move."""
+        """Return answers or exceptions, by the index of their move."""
         answers: dict[int, Any] = {}
         signal.signal(signal.SIGPROF, _interrupt)
         for index, operation in enumerate(self._motion.operations):
@@ -326,7 +326,7 @@ class _Player:
                 self._thread = ThreadPoolExecutor(1)
 
     def _judge_exception(self, index: int, operation: Any, error: Exception) -> None:
-        """An operation that raised: a refusal in a sentence is right where it may be refused."""
+        """Judge an operation that raised an exception: a refusal with a message is right where it is allowed."""
         text = f"{index}: {type(operation).__name__}: {type(error).__name__}: {str(error)[:120]}"
         if isinstance(operation, Fork) and isinstance(error, AttributeError) and operation.how == "clone":
             self._judgement.notes.append("no clone()")
@@ -342,7 +342,7 @@ def _interrupt(number: int, frame: Any) -> None:
 
 
 def _is_refusal(scene: Scene, operation: Fork, error: Exception) -> bool:
-    """Whether an exception refuses a copy in a sentence; that of a simulator must name `save`."""
+    """Return whether an exception refuses a copy with a message; the message of a simulator must name `save`."""
     if scene.solver == "multirate":
         refusal = "cannot be cloned" if operation.how == "clone" else "cannot be copied"
         return isinstance(error, ts.InputError | TypeError) and refusal in str(error)

@@ -53,13 +53,13 @@ class Key:
 
 
 def pose_at(values: Sequence[float] | np.ndarray) -> Pose:
-    """The pose at x, y, z and rotations about x and y."""
+    """Return the pose at x, y, z with rotations about x and y."""
     x, y, z, a, b = (float(value) for value in values)
     return turned(Pose((x, y, z)), (a, b, 0.0))
 
 
 def smooth(keys: Sequence[Key], ticks: int, dt: float, top_speed: float | None) -> list[Pose]:
-    """Poses along keys in order, minimum-jerk from each to the next; the first key is the first pose.
+    """Return minimum-jerk poses along keys; the first key is the first pose.
 
     Args:
         keys: at least one.
@@ -82,7 +82,7 @@ def smooth(keys: Sequence[Key], ticks: int, dt: float, top_speed: float | None) 
 
 
 def top_speed(scene: Scene) -> float | None:
-    """Largest speed of the motions of a scene, m/s."""
+    """Return the largest speed of the motions of a scene, m/s."""
     if scene.solver == "multirate":
         return MULTIRATE_TOP_SPEED
     if scene.inertia == "off":
@@ -91,14 +91,14 @@ def top_speed(scene: Scene) -> float | None:
 
 
 def tick_length(scene: Scene, chance: np.random.Generator) -> float:
-    """A random length of a tick, s."""
+    """Draw the length of a tick, s."""
     if scene.solver == "multirate" or scene.inertia != "off":
         return DT
     return float(chance.choice([0.5e-3, 1e-3, 2e-3, 5e-3]))
 
 
 def _place(scene: Scene, chance: np.random.Generator, z: float, hold: int = 0) -> Key:
-    """A key at a height; in spatial scenes also displaced sideways and turned."""
+    """Return a key at a height, in spatial scenes also displaced laterally and rotated."""
     if scene.solver == "axisymmetric":
         return Key(z, hold=hold)
     aside = chance.uniform(-0.8e-3, 0.8e-3, 2)
@@ -108,7 +108,7 @@ def _place(scene: Scene, chance: np.random.Generator, z: float, hold: int = 0) -
 
 def press_keys(scene: Scene, chance: np.random.Generator, *, start: float | None = None, lifts: bool | None = None,
                origin: tuple[float, float] = (0.0, 0.0)) -> list[Key]:
-    """A press from the air into the tissue, with holds, partial unloading and, at random, lift-off and a new touch.
+    """Draw a press from the air with holds, partial unloading and, at random, lift-off and a second touch.
 
     Args:
         scene: whose depth and tool are used.
@@ -143,7 +143,7 @@ def _moved(key: Key, x: float, y: float) -> Key:
 
 
 def profile(scene: Scene, chance: np.random.Generator, dt: float, keys: Sequence[Key] | None = None) -> list[Pose]:
-    """Poses of a random motion of a scene.
+    """Return the poses of a random motion of a scene.
 
     Args:
         scene: what is pressed.

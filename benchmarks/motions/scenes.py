@@ -32,7 +32,7 @@ SPATIAL_DEPTH = 2e-3
 
 @dataclass(frozen=True)
 class Scene:
-    """A model and the way of stepping it.
+    """Model, solver and mesh of a motion.
 
     Attributes:
         solver: "axisymmetric", "solid", "reduced" or "multirate".
@@ -66,22 +66,22 @@ class Scene:
 
     @property
     def is_elastic(self) -> bool:
-        """Whether the tissue has no memory once the tool has left it."""
+        """True if the material has no viscoelastic terms."""
         return not self.prony
 
     @property
     def is_bonded(self) -> bool:
-        """Whether the tool holds the tissue."""
+        """True if the tissue is bonded to the tool."""
         return self.friction == "bonded"
 
     @property
     def has_friction(self) -> bool:
-        """Whether the force depends on the path of the tool."""
+        """True if the force depends on the path of the tool."""
         return self.friction not in ("bonded", "frictionless")
 
     @property
     def name(self) -> str:
-        """Solver, tool, interface, memory and inertia in words."""
+        """Solver, tool, interface, viscoelasticity and inertia in words."""
         friction = self.friction if isinstance(self.friction, str) else f"mu {self.friction:.2f}"
         parts = [self.solver, self.shape, friction, self.law]
         parts += ["viscoelastic"] * bool(self.prony)
@@ -91,7 +91,7 @@ class Scene:
         return ", ".join(parts)
 
     def model(self) -> ts.Model:
-        """The model."""
+        """Model of the scene."""
         terms = tuple(ts.PronyTerm(g=g, tau=tau) for g, tau in self.prony)
         material = ts.Material(self.law, dict(self.parameters), ts.Bulk("bulk_ratio", self.bulk_ratio),
                                viscoelastic=ts.Prony(terms) if terms else None)
@@ -103,14 +103,14 @@ class Scene:
 
 
 def scaled_parameters(scene: Scene, factor: float) -> dict[str, float]:
-    """Parameters of the scene's law, those in Pa times a factor: all elastic forces scale by this factor."""
+    """Return the parameters of the law with all moduli times a factor, which scales all elastic forces."""
     units = ts.find_law(scene.law).units
     return {name: value * factor if units[name] == "Pa" else value for name, value in scene.parameters}
 
 
 @functools.cache
 def coarse_mesh() -> SolidMesh:
-    """The coarsest mesh of the spatial scenes that lets a ball slide: 196 nodes."""
+    """Return the coarsest mesh of the spatial scenes on which a ball can slide: 196 nodes."""
     return needle_solid(*SPATIAL_SPECIMEN, SPATIAL_TOOL_RADIUS, HEX8P0, smallest=0.45 * SPATIAL_TOOL_RADIUS,
                         growth=2.4, largest=3.0 * SPATIAL_TOOL_RADIUS, around=2)
 
@@ -124,13 +124,13 @@ def ball_mesh() -> SolidMesh:
 
 
 def solid_mesh(scene: Scene) -> SolidMesh:
-    """The mesh of a whole solid in space."""
+    """Return the mesh of a whole 3D solid."""
     return coarse_mesh() if scene.is_bonded or scene.solver == "multirate" else ball_mesh()
 
 
 @functools.cache
 def reduced_model(scene: Scene) -> ts.ReducedModel:
-    """The reduced model of a scene, made once a computer and kept in the folder for temporary files."""
+    """Return the reduced model of a scene, cached in the folder for temporary files."""
     label = f"{REDUCED_VERSION} {ts.__version__} {scene!r}"
     path = Path(tempfile.gettempdir()) / f"motions_{hashlib.sha256(label.encode()).hexdigest()[:16]}.reduced.npz"
     if path.exists():
@@ -143,7 +143,7 @@ def reduced_model(scene: Scene) -> ts.ReducedModel:
 
 
 def simulator(scene: Scene, *, bounded: bool = True, mesh: SolidMesh | None = None) -> ts.Simulator:
-    """A new simulator of a scene, compiled.
+    """Return a new, compiled simulator of a scene.
 
     Args:
         scene: the scene, not multirate.
@@ -163,7 +163,7 @@ def simulator(scene: Scene, *, bounded: bool = True, mesh: SolidMesh | None = No
 
 
 def multirate(scene: Scene) -> MultiRateTissue:
-    """A new multirate tissue of a scene whose models come a fixed simulated time after they were asked for."""
+    """Return a new multirate simulator of a scene with a fixed simulated delay of its models."""
     model = scene.model()
     bulk = SolidLinearisation(make_solver(model, mesh=coarse_mesh()))
     tissue = MultiRateTissue(model, link=DelayedBulk(bulk, scene.delay, scene.tangent))
@@ -172,12 +172,12 @@ def multirate(scene: Scene) -> MultiRateTissue:
 
 
 def tissue_of(scene: Scene) -> Any:
-    """The tested simulator: a `Simulator` or a `MultiRateTissue`."""
+    """Return the tested simulator: a `Simulator` or a `MultiRateTissue`."""
     return multirate(scene) if scene.solver == "multirate" else simulator(scene)
 
 
 def _material(chance: np.random.Generator) -> dict[str, Any]:
-    """Law and parameters; initial shear modulus from 1.5 to 12 kPa."""
+    """Draw law and parameters with an initial shear modulus of 1.5 to 12 kPa."""
     mu = float(np.exp(chance.uniform(math.log(1.5e3), math.log(12e3))))
     law = str(chance.choice(["neo_hooke", "reduced_polynomial_2", "mooney_rivlin"], p=[0.5, 0.3, 0.2]))
     parameters = {"neo_hooke": (("C10", mu / 2),),
@@ -188,7 +188,7 @@ def _material(chance: np.random.Generator) -> dict[str, Any]:
 
 def axisymmetric_scene(chance: np.random.Generator, *, elastic: bool = False, inertia: str | None = None,
                        lifts: bool = False) -> Scene:
-    """A random axisymmetric scene.
+    """Draw an axisymmetric scene.
 
     Args:
         chance: source of random numbers.
@@ -221,7 +221,7 @@ _SPATIAL_TOOLS = (("flat", "bonded"), ("round", 0.3), ("round", "frictionless"))
 
 
 def spatial_scene(chance: np.random.Generator, *, solver: str | None = None, bonded: bool | None = None) -> Scene:
-    """A random solid in space: a coarse whole one, or one of two reduced ones.
+    """Draw a 3D solid: a coarse whole one, or one of two reduced ones.
 
     Args:
         chance: source of random numbers.
@@ -240,7 +240,7 @@ def spatial_scene(chance: np.random.Generator, *, solver: str | None = None, bon
 
 
 def multirate_scene(chance: np.random.Generator, *, bonded: bool | None = None, slow: bool = False) -> Scene:
-    """A random multirate scene.
+    """Draw a multirate scene.
 
     Args:
         chance: source of random numbers.

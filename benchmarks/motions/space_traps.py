@@ -40,7 +40,7 @@ def _somewhere(chance: np.random.Generator) -> tuple[float, float]:
 
 
 def _air(chance: np.random.Generator, x: float, y: float, dt: float, count: int) -> list[Operation]:
-    """Places in the air, the last one above a point, over which the tool comes down."""
+    """Return poses in the air; the last one is above a point at which the tool comes down."""
     poses = [Pose((*chance.uniform(-5e-3, 5e-3, 2).tolist(), float(chance.uniform(5e-4, 5e-3)))) for _ in range(count)]
     return moves([*poses, Pose((x, y, 3e-4))], dt)
 
@@ -142,7 +142,7 @@ def out_of_the_box(chance: np.random.Generator, scene: Scene) -> Motion:
 
 def _in_space(trap: Callable[[np.random.Generator, Scene], Motion], *, elastic: bool = False, **options: object
               ) -> Trap:
-    """A trap in a random solid in space."""
+    """Register a trap for a random 3D solid."""
     def drawn(chance: np.random.Generator) -> Motion:
         scene = spatial_scene(chance, **options)  # type: ignore[arg-type]  # keywords of spatial_scene
         return trap(chance, replace(scene, prony=()) if elastic else scene)
@@ -168,7 +168,7 @@ SPATIAL: dict[str, tuple[Trap, float]] = {
 
 def _hovering(trap: Callable[[np.random.Generator, Scene], Motion], *, slow: bool | None = None,
               bonded: bool | None = None) -> Trap:
-    """A trap in a random multirate scene, after some time in the air in which models come.
+    """Register a trap for a random multirate scene, with time in the air in which models arrive.
 
     Args:
         trap: for any scene.

@@ -1,4 +1,4 @@
-"""Random motions with traps for an axisymmetric simulator, and those that every way of stepping shares."""
+"""Random motions with traps for axisymmetric simulators, and traps for every kind of simulator."""
 
 from __future__ import annotations
 
@@ -38,24 +38,24 @@ INF = math.inf
 
 
 def moves(poses: Sequence[Pose], dt: float, **options: Any) -> list[Operation]:
-    """A move to each pose."""
+    """Return a move to each pose."""
     return [Move(pose, dt, pose, **options) for pose in poses]
 
 
 def a_third(poses: Sequence[Pose], chance: np.random.Generator) -> int:
-    """A random index in the middle of a motion."""
+    """Draw an index in the middle third of a motion."""
     return int(chance.integers(len(poses) // 4, 3 * len(poses) // 4))
 
 
 def pose_with(pose: Pose, *, aside: tuple[float, float] = (0.0, 0.0), turn: tuple[float, float, float] = (0.0,) * 3
               ) -> Pose:
-    """The pose moved aside, m, and turned by a rotation vector, rad."""
+    """Return the pose displaced laterally, m, and rotated by a rotation vector, rad."""
     x, y, z = pose.position
     return turned(replace(pose, position=(x + aside[0], y + aside[1], z)), turn)
 
 
 def spun(pose: Pose, angle: float) -> Pose:
-    """The pose of a tool that is spun about its own axis, rad: of a body of revolution the same place."""
+    """Return the pose of a tool rotated about its own axis, rad."""
     half = 0.5 * angle
     w, x, y, z = pose.orientation
     c, s = math.cos(half), math.sin(half)
@@ -63,7 +63,7 @@ def spun(pose: Pose, angle: float) -> Pose:
 
 
 def clean(chance: np.random.Generator, scene: Scene | None = None) -> Motion:
-    """A motion without a trap; depths in place of poses in half of the axisymmetric ones."""
+    """Return a motion without a trap; half of the axisymmetric ones have depths instead of poses."""
     scene = scene or axisymmetric_scene(chance)
     dt = tick_length(scene, chance)
     poses = profile(scene, chance, dt)
@@ -129,7 +129,7 @@ def start_inside(chance: np.random.Generator) -> Motion:
 
 
 def slowly_relaxing(scene: Scene) -> Scene:
-    """The scene with times of 0.1 s at least: how long a tool that is first seen inside has been there is unknown."""
+    """Return the scene with relaxation times of at least 0.1 s: the contact time before the first step is unknown."""
     return replace(scene, prony=tuple((g, max(tau, 0.1)) for g, tau in scene.prony))
 
 
@@ -353,7 +353,7 @@ def too_deep(chance: np.random.Generator) -> Motion:
 
 
 def _on_axis(trap: Callable[[np.random.Generator, Scene], Motion], **options: Any) -> Trap:
-    """A trap for any scene, in an axisymmetric one."""
+    """Register a trap for any scene, on the axis of an axisymmetric one."""
     def drawn(chance: np.random.Generator) -> Motion:
         return trap(chance, axisymmetric_scene(chance, **options))
     return drawn

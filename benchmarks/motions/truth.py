@@ -58,7 +58,7 @@ NOTHING = Truth(np.zeros(3), np.zeros(3), 0.0)
 
 
 def truths(scene: Scene, path: Sequence[PathTick]) -> dict[int, Truth]:
-    """The true wrench at each compared tick of a path, by the index of its operation."""
+    """Return the true wrench at each compared tick of a path, by the index of its operation."""
     reference = _Reference(_whole(scene), _start_of(scene, path), _mesh_of(scene))
     found = {}
     for tick in _sampled(path) if scene.solver in ("multirate", "reduced") else path:
@@ -69,19 +69,19 @@ def truths(scene: Scene, path: Sequence[PathTick]) -> dict[int, Truth]:
 
 
 def _whole(scene: Scene) -> Scene:
-    """The scene of the reference: the whole solid in place of a multirate or a reduced one."""
+    """Return the scene of the reference: the whole solid instead of a multirate or reduced one."""
     return replace(scene, solver="solid") if scene.solver in ("multirate", "reduced") else scene
 
 
 def _mesh_of(scene: Scene) -> SolidMesh | None:
-    """The mesh of the reference; None: that of its scene."""
+    """Return the mesh of the reference; None: that of its scene."""
     if scene.solver == "reduced":
         return reduced_model(scene).mesh
     return coarse_mesh() if scene.solver == "multirate" else None
 
 
 def _sampled(path: Sequence[PathTick]) -> list[PathTick]:
-    """A path with short ticks in the tissue merged, for a reference that is slower than the tested simulator."""
+    """Return a path with merged short ticks in the tissue, for a reference slower than the tested simulator."""
     kept: list[PathTick] = []
     waiting = 0.0
     for tick, following in zip(path, [*path[1:], None], strict=True):
@@ -138,7 +138,7 @@ class _Reference:
         self._is_known, self._has_mass = True, scene.inertia != "off"
 
     def go(self, tick: PathTick) -> Truth:
-        """The wrench at the next tick."""
+        """Return the wrench at the next tick."""
         x, y, z = tick.pose.position
         pose = replace(tick.pose, position=(x - self._origin[0], y - self._origin[1], z))
         before, self._before = self._before, pose
@@ -163,12 +163,12 @@ class _Reference:
         return self._truth(tick.factor)
 
     def _leaves_for_good(self, is_above: bool) -> bool:
-        """Whether the tissue is undeformed again: elastic, without mass, and the tool has lifted off."""
+        """Return whether the tissue is undeformed again: elastic, without mass, and the tool has lifted off."""
         scene = self._scene
         return is_above and not scene.is_bonded and scene.is_elastic and scene.inertia == "off"
 
     def _go_in(self, before: Pose | None, pose: Pose, dt: float) -> None:
-        """Follow a tick in contact, from the touch on where the tick began in the air."""
+        """Follow a tick in contact; a tick that began in the air is followed from the touch."""
         first = before is None
         start, fraction = (before, 0.0) if self._in_contact and before is not None else _crossing(before, pose)
         if not self._in_contact:

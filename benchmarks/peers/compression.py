@@ -45,7 +45,7 @@ WARM_LIMIT = 2.0
 
 
 def felupe_routes() -> list[dict]:
-    """Ways to solve it with FElupe: (title, our element, its pressure, its law, agreement asked for, target)."""
+    """Return variants in FElupe: (title, element of the program, pressure field, law, required agreement, target)."""
     laws = {"analytical tangent": reduced_polynomial(**PARAMETERS)}
     if importlib.util.find_spec("tensortrax"):
         import felupe.constitution.tensortrax as automatic
@@ -60,7 +60,7 @@ def felupe_routes() -> list[dict]:
 
 
 def against_felupe(repeats: int, peer_repeats: int) -> list[dict]:
-    """Curves of 21 points to 10 mm on 20 x 25 uniform elements; both sides from mesh to forces.
+    """Compare curves of 21 points to 10 mm on 20 x 25 uniform elements, from mesh to forces.
 
     Raises:
         SystemExit: the forces differ.
@@ -104,7 +104,7 @@ print(time.process_time())
 
 
 def start_times(repeats: int) -> list[dict]:
-    """Seconds of a fresh process that imports, compiles (cold) or loads (warm) the kernels, and simulates a test."""
+    """Return the time in which a new process imports, compiles or loads the kernels, and simulates a test, s."""
     root = str(Path(ts.__file__).resolve().parents[1])
     path = os.pathsep.join(part for part in (root, os.environ.get("PYTHONPATH")) if part)
     rows = []
@@ -124,7 +124,7 @@ def start_times(repeats: int) -> list[dict]:
 
 
 def parts_of_an_iteration(repeats: int) -> list[dict]:
-    """Element work, factorisation and solution, in ms; LAPACK on the same matrix."""
+    """Return the times of element work, factorisation and solution, ms, and of LAPACK on the same matrix."""
     rows = []
     meshes = {name: build_mesh(MODEL.experiment, name) for name in ("fast", "accurate")}
     for element in (Q4P0, Q9P1):
@@ -140,7 +140,7 @@ def parts_of_an_iteration(repeats: int) -> list[dict]:
 
 
 def element_work(solver: AxisymmetricSolver, repeats: int) -> tuple[float, float]:
-    """Integration, condensation and assembly of residual and tangent once, and one empty launch, both in ms."""
+    """Return the times of integration, condensation and assembly, and of one empty launch, ms."""
     spent = []
     for _ in range(repeats):
         # In turns, so that a busy machine slows both down alike.
@@ -152,7 +152,7 @@ def element_work(solver: AxisymmetricSolver, repeats: int) -> tuple[float, float
 
 
 def draw(result: dict, console: Console) -> None:
-    """The result as tables."""
+    """Print the result as tables."""
     table(console, "Bonded compression, 21 points to 10 mm, 500 elements: CPU seconds (smallest to largest)",
           ["FElupe's route", "FElupe", "ours", "ratio", "forces agree to", "target"],
           [[row["route"], *(f"{t['median_s']:.3f} ({t['min_s']:.3f} to {t['max_s']:.3f})"

@@ -1,4 +1,4 @@
-"""A bonded flat punch pressed into a cylinder, solved by FElupe for one set of moduli after another.
+"""Bonded flat punch on a cylinder, solved by FElupe for a sequence of moduli.
 
 The peer of benchmarks/inverse_fem.py, checked by tests/interop. FElupe has no contact that keeps the free surface off
 the punch's side wall, so it folds into the punch: a smaller problem than ours.
@@ -56,7 +56,7 @@ class Indentation:
         self._last: list[list[np.ndarray]] | None = None
 
     def forces(self, C10: float, C20: float) -> np.ndarray:
-        """Forces on the punch, N, positive in compression.
+        """Return the forces on the punch, N, positive in compression.
 
         Raises:
             felupe.tools.NewtonConvergenceError: a depth was not reached.

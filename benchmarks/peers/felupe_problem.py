@@ -1,4 +1,4 @@
-"""Compression of a cylinder solved by FElupe: the oracle of tests/interop and the peer of the benchmarks.
+"""Compression of a cylinder solved by FElupe: reference of tests/interop and peer of the benchmarks.
 
 FElupe is an independent finite-element program (https://felupe.readthedocs.io). It works in mm, MPa and N here, with
 the axis of rotation along its first coordinate. Its axisymmetric integrals run over the full circle (they carry
@@ -111,7 +111,7 @@ def _mixed(region, cells, element, first) -> fem.FieldContainer:
 
 
 def unknowns(mesh: Mesh, pressure: str) -> fem.FieldContainer:
-    """FElupe's fields on our nodes and elements.
+    """Return FElupe's fields on the nodes and elements of this program.
 
     Args:
         mesh: ours.
@@ -140,21 +140,21 @@ def unknowns(mesh: Mesh, pressure: str) -> fem.FieldContainer:
 
 
 def solid(law: fem.Material, field: fem.FieldContainer, bulk_modulus: float):
-    """The body of a law on `unknowns`: condensed where these are displacements only. `bulk_modulus`: Pa."""
+    """Return the body of a law on `unknowns`, condensed for displacements only. `bulk_modulus`: Pa."""
     if len(field.fields) == 1:
         return fem.SolidBodyNearlyIncompressible(law, field, bulk=bulk_modulus * 1e-6)
     return fem.SolidBody(fem.NearlyIncompressible(law, bulk=bulk_modulus * 1e-6), field)
 
 
 def boundary(field: fem.FieldContainer, mesh: Mesh, name: str, held: str) -> fem.Boundary:
-    """A node set of our mesh, held in the directions of `held`: ``"r"``, ``"z"`` or ``"rz"``."""
+    """Return boundary conditions of a node set in the directions `held`: ``"r"``, ``"z"`` or ``"rz"``."""
     members = np.isin(np.arange(len(mesh.nodes)), mesh.sets[name])
     return fem.Boundary(field[0], mask=members, skip=("z" not in held, "r" not in held))
 
 
 def compression_curve(mesh: Mesh, law: fem.Material, bulk_modulus: float, depths, *, held: str = "rz",
                       pressure: str = "P0", tolerance: float | None = None) -> np.ndarray:
-    """Forces on the upper plate.
+    """Return the forces on the upper plate.
 
     Args:
         mesh: our mesh; FElupe uses the same nodes and elements.

@@ -39,14 +39,14 @@ EDGE = 0.25e-3
 
 
 def model(friction, *, needle=None, depth=10e-3, points=21, protocol=None, material=MATERIAL) -> ts.Model:
-    """The study's cylinder between plates of equal friction, or under a needle with its base bonded."""
+    """Return the cylinder between plates of equal friction, or under a needle with a bonded base."""
     base = friction if needle is None else "bonded"
     return ts.Model(ts.Experiment(SPECIMEN, protocol or ts.Protocol.ramp(depth, points), needle or ts.Tool(),
                                   friction=friction, friction_base=base), material)
 
 
 def tests() -> dict[str, dict[str, ts.Model]]:
-    """Group -> name -> model; the first of each group is what the others are compared with."""
+    """Return models by group and name; the first of each group is the reference of the others."""
     needle = ts.Tool("flat", NEEDLE_RADIUS, EDGE)
     plates = {"bonded": model("bonded"), **{f"mu = {mu:g}": model(mu) for mu in (0.1, 0.4, 0.7)}}
     needles = {"bonded": model("bonded", needle=needle), "mu = 0.7": model(0.7, needle=needle)}
@@ -56,14 +56,14 @@ def tests() -> dict[str, dict[str, ts.Model]]:
 
 
 def step_seconds(tested: ts.Model, mesh: Mesh) -> tuple[float, dict]:
-    """CPU seconds of a step, without set-up and compiling, and what the solver says."""
+    """Return the CPU time of a step without set-up and compilation, s, and the counts of the solver."""
     marks = []
     recording = ts.simulate(tested, mesh=mesh, progress=lambda *_: marks.append(time.process_time()))
     return (marks[-1] - marks[1]) / (len(marks) - 2), recording.metadata["solver"]
 
 
 def costs(repeats: int) -> list[dict]:
-    """CPU time of a step of every test, in turns, over that of the bonded elastic one on the same mesh."""
+    """Return the CPU time of a step of every test, in turns, over that of the bonded elastic test on the same mesh."""
     rows = []
     for group, models in tests().items():
         for resolution in RESOLUTIONS:
@@ -82,7 +82,7 @@ def costs(repeats: int) -> list[dict]:
 
 
 def whole_test(repeats: int) -> dict:
-    """Ramp, hold and unload with friction and one Prony term on the fast mesh, from mesh to forces."""
+    """Time ramp, hold and unloading with friction and one Prony term on the fast mesh, from mesh to forces."""
     ramp, rest = 10e-3 * np.linspace(0.0, 1.0, 56), np.full(SAMPLES - 111, 10e-3)
     displacement = np.concatenate([ramp, rest, ramp[-2::-1]])
     time_s = np.concatenate([[0.0], np.cumsum(np.full(SAMPLES - 1, 10.0 / 0.248 / 55))])
@@ -146,7 +146,7 @@ def reach() -> Iterator[dict]:
 
 
 def draw(result: dict, console: Console) -> None:
-    """The result as tables."""
+    """Print the result as tables."""
     if "reach" in result:
         def cell(found):
             force = f"{max(found['force_N'], default=0.0):.4g} N"

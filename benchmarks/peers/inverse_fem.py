@@ -1,4 +1,4 @@
-"""Inverse calibration: our joint fit of three tests against FElupe + finite-difference Levenberg-Marquardt of one.
+"""Inverse calibration: joint fit of three tests against FElupe with finite-difference Levenberg-Marquardt on one test.
 
     python -m benchmarks inverse_fem [--json] [--repeats N] [--peer-repeats N]
 
@@ -83,7 +83,7 @@ class Route:
 
 
 def routes() -> list[Route]:
-    """Three meshes, each solved from rest every time, as FElupe's manual has it, and warm.
+    """Return variants on three meshes, each solved from rest as in FElupe's manual, and with warm start.
 
     Of 500 elements Q9/P-1 is as accurate as our fast mesh, and Q4/P0 the cheapest. The graded mesh is our fast one,
     whose grading is no part of FElupe.
@@ -97,21 +97,21 @@ def routes() -> list[Route]:
 
 
 def lubricated_force(displacement: np.ndarray) -> np.ndarray:
-    """Closed form of the incompressible cylinder between frictionless plates at the true moduli, N."""
+    """Return the closed form of the incompressible cylinder between frictionless plates at the true moduli, N."""
     stretch = 1.0 - displacement / HEIGHT
     slope = PARAMETERS["C10"] + 2.0 * PARAMETERS["C20"] * (stretch**2 + 2.0 / stretch - 3.0)
     return 2.0 * np.pi * RADIUS**2 * slope * (stretch**-2 - stretch)
 
 
 def reference(test: str) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement, m, and force, N, of an independent solver, with rest."""
+    """Return displacement (m) and force (N) of an independent solver, with the state at rest."""
     file = {"bonded": "bonded_RP.csv", "needle": "punch_bonded_face_side_wall_RP.csv"}[test]
     displacement, force = np.loadtxt(REFERENCE / file, delimiter=",").T
     return displacement * 1e-3, force
 
 
 def recordings() -> dict[str, list[ts.Recording]]:
-    """Three noisy replicates of each test."""
+    """Return three noisy replicates of each test."""
     generator, displacement = np.random.default_rng(SEED), np.linspace(0.0, 10e-3, SAMPLES)
     found = {}
     for test in TESTS:
@@ -123,7 +123,7 @@ def recordings() -> dict[str, list[ts.Recording]]:
 
 
 def ours(recordings: dict[str, list[ts.Recording]]) -> dict:
-    """Our joint fit of all tests, with nothing remembered from an earlier one.
+    """Run the joint fit of all tests without cached results.
 
     Returns:
         CPU seconds of the fit (from the start to the estimate on the accurate mesh) and of the whole call (files in;
@@ -156,7 +156,7 @@ def ours(recordings: dict[str, list[ts.Recording]]) -> dict:
 
 
 def our_side(recordings: dict[str, list[ts.Recording]], repeats: int) -> dict:
-    """Medians of our fit.
+    """Return the medians of the joint fit.
 
     Raises:
         SystemExit: the parameters are not those that the data was made with.
@@ -198,7 +198,7 @@ def peer_fit(punch: Indentation, needle: list[ts.Recording]) -> dict:
 
 
 def peer_side(route: Route, needle: list[ts.Recording], repeats: int) -> dict:
-    """The peer's fit on one route.
+    """Return the result of the peer's fit in one variant.
 
     Raises:
         SystemExit: its force at the true moduli is not the reference.
@@ -216,7 +216,7 @@ def peer_side(route: Route, needle: list[ts.Recording], repeats: int) -> dict:
 
 
 def draw(result: dict, console: Console) -> None:
-    """The result as tables."""
+    """Print the result as tables."""
     def moduli(side):
         return [f"{side['parameters'][name]:.1f} +- {side['standard_errors'][name]:.1f}" for name in START]
 

@@ -1,4 +1,4 @@
-"""Speed under the needle: band factorisation against LAPACK, a Newton iteration against FElupe, whole curves.
+"""Needle: band factorisation against LAPACK, a Newton iteration against FElupe, and whole curves.
 
     python -m benchmarks needle [--json] [--repeats N]
 
@@ -40,7 +40,7 @@ PEER_DEPTHS = np.linspace(0.0, 2e-3, 9)[1:]
 
 
 def band_meshes() -> dict[str, Mesh]:
-    """Needle meshes whose tangents have half bands from 44 to 75."""
+    """Return needle meshes whose tangents have half bands from 44 to 75."""
     meshes = {"500 Q4/P0, uniform": uniform_needle_mesh((20, 25), Q4P0), "fast": build_mesh(MODEL.experiment, "fast")}
     for smallest in (0.65e-3, 0.3e-3):
         mesh = needle_mesh(RADIUS, HEIGHT, NEEDLE_RADIUS, Q9P1, growth=1.8, smallest=smallest, largest=0.012)
@@ -49,7 +49,7 @@ def band_meshes() -> dict[str, Mesh]:
 
 
 def factorisation(repeats: int) -> list[dict]:
-    """Band Cholesky of the tangent at 5 mm, ours and LAPACK's `dpbtrf`.
+    """Time the band Cholesky of the tangent at 5 mm, and LAPACK's `dpbtrf`.
 
     Raises:
         SystemExit: the factors solve differently.
@@ -65,7 +65,7 @@ def factorisation(repeats: int) -> list[dict]:
 
 
 class _Clocked(fem.Material):
-    """A law that notes the CPU time whenever FElupe asks for its tangent, which it does once an iteration."""
+    """Law that records the CPU time at each request of its tangent, one for each iteration of FElupe."""
 
     def __init__(self, law: fem.Material):
         self.marks: list[float] = []
@@ -78,7 +78,7 @@ class _Clocked(fem.Material):
 
 
 def iteration_meshes() -> dict[str, Mesh]:
-    """Meshes on which an iteration is compared."""
+    """Return the meshes on which an iteration is compared."""
     return {"80 Q9/P-1, fast": build_mesh(MODEL.experiment, "fast"),
             "80 Q4/P0, the same grading": build_mesh(MODEL.experiment, "fast", Q4P0),
             "500 Q4/P0, uniform": uniform_needle_mesh((20, 25), Q4P0),
@@ -86,7 +86,7 @@ def iteration_meshes() -> dict[str, Mesh]:
 
 
 def iterations(meshes: dict[str, Mesh], repeats: int, peer_repeats: int) -> list[dict]:
-    """One Newton iteration (tangent, factor, solution, next residual) of a bonded punch, ours and FElupe's.
+    """Time one Newton iteration (tangent, factor, solution, next residual) of a bonded punch here and in FElupe.
 
     Raises:
         SystemExit: the forces differ.
@@ -123,7 +123,7 @@ def iterations(meshes: dict[str, Mesh], repeats: int, peer_repeats: int) -> list
 
 
 def curves(repeats: int) -> list[dict]:
-    """Whole curves of 21 points to 10 mm, from mesh to forces."""
+    """Time whole curves of 21 points to 10 mm, from mesh to forces."""
     rows = []
     for resolution, target in CURVE_TARGETS.items():
         solved = ts.simulate(MODEL, resolution=resolution).metadata["solver"]  # compiles
@@ -135,7 +135,7 @@ def curves(repeats: int) -> list[dict]:
 
 
 def draw(result: dict, console: Console) -> None:
-    """The result as tables."""
+    """Print the result as tables."""
     table(console, "Band factorisation of the tangent at 5 mm: CPU ms",
           ["mesh", "freedoms", "half band", "ours (GFLOP/s)", "LAPACK dpbtrf", "ours / LAPACK"],
           [[row["mesh"], str(row["freedoms"]), str(row["half_band"]), f"{row['ours_ms']:.3f} "

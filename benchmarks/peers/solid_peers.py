@@ -50,13 +50,13 @@ def model(material: ts.Material) -> ts.Model:
 
 
 def nearly_as_the_peer(poisson: float) -> ts.Material:
-    """Neo-Hookean tissue of the study's shear modulus at rest and this Poisson's ratio."""
+    """Return neo-Hookean tissue with the study's initial shear modulus and this Poisson's ratio."""
     ratio = 2.0 * (1.0 + poisson) / (3.0 * (1.0 - 2.0 * poisson))
     return ts.Material("neo_hooke", {"C10": 0.5 * STUDY.mu0}, ts.Bulk("bulk_ratio", ratio))
 
 
 def ours(material: ts.Material, mesh: SolidMesh) -> dict:
-    """Forces at the depths, N, and CPU seconds of a step of 1 mm, the largest and the median."""
+    """Return forces at the depths, N, and the largest and median CPU time of a step of 1 mm, s."""
     solver, forces, spent, before = make_solver(model(material), mesh=mesh), [], [], 0.0
     solver.step(ts.Pose.at_depth(1e-6))  # kernels
     for depth in DEPTHS.tolist():
@@ -77,7 +77,7 @@ def ours(material: ts.Material, mesh: SolidMesh) -> dict:
 
 
 def mujoco(python: str, poisson: float, mesh: SolidMesh, seconds: float) -> dict | None:
-    """The same in MuJoCo: CPU seconds of a time step, and how many of them a depth took; None where there is none."""
+    """Return the CPU time of a time step in MuJoCo, s, and the number of steps per depth; None without MuJoCo."""
     corners = mesh.connectivity[:, mesh.element.corners]
     job = {"nodes": mesh.nodes, "tetrahedra": corners[:, tetrahedra(mesh.element)].reshape(-1, 4), "depths": DEPTHS,
            "base": mesh.sets["base"], "face": mesh.sets["face"], "young": 2.0 * STUDY.mu0 * (1.0 + poisson),
@@ -100,7 +100,7 @@ def mujoco(python: str, poisson: float, mesh: SolidMesh, seconds: float) -> dict
 
 
 def measure(size: int, asked) -> dict:
-    """One mesh: ours with the study's law and with a law like the peer's, and the peer."""
+    """Compare on one mesh: the study's law, a law like that of the peer, and the peer."""
     mesh = mesh_of(size)
     row = {"mesh": size, "ours": ours(STUDY, mesh), "peer": []}
     for poisson in asked.poisson:
@@ -112,7 +112,7 @@ def measure(size: int, asked) -> dict:
 
 
 def truth() -> dict:
-    """Force over depth."""
+    """Return the true force over depth."""
     recording = ts.simulate(model(STUDY), resolution="accurate")
     other = np.loadtxt(ROOT / "tests" / "reference" / "punch_3d_on_axis_RP.csv", delimiter=",", comments="#")
     return {"depths": recording.displacement.tolist(), "forces": recording.force.tolist(),
@@ -142,7 +142,7 @@ def draw(result: dict, console) -> None:
 
 
 def picture(result: dict, path: Path) -> None:
-    """Force over depth, and its error over the time of the first millimetre."""
+    """Draw force over depth, and its error over the time of the first millimetre."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 4.2), layout="constrained")

@@ -1,4 +1,4 @@
-"""A bonded punch in MuJoCo's flex, for `solid_peers`; needs MuJoCo and NumPy only.
+"""Bonded punch in MuJoCo's flex, for `solid_peers`; needs only MuJoCo and NumPy.
 
     python -m benchmarks solid_peers_mujoco JOB.npz
 
@@ -29,7 +29,7 @@ MOST_STEPS = 400
 
 
 def model(job: dict) -> mujoco.MjModel:
-    """The cylinder, its base held by the world."""
+    """Return the cylinder with its base fixed to the world."""
     def words(values: np.ndarray) -> str:
         return " ".join(f"{value:.9g}" for value in np.asarray(values).ravel())
 
@@ -47,7 +47,7 @@ def model(job: dict) -> mujoco.MjModel:
 
 
 def pressed(job: dict) -> dict:
-    """Forces at the depths until one is not reached, and what a step takes."""
+    """Return forces at the depths up to the first that is not reached, and the cost of a step."""
     built = model(job)
     data = mujoco.MjData(built)
     joints = built.body_jntadr[built.flex_vertbodyid[job["face"]]]

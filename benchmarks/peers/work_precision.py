@@ -53,7 +53,7 @@ STYLES = {"Q9/P-1, strongly graded": ("#0072B2", "o", "-"), "Q9/P-1, graded": ("
 
 
 def uniform_needle_mesh(elements: tuple[int, int], element) -> Mesh:
-    """Equal elements along r and along z, with an element boundary at the edge of the needle."""
+    """Return a mesh of equal elements along r and along z, with an element boundary at the edge of the needle."""
     mesh = cylinder_mesh(RADIUS, HEIGHT, elements, element)
     top = mesh.sets["top"]
     distance = mesh.nodes[top, 0] - NEEDLE_RADIUS
@@ -61,7 +61,7 @@ def uniform_needle_mesh(elements: tuple[int, int], element) -> Mesh:
 
 
 def bonded_meshes() -> Iterator[tuple[str, Mesh]]:
-    """(family, mesh), each family from coarse to fine."""
+    """Yield (family, mesh), each family from coarse to fine."""
     nine, four = ((3, 4), (4, 5), (6, 8), (8, 10), (11, 14), (16, 20)), ((6, 8), (11, 14), (20, 25), (40, 50), (60, 75))
     for name, element, grading, counts in (
             ("Q9/P-1, strongly graded", Q9P1, (50.0, 10.0), nine), ("Q9/P-1, graded", Q9P1, (10.0, 4.0), nine),
@@ -72,7 +72,7 @@ def bonded_meshes() -> Iterator[tuple[str, Mesh]]:
 
 
 def needle_meshes() -> Iterator[tuple[str, Mesh]]:
-    """(family, mesh), each family from coarse to fine."""
+    """Yield (family, mesh), each family from coarse to fine."""
     for name, element, growth, largest, sizes in (
             ("Q9/P-1, strongly graded", Q9P1, 1.8, 15.0, (4.0, 2.6, 1.3, 0.65, 0.3, 0.1, 0.03)),
             ("Q9/P-1, graded", Q9P1, 1.5, 12.0, (2.0, 0.65, 0.2, 0.05, 0.02)),
@@ -87,7 +87,7 @@ def needle_meshes() -> Iterator[tuple[str, Mesh]]:
 
 
 def measure(test: str, family: str, mesh: Mesh, repeats: int, named: str | None = None) -> dict:
-    """One point of the diagram; its status says so where the simulation did not reach 10 mm."""
+    """Return one point of the diagram; its status tells if the simulation did not reach 10 mm."""
     model = MODELS[test]
     forces, error = (np.array(values) for values in REFERENCES[test])
     point = {"test": test, "family": family, "element": mesh.element.name, "elements": len(mesh.connectivity),
@@ -112,7 +112,7 @@ def measure(test: str, family: str, mesh: Mesh, repeats: int, named: str | None 
 
 
 def points(repeats: int) -> Iterator[dict]:
-    """Every point of the diagram; the meshes that have a name carry it."""
+    """Return every point of the diagram; named meshes carry their name."""
     for test, meshes in (("bonded compression", bonded_meshes()), ("needle indentation", needle_meshes())):
         named = {name: build_mesh(MODELS[test].experiment, name) for name in ("fast", "accurate")}
         for family, mesh in meshes:
@@ -125,7 +125,7 @@ def points(repeats: int) -> Iterator[dict]:
 
 
 def known_points(found: list[dict], repeats: int) -> list[dict]:
-    """Needle meshes of as many elements as those whose errors, in percent, were known before."""
+    """Return needle meshes with the numbers of elements of an earlier table, and their known errors, %."""
     mesh_of_42, mesh_of_120 = (needle_mesh(RADIUS, HEIGHT, NEEDLE_RADIUS, Q9P1, growth=1.8, smallest=smallest,
                                            largest=0.012) for smallest in (4.0e-3, 0.65e-3))
     measured = [(0.91, measure("needle indentation", "graded", mesh_of_42, repeats)),
@@ -137,7 +137,7 @@ def known_points(found: list[dict], repeats: int) -> list[dict]:
 
 
 def plot(found: list[dict], path: Path) -> None:
-    """The diagram; hollow markers: the largest error is below the reference's own error at its depth."""
+    """Draw the diagram; a hollow marker means an error below that of the reference at its depth."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -171,7 +171,7 @@ def plot(found: list[dict], path: Path) -> None:
 
 
 def draw(result: dict, console: Console) -> None:
-    """The result as tables."""
+    """Print the result as tables."""
     def errors(title, points, first, leading):
         rows = []
         for point in points:

@@ -97,7 +97,7 @@ def _of(seed: int, asked: dict) -> dict:
 
 
 def _said(entry: dict) -> str:
-    """One line of progress."""
+    """Return one line of progress."""
     line = f"{entry['seed']} {entry['stratum']}, {entry['law']}{', ' * bool(entry['extra'])}{', '.join(entry['extra'])}"
     if "identities" in entry:
         return f"{line}: " + ", ".join(f"{name} {'' if one['passed'] else 'NOT '}({one['value']:.1e})"

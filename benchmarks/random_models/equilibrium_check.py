@@ -56,7 +56,7 @@ CHECKS = {
 
 @dataclass(frozen=True)
 class Fault:
-    """A check that a sample does not pass.
+    """Failed check of a sample.
 
     Attributes:
         check: one of `CHECKS`; sample: its number from 0; value: as the check states it; allowed: of it.
@@ -97,7 +97,7 @@ class Findings:
 
 @dataclass(frozen=True)
 class Outline:
-    """A rigid body that surface nodes may touch.
+    """Rigid body that surface nodes may touch.
 
     Attributes:
         vertices: chain of straight lines (r, z), body on its left, m; rounding: thickness around it, m.
@@ -110,7 +110,7 @@ class Outline:
     friction: tuple[float, float]
 
     def meet(self, points: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Gap (m) of points (n, 2) in the body's frame, the body's outward normal, and coefficient of friction.
+        """Return gap (m) of points (n, 2) in the body's frame, outward normal of the body, and coefficient of friction.
 
         A sharp edge from a face or to a shaft without slip holds what is as `near` as this, m.
         """
@@ -185,7 +185,7 @@ class EquilibriumCheck:
         self._energy = energy_of(material.energy_law, dict(material.parameters))
 
     def begin(self, solver) -> None:
-        """The body, who holds it and whom its surface may meet."""
+        """Store body, supports and contact partners of a simulation."""
         model, mesh = self.model, solver.mesh
         experiment, material, specimen = model.experiment, model.material, model.experiment.specimen
         if mesh.element.name != "Q9/P-1":
@@ -276,7 +276,7 @@ class EquilibriumCheck:
             self._surface_checks(sample, points, gap, normal, friction, touches, allowed, max(largest, 1e-3 * scale))
 
     def _body(self, u: np.ndarray, pressures: np.ndarray, stresses, law) -> tuple[np.ndarray, ...]:
-        """Nodal forces, what rounding costs them (N), and those of pressures that are out of place."""
+        """Return the nodal forces, their rounding error (N), and those of pressures outside the pressure space."""
         section, sample = self.section, len(self._forces)
 
         def volume_forces(cofactors, amplitudes):
@@ -331,7 +331,7 @@ class EquilibriumCheck:
                        np.concatenate([self._stays, np.zeros(len(between), dtype=bool)])), rest
 
     def _meet(self, points: _Points, depth: float) -> tuple[np.ndarray, ...]:
-        """Gap, normal and friction of each point with what is nearest, tool or base, and whether it is the tool."""
+        """Return gap, normal and friction of each point with the nearest body, and whether it is the tool."""
         down = self._datum + self._lift[points.numbers] - depth
         gap, normal, friction = self._tool.meet(points.now - np.stack([np.zeros_like(down), down], axis=-1),
                                                 self._tolerance)
@@ -372,7 +372,7 @@ class EquilibriumCheck:
         worst_of("friction", beyond, touches & slips & (friction == 0), little)
 
     def finish(self, recording: ts.Recording) -> Findings:
-        """Compare the forces of an ideal rig, and return what was found of all samples."""
+        """Compare the forces of an ideal rig, and return the results of all samples."""
         if self.model.rig == ts.Rig():
             largest = max(float(np.abs(recording.force).max(initial=0.0)), self._floor)
             for sample, (ours, theirs) in enumerate(zip(self._forces, recording.force.tolist(), strict=True)):

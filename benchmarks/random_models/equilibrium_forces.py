@@ -14,7 +14,7 @@ _STEP = 1e-40
 
 
 class Section:
-    """The integrals over the undeformed half plane.
+    """Quadrature of the axisymmetric integrals over the undeformed half plane.
 
     Attributes:
         gradients: of the shape functions along r and z, and their value over r, 1/m, (elements, 9, 9 nodes, 3).
@@ -30,7 +30,7 @@ class Section:
         share = np.array([5.0, 8.0, 5.0]) / 9.0
 
         def line(x: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            """Parabolas that are 1 at -1, 0 or 1, and their slopes."""
+            """Return the quadratic shape functions with nodes -1, 0 and 1, and their derivatives."""
             x = x[:, None]
             return (np.where(at == 0, 1 - x**2, x * (x + at) / 2), np.where(at == 0, -2 * x, x + at / 2))
 
@@ -64,7 +64,7 @@ class Section:
         return plane, hoop, (plane[..., 0, 0] * plane[..., 1, 1] - plane[..., 0, 1] * plane[..., 1, 0]) * hoop
 
     def forces(self, plane: np.ndarray, hoop: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Nodal forces (r, z) of first Piola stresses, N, (nodes, 2), and what they are with no sign cancelled."""
+        """Return nodal forces (r, z) of first Piola stresses, N, (nodes, 2), and the sums of absolute contributions."""
         # Products of stacked matrices take a sixth of the time of `einsum`.
         in_plane = self.gradients[..., :2] @ (self.weights[..., None, None] * plane).swapaxes(-1, -2)
         around = (self.weights * hoop)[..., None] * self.gradients[..., 2]
@@ -79,7 +79,7 @@ class Section:
 
 
 def energy_of(law: Law, parameters: dict[str, float]) -> Callable[[np.ndarray], np.ndarray]:
-    """The formula of a law as a function of complex isochoric stretches (..., 3)."""
+    """Return the energy of a law as a function of complex isochoric stretches (..., 3)."""
     values = [parameters[name] for name in law.parameters]
     if isinstance(law, InvariantLaw):
         return lambda bar: law.energy((bar**2).sum(axis=-1), (bar**-2).sum(axis=-1), *values)
@@ -87,7 +87,7 @@ def energy_of(law: Law, parameters: dict[str, float]) -> Callable[[np.ndarray], 
 
 
 def isochoric_stress(energy: Callable, plane: np.ndarray, hoop: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First Piola stress, in plane (..., 2, 2) and hoop, Pa, of W(F / J^(1/3))."""
+    """Return the first Piola stress of W(F / J^(1/3)), in plane (..., 2, 2) and hoop, Pa."""
     left, stretches, right = np.linalg.svd(plane)
     three = np.concatenate([stretches, hoop[..., None]], axis=-1)
     slopes = []

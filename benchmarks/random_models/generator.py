@@ -1,4 +1,4 @@
-"""Random sensible models: laws, sizes, tools, interfaces, motions, and now and then time, weight, a layer or a rig.
+"""Random plausible models: laws, sizes, tools, interfaces, motions, sometimes viscoelasticity, weight, layer or rig.
 
 A seed stands for one model. The order in which `draw` asks for numbers is part of that, and must stay.
 """
@@ -54,12 +54,12 @@ class Description:
 
 
 def _between(chance: np.random.Generator, low: float, high: float) -> float:
-    """Evenly in the logarithm."""
+    """Draw from a log-uniform distribution."""
     return float(np.exp(chance.uniform(np.log(low), np.log(high))))
 
 
 def _law(chance: np.random.Generator, family: str, mu: float) -> tuple[str, dict[str, float]]:
-    """Name and parameters of a law of initial shear modulus mu, Pa; that of Mooney-Rivlin is the sum of both."""
+    """Return name and parameters of a law of initial shear modulus mu, Pa; Mooney-Rivlin splits the modulus."""
     if family == "neo_hooke":
         return family, {"C10": mu / 2}
     if family == "mooney_rivlin":
@@ -81,7 +81,7 @@ def _law(chance: np.random.Generator, family: str, mu: float) -> tuple[str, dict
 
 
 def _needle(chance: np.random.Generator, radius: float, height: float) -> tuple[dict, str, str, float, float]:
-    """Options of the experiment, shape and face, radius of the tool (m) and depth (m)."""
+    """Return options of the experiment, shape and face, radius of the tool (m) and depth (m)."""
     shape = str(chance.choice(["flat", "flat", "round", "sphere", "cone"]))
     a = float(chance.uniform(1, min(15, 0.5 * radius * 1e3))) * 1e-3
     faces = ["bonded"] * (shape == "flat") + ["stick", "frictionless", "mu"]
@@ -116,7 +116,7 @@ def _motion(chance: np.random.Generator, depth: float) -> tuple[str, str, int]:
 
 
 def draw(seed: int) -> Description:
-    """The model of a seed."""
+    """Return the description of the model of a seed."""
     chance = np.random.default_rng(seed)
     family = str(chance.choice(FAMILIES))
     E0 = _between(chance, 1e3, 1e5)
@@ -156,7 +156,7 @@ def draw(seed: int) -> Description:
 
 
 def build(one: Description, finer: int = 1, size: float = 1.0, strength: float = 1.0) -> ts.Model:
-    """The model of a description.
+    """Return the model of a description.
 
     Args:
         one: the description.

@@ -26,7 +26,7 @@ IDENTITIES = ("the test reaches the end", "sum of moduli times derivatives", "th
 
 
 def applies(one: Description) -> bool:
-    """Elastic, on an ideal rig."""
+    """Return whether a model is elastic, on an ideal rig."""
     return not {"prony", "rig"} & set(one.extra)
 
 
@@ -89,7 +89,7 @@ def _euler(model: ts.Model, resolution: str) -> float:
 
 
 def _reset(model: ts.Model, resolution: str) -> float:
-    """Difference between forces after a reset and those of a new simulator, N.
+    """Return the difference between the forces after a reset and those of a new simulator, N.
 
     0 if all bits are equal; infinite if a status or another part of an answer differs."""
     protocol = model.experiment.protocol

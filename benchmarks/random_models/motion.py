@@ -1,4 +1,4 @@
-"""A random model in the hand: irregular motion with lift-off and a jump far too deep, tick by tick through `Simulator`.
+"""Random model under irregular motion with lift-off and a far too deep jump, tick by tick through `Simulator`.
 
 What must hold: forces are numbers; every tick is in equilibrium, and is so by other means than the solver's; and after
 all that, and some time in the air, the tissue pushes as that of a new simulator does. Where the work of a tick is
@@ -125,7 +125,7 @@ def _walk(one: Description, resolution: str, clock: Clock, max_solves: int | Non
 
 
 def _apart(answers: Sequence[ts.ToolForce], unbounded: Sequence[float]) -> list[float]:
-    """Largest difference of equilibria and of other answers from forces without bound, over the largest of these."""
+    """Return the largest relative difference from forces without bound, of equilibria and of other answers."""
     expected = np.array(unbounded)
     apart = np.abs([answer.force for answer in answers] - expected) / max(float(np.abs(expected).max()), 1e-300)
     settled = np.array([answer.status is ts.ForceStatus.CONVERGED for answer in answers])
@@ -150,7 +150,7 @@ def _differs_from_new(model: ts.Model, used: ts.Simulator, resolution: str, dept
 
 
 def motion_figures(entries: Sequence[dict]) -> dict:
-    """Figures of models as `motion` knows them."""
+    """Return the figures of the results of `motion`."""
     ended = [entry for entry in entries if entry["status"] == "end"]
 
     def seeds(asked) -> list[int]:
@@ -181,7 +181,7 @@ def motion_figures(entries: Sequence[dict]) -> dict:
 
 
 def draw_motion(result: dict, console) -> None:
-    """The tables of `motion_figures`."""
+    """Print the tables of `motion_figures`."""
     found = result["figures"]
 
     def seeds(known) -> str:

@@ -1,4 +1,4 @@
-"""One random model through its test: how it ends, what it costs, and what the check of its equilibria says."""
+"""One random model through its test: outcome, cost, and check of its equilibria."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _SHAPES = {"plate": "plates", "flat": "flat needle", "round": "round needle"}
 
 
 class OutOfTimeError(Exception):
-    """The CPU is spent."""
+    """The CPU time limit is exceeded."""
 
 
 class Clock:
-    """CPU seconds of this process while it is on; more than `LIMIT` raise `OutOfTimeError`.
+    """CPU time of this process while the clock is on; more than `LIMIT` seconds raise `OutOfTimeError`.
 
     Attributes:
         spent: so far, s.
@@ -60,7 +60,7 @@ class Clock:
 
 
 class _Watch:
-    """The check, off the clock; one that fails itself ends everything."""
+    """Equilibrium check whose time does not count; a failure of the check itself ends the run."""
 
     def __init__(self, check: EquilibriumCheck, clock: Clock, seed: int):
         self._check, self._clock, self._seed = check, clock, seed
@@ -81,12 +81,12 @@ class _Watch:
 
 
 def stratum(one: Description) -> str:
-    """Tool and face."""
+    """Return tool and face as a class of models."""
     return f"{_SHAPES.get(one.shape, one.shape)}, {one.face}"
 
 
 def warm_up() -> None:
-    """Compile the kernels of these laws, with and without slip, off the clock."""
+    """Compile the kernels of these laws, with and without slip, with the clock off."""
     for law, parameters in (("neo_hooke", {"C10": 500.0}), ("ogden_1", {"mu1": 1e3, "alpha1": 3.0})):
         for friction in ("frictionless", 0.3):
             experiment = ts.Experiment(ts.Specimen(0.02, 0.02), ts.Protocol.ramp(1e-4, 2), tool=ts.Tool("round", 2e-3),

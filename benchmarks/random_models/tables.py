@@ -21,7 +21,7 @@ RIGHT = 2.0
 
 
 def figures(entries: Sequence[dict]) -> dict:
-    """Figures of runs as `random_models` keeps them."""
+    """Return the figures of the runs of `random_models`."""
     strata = sorted({entry["stratum"] for entry in entries}, key=lambda name: ("plates" not in name, name))
     rows = {name: _row([entry for entry in entries if entry["stratum"] == name]) for name in strata}
     cpu = [entry["cpu_s"] for entry in entries] or [0.0]
@@ -64,7 +64,7 @@ def _row(entries: Sequence[dict]) -> dict:
 
 
 def draw_runs(result: dict, console) -> None:
-    """Tables of `figures`."""
+    """Print the tables of `figures`."""
     found = result["figures"]
 
     def cells(name: str, row: dict) -> list[str]:
@@ -106,7 +106,7 @@ def _numbers(seeds: Sequence[int]) -> str:
 
 
 def identity_figures(entries: Sequence[dict]) -> dict:
-    """Name -> how many were asked and passed, which seeds did not, and the largest difference among the rest."""
+    """Return for each identity the numbers tested and passed, the failed seeds, and the largest other difference."""
     found = {}
     for name in IDENTITIES:
         asked = [(entry["seed"], entry["identities"][name]) for entry in entries if name in entry["identities"]]
@@ -117,7 +117,7 @@ def identity_figures(entries: Sequence[dict]) -> dict:
 
 
 def draw_identities(result: dict, console) -> None:
-    """The table of `identity_figures`."""
+    """Print the table of `identity_figures`."""
     table(console, f"What must hold of any solver: elastic random models, ideal rig, {result['resolution']}",
           ["identity", "passes / total", "largest difference of those", "seeds that fail"],
           [[name, f"{one['passed']} / {one['asked']}", f"{one['largest']:.1e}", _numbers(list(one["failed"]))]

@@ -56,7 +56,7 @@ def options() -> argparse.ArgumentParser:
 
 
 def run_all(chosen: argparse.Namespace) -> list[Result]:
-    """All results, in the order of their index."""
+    """Return all results in the order of their index."""
     indices = range(chosen.count) if chosen.index is None else [chosen.index]
     keep = None if chosen.keep is None else chosen.keep.resolve()
     one = partial(_quiet, chosen.seed, chosen.clean, chosen.only, tuple(chosen.areas), keep)
@@ -73,7 +73,7 @@ def _quiet(seed: int, clean: bool, only: str | None, areas: tuple[str, ...], kee
 
 
 def figures(results: Sequence[Result]) -> dict[str, Counter]:
-    """Outcomes of each trap and of all files; a file with several traps counts for each."""
+    """Count the outcomes of each trap and of all files; a file with several traps counts for each."""
     found: dict[str, Counter] = {}
     for result in results:
         for name in ("all", *(("one reading is correct",) if result.wants_right else ("no modulus follows",)),
@@ -85,7 +85,7 @@ def figures(results: Sequence[Result]) -> dict[str, Counter]:
 
 
 def table(found: dict[str, Counter]) -> str:
-    """Markdown; rows of traps in the order of their registry."""
+    """Return the counts in Markdown, in the order of the registry of traps."""
     order = ["all", "one reading is correct", "no modulus follows", *TRAPS]
     names = sorted(found, key=lambda name: order.index(name) if name in order else len(order))
     lines = ["| trap | files | " + " | ".join(OUTCOMES) + " | right, trap not mentioned |",

@@ -1,4 +1,4 @@
-"""Drafts of raw files: tables of a test with their lines, names, units and number formats, and their text."""
+"""Drafts of raw files: tables of a test with lines, names, units, number formats, and their text."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Column:
 
     @classmethod
     def of(cls, role: str, name: str, unit: str, values: np.ndarray, digits: int = 5) -> Column:
-        """Fixed decimals by which the largest value has `digits` digits."""
+        """Return a column with the number of decimals at which the largest value has `digits` digits."""
         largest = float(np.nanmax(np.abs(values))) or 1.0
         return cls(role, name, unit, values, max(digits - 1 - int(np.floor(np.log10(largest))), 0))
 
@@ -61,7 +61,7 @@ class Table:
 
 @dataclass
 class Draft:
-    """A raw file before it becomes text; traps change it.
+    """Raw file before it becomes text; traps change the draft.
 
     Attributes:
         test: of the first table. tests: one for each table. layout: name. language: ``en`` or ``de``.
@@ -100,7 +100,7 @@ class Draft:
     finish: list[Callable[[str], str]] = field(default_factory=list)
 
     def number(self, value: float, decimals: int) -> str:
-        """A number as the file writes it; empty for a value that is not finite."""
+        """Format a number; empty for a value that is not finite."""
         if not np.isfinite(value):
             return ""
         text = f"{value:.{decimals}f}" if decimals >= 0 else f"{value:.{-decimals}g}"
@@ -115,12 +115,12 @@ class Draft:
         return whole + (self.decimal if point else "") + rest
 
     def row(self, cells: list[str]) -> str:
-        """One line; cells that hold the delimiter are quoted."""
+        """Format one line; cells that contain the delimiter are quoted."""
         return self.delimiter.join(f'"{cell}"' if cell and (self.quoted or self.delimiter in cell) else cell
                                    for cell in cells)
 
     def table_rows(self, tables: list[Table]) -> list[list[str]]:
-        """Names, units and numbers of tables whose columns are adjacent."""
+        """Return names, units and numbers of tables with adjacent columns."""
         columns = [column for table in tables for column in table.columns]
         names = [f"{each.name} ({each.unit})" if self.units == "header" and each.unit else each.name
                  for each in columns]
@@ -147,7 +147,7 @@ class Draft:
         return text
 
     def files(self) -> dict[str, bytes]:
-        """Name -> content of all files."""
+        """Return the content of all files by name."""
         groups = [[table] for table in self.tables] if self.split else [self.tables]
         found = {}
         for group in groups:
@@ -159,7 +159,7 @@ class Draft:
         return found
 
     def specimen_flags(self) -> dict[str, float]:
-        """Sizes as the user states them, mm and mm2."""
+        """Return the sizes as the user states them, mm and mm2."""
         specimen, kind = self.test.specimen, self.test.kind
         across = {"radius_mm": 500 * specimen.diameter} if specimen.is_cylinder else {
             "area_mm2": 1e6 * specimen.area(kind)}
@@ -227,7 +227,7 @@ LAYOUTS = {
 
 
 def size_rows(draft: Draft) -> list[list[str]]:
-    """A row for each size: name, number, unit."""
+    """Return one row for each size: name, number, unit."""
     words, specimen, kind = SIZE_WORDS[draft.language], draft.test.specimen, draft.test.kind
     if specimen.is_cylinder:
         pairs = [("diameter", specimen.diameter), ("length", specimen.length)]
@@ -239,12 +239,12 @@ def size_rows(draft: Draft) -> list[list[str]]:
 
 
 def draw_layout(test: Test, rng: np.random.Generator) -> str:
-    """A layout that has such tests."""
+    """Draw a layout that supports the kind of test."""
     return str(rng.choice([name for name, layout in LAYOUTS.items() if test.kind in layout.names]))
 
 
 def make_draft(test: Test, name: str, rng: np.random.Generator) -> Draft:
-    """A file of a test in a layout, with unit, order, delimiter, decimal mark and encoding drawn."""
+    """Return the file of a test in a layout, with random unit, order, delimiter, decimal mark and encoding."""
     layout = LAYOUTS[name]
     delimiter = str(rng.choice(layout.delimiters))
     german = layout.language == "de" or delimiter == ";"
@@ -264,7 +264,7 @@ def make_draft(test: Test, name: str, rng: np.random.Generator) -> Draft:
 
 
 def make_table(test: Test, layout: Layout, rng: np.random.Generator) -> Table:
-    """Time, displacement and force as a machine writes them."""
+    """Return time, displacement and force in the layout of a machine."""
     time, length, force = (str(rng.choice(units)) for units in (layout.times, layout.lengths, layout.forces))
     sign = layout.sign if test.kind == COMPRESSION else 1
     names = [each.replace("{force}", force) for each in layout.names[test.kind]]

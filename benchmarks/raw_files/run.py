@@ -1,4 +1,4 @@
-"""One raw file: drawn, written, imported, calibrated, and compared with its truth."""
+"""One raw file: draw, write, import, calibrate, and compare with the truth."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Result:
 
 
 def draw_traps(rng: np.random.Generator, only: str | None = None, areas: Sequence[str] = AREAS) -> list[Trap]:
-    """One to three traps that may be combined in one file; areas are drawn first, so that each has an equal share."""
+    """Draw one to three compatible traps; areas are drawn first, so that all areas have equal probability."""
     count = 1 + int(rng.choice(len(COUNTS), p=COUNTS))
     if only is not None:
         return [TRAPS[only]]
@@ -84,14 +84,14 @@ def draw_traps(rng: np.random.Generator, only: str | None = None, areas: Sequenc
 
 
 def _shared(traps: Sequence[Trap]) -> list[tuple[str, str]]:
-    """Kind and layout of files that may have all of these traps."""
+    """Return kind and layout of files that can have all of these traps."""
     return [(kind, name) for kind in KINDS for name, layout in LAYOUTS.items() if kind in layout.names
             and all(kind in trap.kinds and name in trap.layouts for trap in traps)]
 
 
 def draw_file(seed: int, index: int, clean: bool = False, only: str | None = None, areas: Sequence[str] = AREAS
               ) -> tuple[Draft, list[Trap]]:
-    """The draft of one file, and its traps."""
+    """Return the draft of one file, and its traps."""
     rng = np.random.default_rng([seed, index, int(clean)])
     traps = [] if clean else draw_traps(rng, only, areas)
     places = _shared(traps)

@@ -23,7 +23,7 @@ OnDraft = Callable[[Draft, np.random.Generator], None]
 
 @dataclass(frozen=True)
 class Trap:
-    """A trap.
+    """Change of a raw file that misleads a reader, with the acceptable outcomes.
 
     Attributes:
         name: of it. area: ``numbers``, ``sizes``, ``meaning`` or ``signals``.
@@ -52,7 +52,7 @@ _FACTORS = {"displacement": LENGTHS, "force": FORCES, "time": TIMES, "stress": S
 
 
 def in_unit(column: Column, unit: str, decimals: int | None = None) -> Column:
-    """The column in another unit, by default with six digits of its largest value; unchanged if it has no such unit."""
+    """Return the column in another unit, by default with six digits of its largest value."""
     if unit not in _FACTORS.get(column.role, {}):
         return column
     factors = _FACTORS[column.role]
@@ -68,7 +68,7 @@ def change_columns(draft: Draft, change: Callable[[Column], Column]) -> None:
 
 
 def set_decimal(draft: Draft, decimal: str, delimiter: str) -> None:
-    """Another decimal mark and delimiter, also in the sizes."""
+    """Set another decimal mark and delimiter, also in the sizes."""
     other = "." if decimal == "," else ","
     draft.sizes = [[row[0], row[1].replace(other, decimal), *row[2:]] for row in draft.sizes]
     draft.decimal, draft.delimiter = decimal, delimiter

@@ -16,7 +16,7 @@ _GROUPS = frozenset({"title", "history", "names", "sizes", "blocks", "flags"})
 
 @dataclass(frozen=True)
 class _OtherTest:
-    """A test other than tension, compression and simple shear.
+    """Test other than tension, compression and simple shear.
 
     Attributes:
         titles: that name it. reasons: words of a refusal that is to the point. base: kind whose layout is used.
@@ -51,19 +51,19 @@ def _bending_sizes(test: Test) -> list[list[str]]:
 
 
 def _bent(test: Test) -> np.ndarray:
-    """Euler-Bernoulli beam on two supports, loaded in the middle: F = 48 E I w / L^3 with E = 3 mu."""
+    """Return the force of a simply supported Euler-Bernoulli beam loaded at midspan: F = 48 E I w / L^3, E = 3 mu."""
     specimen = test.specimen
     inertia = specimen.width * specimen.thickness**3 / 12
     return 48 * 3 * test.mu * inertia * test.motion / specimen.length**3
 
 
 def _confined(test: Test) -> np.ndarray:
-    """Linear with the aggregate modulus H = 25 mu of a drained tissue."""
+    """Return a linear force with the aggregate modulus H = 25 mu of a drained tissue."""
     return 25 * test.mu * test.specimen.area(COMPRESSION) * test.motion / test.specimen.length
 
 
 def _peeled(test: Test) -> np.ndarray:
-    """A plateau with waves behind a short rise."""
+    """Return the force of a peel test: a short rise, then a plateau with waves."""
     plateau = test.mu * test.specimen.area(TENSION)
     return plateau * (1 - np.exp(-test.motion / 0.5e-3)) * (1 + 0.05 * np.sin(test.motion / 1e-3))
 
@@ -123,7 +123,7 @@ def _on_draft(other: _OtherTest):
 
 
 def _torsion(draft: Draft, rng: np.random.Generator) -> None:
-    """Torque over angle of a cylinder; T = mu J theta / L."""
+    """Return the torque over angle of a cylinder: T = mu J theta / L."""
     test, specimen = draft.test, draft.test.specimen
     title = str(rng.choice(("Torsion test", "Torsional shear of a cylinder", "Torsionsversuch")))
     draft.head, draft.stated_kind, draft.encoding, draft.truths = [[title]], None, "utf-8", (test.mu,)
@@ -135,7 +135,7 @@ def _torsion(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _moduli_table(draft: Draft, rng: np.random.Generator) -> None:
-    """Storage and loss moduli over frequency or amplitude: no recording of a motion."""
+    """Replace the recording by storage and loss moduli over frequency or amplitude."""
     mu, size = draft.test.mu, 25
     draft.truths, draft.sizes, draft.stated_kind, draft.stated_sizes = (), [], None, False
     swept = np.geomspace(0.1, 30, size)

@@ -21,7 +21,7 @@ _BLOCKS = frozenset({"names", "blocks", "history"})
 
 def _measures(strain_name: str, strain_of: Callable[[np.ndarray], np.ndarray], stress_name: str,
               power: float, strain_units: tuple[str, ...] = ("-", "%")) -> OnDraft:
-    """Strain and stress of a test: stress = nominal stress times stretch to a power."""
+    """Return strain and stress of a test: stress = nominal stress times stretch to a power."""
     def apply(draft: Draft, rng: np.random.Generator) -> None:
         unit = str(rng.choice(("kPa", "MPa", "Pa", "N/mm2")))
         for table in draft.tables:
@@ -81,7 +81,7 @@ MEASURE_TRAPS = (
 
 
 def _percent_displacement(draft: Draft, rng: np.random.Generator) -> None:
-    """Displacement in percent of the height, with a force."""
+    """Write the displacement in percent of the height, with a force."""
     height = draft.test.specimen.height(draft.test.kind)
 
     def change(column: Column) -> Column:
@@ -93,13 +93,13 @@ def _percent_displacement(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _percent_as_ratio(draft: Draft, rng: np.random.Generator) -> None:
-    """A strain in percent under a unit that says ratio."""
+    """Write a strain in percent under a unit of a ratio."""
     _measures("Strain", _engineering, "Stress", 0.0, ("%",))(draft, rng)
     change_columns(draft, lambda column: replace(column, unit="mm/mm") if column.role == "strain" else column)
 
 
 def _title_against_stretch(draft: Draft, rng: np.random.Generator) -> None:
-    """A title of another test than the stretches show."""
+    """Add a title of another test than that of the stretches."""
     _measures("Stretch", _stretch, "Nominal stress", 0.0, ("-",))(draft, rng)
     draft.head = [["Tensile test" if draft.test.kind == COMPRESSION else "Compression test"]]
 
@@ -113,7 +113,7 @@ _REMARKS = ("Remark: peel test of the same batch follows", "Note: specimens for 
 
 
 def _other_words(draft: Draft, rng: np.random.Generator) -> None:
-    """Words of another test in a denial or in a remark."""
+    """Add words of another test in a denial or in a remark."""
     if rng.random() < 0.5:
         titles = _DENIALS[draft.test.kind]
         draft.head = [[titles[int(rng.integers(len(titles)))]]]
@@ -122,7 +122,7 @@ def _other_words(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _second_sensor(name: str, unit: str) -> OnDraft:
-    """A compliant frame in the crosshead's displacement, and a second sensor on the specimen."""
+    """Add a compliant frame to the crosshead displacement, and a second sensor on the specimen."""
     def apply(draft: Draft, rng: np.random.Generator) -> None:
         test, height = draft.test, draft.test.specimen.height(draft.test.kind)
         slack = float(rng.uniform(0.15, 0.5)) * test.motion.max() / np.abs(test.force).max()
@@ -144,13 +144,13 @@ def _sensor_trap(name: str, unit: str) -> Trap:
 
 
 def _signs(draft: Draft, rng: np.random.Generator) -> None:
-    """Turned signs of displacement, of force, or of both."""
+    """Reverse the sign of displacement, of force, or of both."""
     turned = [("displacement",), ("force",), ("displacement", "force")][int(rng.integers(3))]
     change_columns(draft, lambda column: replace(column, values=-column.values) if column.role in turned else column)
 
 
 def _position(draft: Draft, rng: np.random.Generator) -> None:
-    """Positions of the crosshead, counted from the machine's zero."""
+    """Write positions of the crosshead, counted from the machine's zero."""
     start = float(rng.uniform(20, 300)) * 1e-3
     sign = float(rng.choice((-1.0, 1.0)))
 
@@ -172,7 +172,7 @@ def _no_units(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _contradictory_units(draft: Draft, rng: np.random.Generator) -> None:
-    """The name of a column states one unit, the row of units another."""
+    """State one unit in the name of a column and another one in the row of units."""
     draft.units, draft.truths = "row", ()
     role = str(rng.choice(("force", "displacement")))
     wrong = {"force": ("N", "kN"), "displacement": ("mm", "cm")}[role]
@@ -187,7 +187,7 @@ def _contradictory_units(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _impossible_unit(draft: Draft, rng: np.random.Generator) -> None:
-    """Displacements beyond the height of the specimen: micrometres under the name of millimetres."""
+    """Write displacements beyond the height of the specimen: micrometres labelled as millimetres."""
     draft.truths = ()
     change_columns(draft, lambda column: replace(in_unit(column, "um"), unit="mm") if column.role == "displacement"
                    else column)
@@ -208,7 +208,7 @@ def _time_and_force(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _ramp(test: Test, rng: np.random.Generator) -> Test:
-    """A ramp at a constant speed."""
+    """Return a ramp at a constant speed."""
     depth = test.motion.max()
     points = int(rng.integers(60, 141))
     return test.with_motion(np.linspace(0, depth / float(rng.uniform(0.1e-3, 2e-3)), points),
@@ -216,12 +216,12 @@ def _ramp(test: Test, rng: np.random.Generator) -> Test:
 
 
 def _spare_flag(draft: Draft, rng: np.random.Generator) -> None:
-    """A stated speed that is not that of the clock and the displacement in the file."""
+    """State a speed that contradicts time and displacement in the file."""
     draft.stated_test["speed_mm_s"] = round(float(rng.uniform(5, 50)), 2)
 
 
 def _no_names(draft: Draft, rng: np.random.Generator) -> None:
-    """Numbers only; the user names the columns and their units."""
+    """Write numbers only; the user names the columns and their units."""
     draft.head, draft.units = [], "none"
     channels = [column.role for column in draft.tables[0].columns]
     draft.columns_stated = {role: str(i + 1) for i, role in enumerate(channels)}
@@ -232,7 +232,7 @@ def _no_names(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _decoys(draft: Draft, rng: np.random.Generator) -> None:
-    """Columns that look like those of the test: set points, peak values, temperature, number of the sample."""
+    """Add columns similar to those of the test: set points, peak values, temperature, sample number."""
     own = draft.tables[0].column("displacement")
     force = draft.tables[0].column("force")
     size = own.values.size
@@ -249,7 +249,7 @@ def _decoys(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _clock(draft: Draft, rng: np.random.Generator) -> None:
-    """Times of the day."""
+    """Write times of day."""
     seconds = draft.test.time + float(rng.uniform(3e4, 8e4))
     place = [column.role for column in draft.tables[0].columns].index("time")
 
@@ -271,7 +271,7 @@ def _clock(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _more_tables(draft: Draft, rng: np.random.Generator, factors: list[float], titles: list[str]) -> None:
-    """Tables of further specimens of the same sizes, with other moduli."""
+    """Add tables of further specimens of the same sizes with other moduli."""
     first, tests = draft.tables[0], []
     noise = 2e-3
     for factor in factors:

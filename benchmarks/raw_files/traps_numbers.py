@@ -1,4 +1,4 @@
-"""Traps in the writing of numbers: separators of thousands, decimal marks, encodings, unusual cells and lines."""
+"""Traps in number formats: thousands separators, decimal marks, encodings, unusual cells and lines."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _THOUSANDS = 3000.0
 
 
 def _large(column: Column, decimals: int, rng: np.random.Generator) -> Column:
-    """The column in a unit in which its values pass 1000; displacements with decimals may stay in mm."""
+    """Return the column in a unit in which its values exceed 1000; displacements with decimals may stay in mm."""
     if column.role == "time":
         return in_unit(column, "s" if decimals else "ms", 2 * decimals)
     if column.role == "displacement":
@@ -43,7 +43,7 @@ def _thousands(mark: str, decimal: str, delimiters: tuple[str, ...], decimals: i
 
 
 def _three_decimals(draft: Draft, rng: np.random.Generator) -> None:
-    """Decimals that look like groups of thousands."""
+    """Write three decimals, which look like a group of thousands."""
     decimal = str(rng.choice((",", ".")))
     set_decimal(draft, decimal, str(rng.choice((";", "\t"))))
 
@@ -80,7 +80,7 @@ def _unicode_minus(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _units_in_cells(draft: Draft, rng: np.random.Generator) -> None:
-    """Every number has its unit behind it."""
+    """Write the unit after every number."""
     places = [column.unit for column in draft.tables[0].columns]
     draft.units = "header"
 
@@ -98,7 +98,7 @@ def _units_in_cells(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _data_lines(text: str, draft: Draft) -> tuple[list[str], list[int]]:
-    """All lines, and the numbers of those that hold as many cells as the table and begin with a number."""
+    """Return all lines, and the indices of the rows of the table."""
     lines = text.split("\n")
     width = len(draft.tables[0].columns)
     return lines, [i for i, line in enumerate(lines) if len(line.split(draft.delimiter)) >= width
@@ -112,7 +112,7 @@ def _footer(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _repeated_header(draft: Draft, rng: np.random.Generator) -> None:
-    """A page break: the names stand a second time in the middle of the numbers."""
+    """Repeat the header in the middle of the numbers, as after a page break."""
     def change(text: str) -> str:
         lines, rows = _data_lines(text, draft)
         head = lines[rows[0] - (2 if draft.units == "row" else 1):rows[0]]
@@ -123,7 +123,7 @@ def _repeated_header(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _lost_cells(draft: Draft, rng: np.random.Generator) -> None:
-    """Some samples lack a number."""
+    """Remove the numbers of some cells."""
     word = str(rng.choice(("", "NaN", "---", "#N/A", "overload")))
 
     def change(text: str) -> str:
@@ -149,13 +149,13 @@ def _blank_lines(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _comma_everywhere(draft: Draft, rng: np.random.Generator) -> None:
-    """Decimal commas in quotes in a file of commas."""
+    """Write quoted decimal commas in a file delimited by commas."""
     set_decimal(draft, ",", ",")
     draft.quoted = True
 
 
 def _mixed_marks(draft: Draft, rng: np.random.Generator) -> None:
-    """Sizes with a decimal comma above numbers with a point, or the other way round."""
+    """Write sizes with a decimal comma above numbers with a decimal point, or the reverse."""
     draft.delimiter = str(rng.choice((";", "\t")))
     draft.decimal = str(rng.choice((",", ".")))
     other = "," if draft.decimal == "." else "."

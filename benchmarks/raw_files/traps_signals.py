@@ -26,7 +26,7 @@ _PRELOAD = ("preload", "contact", "offset", "zeroed", "zero of", "tare")
 
 
 def _spike(role: str, place: str, size: str) -> OnDraft:
-    """One wrong value.
+    """Replace one value by an outlier.
 
     Args:
         role: of the column. place: ``first``, ``last`` or ``inner``. size: ``up``, ``down``, ``zero``, ``9999`` or
@@ -53,7 +53,7 @@ def _spike(role: str, place: str, size: str) -> OnDraft:
 
 
 def _saturate(draft: Draft, rng: np.random.Generator) -> None:
-    """The load cell ends at a share of the largest force."""
+    """Saturate the load cell at a fraction of the largest force."""
     share = float(rng.uniform(0.5, 0.9))
 
     def change(column: Column) -> Column:
@@ -66,7 +66,7 @@ def _saturate(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _coarse(draft: Draft, rng: np.random.Generator) -> None:
-    """A force in steps of 1/30 to 1/15 of its range."""
+    """Round the force to steps of 1/30 to 1/15 of its range."""
     levels = float(rng.uniform(15, 30))
 
     def change(column: Column) -> Column:
@@ -77,7 +77,7 @@ def _coarse(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _ramp(test: Test, points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Times, s, and displacements, m, of one loading to the depth of the test in 5 to 20 s."""
+    """Return times (s) and displacements (m) of one loading to the depth of the test in 5 to 20 s."""
     depth = float(test.motion.max())
     return np.linspace(0.0, max(min(depth / 0.5e-3, 20.0), 5.0), points), np.linspace(0.0, depth, points)
 
@@ -95,7 +95,7 @@ def _air(test: Test, rng: np.random.Generator) -> Test:
 
 
 def _preload(test: Test, rng: np.random.Generator) -> Test:
-    """The displacement is zeroed some way after contact, the force is not."""
+    """Zero the displacement some distance after contact, but not the force."""
     time, motion = _ramp(test, 90)
     start = int(rng.integers(6, 25))
     pressed = test.with_motion(time[:90 - start], motion[start:])
@@ -103,7 +103,7 @@ def _preload(test: Test, rng: np.random.Generator) -> Test:
 
 
 def _force_offset(test: Test, rng: np.random.Generator) -> Test:
-    """A load cell that was not zeroed."""
+    """Add the offset of a load cell that was not zeroed."""
     test = test.with_motion(*_ramp(test, 90))
     sign = float(rng.choice((-1.0, 1.0)))
     return replace(test, force=test.force + sign * float(rng.uniform(0.03, 0.2)) * test.force.max())
@@ -111,7 +111,7 @@ def _force_offset(test: Test, rng: np.random.Generator) -> Test:
 
 def _relaxing(time: np.ndarray, motion: np.ndarray, test: Test, loaded: int, rng: np.random.Generator
               ) -> tuple[Test, tuple[float, ...]]:
-    """The test with a solid that relaxes by 15 to 50 %; moduli at once, at rest, and of the first loading."""
+    """Return the test on a solid that relaxes by 15 to 50 %, with instantaneous, relaxed and fitted moduli."""
     fraction, tau = float(rng.uniform(0.15, 0.5)), float(rng.uniform(2.0, 20.0))
     moved = test.with_motion(time, motion)
     moved = replace(moved, force=relaxing_force(time, moved.force, fraction, tau))
@@ -140,7 +140,7 @@ def _elastic_stairs(test: Test, rng: np.random.Generator) -> Test:
 
 
 def _pauses(test: Test, rng: np.random.Generator) -> Test:
-    """An elastic ramp that stops twice on its way."""
+    """Return an elastic ramp with two stops."""
     _, motion = _ramp(test, 80)
     counts = np.ones(80, int)
     counts[rng.choice(np.arange(20, 70), 2, replace=False)] = int(rng.integers(8, 25))
@@ -149,7 +149,7 @@ def _pauses(test: Test, rng: np.random.Generator) -> Test:
 
 
 def _creep(test: Test, rng: np.random.Generator) -> tuple[Test, tuple[float, ...]]:
-    """A constant force under which the displacement grows; compliance 1 + c (1 - exp(-t / tau))."""
+    """Return a test at constant force; the compliance is 1 + c (1 - exp(-t / tau))."""
     creep, tau = float(rng.uniform(0.2, 0.6)), float(rng.uniform(5, 30))
     loading = float(rng.choice((1.0, 3.0)))
     time = np.arange(0.0, 5 * tau, tau / 30)
@@ -161,13 +161,13 @@ def _creep(test: Test, rng: np.random.Generator) -> tuple[Test, tuple[float, ...
 
 
 def _force_ramp(test: Test, rng: np.random.Generator) -> Test:
-    """An elastic test whose force grows evenly."""
+    """Return an elastic test whose force grows linearly in time."""
     force = np.linspace(0.0, float(test.force.max()), int(rng.integers(60, 120)))
     return test.with_force(0.1 * np.arange(force.size), force)
 
 
 def _force_stairs(test: Test, rng: np.random.Generator) -> tuple[Test, tuple[float, ...]]:
-    """Weights that are added one by one; the displacement creeps under each."""
+    """Return a test with weights added one by one; the displacement creeps under each."""
     steps, hold, tau, creep = int(rng.integers(3, 6)), 20.0, float(rng.uniform(3, 8)), float(rng.uniform(0.15, 0.5))
     time = np.arange(0.0, steps * hold, 0.5)
     number = np.floor(time / hold)
@@ -182,7 +182,7 @@ def _force_stairs(test: Test, rng: np.random.Generator) -> tuple[Test, tuple[flo
 
 
 def _oscillation(start: str, loss: float) -> OnTest:
-    """A sine about a static displacement, at once or after a ramp; `loss` is E'' over E'."""
+    """Return a sine about a static displacement, with or without a ramp before; `loss` is E'' over E'."""
     def apply(test: Test, rng: np.random.Generator) -> tuple[Test, tuple[float, ...]]:
         static = 0.6 * float(test.motion.max())
         amplitude = static * float(rng.uniform(0.1, 0.3))
@@ -204,7 +204,7 @@ def _oscillation(start: str, loss: float) -> OnTest:
 
 
 def _rupture(test: Test, rng: np.random.Generator) -> Test:
-    """The specimen tears after 60 to 90 % of the motion."""
+    """Return a test in which the specimen tears after 60 to 90 % of the motion."""
     test = test.with_motion(*_ramp(test, 120))
     end = int(float(rng.uniform(0.6, 0.9)) * 120)
     force = test.force.copy()

@@ -1,4 +1,4 @@
-"""Traps in the sizes of the specimen: their place in the file, their names, and contradictions."""
+"""Traps in the sizes of the specimen: their position in the file, their names, and contradictions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _mm(value: float, draft: Draft) -> str:
 
 
 def _pairs(draft: Draft) -> list[tuple[str, str]]:
-    """Name and number, mm, of each size."""
+    """Return name and value of each size, mm."""
     return [(row[0], row[1]) for row in size_rows(draft)]
 
 
@@ -63,7 +63,7 @@ def _symbol(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _instead_of_diameter(name: str, factor: float, power: int = 1, unit: str = "mm") -> OnDraft:
-    """Another size of the circle: factor times diameter to the power."""
+    """State another size of the circle: factor times diameter to a power."""
     def apply(draft: Draft, rng: np.random.Generator) -> None:
         rows = size_rows(draft)
         value = factor * (1e3 * draft.test.specimen.diameter) ** power
@@ -73,7 +73,7 @@ def _instead_of_diameter(name: str, factor: float, power: int = 1, unit: str = "
 
 
 def _area(draft: Draft, rng: np.random.Generator) -> None:
-    """The cross-section in place of width and thickness."""
+    """State the cross-section instead of width and thickness."""
     rows, specimen = size_rows(draft), draft.test.specimen
     area = f"{1e6 * specimen.width * specimen.thickness:.6g}".replace(".", draft.decimal)
     draft.sizes = [["Cross-sectional area", area, "mm²"], rows[2]]
@@ -102,20 +102,20 @@ def _no_unit(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _tool_decoy(draft: Draft, rng: np.random.Generator) -> None:
-    """Sizes of the machine above those of the specimen."""
+    """State sizes of the machine above those of the specimen."""
     rows = [["Probe diameter", f"{75}", "mm"], ["Platen diameter", f"{100}", "mm"], ["Load cell height", "40", "mm"]]
     draft.sizes = [rows[int(rng.integers(3))], *draft.sizes]
 
 
 def _final_decoy(draft: Draft, rng: np.random.Generator) -> None:
-    """The size after the test stands below the size before it."""
+    """State the size after the test below the size before it."""
     name, number = _pairs(draft)[-1]
     after = f"{0.7 * float(number.replace(',', '.')):.4g}".replace(".", draft.decimal)
     draft.sizes = [*draft.sizes, [f"Final {name.lower()}", after, "mm"]]
 
 
 def _contradiction(draft: Draft, rng: np.random.Generator) -> None:
-    """A second place states another size."""
+    """State another value of a size at a second position."""
     pairs = _pairs(draft)
     place = int(rng.integers(len(pairs)))
     name, number = pairs[place]
@@ -128,13 +128,13 @@ def _contradiction(draft: Draft, rng: np.random.Generator) -> None:
 
 
 def _radius_contradiction(draft: Draft, rng: np.random.Generator) -> None:
-    """A radius that is not half of the diameter."""
+    """State a radius that is not half of the diameter."""
     other = f"{1e3 * draft.test.specimen.diameter * rng.uniform(0.65, 0.9):.4g}".replace(".", draft.decimal)
     draft.sizes, draft.truths = [*draft.sizes, ["Radius", other, "mm"]], ()
 
 
 def _several_specimens(draft: Draft, rng: np.random.Generator) -> None:
-    """A table with the sizes of three specimens; the file is the recording of one."""
+    """State the sizes of three specimens in a table; the file is the recording of one."""
     pairs = _pairs(draft)
     rows = [[str(i + 1), *(f"{float(number.replace(',', '.')) * factor:.4g}".replace(".", draft.decimal)
                            for _, number in pairs)] for i, factor in enumerate((1.0, 1.2, 0.85))]

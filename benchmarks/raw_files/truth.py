@@ -25,22 +25,22 @@ KINDS = (COMPRESSION, TENSION, SHEAR)
 
 
 def uniaxial_stress(mu: float, stretch: np.ndarray) -> np.ndarray:
-    """Nominal stress, Pa, of tension or compression."""
+    """Return the nominal stress of tension or compression, Pa."""
     return mu * (stretch - stretch**-2)
 
 
 def planar_stress(mu: float, stretch: np.ndarray) -> np.ndarray:
-    """Nominal stress, Pa, of planar tension (pure shear)."""
+    """Return the nominal stress of planar tension (pure shear), Pa."""
     return mu * (stretch - stretch**-3)
 
 
 def equibiaxial_stress(mu: float, stretch: np.ndarray) -> np.ndarray:
-    """Nominal stress, Pa, of equibiaxial tension."""
+    """Return the nominal stress of equibiaxial tension, Pa."""
     return mu * (stretch - stretch**-5)
 
 
 def shear_stress(mu: float, strain: np.ndarray) -> np.ndarray:
-    """Nominal shear stress, Pa, of simple shear."""
+    """Return the nominal shear stress of simple shear, Pa."""
     return mu * strain
 
 
@@ -73,7 +73,7 @@ class Specimen:
 
 @dataclass(frozen=True)
 class Test:
-    """One test: its motion, and the readings of an ideal machine.
+    """Motion of a test and the readings of an ideal machine.
 
     Attributes:
         kind: of test. mu: shear modulus, Pa. specimen: its sizes.
@@ -100,7 +100,7 @@ class Test:
         return sign * self.force / self.specimen.area(self.kind)
 
     def elastic_force(self, motion: np.ndarray) -> np.ndarray:
-        """Force, N, at displacements, m; zero before the contact of a compression, or while a strip is slack."""
+        """Return the force at displacements (m), N; zero before contact, or while a strip is slack."""
         height, area = self.specimen.height(self.kind), self.specimen.area(self.kind)
         if self.kind == SHEAR:
             return area * shear_stress(self.mu, motion / height)
@@ -109,22 +109,22 @@ class Test:
         return area * sign * uniaxial_stress(self.mu, 1.0 + sign * pressed / height)
 
     def with_motion(self, time: np.ndarray, motion: np.ndarray) -> Test:
-        """The elastic answer to another motion."""
+        """Return the elastic test with another motion."""
         return replace(self, time=time, motion=motion, force=self.elastic_force(motion))
 
     def with_force(self, time: np.ndarray, force: np.ndarray) -> Test:
-        """The elastic answer to another force."""
+        """Return the elastic test with another force."""
         return replace(self, time=time, force=force, motion=self.motion_at(force))
 
     def motion_at(self, force: np.ndarray) -> np.ndarray:
-        """Displacement, m, of elastic forces, N, by interpolation in 20,001 points."""
+        """Return the displacement at elastic forces (N), m, by interpolation in 20,001 points."""
         limit = 0.85 if self.kind == COMPRESSION else 6.0
         grid = np.linspace(0.0, limit * self.specimen.height(self.kind), 20_001)
         return np.interp(force, self.elastic_force(grid), grid)
 
 
 def relaxing_force(time: np.ndarray, elastic: np.ndarray, fraction: float, tau: float) -> np.ndarray:
-    """Force, N, of a solid that loses `fraction` of its stiffness with the time constant `tau`, s.
+    """Return the force of a solid that loses `fraction` of its stiffness with the time constant `tau` (s), N.
 
     Quasi-linear viscoelasticity (Fung 1993) with one term; exact for an elastic force that is linear between samples.
     """
@@ -139,18 +139,18 @@ def relaxing_force(time: np.ndarray, elastic: np.ndarray, fraction: float, tau: 
 
 
 def fitted_modulus(test: Test, first: int, last: int) -> float:
-    """Least-squares shear modulus, Pa, of samples `first` to `last`: the correct result of an elastic fit."""
+    """Return the least-squares shear modulus of samples `first` to `last`, Pa: the correct result of an elastic fit."""
     unit = replace(test, mu=1.0).elastic_force(test.motion[first:last])
     return float(unit @ test.force[first:last] / (unit @ unit))
 
 
 def with_noise(test: Test, rng: np.random.Generator, relative: float) -> Test:
-    """Normal noise on the force, its standard deviation relative to the largest force."""
+    """Return the test with normal noise on the force; its deviation is relative to the largest force."""
     return replace(test, force=test.force + rng.normal(0.0, relative * np.abs(test.force).max(), test.force.size))
 
 
 def draw_specimen(kind: str, rng: np.random.Generator) -> Specimen:
-    """Sizes of usual specimens, to tenths of a millimetre."""
+    """Draw a specimen of usual sizes, rounded to 0.1 mm."""
     def mm(low: float, high: float) -> float:
         return round(float(rng.uniform(low, high)), 1) * 1e-3
 
@@ -163,7 +163,7 @@ def draw_specimen(kind: str, rng: np.random.Generator) -> Specimen:
 
 
 def draw_test(rng: np.random.Generator, kind: str | None = None) -> Test:
-    """A test with a ramp, for some with a return, a hold or cycles; no noise yet."""
+    """Draw a test with a ramp, and for some a return, a hold or cycles; without noise."""
     kind = kind or str(rng.choice(KINDS, p=(0.55, 0.3, 0.15)))
     mu = float(np.exp(rng.uniform(np.log(2e3), np.log(500e3))))
     specimen = draw_specimen(kind, rng)

@@ -34,7 +34,7 @@ STEPPING = 5.0
 
 
 def measured(arguments: argparse.Namespace) -> dict:
-    """Everything but what must be shown."""
+    """Return all measurements without the targets."""
     quick, repeats = arguments.quick, arguments.repeats
     seconds = arguments.seconds or (2.0 if quick else 60.0)
     solutions = ConvergedSolutions(20 * WAY if quick else WAY)

@@ -37,7 +37,7 @@ _SETTLE = 0.5
 
 
 def emulate(pipe: Connection, rate: float) -> None:
-    """The emulator's process: says where it is, and at the end what it sent and what that cost."""
+    """Run the emulator: report its address, and at the end the number of packets and its CPU time."""
     with RdtEmulator(VirtualForceSensor(lambda time: LOAD, rdt.CHANNELS, rate, 1e-4)) as emulator:
         pipe.send(emulator.address)
         pipe.recv()
@@ -45,7 +45,7 @@ def emulate(pipe: Connection, rate: float) -> None:
 
 
 def receive(pipe: Connection, name: str, address: str, seconds: float) -> None:
-    """A client's process: what came, what was wrong with it, and the CPU time of the process over these seconds."""
+    """Run a client: report received and faulty packets and the CPU time of the process."""
     host, _, rest = address.removeprefix("rdt://").partition(":")
     port, _, http_port = rest.partition(",http_port=")
     pipe.send((_pynetft if name == "pynetft" else _ours)(host, int(port), int(http_port), seconds, name))
@@ -106,7 +106,7 @@ def spin() -> None:
 
 
 def measure(name: str, seconds: float, rate: float) -> dict[str, Any]:
-    """One client, for so long."""
+    """Measure one client for a number of seconds."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     emulator = context.Process(target=emulate, args=(theirs, rate))
@@ -131,7 +131,7 @@ def measure(name: str, seconds: float, rate: float) -> dict[str, Any]:
 
 
 def summary(runs: list[dict[str, Any]], name: str) -> dict[str, Any]:
-    """Medians, with the smallest and the largest, of a client; of what was lost the sum."""
+    """Return medians with smallest and largest values of a client, and the sum of lost packets."""
     chosen = [run for run in runs if run["client"] == name]
     sums = {key: sum(run[key] for run in chosen) for key in ("records", "lost", "late", "twice", "garbled")}
     medians = {key: [statistics.median(values), min(values), max(values)]

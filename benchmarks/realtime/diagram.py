@@ -1,4 +1,4 @@
-"""The work-precision diagram of a tick in real time."""
+"""Work-precision diagram of a tick in real time."""
 
 from itertools import groupby
 from pathlib import Path
@@ -10,7 +10,7 @@ _STYLES = (("#0072B2", "o"), ("#D55E00", "s"), ("#009E73", "^"), ("#000000", "D"
 
 
 def plot(result: dict, path: Path) -> None:
-    """Largest force error against CPU time per tick, the points that have a target, and the targets."""
+    """Draw the largest force error against CPU time per tick, with the targets."""
     import matplotlib
 
     matplotlib.use("Agg")

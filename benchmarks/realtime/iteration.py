@@ -27,7 +27,7 @@ def meshes() -> dict[str, Mesh]:
 
 
 def brought_to(depth: float, name: str, mesh: Mesh) -> AxisymmetricSolver:
-    """A solver that was taken down tick by tick.
+    """Return a solver after ticks to a depth.
 
     Raises:
         SystemExit: it did not get there.
@@ -40,7 +40,7 @@ def brought_to(depth: float, name: str, mesh: Mesh) -> AxisymmetricSolver:
 
 
 def parts(name: str, mesh: Mesh, repeats: int) -> dict:
-    """CPU ms of an iteration and of its parts, and of LAPACK's `dpbtrf` of the tangent: medians, all in turns.
+    """Return median CPU times of an iteration, of its parts, and of LAPACK's `dpbtrf` of the tangent, ms.
 
     An iteration is tangent, factor, solution and next residual. Its tangent is measured without what follows, the
     contact as what is gone without it; factor and solution stand alone; the rest is the next residual, with the update
@@ -75,7 +75,7 @@ def parts(name: str, mesh: Mesh, repeats: int) -> dict:
 
 
 def iteration(repeats: int, peer_repeats: int) -> dict:
-    """``iteration_over_dpbtrf`` and ``felupe_over_iteration``, both of the mesh `STANDARD`, with details.
+    """Return ``iteration_over_dpbtrf`` and ``felupe_over_iteration`` of the mesh `STANDARD`, with details.
 
     FElupe's problem is a bonded punch without wall contact, which it lacks; see `needle.iterations`.
     """

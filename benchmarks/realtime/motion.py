@@ -1,4 +1,4 @@
-"""Irregular motion, as of a hand: does anything go wrong in a minute of it, and what does a tick cost?"""
+"""Irregular motion of a hand for a minute: faults, and time of a tick."""
 
 import math
 import time
@@ -38,12 +38,12 @@ TOP_SPEED = 0.2
 
 
 def unexplained(force: np.ndarray, stiffness: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Change of force from tick to tick beyond that by the mean stiffness, N, shape (ticks - 1,)."""
+    """Return the change of force from tick to tick beyond that by the mean stiffness, N, shape (ticks - 1,)."""
     return np.abs(np.diff(force) - 0.5 * (stiffness[1:] + stiffness[:-1]) * np.diff(depth))
 
 
 def walk(name: str, model: ts.Model, budget: float | None, count: int) -> dict:
-    """Ticks of the random walk, one after the other without waiting."""
+    """Return the ticks of the random walk, without waiting between them."""
     say(f"{name}: {count} ticks of irregular motion, " + ("no budget" if budget is None else f"{budget * 1e3:g} ms"))
     simulator = ts.Simulator(model, inertia="off", budget=budget, tolerance=TOLERANCE)
     simulator.warm_up()
@@ -75,5 +75,5 @@ def walk(name: str, model: ts.Model, budget: float | None, count: int) -> dict:
 
 
 def irregular_motion(seconds: float) -> list[dict]:
-    """Both needles, with and without a budget."""
+    """Measure both needles, with and without a budget."""
     return [walk(name, model, budget, round(seconds / DT)) for name, model in MODELS.items() for budget in BUDGETS]

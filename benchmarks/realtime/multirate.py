@@ -56,7 +56,7 @@ def mesh_of(size: int):
 
 
 def path() -> list[Pose]:
-    """The poses of the ticks."""
+    """Return the poses of the ticks."""
     corners, poses = np.array(CORNERS) * 1e-3, []
     for start, end in pairwise(corners):
         count = max(1, round(float(np.linalg.norm(end - start)) / (SPEED * TICK)))
@@ -65,7 +65,7 @@ def path() -> list[Pose]:
 
 
 def cpu(function, repeats: int = 3) -> float:
-    """Shortest CPU time of a call, s."""
+    """Return the shortest CPU time of a call, s."""
     times = []
     for _ in range(repeats):
         began = time.process_time()
@@ -113,7 +113,7 @@ def iterate(size: int) -> float:
 
 
 def synchronous(size: int, poses: list[Pose]) -> dict[int, np.ndarray]:
-    """Forces of the whole solid, N, by the number of the pose."""
+    """Return the forces of the whole solid, N, by the number of the pose."""
     solver, forces = make_solver(MODEL, mesh=mesh_of(size)), {}
     for number in range(0, len(poses), SPARSE):
         step = solver.step(poses[number], tolerance=1e-6, max_iterations=40)

@@ -29,7 +29,7 @@ _WAITS = {"sleeping": 0, "polling": 2000}
 
 
 def loops(seconds: float) -> list[dict]:
-    """The report of `tissue-sim loop` in a random motion, with what the system grants and without.
+    """Return the report of `tissue-sim loop` in a random motion, with and without real-time privileges.
 
     Raises:
         SystemExit: the loop failed.
@@ -46,7 +46,7 @@ def loops(seconds: float) -> list[dict]:
 
 
 def throughput(processes: int, seconds: float) -> dict:
-    """Steps per second of simulators that step at the same time, each in a separate process."""
+    """Return steps per second of simulators that run at the same time, each in its process."""
     say(f"{processes} simulators at once")
     workers = [subprocess.Popen([sys.executable, "-m", "benchmarks.realtime.worker"], env=child_environment(),
                                 text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, encoding="utf-8")
@@ -71,14 +71,14 @@ def throughput(processes: int, seconds: float) -> dict:
 
 
 def throughputs(processes: int, seconds: float) -> list[dict]:
-    """One simulator, then several; each with its rate over that of one."""
+    """Return the throughput of one simulator and of several, each with its rate over that of one."""
     found = [throughput(count, seconds) for count in (1, processes)]
     return [{**row, "over_one": row["steps_per_s"] / found[0]["steps_per_s"]} for row in found]
 
 
 @contextmanager
 def _serving() -> Iterator[int]:
-    """UDP port of a server of the needle, without a budget."""
+    """Start a server of the needle without a budget, and yield its UDP port."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "silicone.material.json"
         ts.write_material_file(ts.MaterialFile.of(MATERIAL), path)
@@ -96,7 +96,7 @@ def _serving() -> Iterator[int]:
 
 
 def _python_client(port: int, steps: int, period: float, polls: int) -> np.ndarray:
-    """us beyond the step, us of the step, status: shape (steps, 3); the same motion as realtime_round_trip.c."""
+    """Return time beyond the step (us), time of the step (us) and status, shape (steps, 3), for a Python client."""
     found = np.empty((steps, 3))
     with TissueClient(port, polls=polls) as client:
         deadline = time.perf_counter()
@@ -121,7 +121,7 @@ def _c_client(program: Path, port: int, steps: int, period: float, polls: int) -
 
 
 def _compile(folder: str) -> Path | None:
-    """The C client; None where there is no compiler."""
+    """Compile the C client; return None without a compiler."""
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         return None
@@ -132,7 +132,7 @@ def _compile(folder: str) -> Path | None:
 
 
 def round_trips(steps: int) -> list[dict]:
-    """Wall time from a pose to its force beyond the step itself: C and Python client, at 1 kHz and without pauses.
+    """Return the wall time from a pose to its force beyond the step: C and Python client, at 1 kHz and without pauses.
 
     A polling client of a polling server needs a core for each: where another process runs, they meet on one.
     """

@@ -50,7 +50,7 @@ FINE = {"needle that holds, quadratic elements": (ts.Tool("flat", radius=8e-3), 
 
 
 def walk(box: ts.PoseBox, start: ts.Pose, seconds: float, seed: int, holds: bool) -> list[ts.Pose]:
-    """Poses of a random walk; its largest speed is about 50 mm/s."""
+    """Return the poses of a random walk with a largest speed of about 50 mm/s."""
     rng, count = np.random.default_rng(seed), round(seconds / TICK)
     clock = np.arange(count) * TICK
 
@@ -69,7 +69,7 @@ def walk(box: ts.PoseBox, start: ts.Pose, seconds: float, seed: int, holds: bool
 
 
 def factor_time() -> float:
-    """CPU time of LAPACK's banded factor, s."""
+    """Return the CPU time of LAPACK's band factorisation, s."""
     rng = np.random.default_rng(0)
     band = np.zeros((45, 1016), order="F")
     band[0] = 100.0
@@ -84,7 +84,7 @@ def factor_time() -> float:
 
 
 def measure(name: str, case: tuple, seconds: float, seeds: range, folder: Path | None) -> tuple[dict, tuple]:
-    """One row of the table, and forces of the last walk: of the whole solid and of the reduced one."""
+    """Return one row of the table, and the forces of the last walk of the whole and the reduced solid."""
     tool, friction, sizes, resolution, modes, *more = case
     strokes, bulk_ratio = more or (None, None)
     box, holds = ts.PoseBox(*sizes), friction == "bonded"
@@ -136,7 +136,7 @@ def measure(name: str, case: tuple, seconds: float, seeds: range, folder: Path |
 
 
 def draw(name: str, curves: tuple, path: Path) -> None:
-    """The last walk of a case."""
+    """Draw the last walk of a case."""
     from matplotlib.figure import Figure
 
     true, answers, depth = curves

@@ -55,7 +55,7 @@ def _force(model: ts.Model, resolution: str) -> np.ndarray:
 
 
 def measure(kind: str, name: str, overrides: dict, repeats: int) -> list[dict]:
-    """A row for each level."""
+    """Return a row for each level."""
     deepest = DEEPEST[kind]
     protocol = ts.Protocol.ramp(deepest, round(deepest / SAMPLE) + 1)
     model = ts.Model(ts.Experiment(SPECIMEN, protocol, **overrides), MATERIAL)

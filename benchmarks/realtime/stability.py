@@ -50,7 +50,7 @@ TICK = 1e-3
 
 
 class Stays(AxialMotion):
-    """Begins above a depth, and wants to be at it from then on, m."""
+    """Motion of a hand that starts above the tissue and then aims at a depth, m."""
 
     def __init__(self, depth: float):
         self._depth = depth
@@ -60,7 +60,7 @@ class Stays(AxialMotion):
 
 
 class Polynomial:
-    """A tissue whose force is k1 d + k2 d^2 + k3 d^3 below the surface, N."""
+    """Tissue with the force k1 d + k2 d^2 + k3 d^3 at depth d, N."""
 
     def __init__(self, factors: np.ndarray):
         self._k1, self._k2, self._k3 = map(float, factors)
@@ -80,7 +80,7 @@ class Polynomial:
 
 @dataclass(frozen=True)
 class Trial:
-    """One hand on one line, at one tissue."""
+    """Hand, delay line and tissue of one trial."""
 
     tissue: str
     control: str
@@ -99,7 +99,7 @@ def model_of(name: str) -> ts.Model:
 
 
 def stand_in(name: str) -> tuple[Polynomial, float, float]:
-    """The polynomial, its largest miss of the simulator, N, and the depth at which it balances the push, m."""
+    """Return the polynomial, its largest error, N, and the depth at which it balances the push, m."""
     _, _, deepest, push = TISSUES[name]
     simulator = ts.Simulator(model_of(name), resolution="realtime", inertia="off")
     simulator.warm_up()
@@ -126,7 +126,7 @@ def run(trial: Trial, tissue, rest: float) -> float:
 
 
 def boundary(stable: list[bool], delays: tuple[float, ...]) -> float | None:
-    """The longest delay up to which all are stable, s; None: not even the shortest."""
+    """Return the longest delay up to which all trials are stable, s; None: no stable delay."""
     ends = None
     for delay, each in zip(delays, stable, strict=True):
         if not each:
@@ -151,7 +151,7 @@ def sweep(tissues: dict, quick: bool, say: Callable[[str], None]) -> list[dict]:
 
 
 def tried(trial: Trial, tissues: dict, inertia: str) -> float:
-    """`run` with the simulator in place of its polynomial."""
+    """Run a trial with the simulator instead of its polynomial."""
     simulator = ts.Simulator(model_of(trial.tissue), resolution="realtime", inertia=inertia, looks_ahead=True)
     simulator.warm_up()
     rest = tissues[trial.tissue][2]
@@ -162,7 +162,7 @@ def tried(trial: Trial, tissues: dict, inertia: str) -> float:
 
 
 def checks(tissues: dict, quick: bool) -> list[dict]:
-    """Trials on both sides of a boundary, with the simulator without the mass of the tissue, as the polynomial is."""
+    """Run trials on both sides of a boundary with the simulator, without tissue mass."""
     answers = []
     for name, control, mass, delay in product(tissues, CONTROLS[:2], (0.05, 0.5), (0.0, 1e-3) if quick else
                                               (0.0, 1e-3, 2e-3, 3e-3)):
@@ -174,7 +174,7 @@ def checks(tissues: dict, quick: bool) -> list[dict]:
 
 
 def with_mass(tissues: dict, quick: bool, say: Callable[[str], None]) -> list[dict]:
-    """The boundary of the simulator as the loop uses it, mass of the tissue included; up to the first that shakes."""
+    """Return the boundary of the simulator with tissue mass, up to the first trial that oscillates."""
     rows = []
     for name, control, damping, mass in product(tissues, CONTROLS, DAMPINGS, (0.2,) if quick else (0.05, 0.5)):
         edge, amplitude = None, 0.0
@@ -204,7 +204,7 @@ def table(rows: list[dict], name: str, control: str, line: str, damping: float) 
 
 
 def picture(rows: list[dict], real: list[dict], path: Path) -> None:
-    """Longest stable delay over the mass, a panel for each tissue and damping, a line for each control.
+    """Draw the longest stable delay over the mass of the hand, by tissue, damping and control.
 
     Args:
         rows, real: of `sweep` and of `with_mass`.

@@ -1,4 +1,4 @@
-"""The result of `realtime` as tables."""
+"""Tables of the result of `realtime`."""
 
 from rich.console import Console
 

@@ -18,7 +18,7 @@ _UNITS = {ERROR: "% of force error", P50: "ms p50", P99: "ms p99", P999: "ms p99
 
 
 def targets(result: dict) -> list[dict]:
-    """``quantity``, ``measured``, ``target``, and ``met``, which is None where a number is reported only."""
+    """Return ``quantity``, ``measured``, ``target`` and ``met`` of each row; ``met`` is None without target."""
     return [{"quantity": quantity, "measured": measured, "target": target, "met": met}
             for quantity, measured, target, met in _targets(result)]
 

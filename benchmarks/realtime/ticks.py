@@ -1,4 +1,4 @@
-"""Ticks of a tool that goes in to 10 mm and back at 50 mm/s: CPU time of each, and how wrong the forces are.
+"""Ticks of a tool that moves to 10 mm and back at 50 mm/s: CPU time and force error of each.
 
 Force errors are those against this program's own solution on a fine mesh, along the same path, at the same K/mu.
 """
@@ -90,7 +90,7 @@ class Drive:
 
 
 def graded_needle_mesh(growth: float, smallest: float, largest: float) -> Mesh:
-    """The needle's mesh of nine-node quads; sizes in mm."""
+    """Return the needle's mesh of nine-node quadrilaterals; sizes in mm."""
     return needle_mesh(RADIUS, HEIGHT, NEEDLE_RADIUS, Q9P1, growth=growth, smallest=smallest * 1e-3,
                        largest=largest * 1e-3)
 
@@ -100,14 +100,14 @@ def grading_name(growth: float, smallest: float, largest: float) -> str:
 
 
 def fine_mesh(model: ts.Model) -> Mesh:
-    """The mesh of what counts as converged."""
+    """Return the mesh of the converged reference."""
     if model.experiment.tool.is_plate:
         return cylinder_mesh(RADIUS, HEIGHT, (24, 30), Q9P1, grading=(50.0, 10.0))
     return graded_needle_mesh(1.3, 0.1, 6.0)
 
 
 def cases() -> list[Case]:
-    """The points of the issue, and what else is worth knowing."""
+    """Return all cases, with and without targets."""
     bonded, rubbing, plates = (Case(name, model, build_mesh(model.experiment, "realtime"), "realtime", forces)
                                for name, model, forces in (
                                    (BONDED, NEEDLE, REFERENCES["needle indentation"][0]),
@@ -125,7 +125,7 @@ def cases() -> list[Case]:
 
 
 def say(text: str) -> None:
-    """Progress."""
+    """Print progress."""
     print(f"realtime: {text}", file=sys.stderr, flush=True)
 
 
@@ -170,7 +170,7 @@ def drive(simulator: ts.Simulator, way: float = WAY) -> Drive:
 
 
 def compared_forces(driven: Drive) -> dict[str, np.ndarray]:
-    """Forces at `COMPARED` during loading and during unloading from 10 mm.
+    """Return the forces at `COMPARED` during loading and during unloading from 10 mm.
 
     Raises:
         SystemExit: no equilibrium at one of them.
@@ -190,7 +190,7 @@ def percent(forces: np.ndarray, expected: np.ndarray) -> list[float]:
 
 @dataclass(frozen=True)
 class Converged:
-    """Forces of the fine mesh at `COMPARED`, N, by direction, and what they cost."""
+    """Forces of the fine mesh at `COMPARED`, N, by direction, and their cost."""
 
     forces: dict[str, np.ndarray]
     elements: int
@@ -199,7 +199,7 @@ class Converged:
 
 
 class ConvergedSolutions:
-    """Solutions on the fine mesh, each computed when it is first asked for.
+    """Solutions on the fine mesh, each computed at its first request.
 
     Args:
         way: from tick to tick, m. With inertia forces depend on the time step, so that only `WAY` compares.
@@ -222,7 +222,7 @@ class ConvergedSolutions:
 
 
 def in_turns(chosen: list[Case], rounds: int) -> list[list[Drive]]:
-    """Drives of every case, one after the other and again; a first round is not counted.
+    """Run all cases in turns; the first round is not counted.
 
     Raises:
         SystemExit: forces differ from round to round.
@@ -241,7 +241,7 @@ def in_turns(chosen: list[Case], rounds: int) -> list[list[Drive]]:
 
 
 def rows_of(case: Case, drives: list[Drive], converged: Converged | None) -> list[dict]:
-    """A row for each direction; see `rows`."""
+    """Return a row for each direction; see `rows`."""
     solver = build_solver(case.model, case.mesh)
     forces, count = compared_forces(drives[0]), len(drives[0].force) // 2
     found = []
@@ -275,12 +275,12 @@ def rows_of(case: Case, drives: list[Drive], converged: Converged | None) -> lis
 
 
 def largest(row: dict, name: str) -> float:
-    """The number that a target is for."""
+    """Return the value that the target limits."""
     return float(np.abs(row[name]).max())
 
 
 def rows(rounds: int, solutions: ConvergedSolutions) -> list[dict]:
-    """Every case in both directions: CPU time of a tick, Newton iterations, force errors, targets."""
+    """Return every case in both directions: CPU time of a tick, Newton iterations, force errors, targets."""
     chosen = cases()
     found = in_turns(chosen, rounds)
     return [row for case, drives in zip(chosen, found, strict=True)
@@ -288,7 +288,7 @@ def rows(rounds: int, solutions: ConvergedSolutions) -> list[dict]:
 
 
 def work_precision(rounds: int, solutions: ConvergedSolutions, *, few: bool) -> list[dict]:
-    """Largest force error against CPU time of a tick during loading, for meshes of every grading."""
+    """Return the largest force error over CPU time of a tick during loading, for meshes of every grading."""
     chosen = [Case(BONDED, NEEDLE, graded_needle_mesh(*grading), grading_name(*grading))
               for grading in (GRADINGS[::5] if few else GRADINGS)]
     points = []

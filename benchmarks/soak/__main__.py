@@ -67,7 +67,7 @@ def main() -> int:
 
 
 def one_session(number: int, rng: np.random.Generator, folder: Path, seconds: float) -> Session | PageSession:
-    """Play it: with a server where its number is even, else with the viewer."""
+    """Run one session, with a server if its number is even, else with the viewer."""
     material = folder / "soak.material.json"
     if not number:
         ts.write_material_file(ts.MaterialFile.of(MATERIAL), material)
@@ -78,7 +78,7 @@ def one_session(number: int, rng: np.random.Generator, folder: Path, seconds: fl
 
 
 def replayed(sessions: Sequence[Session | PageSession]) -> Iterator[dict]:
-    """The result of each, in turn."""
+    """Yield the replayed result of each session."""
     pool = ProcessPool(os.cpu_count() or 1)
     try:
         tasks = [pool.submit(score, (each, LARGEST)) if isinstance(each, Session)
@@ -90,7 +90,7 @@ def replayed(sessions: Sequence[Session | PageSession]) -> Iterator[dict]:
 
 
 def summarise(results: list[dict]) -> dict:
-    """Over all sessions of each kind."""
+    """Summarise all sessions of each kind."""
     servers, pages = ([one for one in results if one["kind"] == kind] for kind in ("server", "page"))
     summary = {}
     if servers:

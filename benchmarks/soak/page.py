@@ -1,4 +1,4 @@
-"""A session of `soak.py` with the viewer: its loop, its page, a client that reads, and what goes wrong around them."""
+"""Session of `soak` with the viewer: loop, page, a client, and faults around them."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class PageSession:
 
 
 def play(rng: np.random.Generator, material: Path, folder: Path, seconds: float) -> PageSession:
-    """Open a page, play with it, and close it."""
+    """Open a page, use it at random, and close it."""
     drawn = draw(rng, material)
     played = PageSession(drawn[0])
     scenes.viewer.live_simulation.Simulator = partial(LoggedSimulator, folder=folder)  # type: ignore[misc]
@@ -83,7 +83,7 @@ def play(rng: np.random.Generator, material: Path, folder: Path, seconds: float)
 
 
 class _Player:
-    """People and programs around one page."""
+    """Users and programs around one page."""
 
     def __init__(self, played: PageSession, rng: np.random.Generator, material: Path, drawn: tuple[list[str], float],
                  stack: ExitStack):
@@ -192,7 +192,7 @@ class _Player:
         self._session.frame()
 
     def _garbage(self) -> None:
-        """Bytes that are no request, and connections that say nothing."""
+        """Send bytes that are not a request, and open silent connections."""
         for head in (b"", b"GET / HTTP/1.1\r\nHost: evil\r\n\r\n", b"GET /" + b"../" * 200 + b" HTTP/1.1\r\n\r\n"):
             with suppress(OSError), socket.create_connection(("127.0.0.1", self._port), timeout=0.2) as line:
                 line.sendall(head + self._rng.bytes(2000))

@@ -26,7 +26,7 @@ REMEMBERS = 2.0
 
 
 def score(session: Session, largest: float) -> dict:
-    """Counts and extremes of one session with a server, as plain values.
+    """Return counts and extremes of one session with a server, as plain values.
 
     Args:
         session: that was played.
@@ -41,7 +41,7 @@ def score(session: Session, largest: float) -> dict:
 
 
 def score_page(session: PageSession, largest: float) -> dict:
-    """The same of one with the viewer: `loops` has the counts of each loop."""
+    """Return counts and extremes of one session with the viewer; `loops` has those of each loop."""
     loops = []
     for (_, model, resolution), *events in (loop for loop in session.loops if loop):
         loops.append(replay(model, resolution, events, largest))
@@ -51,7 +51,7 @@ def score_page(session: PageSession, largest: float) -> dict:
 
 
 def _sums(loops: list[dict]) -> dict:
-    """Over all loops of a page."""
+    """Sum the counts over all loops of a page."""
     return {"statuses": dict(sum((Counter(one["statuses"]) for one in loops), Counter())),
             "quiet": dict(sum((Counter(one["quiet"]) for one in loops), Counter())),
             **{name: sum(one[name] for one in loops) for name in ("compared", "wrong", "wrong_in_time", "beyond")},
@@ -60,7 +60,7 @@ def _sums(loops: list[dict]) -> dict:
 
 
 def replay(model: ts.Model, resolution: str, events: list[tuple], largest: float) -> dict:
-    """Step the same motion again without a budget, and compare.
+    """Step the same motion again without a budget, and compare the forces.
 
     Args:
         model, resolution: of the tissue that was played with.

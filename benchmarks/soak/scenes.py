@@ -1,4 +1,4 @@
-"""The scenes of `soak.py`: how `serve` is started, and the same model for the replay."""
+"""Scenes of `soak`: flags of `serve`, and the same model for the replay."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _TOOLS = (("flat", "bonded", "0"), ("flat", "0.7", "0.5"), ("flat", "0", "1"), (
 
 
 def draw(rng: np.random.Generator, material: Path) -> tuple[list[str], float]:
-    """Flags of `tissue-sim serve`, with any tool and contact, and how deep that goes, m."""
+    """Draw flags of `tissue-sim serve` with a random tool and contact, and the largest depth, m."""
     shape, friction, edge = _TOOLS[rng.integers(len(_TOOLS))]
     radius = float(rng.choice([4e-3, 8e-3]))
     deepest = radius if shape == "sphere" else DEEPEST

@@ -1,4 +1,4 @@
-"""One session of `soak.py`: a server, a client that moves as a hand does, and everything that goes wrong around it."""
+"""Session of `soak` with a server: a client with a moving hand, and faults around it."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Session:
 
 
 def run(rng: np.random.Generator, material: Path, seconds: float) -> Session:
-    """Start a server, play with it, and end it."""
+    """Start a server, use it at random, and end it."""
     flags, deepest = draw(rng, material)
     session = Session(flags)
     process = subprocess.Popen([sys.executable, "-m", "scenes.cli", "serve", "--port", "0", "--json", *session.flags],
@@ -72,7 +72,7 @@ def run(rng: np.random.Generator, material: Path, seconds: float) -> Session:
 
 
 class _Play:
-    """The client's side."""
+    """Client of a session."""
 
     def __init__(self, session: Session, rng: np.random.Generator, ports: dict[str, Any], deepest: float):
         self._session, self._rng, self._events, self._deepest = session, rng, session.events, deepest
@@ -155,7 +155,7 @@ class _Play:
             self._step(client, now, depth=self._last[1], at=float(self._rng.choice([math.nan, 1e300, -1e9])))
 
     def _noise(self, _: TissueClient) -> None:
-        """Damaged requests of a stranger, and bytes."""
+        """Send damaged requests and random bytes from another client."""
         self._fault("noise")
         for _ in range(50):
             packet = bytearray(encode_request(Request(int(self._rng.integers(2**62)), 0.0, session=3)))
@@ -173,7 +173,7 @@ class _Play:
         self._fault("pause")
 
     def _garbage(self, _: TissueClient) -> None:
-        """Lines that are no commands; each has an answer."""
+        """Send lines that are not commands; each must be answered."""
         for line in (b"{}", b"[" * 2000, b"\xff\xfe", b'{"command": "restore", "name": "' + b"x" * 500 + b'"}',
                      b'{"command": "set_parameters", "parameters": {"C10": 1e41}}',
                      b'{"command": "set_parameters", "parameters": {"C10": ' + b"9" * 5000 + b"}}"):

@@ -1,4 +1,4 @@
-"""A simulator that notes every call, for `soak.py`: what a loop's tissue was asked and answered, to replay it."""
+"""Simulator that records every call, so that a session can be replayed."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ _CORNERS = [0, 1, 3, 2, 4, 5, 7, 6]
 
 
 def timed(work: Callable[[], object], repeats: int = REPEATS) -> tuple[float, float]:
-    """Median processor and wall seconds."""
+    """Return the median CPU and wall time, s."""
     spent = []
     for _ in range(repeats):
         began = time.process_time(), time.perf_counter()
@@ -63,12 +63,12 @@ def timed(work: Callable[[], object], repeats: int = REPEATS) -> tuple[float, fl
 
 
 def memory() -> float:
-    """Most that the process has had so far, MiB."""
+    """Return the peak memory of the process, MiB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
 def ours(mesh: SolidMesh) -> tuple[SolidSolver, dict]:
-    """A step from rest, and what its parts take."""
+    """Time a step from rest, and its parts."""
     before = memory()
     began = time.perf_counter()
     solver = SolidSolver(mesh, MATERIAL, {"base": "xyz"}, mesh.sets["face"], start=Pose((0.0, 0.0, 0.0)))
@@ -100,7 +100,7 @@ def ours(mesh: SolidMesh) -> tuple[SolidSolver, dict]:
 
 
 def our_test(mesh: SolidMesh) -> dict:
-    """All steps, the making of the solver left out."""
+    """Time all steps, without the construction of the solver."""
     solver = SolidSolver(mesh, MATERIAL, {"base": "xyz"}, mesh.sets["face"], start=Pose((0.0, 0.0, 0.0)))
     began, iterations, force = time.process_time(), 0, 0.0
     for number in range(1, STEPS + 1):
@@ -113,7 +113,7 @@ def our_test(mesh: SolidMesh) -> dict:
 
 
 class _Peer:
-    """The problem in FElupe.
+    """The same problem in FElupe.
 
     Attributes:
         assemblies, solutions: processor seconds of those so far.
@@ -132,7 +132,7 @@ class _Peer:
         self.solutions: list[float] = []
 
     def step(self, depth: float, tolerance: float) -> float:
-        """Newton's iteration to a depth, m; returns the force, N."""
+        """Iterate by Newton's method to a depth, m; return the force, N."""
         field, body = self._field, self._body
         bounds = {"base": fem.Boundary(field[0], mask=self._members[0]),
                   "aside": fem.Boundary(field[0], mask=self._members[1], skip=(False, False, True)),
@@ -153,7 +153,7 @@ class _Peer:
 
 
 class _OurSolution:
-    """Our linear solver for FElupe's matrices, whose pattern stays the same."""
+    """Linear solver of this program for FElupe's matrices, whose sparsity pattern is constant."""
 
     def __init__(self) -> None:
         self._solver, self._pattern = SparseSolver(), (np.zeros(0, np.int32), np.zeros(0, np.int32))
@@ -174,7 +174,7 @@ class _OurSolution:
 
 
 def peer(mesh: SolidMesh, expected: float) -> dict:
-    """FElupe's iterations on the way to the same force, and the parts of one that factors with the pattern analysed."""
+    """Time FElupe's iterations up to the same force, and the parts of one with the pattern analysed before."""
     problem = _Peer(mesh)
     force = problem.step(DEPTH, 1e-7)
     if abs(force / expected - 1.0) > 1e-6:
@@ -195,7 +195,7 @@ def peer(mesh: SolidMesh, expected: float) -> dict:
 
 
 def peer_test(mesh: SolidMesh, expected: float) -> dict:
-    """All steps, the making of the problem left out."""
+    """Time all steps, without the construction of the problem."""
     problem = _Peer(mesh)
     began, force = time.process_time(), 0.0
     for number in range(1, STEPS + 1):

@@ -36,7 +36,7 @@ ANGLES = (0.0, 17.0, 31.0, 45.0)
 
 
 def stepped(solver: SolidSolver, *poses: Pose) -> np.ndarray:
-    """Force at the end of a way, N."""
+    """Return the force at the end of a motion, N."""
     for pose in poses:
         step = solver.step(pose, max_iterations=40)
         if step.status is not StepStatus.CONVERGED:
@@ -45,7 +45,7 @@ def stepped(solver: SolidSolver, *poses: Pose) -> np.ndarray:
 
 
 def banded_mesh(radius: float, height: float, reach: float, size: float) -> SolidMesh:
-    """A cylinder with elements of one size as far as `reach` from the axis and to half of that below."""
+    """Return a cylinder with elements of one size within `reach` of the axis and to half of that depth."""
     around = max(2, round(0.25 * 2.0 * math.pi * 0.5 * reach / size))
     inward = np.linspace(0.5, 1.0, round(0.5 * reach / size) + 1)
     outward = growing_line(radius - reach, 1.5 * size, 2.0, 20 * size)
@@ -55,7 +55,7 @@ def banded_mesh(radius: float, height: float, reach: float, size: float) -> Soli
 
 
 def dragged(mesh: SolidMesh, depth: float, aside: float, angles: tuple[float, ...] = ANGLES) -> dict:
-    """Forces on a needle that holds the face of a mesh, at places turned about the axis, as `turned` has them."""
+    """Return the forces on a bonded needle, displaced in directions rotated about the axis; see `turned`."""
     solver = SolidSolver(mesh, PHANTOM, {"base": "xyz"}, mesh.sets["face"], start=Pose((0.0, 0.0, 0.0)))
     stepped(solver, Pose((0.0, 0.0, -depth)))
     pressed = solver.save()
@@ -69,7 +69,7 @@ def dragged(mesh: SolidMesh, depth: float, aside: float, angles: tuple[float, ..
 
 
 def _turned_back(force: np.ndarray, angle: float) -> list[float]:
-    """Radial, around, vertical."""
+    """Return the radial, circumferential and vertical components of a force."""
     cosine, sine = math.cos(angle), math.sin(angle)
     return [float(force @ [cosine, sine, 0.0]), float(force @ [-sine, cosine, 0.0]), float(force[2])]
 
@@ -84,7 +84,7 @@ def _changes(mesh: SolidMesh, forces: list[list[float]]) -> dict:
 
 def turned(mesh: SolidMesh, offset: float, depth: float, radius: float = 8e-3, steps: int = 4,
            angles: tuple[float, ...] = ANGLES) -> dict:
-    """Forces on a ball at places turned about the axis, in the frame of each place: radial, around, vertical, N."""
+    """Return the forces on a ball at positions rotated about the axis, N: radial, circumferential, vertical."""
     forces = []
     for degrees in angles:
         angle = math.radians(degrees)
@@ -98,7 +98,7 @@ def turned(mesh: SolidMesh, offset: float, depth: float, radius: float = 8e-3, s
 
 
 def friction(resolution: str, depth: float, points: int = 6) -> dict:
-    """A ball with mu = 0.3 at some depths, in space and in the axisymmetric section."""
+    """Compare a ball with mu = 0.3 at some depths in 3D and in the axisymmetric section."""
     experiment = ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(depth, points),
                                tool=ts.Tool("sphere", radius=8e-3), friction=0.3)
     model = ts.Model(experiment, PHANTOM)
@@ -110,7 +110,7 @@ def friction(resolution: str, depth: float, points: int = 6) -> dict:
 
 
 class Mindlin:
-    """A ball on half of a large block, which is symmetric about y = 0, with small strains.
+    """Ball on half of a large block, symmetric about y = 0, at small strains.
 
     Args:
         fine: elements on the radius of contact.
@@ -152,7 +152,7 @@ class Mindlin:
         return self.CONTACT**2 / self.RADIUS
 
     def hertz(self, depth: float) -> float:
-        """Force on the whole ball, N."""
+        """Return the force on the whole ball, N."""
         return 4.0 / 3.0 * self.plane * math.sqrt(self.RADIUS) * depth**1.5
 
     def slid(self, tangential: float, normal: float) -> float:
@@ -162,7 +162,7 @@ class Mindlin:
         return (1.0 - (1.0 - share) ** (2.0 / 3.0)) / stiff
 
     def run(self, press: int = 4, push: tuple[float, ...] = (0.2, 0.4, 0.6, 0.8)) -> dict:
-        """Press, push by shares of the way at which all slips, and slide on."""
+        """Press, then push tangentially up to full slip, and slide on."""
         depths = [self.approach * (k + 1) / press for k in range(press)]
         normal = [2.0 * stepped(self.solver, Pose((0.0, 0.0, -depth)))[2] for depth in depths]
         whole = self.slid(self.mu * normal[-1], normal[-1])

@@ -104,7 +104,7 @@ CASES = {
 
 @dataclass
 class Watched(Viewer):
-    """A viewer that shows frames on a page and keeps the ticks meanwhile."""
+    """Viewer that shows frames on a page and stores the ticks."""
 
     page: Page
     ring: RingReader
@@ -130,7 +130,7 @@ class Watched(Viewer):
 
 
 def walked(case: Case, reduced: ts.ReducedModel | None, seconds: float, seed: int, chromium: bool) -> tuple:
-    """Ticks of a walk in the loop with the page open, dtype of `_KEPT`, and what the page did."""
+    """Return the ticks of a walk in the loop with the page open, dtype of `_KEPT`, and the state of the page."""
     model = case.model()
     scene = Scene(NEEDLE, model.experiment, model.material, solver=case.solver, reduced=reduced)
     session = Session(scene, curve_resolution="realtime")
@@ -192,7 +192,7 @@ def stepped(case: Case, seconds: float, seed: int) -> tuple[np.ndarray, SolidMes
 
 
 def _running(session: Session) -> Frame:
-    """The first frame of a loop that ticks, when the curve of the whole test is there, too."""
+    """Return the first frame of a running loop that has the curve of the whole test."""
     until = time.monotonic() + PATIENCE
     while (frame := session.frame()).readouts is None or frame.snapshot is None or session.waits_for_curve:
         if frame.phase is Phase.DIED or time.monotonic() > until:
@@ -261,7 +261,7 @@ def _step(solver: SolidSolver, here: Pose, pose: Pose) -> Step | None:
 
 
 def beyond(forces: np.ndarray, expected: np.ndarray, ticks: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Changes of the force in the ticks between two samples beyond the largest of the expected ones around them, N.
+    """Return changes of the force between two samples beyond the largest expected change around them, N.
 
     Args:
         forces: of all ticks, shape (n, 3).
@@ -327,7 +327,7 @@ def counted(ticks: np.ndarray) -> dict:
 
 
 def measure(name: str, file: Path | None, asked: argparse.Namespace) -> dict:
-    """One row."""
+    """Return one row of the table."""
     case = CASES[name]
     reduced = None
     if case.solver == "reduced":

@@ -37,7 +37,7 @@ def say(text: str) -> None:
 
 
 def frames_of(case: str, viewer: ViewerProcess, found: dict) -> dict:
-    """A row of the CPU times; what was shown is left out."""
+    """Return a row of the CPU times, without the frames."""
     return {"case": case, "elements": viewer.elements,
             **{name: value for name, value in found.items() if name != "shown"}}
 
@@ -86,7 +86,7 @@ def compare(rounds: int, seconds: float, in_browser: bool) -> dict:
 
 
 def finer() -> list[dict]:
-    """CPU times with the mesh `fast`."""
+    """Measure CPU times with the mesh `fast`."""
     say("mesh fast")
     with viewing("fast") as viewer:
         unread = viewer.run(SHORT, clients=0)

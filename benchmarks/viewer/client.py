@@ -1,4 +1,4 @@
-"""A client of the viewer's page that reads everything and draws nothing, for `viewer_processes`.
+"""Client of the viewer's page that reads all messages and draws nothing, for `viewer`.
 
     python -m benchmarks client PORT
 
@@ -28,7 +28,7 @@ _BEGINNING = "ReplayDoneMessage"
 
 
 def readouts_in(html: str) -> str | None:
-    """The read-outs that a piece of the page shows, in a line; None: none."""
+    """Return the read-outs in a piece of the page as one line; None: no read-outs."""
     found = dict(re.findall(r'data-testid="([a-z-]+)"[^>]*>([^<]*)<', html))
     return "|".join(found[name] for name in READOUTS) if all(name in found for name in READOUTS) else None
 
@@ -40,7 +40,7 @@ def decoded(packet: bytes) -> dict:
 
 
 def described(came: float, size: int, packet: bytes) -> tuple:
-    """A row of the report."""
+    """Return a row of the report."""
     content = decoded(packet)
     heights, shown = [], None
     for message in content["messages"]:

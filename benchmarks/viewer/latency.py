@@ -49,7 +49,7 @@ def readouts(frames: list, arrivals: list[tuple[float, str]]) -> dict:
 
 
 def sizes(frames: list, messages: list) -> dict:
-    """Messages and bytes a second of a run."""
+    """Return messages and bytes per second of a run."""
     began, ended = frames[0][0], frames[-1][0]
     during = [message[2] for message in messages if began <= message[0] <= ended]
     return {"messages_per_s": len(during) / (ended - began), "kB_per_s": sum(during) / (ended - began) / 1e3}

@@ -1,4 +1,4 @@
-"""The processes that `viewer` measures: the viewer, a client that reads, Chromium, and the loop alone."""
+"""Processes that `viewer` measures: the viewer, a client, Chromium, and the loop alone."""
 
 import importlib.util
 import json
@@ -61,7 +61,7 @@ def line_of(process: subprocess.Popen) -> str:
 
 
 class ViewerProcess:
-    """A running `worker`.
+    """Running process of `worker`.
 
     Attributes:
         port: of its page; elements: of its mesh; loop: the number of its loop's process.
@@ -73,7 +73,7 @@ class ViewerProcess:
         self.port, self.elements, self.loop = ready["port"], ready["elements"], ready["loop"]
 
     def run(self, seconds: float, viewer: str = "page", motion: str = "moves", clients: int = 1) -> dict:
-        """One run; see `worker.run`."""
+        """Return the result of one run; see `worker.run`."""
         asked = {"viewer": viewer, "motion": motion, "clients": clients, "seconds": seconds}
         self._process.stdin.write(json.dumps(asked) + "\n")
         self._process.stdin.flush()
@@ -82,14 +82,14 @@ class ViewerProcess:
 
 @contextmanager
 def viewing(resolution: str) -> Iterator[ViewerProcess]:
-    """A viewer of the needle."""
+    """Start a viewer of the needle."""
     with script("worker", resolution) as process:
         yield ViewerProcess(process)
 
 
 @contextmanager
 def reading(port: int) -> Iterator[Callable[[], list]]:
-    """A client that reads; called at the end, it gives the messages that came, and is gone."""
+    """Start a client; the yielded function ends the client and returns its messages."""
     with script("client", str(port)) as process:
         line_of(process)
 
@@ -119,7 +119,7 @@ def looked_at(port: int, work: Callable[[], dict]) -> tuple[dict, list[tuple[flo
 
 
 def _chromium():
-    """The module that drives Chromium for the documentation; None where it cannot."""
+    """Return the module that drives Chromium for the documentation; None if Chromium is not available."""
     if importlib.util.find_spec("playwright") is None:
         return None
     spec = importlib.util.spec_from_file_location("docs_chromium", ROOT / "docs" / "chromium.py")
@@ -141,7 +141,7 @@ def _zero_of(page) -> float:
 
 @contextmanager
 def stopped(pid: int) -> Iterator[None]:
-    """A process takes no time meanwhile (SIGSTOP)."""
+    """Stop a process during the context (SIGSTOP)."""
     os.kill(pid, signal.SIGSTOP)
     try:
         yield

@@ -1,4 +1,4 @@
-"""The result of `viewer` as tables, and what it must show."""
+"""Tables and targets of the result of `viewer`."""
 
 import statistics
 from collections.abc import Iterator
@@ -34,7 +34,7 @@ def median(rows: list[dict], *path: str) -> float:
 
 
 def same(rows: list[dict]) -> dict[tuple, list[dict]]:
-    """Rows of the same case and mesh, in the order in which they came."""
+    """Group rows of the same case and mesh, in their order."""
     found: dict[tuple, list[dict]] = {}
     for row in rows:
         found.setdefault((row["case"], row.get("elements")), []).append(row)
@@ -42,7 +42,7 @@ def same(rows: list[dict]) -> dict[tuple, list[dict]]:
 
 
 def targets(result: dict) -> list[dict]:
-    """``quantity``, ``measured``, ``target``, and ``met``, which is None where a number is reported only."""
+    """Return ``quantity``, ``measured``, ``target`` and ``met`` of each row; ``met`` is None without target."""
     return [{"quantity": quantity, "measured": measured, "target": target, "met": met}
             for quantity, measured, target, met in _targets(result)]
 

@@ -1,4 +1,4 @@
-"""Ticks of a loop that were late or missed, counted from its ring, for `worker` and `processes`."""
+"""Late and missed ticks of a loop, counted from its ring, for `worker` and `processes`."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -19,17 +19,17 @@ SETTLING = 1.2
 
 
 class TickCount:
-    """Counts from now on."""
+    """Counter of ticks, started at its construction."""
 
     def __init__(self, ring: RingReader):
         self._ring, self._number, self._before = ring, ring.written, ring.latest()
 
     def records(self) -> np.ndarray:
-        """The ticks so far that the ring still has, dtype `haptics.loop.ring.TICK`."""
+        """Return the ticks that the ring still holds, dtype `haptics.loop.ring.TICK`."""
         return self._ring.since(self._number).records
 
     def counted(self) -> dict:
-        """Shares of deadlines that were missed, and of ticks that began late; quantiles in us."""
+        """Return fractions of missed deadlines and late ticks, and quantiles in us."""
         now, before, records = self._ring.latest(), self._before, self.records()
         deadlines, missed, late = (int(now[name]) - int(before[name]) for name in ("tick", "missed", "late"))
         lateness, taken = 1e6 * records["lateness"], 1e6 * records["compute_time"]
@@ -40,7 +40,7 @@ class TickCount:
 
 
 def peak_memory(pid: int) -> float | None:
-    """MB that a process has had in memory at most; None where the system does not say."""
+    """Return the peak memory of a process, MB; None if the system does not report it."""
     with suppress(OSError):
         for line in Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines():
             if line.startswith("VmHWM:"):

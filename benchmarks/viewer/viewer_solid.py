@@ -1,4 +1,4 @@
-"""CPU time of a frame of a solid in space with ten thousand nodes on its surface.
+"""CPU time of a frame of a 3D solid with ten thousand nodes on its surface.
 
     python -m benchmarks viewer_solid [--json] [--repeats 60]
 
@@ -57,7 +57,7 @@ class NoSession:
 
 
 def block(element: Hexahedron) -> SolidFields:
-    """Fields of a block at rest."""
+    """Return the fields of a block at rest."""
     line = np.linspace(-0.5 * EDGE, 0.5 * EDGE, CELLS[element] + 1)
     mesh = block_mesh(line, line, line - 0.5 * EDGE, element)
     batches, count = ElementBatches(mesh), len(mesh.connectivity)
@@ -67,7 +67,7 @@ def block(element: Hexahedron) -> SolidFields:
 
 
 def state(fields: SolidFields, number: int) -> Snapshot:
-    """The block in a frame: a dent where the tool is."""
+    """Return the state of the block in a frame, with a dent under the tool."""
     x, y = 0.012 * np.cos(0.3 * number), 0.012 * np.sin(0.3 * number)
     away = np.exp(-((fields.mesh.nodes - [x, y, 0.0]) ** 2).sum(axis=1) / (2 * 0.01**2))
     displacement = -0.004 * away[:, None] * [0.2, 0.1, 1.0]
@@ -76,7 +76,7 @@ def state(fields: SolidFields, number: int) -> Snapshot:
 
 
 def measure(element: Hexahedron, frames: int) -> dict:
-    """CPU ms of the frames of one block, medians."""
+    """Return median CPU times of the frames of one block, ms."""
     fields = block(element)
     tool = ts.Tool("round", radius=8e-3)
     experiment = NEEDLE.experiment(specimen=ts.Specimen(0.5 * EDGE, EDGE), protocol=ts.Protocol.ramp(8e-3), tool=tool,
@@ -120,7 +120,7 @@ def measure(element: Hexahedron, frames: int) -> dict:
 
 
 def draw(result: dict, console: Console) -> None:
-    """The table."""
+    """Print the table."""
     rows = [(row["element"], f"{row['elements']}", f"{row['surface_nodes']}", f"{row['frame_ms']:.1f}",
              f"{row['frame_max_ms']:.1f}", f"{row['kB_a_frame']:.0f}", f"{row['publish_ms']:.1f}",
              f"{row['read_ms']:.1f}") for row in result["cases"]]

@@ -1,4 +1,4 @@
-"""The viewer's process, for `viewer_processes`: a page on a free port, and runs of it as its input asks for.
+"""Process of the viewer for `viewer`: a page on a free port; standard input requests runs.
 
     python -m benchmarks worker RESOLUTION
 
@@ -54,13 +54,13 @@ PATIENCE = 120.0
 
 
 class Stopwatch:
-    """CPU seconds of the calling thread by the name of the part."""
+    """CPU time of the calling thread by name of the part, s."""
 
     def __init__(self) -> None:
         self.spent: Counter[str] = Counter()
 
     def timed(self, part: str, work: Callable) -> Callable:
-        """The same function, whose time counts for a part."""
+        """Return the same function, with its time counted for a part."""
 
         @functools.wraps(work)
         def measured(*arguments, **options):
@@ -73,7 +73,7 @@ class Stopwatch:
         return measured
 
     def watch(self, page: Page, session: Session) -> None:
-        """Time what a frame is made of."""
+        """Time the parts of a frame."""
         solid = scenes.viewer.page.solid
         Fields.at_points = self.timed("fields", Fields.at_points)
         bodies = scenes.viewer.bodies
@@ -85,7 +85,7 @@ class Stopwatch:
 
 
 class Watched:
-    """A viewer between the session and another one: notes when it showed what, and the CPU time of each frame."""
+    """Viewer between the session and another viewer; records the time and CPU time of each frame."""
 
     def __init__(self, viewer: Viewer, stopwatch: Stopwatch):
         self._viewer, self._spent = viewer, stopwatch.spent
@@ -109,7 +109,7 @@ class Watched:
 
 
 def study() -> Scene:
-    """The needle in the study's specimen with three replicates; what plots cost does not depend on their force."""
+    """Return the needle in the study's specimen with three replicates, whose forces do not affect the cost of plots."""
     experiment = NEEDLE.experiment(specimen=ts.Specimen(0.040, 0.070), protocol=TEST)
     depth, noise = np.linspace(0.0, TEST.depth, SAMPLES), np.random.default_rng(0)
     recordings = [ts.Recording({"time": depth / SPEED, "displacement": depth,
@@ -133,7 +133,7 @@ def began_at(ring: RingReader) -> float:
 
 
 def move(session: Session, motion: str) -> None:
-    """Let the tool move, or stand in the tissue, and wait until that is all it does."""
+    """Move the tool or hold it in the tissue, and wait until the loop does only that."""
     if motion == "moves":
         session.post("play", text=MOTION, repeat=True)
     else:
@@ -142,7 +142,7 @@ def move(session: Session, motion: str) -> None:
 
 
 def run(session: Session, page: Page, stopwatch: Stopwatch, ring: RingReader, asked: dict) -> dict:
-    """One run, and what it cost."""
+    """Return the result and the cost of one run."""
     until = time.monotonic() + PATIENCE
     while len(page.server.get_clients()) != asked["clients"] and time.monotonic() < until:
         time.sleep(0.05)
@@ -184,7 +184,7 @@ def shown(watched: Watched, page: Page, zero: float, records: np.ndarray):
 
 
 def memory(session: Session) -> dict[str, float | None]:
-    """MB in memory at most so far, of the three processes."""
+    """Return the peak memory of the three processes, MB."""
     loop = session.simulation.process.pid
     others = [child.pid for child in multiprocessing.active_children() if child.pid != loop]
     return {"viewer": peak_memory(os.getpid()), "loop": peak_memory(loop),
